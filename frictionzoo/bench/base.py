@@ -1,0 +1,211 @@
+"""A bench: the MJCF around the drive, the joints that are identified, and the actuator that drives them."""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from frictionzoo.bench.actuators import Actuator, Affine
+from frictionzoo.errors import BenchError, closest
+from frictionzoo.params import Param, read_params
+from frictionzoo.types import Log
+
+_JOINT_TYPES = {mujoco.mjtJoint.mjJNT_HINGE: "hinge", mujoco.mjtJoint.mjJNT_SLIDE: "slide"}
+_INTEGRATORS = {mujoco.mjtIntegrator.mjINT_EULER: "Euler", mujoco.mjtIntegrator.mjINT_IMPLICITFAST: "implicitfast"}
+_TIMESTEP_TOLERANCE = 0.01  # share by which the log's interval may differ from the MJCF's
+
+
+class Bench:
+    """The simulated test stand of one drive.
+
+    The MJCF is a template without friction, armature or actuator at the identified joints; `mjcf` writes these in. The
+    model that is fitted and the model that is exported are therefore one text with different numbers.
+
+    Attributes:
+        joints: Names of the identified joints, in MuJoCo's order.
+        joint_type: `hinge` or `slide`.
+        params: The armature and the actuator's parameters.
+        timestep: Simulation step [s].
+
+    Args:
+        mjcf: Path of the template, or the name of one that the package ships (`knee_rod.xml`, `emps.xml`).
+        joint: Name or names of the identified joints; None where the template has one joint only.
+        actuator: The law that turns a command into torque.
+        params: Section of `armature`.
+        solreffriction: Time constant [s] and damping ratio of MuJoCo's friction constraint. MuJoCo's default is
+            (0.02, 1); a shorter time constant makes sticking stiffer.
+
+    Raises:
+        BenchError: The template cannot be read or compiled, or does not have these joints.
+        ConfigError: A parameter's section makes no sense.
+    """
+
+    def __init__(
+        self,
+        mjcf: str,
+        joint: str | Sequence[str] | None,
+        actuator: Actuator,
+        params: Mapping[str, Mapping[str, Any]],
+        solreffriction: Sequence[float],
+    ) -> None:
+        self.source = mjcf
+        self.actuator = actuator
+        self.params: dict[str, Param] = {**read_params("bench", {"armature": "inertia"}, params), **actuator.params}
+        self._solreffriction = [float(number) for number in solreffriction]
+        self._template = _read_template(mjcf)
+        self.joints = self._choose_joints(joint)
+        self._refuse_clashes()
+        model = self.compile(constraint=False)
+        self.joint_type = self._read_joint_type(model)
+        self.timestep = float(model.opt.timestep)
+
+    @property
+    def nv(self) -> int:
+        """Number of identified joints."""
+        return len(self.joints)
+
+    def initial_values(self) -> dict[str, np.ndarray]:
+        """Initial value of each parameter, of shape (nv,)."""
+        return {name: np.full(self.nv, param.init) for name, param in self.params.items()}
+
+    def mjcf(
+        self,
+        values: Mapping[str, np.ndarray],
+        frictionloss: np.ndarray | None = None,
+        damping: np.ndarray | None = None,
+        comments: Sequence[str] = (),
+    ) -> str:
+        """The complete MJCF with these values, every number at full precision.
+
+        Args:
+            values: Value of each of `params`, of shape (nv,).
+            frictionloss: Dry-friction limit of each joint [N m or N], of shape (nv,); None for no friction constraint.
+            damping: Damping of each joint [N m s/rad or N s/m], of shape (nv,).
+            comments: Lines for the top of the file.
+        """
+        root = ET.fromstring(ET.tostring(self._template))
+        affine = self.actuator.affine(values)
+        actuators = _section(root, "actuator")
+        joints = {element.get("name"): element for element in root.findall("./worldbody//joint")}
+        for index, name in enumerate(self.joints):
+            joint = joints[name]
+            joint.set("armature", _number(values["armature"][index]))
+            joint.set("solreffriction", " ".join(map(_number, self._solreffriction)))
+            if frictionloss is not None:
+                joint.set("frictionloss", _number(frictionloss[index]))
+            if damping is not None:
+                joint.set("damping", _number(damping[index]))
+            actuators.append(_affine_actuator(name, index, affine))
+        for position, comment in enumerate(comments):
+            root.insert(position, ET.Comment(f" {comment.replace('--', '- -')} "))
+        ET.indent(root)
+        return ET.tostring(root, encoding="unicode") + "\n"
+
+    def compile(self, constraint: bool) -> mujoco.MjModel:
+        """The compiled model with initial values.
+
+        Args:
+            constraint: Whether the joints get a row of MuJoCo's friction constraint. MJX fixes the rows when it takes
+                the model over, so the limit is compiled as positive and set to its value later.
+
+        Raises:
+            BenchError: MuJoCo refuses the template, or an option of it is not supported.
+        """
+        frictionloss = np.ones(self.nv) if constraint else None
+        try:
+            model = mujoco.MjModel.from_xml_string(self.mjcf(self.initial_values(), frictionloss))
+        except ValueError as error:
+            reason = " ".join(str(error).split())
+            raise BenchError(f"{self.source}: MuJoCo does not compile it ({reason}); mend the MJCF") from None
+        if model.nv != self.nv:
+            raise BenchError(
+                f"{self.source}: {model.nv} degrees of freedom, but {self.nv} identified joints "
+                f"({', '.join(self.joints)}); name every joint in bench.joint or fix the others"
+            )
+        if model.opt.integrator not in _INTEGRATORS:
+            name = mujoco.mjtIntegrator(model.opt.integrator).name.removeprefix("mjINT_")
+            raise BenchError(
+                f"{self.source}: integrator {name}, expected {' or '.join(_INTEGRATORS.values())}; change it"
+            )
+        return model
+
+    def check_log(self, log: Log) -> None:
+        """Refuse a log that this bench cannot have produced.
+
+        Raises:
+            BenchError: The log has another number of joints or actuators, or another time step.
+        """
+        for signal in ("qpos", "ctrl"):
+            columns = getattr(log, signal).shape[1]
+            if columns != self.nv:
+                raise BenchError(
+                    f"{log.name}: {signal} has {columns} columns, expected {self.nv} for the joints "
+                    f"{', '.join(self.joints)} of {self.source}; choose other columns or another bench.joint"
+                )
+        if abs(log.timestep - self.timestep) > _TIMESTEP_TOLERANCE * self.timestep:
+            raise BenchError(
+                f"{log.name}: {log.timestep:.6g} s per sample, expected {self.timestep:.6g} s as in {self.source}; "
+                "set the MJCF's timestep to the log's or resample the log"
+            )
+
+    def _choose_joints(self, joint: str | Sequence[str] | None) -> tuple[str, ...]:
+        found = [element.get("name", "") for element in self._template.findall("./worldbody//joint")]
+        if joint is None:
+            if len(found) != 1 or not found[0]:
+                listed = ", ".join(name or "(unnamed)" for name in found) or "none"
+                raise BenchError(f"{self.source}: joints {listed}, expected one named joint; set bench.joint")
+            return (found[0],)
+        wanted = [joint] if isinstance(joint, str) else list(joint)
+        for name in wanted:
+            if name not in found:
+                raise BenchError(
+                    f"{self.source}: no joint {name}; {closest(name, filter(None, found))}; set bench.joint"
+                )
+        return tuple(name for name in found if name in wanted)
+
+    def _refuse_clashes(self) -> None:
+        if self._template.find(".//include") is not None:
+            raise BenchError(f"{self.source}: it has an <include>, expected one self-contained MJCF; flatten it first")
+        for element in self._template.findall("./actuator/*"):
+            if element.get("joint") in self.joints:
+                raise BenchError(
+                    f"{self.source}: joint {element.get('joint')} has an actuator in the MJCF, expected none because "
+                    "bench.actuator describes it; remove it from the MJCF"
+                )
+
+    def _read_joint_type(self, model: mujoco.MjModel) -> str:
+        types = {int(kind) for kind in model.jnt_type}
+        if len(types) != 1 or not types <= set(map(int, _JOINT_TYPES)):
+            raise BenchError(f"{self.source}: joints of several or unsupported types, expected all hinge or all slide")
+        return _JOINT_TYPES[mujoco.mjtJoint(types.pop())]
+
+
+def _read_template(source: str) -> ET.Element:
+    shipped = files("frictionzoo.bench") / "assets" / source
+    try:
+        text = Path(source).read_text() if Path(source).exists() else shipped.read_text()
+        return ET.fromstring(text, ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "not a text file"
+        raise BenchError(f"{source}: cannot be read ({reason}); set bench.mjcf to an MJCF file") from None
+    except ET.ParseError as error:
+        raise BenchError(f"{source}: not XML ({error}); set bench.mjcf to an MJCF file") from None
+
+
+def _section(root: ET.Element, tag: str) -> ET.Element:
+    found = root.find(tag)
+    return ET.SubElement(root, tag) if found is None else found
+
+
+def _affine_actuator(joint: str, index: int, affine: Affine) -> ET.Element:
+    gain, *bias = (_number(coefficient[index]) for coefficient in affine)
+    attributes = {"name": joint, "joint": joint, "gainprm": gain, "biastype": "affine", "biasprm": " ".join(bias)}
+    return ET.Element("general", attributes)
+
+
+def _number(value: float) -> str:
+    return repr(float(value))

@@ -1,0 +1,324 @@
+"""The contract that every friction model keeps, as one call for its author's tests."""
+
+import copy
+import textwrap
+from collections.abc import Callable, Mapping
+from typing import Any, NoReturn
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import safetensors.torch
+import torch
+
+from frictionzoo.bridge import to_jax
+from frictionzoo.errors import ModelError, UnknownModelError, closest
+from frictionzoo.models.base import FrictionModel
+from frictionzoo.models.registry import get_model
+from frictionzoo.params import UNITS
+from frictionzoo.types import DriveState, FrictionTerms
+
+TOLERANCE = 1e-12  # of torch against JAX in float64, relative to the largest entry of an array, absolute below 1
+SAMPLES = 64
+
+Values = Mapping[str, Any]
+
+
+def check_model(model: FrictionModel, samples: DriveState | None = None) -> None:
+    """See that a friction model keeps the contract of `FrictionModel`; the model itself is left as it was.
+
+    The clauses, in order: it is registered under its own name; its dimensions have units; its values are within bounds;
+    `terms` gives terms of the right kind and shape, is pure, deterministic and reads `values` only, also under
+    `jax.jit`, and keeps the floating-point type; torch and JAX agree in value and gradient; gradients are finite, at
+    standstill too; a saved state is complete; a law that declares `dissipative` gives no energy to the drive.
+
+    Args:
+        model: An instance of the model.
+        samples: States to check it on, numpy arrays of shape (samples, nv); by default drawn with a fixed seed, of
+            order 1 with some at standstill. They also stand for training data in `prepare`.
+
+    Raises:
+        ModelError: A clause is broken; the message names it.
+    """
+    if not isinstance(model, FrictionModel):
+        raise ModelError(
+            f"{type(model).__name__}: not a FrictionModel; derive it from frictionzoo.models.FrictionModel"
+        )
+    _check_name(model)
+    _check_units(model)
+    _check_bounds(model)
+    samples = _draw_samples(model.nv) if samples is None else samples
+    prepared = copy.deepcopy(model)
+    prepared.prepare(samples)
+    _check_bounds(prepared)
+    with jax.enable_x64(True):
+        _check_terms(prepared, samples)
+        _check_purity(prepared, samples)
+        _check_agreement(prepared, samples)
+        _check_types(prepared, samples)
+    _check_saved_state(model, prepared, samples)
+    _check_dissipation(prepared, samples)
+
+
+def _fail(model: FrictionModel, clause: str, message: str, cause: Exception | None = None) -> NoReturn:
+    """Raise with the model, the broken clause, and what to do about it."""
+    raise ModelError(f"{getattr(type(model), 'name', type(model).__name__)}: {clause}: {message}") from cause
+
+
+def _check_name(model: FrictionModel) -> None:
+    cls = type(model)
+    name = vars(cls).get("name")
+    try:
+        registered = name is not None and get_model(name) is cls
+    except UnknownModelError:
+        registered = False
+    if not registered:
+        _fail(model, "name", f"class {cls.__qualname__} is not registered; decorate it @register_model(NAME)")
+
+
+def _check_units(model: FrictionModel) -> None:
+    for name, dimension in model.dimensions.items():
+        for joint_type, units in UNITS.items():
+            if dimension not in units:
+                _fail(
+                    model, "units", f"{name} has dimension {dimension} on a {joint_type}; {closest(dimension, units)}"
+                )
+
+
+def _check_bounds(model: FrictionModel) -> None:
+    """Physical values lie within bounds, and every number is finite."""
+    for name, tensor in model.state_dict().items():
+        if not torch.isfinite(tensor).all():
+            _fail(model, "values", f"{name} is NaN or infinite; give finite values in the constructor and in prepare")
+    parameters = dict(model.named_parameters())
+    for name, param in model.params.items():
+        if name not in parameters or tuple(parameters[name].shape) != (model.nv,):
+            _fail(model, "values", f"{name} is no parameter of shape ({model.nv},); leave it to FrictionModel.__init__")
+        value = parameters[name].detach()
+        if not ((value >= param.low) & (value <= param.high)).all():
+            _fail(model, "bounds", f"{name}={value.tolist()} outside [{param.low:g}, {param.high:g}]; start inside")
+
+
+def _check_terms(model: FrictionModel, samples: DriveState) -> None:
+    """The right terms, arrays of the namespace asked for, of the state's shape, whatever the batch dimensions."""
+    for batch in ((), (3,), (2, 3)):
+        state = DriveState(*(np.resize(signal, (*batch, model.nv)) for signal in samples))
+        for namespace, terms in (("torch", _torch_terms(model, state)), ("jax.numpy", _jax_terms(model, state))):
+            _check_kinds(model, terms, namespace)
+            for name, term in _given(terms).items():
+                _check_shape(model, f"{name} over {namespace}", tuple(term.shape), (*batch, model.nv))
+            if terms.frictionloss is not None and not bool((terms.frictionloss > 0).all()):
+                _fail(
+                    model, "frictionloss", "is 0 or negative somewhere, where MuJoCo locks the joint; keep it above 0"
+                )
+
+
+def _check_kinds(model: FrictionModel, terms: Any, namespace: str) -> None:
+    if not isinstance(terms, FrictionTerms):
+        _fail(model, "terms", f"gives {type(terms).__name__} over {namespace}; return FrictionTerms")
+    if model.constraint and terms.frictionloss is None:
+        _fail(model, "constraint", "is declared and frictionloss is None; answer with it or set constraint = False")
+    if not model.constraint and terms.frictionloss is not None:
+        _fail(model, "constraint", "is not declared and frictionloss is given; set constraint = True")
+    kind = torch.Tensor if namespace == "torch" else jax.Array
+    for name, term in _given(terms).items():
+        if not isinstance(term, kind):
+            _fail(model, "terms", f"{name} is a {type(term).__name__} over {namespace}; compute it with xp from values")
+
+
+def _check_shape(model: FrictionModel, what: str, shape: tuple[int, ...], expected: tuple[int, ...]) -> None:
+    try:
+        fits = np.broadcast_shapes(shape, expected) == expected
+    except ValueError:
+        fits = False
+    if not fits:
+        _fail(model, "shape", f"{what} is {shape}, expected {expected} or what broadcasts to it; keep (..., nv)")
+
+
+def _check_purity(model: FrictionModel, samples: DriveState) -> None:
+    """Same inputs, same bits; nothing is written; the numbers come from `values`; no branch on a number."""
+    values, state = _torch_values(model), _torch_state(samples)
+    before, kept_values, kept_state = _saved(model), copy.deepcopy(values), copy.deepcopy(state)
+    first = model.terms(torch, values, state)
+    if not _same(first, model.terms(torch, values, state)):
+        _fail(model, "deterministic", "two calls with the same inputs differ; take no random number in terms")
+    unwritten = _equal(kept_values, values) and _equal(kept_state._asdict(), state._asdict())
+    if not unwritten or not _equal(before, _saved(model)):
+        _fail(model, "pure", "terms writes into values, state or the module; return new arrays instead")
+    if not _same(first, _changed(model).terms(torch, values, state)):
+        _fail(model, "pure", "terms reads a parameter or buffer from the module; take it from values")
+
+
+def _check_agreement(model: FrictionModel, samples: DriveState) -> None:
+    """Torch equals JAX in value and gradient, and the gradient is finite, on the samples and at standstill."""
+    standstill = samples._replace(qvel=np.zeros_like(samples.qvel))
+    for where, state in (("on the samples", samples), ("at qvel = 0", standstill)):
+        ours, theirs = _torch_terms(model, state), _jax_terms(model, state)
+        _compare(model, f"value {where}", _numpy(_given(ours)), _numpy(_given(theirs)))
+        weights = np.random.default_rng(0).standard_normal((len(FrictionTerms._fields), *state.qvel.shape))
+        gradient = _torch_gradient(model, state, weights)
+        for name, slope in gradient.items():
+            if not np.isfinite(slope).all():
+                _fail(model, "gradient", f"with respect to {name} is not finite {where}; smooth the law there")
+        _compare(model, f"gradient {where}", gradient, _jax_gradient(model, state, weights))
+
+
+def _check_types(model: FrictionModel, samples: DriveState) -> None:
+    """float32 in, float32 out: a constant of another type would break a compiled rollout."""
+    for namespace, terms in (
+        ("torch", model.terms(torch, _torch_values(model, torch.float32), _torch_state(samples, torch.float32))),
+        ("jax.numpy", model.terms(jnp, to_jax(model, jnp.float32), _jax_state(samples, jnp.float32))),
+    ):
+        for name, term in _given(terms).items():
+            if not str(term.dtype).endswith("float32"):
+                _fail(model, "type", f"{name} is {term.dtype} of float32 inputs over {namespace}; use Python constants")
+
+
+def _check_saved_state(fresh: FrictionModel, prepared: FrictionModel, samples: DriveState) -> None:
+    """A new instance that loads the saved state is the same law: nothing that counts lies outside the state."""
+    loaded = _changed(fresh)
+    try:
+        state = safetensors.torch.load(safetensors.torch.save(prepared.state_dict()))
+        loaded.load_state_dict(state)
+    except (RuntimeError, ValueError) as error:
+        message = f"does not go through safetensors and back ({_in_short(error)}); keep names and shapes fixed"
+        _fail(fresh, "state_dict", message, error)
+    if not _same(_torch_terms(prepared, samples), _torch_terms(loaded, samples)):
+        _fail(fresh, "state_dict", "is not complete: loaded into a new instance it gives other terms; use buffers")
+
+
+def _check_dissipation(model: FrictionModel, samples: DriveState) -> None:
+    if not model.dissipative:
+        return
+    terms = _numpy(_given(_torch_terms(model, samples)))
+    power = terms.get("torque", np.zeros(())) * samples.qvel
+    if (power < 0).any():
+        at = tuple(int(index) for index in np.argwhere(power < 0)[0])
+        _fail(
+            model,
+            "dissipative",
+            f"torque drives the joint at qvel={samples.qvel[at]:.3g}; oppose qvel, or drop the claim",
+        )
+    if (terms.get("damping", np.zeros(())) < 0).any():
+        _fail(model, "dissipative", "damping is negative; keep it at 0 or above, or drop the claim")
+
+
+def _draw_samples(nv: int) -> DriveState:
+    """States of order 1, of both signs and many magnitudes, some at standstill."""
+    random = np.random.default_rng(0)
+    signals = (
+        random.standard_normal((len(DriveState._fields), SAMPLES, nv))
+        * random.choice([1e-3, 0.1, 1.0], SAMPLES)[:, None]
+    )
+    state = DriveState(*signals)
+    state.qvel[: SAMPLES // 8] = 0.0
+    return state
+
+
+def _given(terms: FrictionTerms) -> dict[str, Any]:
+    return {name: term for name, term in terms._asdict().items() if term is not None}
+
+
+def _numpy(arrays: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    return {name: a.detach().numpy() if isinstance(a, torch.Tensor) else np.asarray(a) for name, a in arrays.items()}
+
+
+def _equal(ours: Mapping[str, torch.Tensor], theirs: Mapping[str, torch.Tensor]) -> bool:
+    return ours.keys() == theirs.keys() and all(torch.equal(ours[name], theirs[name]) for name in ours)
+
+
+def _same(ours: FrictionTerms, theirs: FrictionTerms) -> bool:
+    return _equal(_given(ours), _given(theirs))
+
+
+def _saved(model: FrictionModel) -> dict[str, torch.Tensor]:
+    return {name: tensor.detach().clone() for name, tensor in model.state_dict().items()}
+
+
+def _changed(model: FrictionModel) -> FrictionModel:
+    """A copy whose every number differs."""
+    changed = copy.deepcopy(model)
+    for tensor in changed.state_dict().values():
+        tensor.copy_(tensor * 2 + 1)
+    return changed
+
+
+def _torch_values(model: FrictionModel, dtype: torch.dtype = torch.float64) -> dict[str, torch.Tensor]:
+    state = _saved(model)
+    return {name: tensor.to(dtype) if tensor.is_floating_point() else tensor for name, tensor in state.items()}
+
+
+def _torch_state(state: DriveState, dtype: torch.dtype = torch.float64) -> DriveState:
+    return DriveState(*(torch.tensor(signal, dtype=dtype) for signal in state))
+
+
+def _jax_state(state: DriveState, dtype: Any = jnp.float64) -> DriveState:
+    return DriveState(*(jnp.asarray(signal, dtype) for signal in state))
+
+
+def _torch_terms(model: FrictionModel, state: DriveState) -> Any:
+    return _called(model, "torch", lambda: model.terms(torch, _torch_values(model), _torch_state(state)))
+
+
+def _jax_terms(model: FrictionModel, state: DriveState) -> Any:
+    """The terms as a compiled rollout sees them."""
+    compiled = jax.jit(lambda values, drive: model.terms(jnp, values, drive))
+    return _called(model, "jax.numpy", lambda: compiled(to_jax(model, jnp.float64), _jax_state(state)))
+
+
+def _called(model: FrictionModel, namespace: str, call: Callable[[], Any]) -> Any:
+    """The terms, or whatever a broken law gives instead."""
+    try:
+        return call()
+    except jax.errors.ConcretizationTypeError as error:
+        _fail(model, "pure", f"jax.jit cannot compile terms ({_in_short(error)}); use xp.where, not if", error)
+    except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
+        message = f"fails over {namespace} ({_in_short(error)}); use values and what torch and jax.numpy share"
+        _fail(model, "terms", message, error)
+
+
+def _in_short(error: Exception) -> str:
+    return textwrap.shorten(str(error), 160)
+
+
+def _weighted(terms: FrictionTerms, weights: Any) -> Any:
+    """One number that depends on every entry of every term."""
+    return sum((w * term).sum() for w, term in zip(weights, terms, strict=True) if term is not None)
+
+
+def _moving(model: FrictionModel, values: Values, state: DriveState) -> dict[str, Any]:
+    """What a gradient is taken with respect to: all parameters, and the state."""
+    return {name: values[name] for name, _ in model.named_parameters()} | state._asdict()
+
+
+def _torch_gradient(model: FrictionModel, state: DriveState, weights: np.ndarray) -> dict[str, np.ndarray]:
+    values, drive = _torch_values(model), _torch_state(state)
+    moving = _moving(model, values, drive)
+    for tensor in moving.values():
+        tensor.requires_grad_()
+    total = _weighted(model.terms(torch, values, drive), torch.tensor(weights))
+    if not isinstance(total, torch.Tensor) or not total.requires_grad:
+        return {name: np.zeros(tuple(tensor.shape)) for name, tensor in moving.items()}
+    gradient = torch.autograd.grad(total, list(moving.values()), allow_unused=True, materialize_grads=True)
+    return _numpy(dict(zip(moving, gradient, strict=True)))
+
+
+def _jax_gradient(model: FrictionModel, state: DriveState, weights: np.ndarray) -> dict[str, np.ndarray]:
+    values, drive = to_jax(model, jnp.float64), _jax_state(state)
+
+    def total(moving: dict[str, jax.Array]) -> jax.Array:
+        moved = DriveState(*(moving[name] for name in DriveState._fields))
+        return jnp.zeros(()) + _weighted(model.terms(jnp, {**values, **moving}, moved), jnp.asarray(weights))
+
+    return _numpy(jax.grad(total)(_moving(model, values, drive)))
+
+
+def _compare(model: FrictionModel, what: str, ours: dict[str, np.ndarray], theirs: dict[str, np.ndarray]) -> None:
+    if ours.keys() != theirs.keys():
+        _fail(
+            model, "torch equals JAX", f"terms {sorted(ours)} in torch and {sorted(theirs)} in JAX; write one formula"
+        )
+    for name, array in ours.items():
+        error = float(np.abs(array - theirs[name]).max(initial=0.0))
+        if not error <= TOLERANCE * max(1.0, float(np.abs(array).max(initial=0.0))):
+            _fail(model, "torch equals JAX", f"{what} of {name} differs by {error:.3g}; write one formula over xp")

@@ -1,0 +1,136 @@
+"""The configuration: where it lies, its resolvers, what an override may be, and building parts from it."""
+
+import importlib
+from collections.abc import Iterator, Mapping
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+from hydra import compose, initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
+from omegaconf import DictConfig, OmegaConf
+
+from frictionzoo.errors import ConfigError, closest
+
+_PACKAGE = Path(__file__).parent
+# A wheel ships conf/ inside the package; in a checkout it stands beside it.
+CONF_DIR = _PACKAGE / "conf" if (_PACKAGE / "conf").is_dir() else _PACKAGE.parent / "conf"
+_NUMBERS = (int, float)
+
+
+def register_resolvers() -> None:
+    """Make `mul`, `div` and `run_dir` (the resumed folder, else a new one) known to configuration files."""
+    resolvers = {
+        "mul": lambda factor, other: float(factor) * float(other),
+        "div": lambda dividend, divisor: float(dividend) / float(divisor),
+        "run_dir": lambda resume, new: new if resume in (None, "None") else resume,
+    }
+    for name, resolver in resolvers.items():
+        OmegaConf.register_new_resolver(name, resolver, replace=True)
+
+
+def compose_config(*overrides: str) -> DictConfig:
+    """The configuration of a job with these overrides, as the command line would compose it.
+
+    Args:
+        overrides: `key=value`, as on the command line.
+    """
+    register_resolvers()
+    if GlobalHydra.instance().is_initialized():
+        return compose("config", overrides=list(overrides))
+    with initialize_config_dir(str(CONF_DIR), version_base="1.3"):
+        return compose("config", overrides=list(overrides))
+
+
+def build(section: Mapping[str, Any], **more: Any) -> Any:
+    """Construct what a section's `_target_` names, with the section's other keys as arguments.
+
+    Nested sections with a `_target_` are built first. Only classes of frictionzoo and of packages that registered a
+    friction model are built, so that a configuration from elsewhere cannot run arbitrary code.
+
+    Args:
+        section: `_target_` and constructor arguments.
+        more: Further arguments, which the configuration does not know.
+
+    Raises:
+        ConfigError: The target is not one of these classes, or does not take these arguments.
+    """
+    arguments = {
+        name: build(value) if isinstance(value, Mapping) and "_target_" in value else value
+        for name, value in section.items()
+        if name != "_target_"
+    }
+    target = str(section["_target_"])
+    try:
+        return _find(target)(**arguments, **more)
+    except TypeError as error:
+        raise ConfigError(f"{target}: {error}; compare the section with conf/") from error
+
+
+def check_overrides(overrides: list[str], config: DictConfig, plain: DictConfig) -> None:
+    """Refuse a value of another type than the one it replaces.
+
+    Args:
+        overrides: As on the command line.
+        config: The composed configuration.
+        plain: The same with nothing but the choices of groups overridden.
+
+    Raises:
+        ConfigError: Text came where a number stands, or the like.
+    """
+    given = {override.lstrip("+~").partition("=")[0] for override in overrides}
+    before = dict(_leaves(OmegaConf.to_container(plain, resolve=True)))
+    for key, value in _leaves(OmegaConf.to_container(config, resolve=True)):
+        if not any(key == name or key.startswith(f"{name}.") for name in given) or before.get(key) is None:
+            continue
+        if value is not None and not _same_kind(value, before[key]):
+            kind = _kind(before[key])
+            raise ConfigError(f"{key}={value}; expected {kind} such as {before[key]}")
+
+
+def _same_kind(value: Any, example: Any) -> bool:
+    if isinstance(example, bool) or isinstance(value, bool):
+        return isinstance(value, bool) and isinstance(example, bool)
+    if isinstance(example, int):
+        return isinstance(value, int)
+    return isinstance(value, _NUMBERS) if isinstance(example, float) else isinstance(value, type(example))
+
+
+def _kind(example: Any) -> str:
+    kinds = {bool: "true or false", int: "a whole number", float: "a number", list: "a list", str: "text"}
+    return kinds.get(type(example), type(example).__name__)
+
+
+def _leaves(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Every value with its dotted key, lists as values, without `scale`, which is text or a number."""
+    for key, value in config.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, dict):
+            yield from _leaves(value, f"{name}.")
+        elif key != "scale":
+            yield name, value
+
+
+def _find(target: str) -> Any:
+    packages = {"frictionzoo", *(point.module.partition(".")[0] for point in entry_points(group="frictionzoo.models"))}
+    module, _, name = target.rpartition(".")
+    if module.partition(".")[0] not in packages:
+        raise ConfigError(f"_target_={target}; expected a class of {' or '.join(sorted(packages))}")
+    try:
+        found = getattr(importlib.import_module(module), name)
+    except (ModuleNotFoundError, AttributeError):
+        raise ConfigError(f"_target_={target}; expected a class that exists; compare with conf/") from None
+    if not isinstance(found, type):
+        raise ConfigError(f"_target_={target}; expected a class")
+    return found
+
+
+def suggest_option(key: str, config: DictConfig) -> str:
+    """Hint for an unknown dotted key: the closest name at the first place where it leaves the configuration."""
+    section, known = config, ""
+    for name in key.split("."):
+        inner = section.get(name) if name in section else None
+        if not isinstance(inner, DictConfig):
+            return f"{closest(name, map(str, section))}{f' in {known}' if known else ''}"
+        section, known = inner, f"{known}.{name}".lstrip(".")
+    return closest(key, map(str, config))

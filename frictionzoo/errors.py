@@ -1,0 +1,53 @@
+"""The errors that a user can cause: one line each, with what came, what was expected and what to do."""
+
+import difflib
+from collections.abc import Iterable
+
+
+class FrictionzooError(Exception):
+    """Base of every error that is the input's fault; the command line prints its message without a traceback."""
+
+
+class LogError(FrictionzooError):
+    """A recording that cannot be read or does not make sense."""
+
+
+class BenchError(FrictionzooError):
+    """An MJCF bench that does not fit its description or the recording."""
+
+
+class ModelError(FrictionzooError):
+    """A friction model that does not keep the plug-in contract."""
+
+
+class UnknownModelError(ModelError):
+    """A friction model's name that is not registered."""
+
+
+class ConfigError(FrictionzooError):
+    """An option that is unknown or has an impossible value."""
+
+
+class FitError(FrictionzooError):
+    """A fit that cannot go on."""
+
+
+class CheckpointError(FrictionzooError):
+    """A checkpoint that cannot be read or belongs to another run."""
+
+
+class OutputError(FrictionzooError):
+    """A result that cannot be written."""
+
+
+def closest(name: str, options: Iterable[str]) -> str:
+    """Hint for an unknown name: the closest option if one is near, then all of them.
+
+    Args:
+        name: What the user wrote.
+        options: What would have been understood.
+    """
+    options = sorted(options)
+    near = difflib.get_close_matches(name, options, n=1, cutoff=0.5)
+    listed = f"expected one of {', '.join(options)}" if options else "none is available"
+    return f"did you mean {near[0]}? ({listed})" if near else listed

@@ -1,0 +1,56 @@
+"""Exhaustive search, the paper's non-gradient competitor."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from frictionzoo.errors import ConfigError
+from frictionzoo.fit.base import Fit, Progress, begin, keep_best
+from frictionzoo.fit.objective import Objective
+
+
+class Grid(Fit):
+    """Every combination of evenly spaced values; an iteration is one combination on the same objective.
+
+    The values are evenly spaced in each parameter's coordinate: in the value itself where its scale is a number, in its
+    logarithm where its scale is `log`.
+
+    Source: Kovalev et al., Proc. MIPT 18(2), 2026, MuJoCo-GridSearch.
+
+    Args:
+        points: Values of each parameter; the bounds are the first and the last.
+
+    Raises:
+        ConfigError: Fewer than two points.
+    """
+
+    name = "grid"
+
+    def __init__(self, points: int) -> None:
+        if points < 2:
+            raise ConfigError(f"fit.points={points}; expected at least 2")
+        self._points = points
+
+    def total(self, objective: Objective) -> int:
+        """See `Fit.total`; raises ConfigError for a network, which has no bounds to search between."""
+        if objective.space.weights:
+            raise ConfigError(
+                f"fit=grid: {objective.space.weights[0]} has no bounds; expected physical parameters only, use fit=adam"
+            )
+        return self._points ** len(objective.space.start)
+
+    def start(self, objective: Objective) -> Progress:
+        """See `Fit.start`."""
+        return begin(objective, self._combination(objective, jnp.asarray(0)), ())
+
+    def iterate(self, objective: Objective, progress: Progress) -> tuple[Progress, Float[Array, ""], Float[Array, ""]]:
+        """See `Fit.iterate`. A combination that diverges loses; it does not end the search."""
+        loss = objective.loss(progress.vector)
+        progress = keep_best(progress, jnp.where(jnp.isfinite(loss), loss, jnp.inf))
+        iteration = progress.iteration + 1
+        following = progress._replace(iteration=iteration, vector=self._combination(objective, iteration))
+        return following, loss, jnp.zeros_like(loss)
+
+    def _combination(self, objective: Objective, index: Array) -> Float[Array, "coordinates"]:
+        low, high = objective.space.low, objective.space.high
+        digits = (index // self._points ** jnp.arange(len(low))) % self._points
+        return low + (high - low) * digits / (self._points - 1)

@@ -1,0 +1,336 @@
+"""Lightning around a fit: chunks of compiled iterations; between them logs, progress, checkpoints, stop, resume."""
+
+import logging
+import time
+import warnings
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import lightning.pytorch as pl
+import numpy as np
+import torch
+from jaxtyping import Shaped
+from lightning.pytorch.loggers import TensorBoardLogger
+from lightning.pytorch.plugins.environments import LightningEnvironment
+from tqdm.auto import tqdm
+
+from frictionzoo.bridge import load_from_jax
+from frictionzoo.engine.mjx import Values
+from frictionzoo.errors import CheckpointError, ConfigError, FitError, OutputError
+from frictionzoo.fit.base import Fit, Progress, Trace
+from frictionzoo.fit.objective import Objective
+from frictionzoo.models import FrictionModel
+
+CHECKPOINT = "last.ckpt"
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a fit found.
+
+    Attributes:
+        method: The fit's name.
+        values: Physical values of all parameters at the best iteration, by owner and name.
+        iterations: Iterations done.
+        best_iteration: The one with the lowest loss on the whole training set, from 0.
+        loss: That loss.
+        stopped: `finished`, `patience`, or `diverged`.
+        message: For a fit that diverged, one line that says at which iteration and for which parameter.
+        history: Arrays with one entry an iteration: `iteration`, `loss`, `grad_norm`, and each identified physical
+            parameter under its full name, of shape (iterations, nv).
+        compile_seconds: Time that tracing and compiling took.
+        fit_seconds: Time of the iterations and everything between them.
+    """
+
+    method: str
+    values: Values
+    iterations: int
+    best_iteration: int
+    loss: float
+    stopped: str
+    message: str | None
+    history: Mapping[str, Shaped[np.ndarray, "iterations ..."]]
+    compile_seconds: float
+    fit_seconds: float
+
+
+def run_fit(
+    fit: Fit,
+    objective: Objective,
+    model: FrictionModel,
+    *,
+    folder: Path,
+    identity: Mapping[str, str],
+    chunk: int,
+    patience: int | None,
+    progress: bool,
+) -> Outcome:
+    """Run a fit to its end, from the folder's checkpoint if it has one.
+
+    An interrupted fit that is run again ends with the same bits, wherever it was interrupted.
+
+    Args:
+        fit: The method.
+        objective: What it minimises.
+        model: The friction model; it holds the best values afterwards.
+        folder: The run's folder, for `checkpoints/` and `tensorboard/`.
+        identity: What must agree before a checkpoint is taken up: name of the thing to its value.
+        chunk: Iterations in one compiled call.
+        patience: Stop after so many iterations without a better loss; None to run all.
+        progress: Whether to show a progress bar where the terminal can.
+
+    Raises:
+        CheckpointError: The checkpoint cannot be read, or belongs to another run.
+        FitError: The first iteration already has no finite loss or gradient.
+        OutputError: A checkpoint cannot be written.
+        ConfigError: An argument is out of range.
+    """
+    for name, value in (("chunk", chunk), ("patience", patience)):
+        if value is not None and value < 1:
+            raise ConfigError(f"loop.{name}={value}; expected at least 1")
+    began = time.perf_counter()
+    module = FitModule(fit, objective, model, identity, chunk, patience)
+    compile_seconds = time.perf_counter() - began
+    checkpoint = _checked_checkpoint(folder, identity)
+    _train(module, folder, checkpoint, progress)
+    outcome = module.outcome(compile_seconds, time.perf_counter() - began - compile_seconds)
+    load_from_jax(model, outcome.values["friction"])
+    return outcome
+
+
+class FitModule(pl.LightningModule):
+    """A fit as Lightning sees it: one epoch is one chunk of iterations, which optax and not Lightning updates.
+
+    Args:
+        fit: The method.
+        objective: What it minimises.
+        model: The friction model, so that a checkpoint holds its state_dict.
+        identity: What must agree before a checkpoint is taken up.
+        chunk: Iterations in one compiled call.
+        patience: Stop after so many iterations without a better loss.
+    """
+
+    def __init__(
+        self,
+        fit: Fit,
+        objective: Objective,
+        model: FrictionModel,
+        identity: Mapping[str, str],
+        chunk: int,
+        patience: int | None,
+    ) -> None:
+        super().__init__()
+        self.automatic_optimization = False
+        self.friction = model
+        self.total = fit.total(objective)
+        self.chunk = chunk
+        self.progress: Progress = fit.start(objective)
+        self.history: list[Trace] = []
+        self._fit = fit
+        self._objective = objective
+        self._identity = dict(identity)
+        self._patience = patience
+        self._run = fit.chunk(objective, chunk).lower(self.progress, jnp.asarray(0)).compile()
+
+    @property
+    def iteration(self) -> int:
+        """Iterations done."""
+        return int(self.progress.iteration)
+
+    @property
+    def stopped(self) -> str | None:
+        """Why the fit is over, or None while it is not; it depends on nothing but the progress."""
+        if bool(self.progress.broken):
+            return "diverged"
+        if self.iteration >= self.total:
+            return "finished"
+        waited = self.iteration - 1 - int(self.progress.best_iteration)
+        return "patience" if self._patience is not None and waited >= self._patience else None
+
+    def training_step(self, *_: Any) -> None:
+        """One chunk of iterations."""
+        if self.stopped:
+            self.trainer.should_stop = True
+            return
+        before = self.iteration
+        count = jnp.asarray(min(self.chunk, self.total - before))
+        self.progress, trace = self._run(self.progress, count)
+        trace = jax.tree.map(lambda rows: np.asarray(rows)[: self.iteration - before], trace)
+        self.history.append(trace)
+        load_from_jax(self.friction, self._objective.space.values(self.progress.vector)["friction"])
+        self._log_rows(before, trace)
+        self.trainer.should_stop = self.stopped is not None
+
+    def train_dataloader(self) -> Iterable[int]:
+        """One step an epoch; the segments are inside the objective."""
+        return [0]
+
+    def configure_optimizers(self) -> None:
+        """None: optax owns the update."""
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Tensors and text only, so that a checkpoint loads without unpickling."""
+        checkpoint["frictionzoo"] = {
+            "identity": self._identity,
+            "progress": _to_tensors(self.progress),
+            "history": _to_tensors(self._whole_history()),
+        }
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Take up progress and history where they were."""
+        saved = checkpoint["frictionzoo"]
+        self.progress = _from_tensors(saved["progress"], self.progress)
+        self.history = [jax.tree.map(np.asarray, _from_tensors(saved["history"], self._whole_history()))]
+
+    def outcome(self, compile_seconds: float, fit_seconds: float) -> Outcome:
+        """What has been found so far.
+
+        Raises:
+            FitError: No iteration had a finite loss.
+        """
+        message = self._explain_divergence()
+        if int(self.progress.best_iteration) < 0:
+            raise FitError(message or "no combination has a finite loss; expected at least one; change the bounds")
+        trace = self._whole_history()
+        return Outcome(
+            method=self._fit.name,
+            values=jax.tree.map(np.asarray, self._objective.space.values(self.progress.best)),
+            iterations=self.iteration,
+            best_iteration=int(self.progress.best_iteration),
+            loss=float(self.progress.best_loss),
+            stopped=self.stopped or "interrupted",
+            message=message,
+            history={
+                "iteration": np.arange(len(trace.loss)),
+                "loss": trace.loss,
+                "grad_norm": trace.grad_norm,
+                **trace.params,
+            },
+            compile_seconds=compile_seconds,
+            fit_seconds=fit_seconds,
+        )
+
+    def _explain_divergence(self) -> str | None:
+        if not bool(self.progress.broken):
+            return None
+        where = self._objective.space.first_nonfinite(np.asarray(self.progress.gradient))
+        what = f"the gradient of {where}" if where else "the loss"
+        return (
+            f"fit diverged at iteration {self.iteration}: {what} is not finite; the best of the iterations before it "
+            "is kept; lower fit.learning_rate, or start from other initial values or narrower bounds"
+        )
+
+    def _whole_history(self) -> Trace:
+        if self.history:
+            return jax.tree.map(lambda *parts: np.concatenate(parts), *self.history)
+        empty = np.zeros(0, self.progress.vector.dtype)
+        params = self._objective.space.identified(self.progress.vector)
+        return Trace(empty, empty, {name: np.zeros((0, *value.shape), value.dtype) for name, value in params.items()})
+
+    def _log_rows(self, before: int, trace: Trace) -> None:
+        for row in range(len(trace.loss)):
+            scalars = {"loss": trace.loss[row], "grad_norm": trace.grad_norm[row]}
+            for name, values in trace.params.items():
+                scalars |= _by_joint(name, values[row])
+            for logger in self.loggers:
+                logger.log_metrics({name: float(value) for name, value in scalars.items()}, step=before + row)
+
+
+class _Saver(pl.Callback):
+    """A checkpoint after each chunk, replaced in one step.
+
+    Lightning's ModelCheckpoint counts steps of torch optimisers, of which there is none, and would save nothing.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def on_train_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        trainer.save_checkpoint(self._path)
+
+
+class _ProgressBar(pl.Callback):
+    """Iterations with the loss and the parameters of the last one."""
+
+    def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        assert isinstance(pl_module, FitModule)
+        # disable=None: tqdm shows nothing where the output is not a terminal.
+        self._bar = tqdm(total=pl_module.total, initial=pl_module.iteration, unit="it", disable=None)
+
+    def on_train_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        assert isinstance(pl_module, FitModule)
+        self._bar.update(pl_module.iteration - self._bar.n)
+        trace = pl_module.history[-1]
+        if len(trace.loss):
+            last = {name.partition(".")[2]: _short(values[-1]) for name, values in trace.params.items()}
+            self._bar.set_postfix({"loss": f"{trace.loss[-1]:.3e}", **last})
+
+    def on_train_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        self._bar.close()
+
+
+def _train(module: FitModule, folder: Path, checkpoint: Path | None, progress: bool) -> None:
+    # Lightning's advice about data loaders and GPUs does not apply: its loader holds one item.
+    logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", module="lightning")
+        trainer = pl.Trainer(
+            accelerator="cpu",
+            devices=1,
+            max_epochs=-1,
+            logger=TensorBoardLogger(folder, name="tensorboard", version=""),
+            callbacks=[_Saver(folder / "checkpoints" / CHECKPOINT), *([_ProgressBar()] if progress else [])],
+            plugins=[LightningEnvironment()],
+            enable_checkpointing=False,
+            enable_progress_bar=False,
+            enable_model_summary=False,
+            default_root_dir=folder,
+        )
+        try:
+            trainer.fit(module, ckpt_path=checkpoint, weights_only=True)
+        except OSError as error:
+            raise OutputError(
+                f"{folder}: {error.strerror or error} while writing checkpoints; free space or set hydra.run.dir"
+            ) from None
+
+
+def _checked_checkpoint(folder: Path, identity: Mapping[str, str]) -> Path | None:
+    """The folder's checkpoint if it has one and it belongs to this very run."""
+    path = folder / "checkpoints" / CHECKPOINT
+    if not path.exists():
+        return None
+    try:
+        saved = torch.load(path, weights_only=True, map_location="cpu")["frictionzoo"]["identity"]
+    except Exception as error:  # torch raises a dozen types for files that are not checkpoints
+        raise CheckpointError(
+            f"{path}: cannot be read ({type(error).__name__}), expected a checkpoint of this version; start a new run"
+        ) from None
+    for name, value in identity.items():
+        if saved.get(name) != value:
+            raise CheckpointError(
+                f"{path}: {name} {saved.get(name)}, expected {value}; resume with the command that began the run, or "
+                "start a new one"
+            )
+    _log.info("resuming from %s", path)
+    return path
+
+
+def _to_tensors(tree: Any) -> list[torch.Tensor]:
+    return [torch.from_numpy(np.array(leaf)) for leaf in jax.tree.leaves(tree)]
+
+
+def _from_tensors(tensors: list[torch.Tensor], like: Any) -> Any:
+    return jax.tree.unflatten(jax.tree.structure(like), [jnp.asarray(tensor.numpy()) for tensor in tensors])
+
+
+def _by_joint(name: str, values: np.ndarray) -> dict[str, float]:
+    return {name: values[0]} if len(values) == 1 else {f"{name}/{joint}": value for joint, value in enumerate(values)}
+
+
+def _short(values: np.ndarray) -> str:
+    return " ".join(f"{value:.4g}" for value in values)

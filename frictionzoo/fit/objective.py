@@ -1,0 +1,153 @@
+"""What a fit moves and what it minimises."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float
+
+from frictionzoo.bench import Bench
+from frictionzoo.bridge import to_jax
+from frictionzoo.engine.mjx import Values
+from frictionzoo.errors import ConfigError
+from frictionzoo.models import FrictionModel
+from frictionzoo.params import Param
+from frictionzoo.rollout import Rollout
+from frictionzoo.types import Segments
+
+FORWARD_LIMIT = 16  # tangents up to which forward mode is cheaper than one reverse sweep through MJX
+
+
+class Space:
+    """The coordinates that an optimiser moves, and the physical values that they stand for.
+
+    A parameter's coordinate is its logarithm or its value over its scale, as its `Param` says; a network's weights are
+    their own coordinates. Known parameters have none.
+
+    Attributes:
+        params: The identified physical parameters by their full name, `bench.armature`.
+        start: Coordinates of the initial values, as one vector.
+        low: Lower bound of each coordinate; minus infinity where there is none.
+        high: Upper bound of each coordinate.
+
+    Args:
+        bench: Its parameters come first.
+        model: The friction model; its present values are the initial ones.
+        dtype: JAX type of the coordinates.
+
+    Raises:
+        ConfigError: Nothing is to be identified.
+    """
+
+    def __init__(self, bench: Bench, model: FrictionModel, dtype: Any) -> None:
+        bench_values = {name: jnp.asarray(value, dtype) for name, value in bench.initial_values().items()}
+        self._values = {"bench": bench_values, "friction": to_jax(model, dtype)}
+        specs = {f"bench.{name}": param for name, param in bench.params.items()}
+        specs |= {f"friction.{name}": param for name, param in model.params.items()}
+        self.params: dict[str, Param] = {name: param for name, param in specs.items() if param.identify}
+        free = [f"friction.{name}" for name, tensor in model.named_parameters() if tensor.requires_grad]
+        names = [name for name in specs if name in self.params] + [name for name in free if name not in specs]
+        if not names:
+            raise ConfigError("no parameter is to be identified; set identify: true for at least one")
+        self.weights = [name for name in names if name not in specs]
+        coordinates = {name: self._to_coordinate(name, self._get(self._values, name)) for name in names}
+        self.start, self._unravel = ravel_pytree(coordinates)
+        self.low, self.high = (ravel_pytree(self._bounds(coordinates, side))[0] for side in ("low", "high"))
+
+    def values(self, vector: Float[Array, "coordinates"]) -> Values:
+        """Physical values of all parameters, identified and known, by owner and name."""
+        values = {owner: dict(named) for owner, named in self._values.items()}
+        for name, coordinate in self._unravel(vector).items():
+            owner, _, key = name.partition(".")
+            values[owner][key] = self._from_coordinate(name, coordinate)
+        return values
+
+    def identified(self, vector: Float[Array, "coordinates"]) -> dict[str, Float[Array, "nv"]]:
+        """Physical values of the identified parameters by full name; a network's weights are left out."""
+        values = self.values(vector)
+        return {name: self._get(values, name) for name in self.params}
+
+    def first_nonfinite(self, vector: Float[np.ndarray, "coordinates"]) -> str | None:
+        """Name of the first parameter whose entry in this vector (a gradient, say) is not finite."""
+        for name, entries in self._unravel(jnp.asarray(vector)).items():
+            if not np.isfinite(entries).all():
+                return name
+        return None
+
+    def _bounds(self, coordinates: Mapping[str, Array], side: str) -> dict[str, Array]:
+        infinite = -np.inf if side == "low" else np.inf
+        return {
+            name: jnp.full_like(
+                array,
+                self.params[name].to_coordinate(getattr(self.params[name], side), np)
+                if name in self.params
+                else infinite,
+            )
+            for name, array in coordinates.items()
+        }
+
+    def _to_coordinate(self, name: str, value: Array) -> Array:
+        return self.params[name].to_coordinate(value, jnp) if name in self.params else value
+
+    def _from_coordinate(self, name: str, coordinate: Array) -> Array:
+        return self.params[name].from_coordinate(coordinate, jnp) if name in self.params else coordinate
+
+    @staticmethod
+    def _get(values: Mapping[str, Mapping[str, Array]], name: str) -> Array:
+        owner, _, key = name.partition(".")
+        return values[owner][key]
+
+
+class Objective:
+    """Weighted mean square error of predicted states over all segments, as a function of a `Space`'s vector.
+
+    Source: Kovalev et al., Proc. MIPT 18(2), 2026, equation (3), with a mean in place of the sum and one weight each
+    for position and velocity.
+
+    Attributes:
+        space: The coordinates.
+
+    Args:
+        space: The coordinates.
+        rollout: The simulated drive.
+        segments: What was measured.
+        position: Weight of squared position errors [1/rad^2 or 1/m^2].
+        velocity: Weight of squared velocity errors [s^2/rad^2 or s^2/m^2].
+    """
+
+    def __init__(self, space: Space, rollout: Rollout, segments: Segments, position: float, velocity: float) -> None:
+        self.space = space
+        self._rollout = rollout
+        dtype = space.start.dtype
+        self._qpos, self._qvel, self._ctrl = (
+            jnp.asarray(array, dtype) for array in (segments.qpos, segments.qvel, segments.ctrl)
+        )
+        self._weights = (position, velocity)
+
+    def loss(self, vector: Float[Array, "coordinates"]) -> Float[Array, ""]:
+        """The objective."""
+        qpos, qvel = self._rollout(self.space.values(vector), self._qpos[:, 0], self._qvel[:, 0], self._ctrl)
+        position, velocity = self._weights
+        return jnp.mean(
+            position * jnp.square(qpos - self._qpos[:, 1:]) + velocity * jnp.square(qvel - self._qvel[:, 1:])
+        )
+
+    def value_and_grad(self, derivative: str) -> Callable[[Array], tuple[Array, Array]]:
+        """The objective and its gradient as one function, not compiled.
+
+        Args:
+            derivative: `forward` (a tangent for each coordinate), `reverse`, or `auto` for the cheaper one.
+        """
+        few = len(self.space.start) <= FORWARD_LIMIT
+        if derivative == "reverse" or (derivative == "auto" and not few):
+            return jax.value_and_grad(self.loss)
+
+        def forward(vector: Array) -> tuple[Array, Array]:
+            tangents = jnp.eye(len(vector), dtype=vector.dtype)
+            losses, gradient = jax.vmap(lambda tangent: jax.jvp(self.loss, (vector,), (tangent,)))(tangents)
+            return losses[0], gradient
+
+        return forward

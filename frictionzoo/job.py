@@ -1,0 +1,192 @@
+"""One job from recordings to an identified drive, in the order in which data flow."""
+
+import json
+import logging
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import jax
+import numpy as np
+import safetensors.torch
+from omegaconf import DictConfig, OmegaConf
+
+from frictionzoo import __version__
+from frictionzoo.bench import Bench
+from frictionzoo.config import build
+from frictionzoo.engine import MjxEngine
+from frictionzoo.engine.mjx import friction_of
+from frictionzoo.errors import ConfigError
+from frictionzoo.evaluate import Evaluation, Judgement
+from frictionzoo.export.mjcf import export_mjcf
+from frictionzoo.fit import Objective, Outcome, Space, fit_reference, run_fit
+from frictionzoo.models import Baseline, FrictionModel
+from frictionzoo.output import write_atomically
+from frictionzoo.report.figures import write_figures
+from frictionzoo.report.result import build_result, describe_data, write_result
+from frictionzoo.report.terminal import summarise
+from frictionzoo.rollout import Rollout, make_rollout
+from frictionzoo.segments import cut_segments
+from frictionzoo.types import Dataset, DriveState, Segments
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A bench with a friction law, ready to be simulated.
+
+    Attributes:
+        model: The friction law.
+        engine: One step.
+        rollout: Many open-loop rollouts, compiled.
+    """
+
+    model: FrictionModel
+    engine: MjxEngine
+    rollout: Rollout
+
+    @classmethod
+    def assemble(cls, bench: Bench, model: FrictionModel) -> "Drive":
+        """The drive of this bench and this law."""
+        engine = MjxEngine(bench, friction_of(model), model.constraint)
+        return cls(model, engine, jax.jit(make_rollout(engine.step)))
+
+
+def run_job(config: DictConfig, name: str, folder: Path) -> tuple[dict[str, Any], str | None]:
+    """Identify a drive and write what a run leaves behind.
+
+    Args:
+        config: The composed configuration.
+        name: The chosen model, as in conf/model.
+        folder: The run's folder.
+
+    Returns:
+        What `result.json` holds, and one line of complaint if the fit diverged.
+
+    Raises:
+        FrictionzooError: The input is at fault.
+    """
+    began = time.perf_counter()
+    settings = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
+    if not isinstance(settings["seed"], int):
+        raise ConfigError(f"seed={settings['seed']}; expected a whole number, so that the run can be repeated")
+    device = _configure_jax(settings["dtype"], settings["device"])
+    bench, dataset = build(settings["bench"]), build(settings["data"]).load()
+    for log in dataset.logs:
+        bench.check_log(log)
+    segments = cut_segments(dataset.train, **settings["segments"])
+    evaluation = Evaluation(dataset, bench.joint_type, **settings["evaluation"])
+    drive = Drive.assemble(bench, build(settings["model"], nv=bench.nv))
+    samples = _training_samples(drive.engine, bench, dataset)
+    drive.model.prepare(samples)
+    objective = _make_objective(bench, drive, segments, settings)
+    fit = build(settings["fit"])
+    _log.info("%s: %d segments of %d steps to train on", dataset.name, segments.count, segments.length)
+    timing = {"setup": time.perf_counter() - began}
+
+    identity = _identify(name, dataset, settings)
+    outcome = run_fit(fit, objective, drive.model, folder=folder, identity=identity, **settings["loop"])
+    timing |= {"compile": outcome.compile_seconds, "fit": outcome.fit_seconds}
+
+    judged = time.perf_counter()
+    judgement = evaluation.judge(drive.rollout, outcome.values)
+    baseline = _judge_baseline(bench, segments, evaluation, settings)
+    timing |= {"evaluate": time.perf_counter() - judged}
+
+    write_figures(
+        folder / "figures",
+        bench,
+        drive.model,
+        dataset,
+        evaluation,
+        judgement,
+        baseline,
+        outcome.history,
+        outcome.best_iteration,
+    )
+    state = drive.model.state_dict()
+    header = {"model": drive.model.name, "frictionzoo": __version__}
+    write_atomically(folder / "friction.safetensors", safetensors.torch.save(state, header))
+    mjcf = export_mjcf(bench, outcome.values, drive.model, samples)
+    write_atomically(folder / "identified.xml", mjcf.encode())
+    timing |= {"total": time.perf_counter() - began}
+    result = build_result(
+        name=name,
+        bench=bench,
+        model=drive.model,
+        values=outcome.values,
+        dataset=dataset,
+        judgement=judgement,
+        baseline=baseline,
+        fit=_describe_fit(outcome),
+        timing=timing,
+        seed=settings["seed"],
+        dtype=settings["dtype"],
+        device=device,
+    )
+    write_result(folder / "result.json", result)
+    print(summarise(result, folder))
+    return result, outcome.message
+
+
+def _configure_jax(dtype: str, device: str) -> str:
+    """Set JAX's precision and device; returns the device's name."""
+    if dtype not in ("float32", "float64"):
+        raise ConfigError(f"dtype={dtype}; expected float32 or float64")
+    if device not in ("auto", "cpu", "cuda"):
+        raise ConfigError(f"device={device}; expected auto, cpu or cuda")
+    jax.config.update("jax_enable_x64", dtype == "float64")
+    try:
+        chosen = jax.devices(None if device == "auto" else device)[0]
+    except RuntimeError:
+        raise ConfigError(
+            f"device={device}: JAX finds none, expected a GPU; install jax[cuda] or set device=cpu"
+        ) from None
+    jax.config.update("jax_default_device", chosen)
+    return str(chosen.device_kind if chosen.platform != "cpu" else "cpu")
+
+
+def _make_objective(bench: Bench, drive: Drive, segments: Segments, settings: Mapping[str, Any]) -> Objective:
+    space = Space(bench, drive.model, settings["dtype"])
+    return Objective(space, drive.rollout, segments, **settings["loss"])
+
+
+def _training_samples(engine: MjxEngine, bench: Bench, dataset: Dataset) -> DriveState:
+    """What the friction law sees in every training sample, with the bench's initial values, as numpy arrays."""
+    values = {"bench": bench.initial_values()}
+    state = jax.jit(jax.vmap(engine.drive_state, in_axes=(None, 0, 0, 0)))
+    parts = [jax.tree.map(np.asarray, state(values, log.qpos, log.qvel, log.ctrl)) for log in dataset.train]
+    return DriveState(*(np.concatenate(signals) for signals in zip(*parts, strict=True)))
+
+
+def _judge_baseline(bench: Bench, segments: Segments, evaluation: Evaluation, settings: Mapping[str, Any]) -> Judgement:
+    """The best that the bench does without friction, on the same segments and the same rollouts."""
+    drive = Drive.assemble(bench, Baseline(bench.nv))
+    values = fit_reference(_make_objective(bench, drive, segments, settings))
+    return evaluation.judge(drive.rollout, values)
+
+
+def _identify(name: str, dataset: Dataset, settings: Mapping[str, Any]) -> dict[str, str]:
+    """What a checkpoint must share with this run."""
+    sections = {key: settings[key] for key in ("bench", "model", "fit", "segments", "loss", "seed", "dtype")}
+    return {
+        "frictionzoo": __version__,
+        "model": name,
+        "data": describe_data(dataset)["sha256"],
+        **{section: json.dumps(value, sort_keys=True) for section, value in sections.items() if section != "model"},
+        "model settings": json.dumps(sections["model"], sort_keys=True),
+        "chunk": str(settings["loop"]["chunk"]),
+    }
+
+
+def _describe_fit(outcome: Outcome) -> dict[str, Any]:
+    return {
+        "method": outcome.method,
+        "iterations": outcome.iterations,
+        "best_iteration": outcome.best_iteration,
+        "loss": outcome.loss,
+        "stopped": outcome.stopped,
+    }

@@ -1,0 +1,84 @@
+"""Arrays that are cheap to keep and slow to make, in a folder of the user."""
+
+import contextlib
+import hashlib
+import logging
+import os
+import tempfile
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import platformdirs
+
+logger = logging.getLogger(__name__)
+
+
+def cache_folder(setting: str | None) -> Path | None:
+    """Folder that a `cache_dir` setting means.
+
+    Args:
+        setting: `user` for the operating system's cache folder of this user, a path, or None for no cache.
+    """
+    if setting is None:
+        return None
+    return Path(platformdirs.user_cache_dir("frictionzoo") if setting == "user" else setting).expanduser()
+
+
+def digest(arrays: Mapping[str, np.ndarray]) -> str:
+    """SHA-256 over the bytes of the arrays, in their order."""
+    total = hashlib.sha256()
+    for values in arrays.values():
+        total.update(np.ascontiguousarray(values).tobytes())
+    return total.hexdigest()
+
+
+def cached(path: Path | None, names: Sequence[str], make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """The arrays in a file, which is made if it is missing or damaged.
+
+    Args:
+        path: An .npz file; None makes the arrays and keeps nothing.
+        names: Names of the arrays.
+        make: Makes the arrays, under these names in this order.
+    """
+    kept = None if path is None else _read(path, names)
+    if kept is not None:
+        return kept
+    arrays = make()
+    if path is not None:
+        _write(path, arrays)
+    return arrays
+
+
+def _read(path: Path, names: Sequence[str]) -> dict[str, np.ndarray] | None:
+    """The arrays of an intact file, or None."""
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in names}
+            intact = digest(arrays) == str(stored["sha256"])
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        logger.warning("%s: cannot be read (%s); made anew", path, error)
+        return None
+    if not intact:
+        logger.warning("%s: its contents do not match their hash; made anew", path)
+        return None
+    return arrays
+
+
+def _write(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write so that nobody ever sees half a file; a cache that cannot be written costs time only."""
+    temporary = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        descriptor, temporary = tempfile.mkstemp(dir=path.parent, suffix=".part")
+        with os.fdopen(descriptor, "wb") as file:
+            np.savez(file, allow_pickle=False, sha256=np.array(digest(arrays)), **arrays)
+        os.replace(temporary, path)
+    except OSError as error:
+        logger.warning("%s: cannot be written (%s); the data will be made again next time", path, error)
+        if temporary is not None:
+            with contextlib.suppress(OSError):
+                os.unlink(temporary)

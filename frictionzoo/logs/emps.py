@@ -1,0 +1,146 @@
+"""EMPS, the Electro-Mechanical Positioning System: a real ball-screw drive, recorded by others."""
+
+import hashlib
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.io
+import scipy.signal
+from jaxtyping import Float
+
+from frictionzoo.errors import ConfigError, LogError, closest
+from frictionzoo.types import Dataset, Log
+
+CITATION = (
+    'A. Janot, M. Gautier, M. Brunot, "Data Set and Reference Models of EMPS", Workshop on Nonlinear System '
+    "Identification Benchmarks, Eindhoven 2019"
+)
+OBTAIN = "https://www.nonlinearbenchmark.org/benchmarks/emps"
+VARIABLES = ("t", "qm", "vir")
+
+
+class Emps:
+    """The EMPS recordings: one file to train on, the one with pulses to test on.
+
+    The files hold the measured position and the control voltage. The velocity is estimated from the position; the
+    position itself stays as measured. The voltage stays the command: the bench turns it into a force.
+
+    Source: A. Janot, M. Gautier, M. Brunot, Nonlinear System Identification Benchmarks, Eindhoven 2019.
+
+    Args:
+        name: The data set's name.
+        folder: Folder that holds `emps/`, or None where the user has not named one.
+        train: File name of the training recording.
+        test: File name of the test recording.
+        cutoff: Cut-off frequency of the velocity estimate [Hz].
+        order: Order of the velocity estimate's filter.
+
+    Raises:
+        ConfigError: The filter's order is below 1 or its cut-off is not positive.
+    """
+
+    def __init__(self, name: str, folder: str | None, train: str, test: str, cutoff: float, order: int) -> None:
+        if order < 1:
+            raise ConfigError(f"data.order={order}: expected 1 or more")
+        if not cutoff > 0:
+            raise ConfigError(f"data.cutoff={cutoff}: expected a positive frequency in Hz")
+        self.name, self.folder, self.train, self.test = name, folder, train, test
+        self.cutoff, self.order = cutoff, order
+
+    def load(self) -> Dataset:
+        """Both recordings.
+
+        Raises:
+            LogError: No folder is named, or a file is missing, unreadable or holds something else.
+        """
+        if self.folder is None:
+            raise LogError(
+                "data.folder=null: the EMPS recordings are not part of the package; set FRICTIONZOO_DATA or "
+                f"data.folder to the folder that holds emps/{self.train} and emps/{self.test} (from {OBTAIN})"
+            )
+        return Dataset(self.name, (self._log(self.train),), (self._log(self.test),))
+
+    def _log(self, file_name: str) -> Log:
+        path = Path(str(self.folder)).expanduser() / "emps" / file_name
+        content = _read(path)
+        variables = _columns(path, content)
+        time, position, voltage = (variables[name] for name in VARIABLES)
+        # The check of the samples comes before the filter, which would smear one NaN over all of them.
+        raw = Log(str(path), time, position[:, None], position[:, None], voltage[:, None], "", False)
+        velocity = estimate_velocity(position, raw.timestep, self.cutoff, self.order, raw.name)
+        return Log(
+            file_name,
+            time,
+            raw.qpos,
+            velocity[:, None],
+            raw.ctrl,
+            hashlib.sha256(content).hexdigest(),
+            simulated=False,
+            metadata={"citation": CITATION, "file": file_name},
+        )
+
+
+def estimate_velocity(
+    position: Float[np.ndarray, "time"], timestep: float, cutoff: float, order: int, name: str
+) -> Float[np.ndarray, "time"]:
+    """Velocity without phase lag: a zero-phase Butterworth low-pass, then central differences.
+
+    Args:
+        position: Measured position [rad or m].
+        timestep: Sample interval [s].
+        cutoff: Cut-off frequency [Hz]; the filter runs forwards and backwards, so the gain there is 1/2.
+        order: Order of the filter, which running it twice doubles.
+        name: The log's name, for messages.
+
+    Raises:
+        LogError: The log is too short to filter.
+        ConfigError: The cut-off is not below half the sample rate.
+    """
+    if not cutoff < 0.5 / timestep:
+        raise ConfigError(f"data.cutoff={cutoff:g}: expected less than half the sample rate, {0.5 / timestep:g} Hz")
+    sections = np.asarray(scipy.signal.butter(order, cutoff, fs=1 / timestep, output="sos"))
+    padding = 3 * (2 * len(sections) + 1)  # scipy's default, which it refuses to use on a log that is not longer
+    if len(position) <= padding:
+        raise LogError(f"{name}: {len(position)} samples, expected more than {padding} to estimate the velocity")
+    return np.gradient(scipy.signal.sosfiltfilt(sections, position, padlen=padding), timestep)
+
+
+def _read(path: Path) -> bytes:
+    """The file's bytes; LogError where there are none."""
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise LogError(
+            f"{path}: no such file; set FRICTIONZOO_DATA or data.folder to the folder that holds emps/ (from {OBTAIN})"
+        ) from None
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read ({error.strerror}); expected a .mat file") from None
+
+
+def _columns(path: Path, content: bytes) -> dict[str, Float[np.ndarray, "time"]]:
+    """The variables of a MATLAB file that a log needs, each as one column of the same length."""
+    try:
+        stored = scipy.io.loadmat(io.BytesIO(content))
+    # A damaged file makes scipy raise errors of many kinds (ValueError, TypeError, zlib.error, ...).
+    except Exception as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise LogError(f"{path}: not a readable MATLAB file ({reason}); download it again from {OBTAIN}") from None
+    came = [name for name in stored if not name.startswith("__")]
+    missing = [name for name in VARIABLES if name not in came]
+    if missing:
+        raise LogError(
+            f"{path}: no variable {', '.join(missing)}, it holds {', '.join(came) or 'none'}; "
+            f"{closest(missing[0], came)}; expected t [s], qm [m] and vir [V]"
+        )
+    return {name: _column(path, name, stored[name], stored["t"]) for name in VARIABLES}
+
+
+def _column(path: Path, name: str, values: Any, time: Any) -> Float[np.ndarray, "time"]:
+    """One signal as a column as long as time."""
+    if values.dtype.kind not in "fiu":
+        raise LogError(f"{path}: {name} is of type {values.dtype}, expected real numbers")
+    if values.size != max(values.shape) or values.size != time.size:
+        raise LogError(f"{path}: {name} has shape {values.shape} and t {time.shape}, expected one column as long as t")
+    return values.ravel().astype(float)

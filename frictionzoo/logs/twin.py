@@ -1,0 +1,311 @@
+"""A simulated copy of the paper's bench: the embedded default data, and a drive whose truth is known."""
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from importlib import resources
+from pathlib import Path
+from typing import Any, TypeVar
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from frictionzoo.errors import ConfigError, LogError, closest
+from frictionzoo.logs.cache import cache_folder, cached, digest
+from frictionzoo.segments import split_by_time
+from frictionzoo.types import Dataset, Log
+
+FORMAT = 1  # raise it with every change of the simulation, so that no cache of an older one is taken
+DIVERGED = 1e6  # torque [N m] that no sane drive reaches; above 1e10 MuJoCo itself would reset the state and go on
+SIGNALS = ("time", "qpos", "qvel", "ctrl")
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """The paper's excitation: v_des = sum of A_k sin(w_k t + phi_k), clipped; the command q_des is its integral.
+
+    Attributes:
+        harmonics: Number of terms.
+        amplitude: Range of A_k [rad/s].
+        frequency: Range of w_k [rad/s].
+        phase: Range of phi_k [rad].
+        velocity_limit: v_des is clipped at this speed [rad/s].
+    """
+
+    harmonics: int
+    amplitude: tuple[float, float]
+    frequency: tuple[float, float]
+    phase: tuple[float, float]
+    velocity_limit: float
+
+    def command(self, time: Float[np.ndarray, "time"], rng: np.random.Generator) -> Float[np.ndarray, "time"]:
+        """Desired position [rad] at these times [s].
+
+        The clipped sum has a small mean, which would carry the integral away over minutes: its straight line is
+        removed.
+        """
+        amplitude, frequency, phase = (
+            rng.uniform(*bounds, self.harmonics) for bounds in (self.amplitude, self.frequency, self.phase)
+        )
+        terms = amplitude * np.sin(time[:, None] * frequency + phase)
+        velocity = np.clip(terms.sum(axis=1), -self.velocity_limit, self.velocity_limit)
+        position = np.concatenate([[0.0], np.cumsum((velocity[1:] + velocity[:-1]) / 2 * np.diff(time))])
+        return position - np.polyval(np.polyfit(time, position, 1), time)
+
+
+@dataclass(frozen=True)
+class HiddenDrive:
+    """What the identification does not know.
+
+    Friction torque = (coulomb_torque + (static_torque - coulomb_torque) exp(-(v / stribeck_velocity)^2)
+    + load_share |tau| + ripple_torque sin(ripple_periods q)) tanh(v / smoothing_velocity) + viscous_coefficient v,
+    with tau the motor torque.
+
+    Attributes:
+        armature: Reflected inertia [kg m^2].
+        coulomb_torque: Dry friction at high speed [N m].
+        static_torque: Dry friction at low speed [N m].
+        stribeck_velocity: Speed over which the one goes over into the other [rad/s].
+        viscous_coefficient: Friction per speed [N m s/rad].
+        smoothing_velocity: Speed over which dry friction changes its sign [rad/s].
+        load_share: Dry friction per motor torque, as gears under load have it.
+        ripple_torque: Amplitude of the dry friction's change with position [N m].
+        ripple_periods: Periods of this change per radian [rad/rad].
+        command_delay: Time by which a command acts late [s].
+    """
+
+    armature: float
+    coulomb_torque: float
+    static_torque: float
+    stribeck_velocity: float
+    viscous_coefficient: float
+    smoothing_velocity: float
+    load_share: float
+    ripple_torque: float
+    ripple_periods: float
+    command_delay: float
+
+    def __post_init__(self) -> None:
+        for name in ("stribeck_velocity", "smoothing_velocity"):
+            if not getattr(self, name) > 0:
+                raise ConfigError(f"data.drive.{name}={getattr(self, name):g}: expected a positive speed in rad/s")
+        for name in ("armature", "command_delay"):
+            if not getattr(self, name) >= 0:
+                raise ConfigError(f"data.drive.{name}={getattr(self, name):g}: expected 0 or more")
+
+    def friction(self, qpos: float, qvel: float, motor_torque: float) -> float:
+        """Friction torque [N m], positive against positive qvel.
+
+        Args:
+            qpos: Joint position [rad].
+            qvel: Joint velocity [rad/s].
+            motor_torque: Torque of the motor on the output side [N m].
+        """
+        dry = (
+            self.coulomb_torque
+            + (self.static_torque - self.coulomb_torque) * math.exp(-((qvel / self.stribeck_velocity) ** 2))
+            + self.load_share * abs(motor_torque)
+            + self.ripple_torque * math.sin(self.ripple_periods * qpos)
+        )
+        return dry * math.tanh(qvel / self.smoothing_velocity) + self.viscous_coefficient * qvel
+
+
+@dataclass(frozen=True)
+class Controller:
+    """The drive's embedded position controller, tau = kp (q_des - q) - kd v.
+
+    Attributes:
+        kp: Proportional gain [N m/rad].
+        kd: Derivative gain [N m s/rad].
+    """
+
+    kp: float
+    kd: float
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """What measuring adds.
+
+    Attributes:
+        position_quantum: Step of the encoder [rad]; 0 for none.
+        velocity_noise: Standard deviation of the velocity's white noise [rad/s].
+    """
+
+    position_quantum: float
+    velocity_noise: float
+
+    def measure(
+        self, qpos: Float[np.ndarray, "time nv"], qvel: Float[np.ndarray, "time nv"], rng: np.random.Generator
+    ) -> tuple[Float[np.ndarray, "time nv"], Float[np.ndarray, "time nv"]]:
+        """Measured position [rad] and velocity [rad/s]."""
+        if self.position_quantum:
+            qpos = np.round(qpos / self.position_quantum) * self.position_quantum
+        return qpos, qvel + self.velocity_noise * rng.standard_normal(qvel.shape)
+
+
+class Twin:
+    """The paper's bench with a hidden drive, simulated by MuJoCo C; train and test are two blocks of one recording.
+
+    Source: V. Kovalev et al., Proceedings of MIPT 18(2), 2026: bench, controller, excitation, length of the recording.
+
+    Args:
+        name: The data set's name.
+        seed: Seed of the excitation and of the noise.
+        samples: Length of the recording.
+        timestep: Sample interval [s].
+        substeps: Simulation steps in a sample interval. More than one, so that a fit at the sample interval does not
+            meet its own integrator.
+        mjcf: File name of one of the package's benches, with one hinge.
+        excitation: Section of `Excitation`.
+        controller: Section of `Controller`.
+        drive: Section of `HiddenDrive`.
+        sensor: Section of `Sensor`.
+        split: `test_share` and `gap` of `split_by_time`.
+        cache_dir: See `cache_folder`.
+
+    Raises:
+        ConfigError: An option is missing, unknown or impossible.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        seed: int,
+        samples: int,
+        timestep: float,
+        substeps: int,
+        mjcf: str,
+        excitation: Mapping[str, Any],
+        controller: Mapping[str, Any],
+        drive: Mapping[str, Any],
+        sensor: Mapping[str, Any],
+        split: Mapping[str, Any],
+        cache_dir: str | None,
+    ) -> None:
+        for option, value, low in (("samples", samples, 2), ("substeps", substeps, 1), ("seed", seed, 0)):
+            if not isinstance(value, int) or value < low:
+                raise ConfigError(f"data.{option}={value}: expected a whole number of {low} or more")
+        if not timestep > 0:
+            raise ConfigError(f"data.timestep={timestep}: expected a positive number of seconds")
+        self.name, self.seed, self.samples, self.timestep, self.substeps = name, seed, samples, timestep, substeps
+        self.mjcf = _packaged_bench(mjcf)
+        self.excitation = _section(Excitation, "excitation", excitation)
+        self.controller = _section(Controller, "controller", controller)
+        self.drive = _section(HiddenDrive, "drive", drive)
+        self.sensor = _section(Sensor, "sensor", sensor)
+        self.split = dict(split)
+        self.cache_dir = cache_folder(cache_dir)
+
+    def load(self) -> Dataset:
+        """The recording, made or from the cache, split by time.
+
+        Raises:
+            LogError: The simulation diverges, or the split leaves a part empty.
+        """
+        arrays = cached(self.cache_file(), SIGNALS, self._record)
+        metadata = {"controller": asdict(self.controller), "seed": self.seed}
+        log = Log(self.name, **arrays, sha256=digest(arrays), simulated=True, metadata=metadata)
+        train, test = split_by_time(log, **self.split)
+        return Dataset(self.name, (train,), (test,))
+
+    def cache_file(self) -> Path | None:
+        """Where the recording is kept, under a hash of everything that it depends on; None without a cache."""
+        if self.cache_dir is None:
+            return None
+        settings = {
+            "format": FORMAT,
+            "mujoco": mujoco.__version__,
+            "mjcf": self.mjcf,
+            "seed": self.seed,
+            "grid": [self.samples, self.timestep, self.substeps],
+            "parts": [asdict(part) for part in (self.excitation, self.controller, self.drive, self.sensor)],
+        }
+        key = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]
+        return self.cache_dir / f"{self.name}-{key}.npz"
+
+    def _record(self) -> dict[str, np.ndarray]:
+        """Time [s], qpos [rad], qvel [rad/s] and ctrl (the desired position [rad]) as a log has them."""
+        rng = np.random.default_rng(self.seed)
+        time = np.arange(self.samples) * self.timestep
+        ctrl = self.excitation.command(time, rng)
+        qpos, qvel = self.simulate(ctrl)
+        qpos, qvel = self.sensor.measure(qpos, qvel, rng)
+        return {"time": time, "qpos": qpos, "qvel": qvel, "ctrl": ctrl[:, None]}
+
+    def simulate(
+        self, ctrl: Float[np.ndarray, "time"]
+    ) -> tuple[Float[np.ndarray, "time 1"], Float[np.ndarray, "time 1"]]:
+        """True position [rad] and velocity [rad/s] at the samples, from rest at the first command.
+
+        Args:
+            ctrl: Desired position [rad], one for each of `samples`, held over a sample interval.
+
+        Raises:
+            LogError: The simulation diverges.
+        """
+        model = self._model()
+        data = mujoco.MjData(model)
+        data.qpos[0] = ctrl[0]
+        states = np.empty((self.samples, 2))
+        late = round(self.drive.command_delay / model.opt.timestep)
+        commands = ctrl.tolist()
+        for sample in range(self.samples):
+            states[sample] = data.qpos[0], data.qvel[0]
+            for step in range(sample * self.substeps, (sample + 1) * self.substeps):
+                qpos, qvel = data.qpos.item(), data.qvel.item()
+                command = commands[max(step - late, 0) // self.substeps]
+                torque = self.controller.kp * (command - qpos) - self.controller.kd * qvel
+                torque -= self.drive.friction(qpos, qvel, torque)
+                if not abs(torque) < DIVERGED:
+                    raise LogError(
+                        f"{self.name}: the simulation diverged at sample {sample}; expected a drive that a step of "
+                        f"{model.opt.timestep:g} s holds; raise data.substeps or lower the friction in data.drive"
+                    )
+                data.qfrc_applied[0] = torque
+                mujoco.mj_step(model, data)
+        return states[:, :1], states[:, 1:]
+
+    def _model(self) -> mujoco.MjModel:
+        """The bench with the hidden armature, at the simulation's step."""
+        spec = mujoco.MjSpec.from_string(self.mjcf)
+        spec.option.timestep = self.timestep / self.substeps
+        spec.joints[0].armature = self.drive.armature
+        return spec.compile()
+
+
+Part = TypeVar("Part", Excitation, Controller, HiddenDrive, Sensor)
+
+
+def _section(part: type[Part], name: str, given: Mapping[str, Any]) -> Part:
+    """A part from its section of the configuration; ConfigError where the two do not fit."""
+    types = {field.name: field.type for field in fields(part)}
+    for key in set(given) - set(types):
+        raise ConfigError(f"data.{name}.{key}: unknown option; {closest(str(key), types)}")
+    for key in set(types) - set(given):
+        raise ConfigError(f"data.{name}.{key}: missing; give {', '.join(types)}")
+    values = {}
+    for key, kind in types.items():
+        try:
+            values[key] = kind(given[key]) if kind in (int, float) else _range(given[key])
+        except (TypeError, ValueError):
+            expected = "a number" if kind in (int, float) else "two numbers, [low, high]"
+            raise ConfigError(f"data.{name}.{key}={given[key]}: expected {expected}") from None
+    return part(**values)
+
+
+def _range(given: Any) -> tuple[float, float]:
+    low, high = given
+    return float(low), float(high)
+
+
+def _packaged_bench(file_name: str) -> str:
+    """Text of one of the package's MJCF benches."""
+    folder = resources.files("frictionzoo") / "bench" / "assets"
+    available = sorted(entry.name for entry in folder.iterdir() if entry.name.endswith(".xml"))
+    if file_name not in available:
+        raise ConfigError(f"data.mjcf={file_name}: no such bench; {closest(file_name, available)}")
+    return (folder / file_name).read_text(encoding="utf-8")

@@ -1,0 +1,75 @@
+"""The whole plug-in interface of a friction model."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import torch
+
+from frictionzoo.params import Param, read_params
+from frictionzoo.types import DriveState, FrictionTerms
+
+
+class FrictionModel(torch.nn.Module, ABC):
+    """A friction law: a torch module that owns its parameters, and one formula written over an array namespace.
+
+    A law declares its physical parameters in `dimensions`; they become `torch.nn.Parameter`s of shape (nv,) that hold
+    values in SI units, so that a saved state reads as physics. Anything else it registers as a parameter (the weights
+    of a network) is optimised as it is, without bounds.
+
+    Attributes:
+        name: The law's name, set by `register_model`.
+        dimensions: Dimension of each physical parameter, a key of `frictionzoo.params.UNITS`.
+        constraint: Whether the law answers with a `frictionloss`, so that the simulated joint needs MuJoCo's friction
+            constraint.
+        dissipative: Whether the law promises never to give energy to the drive, whatever its values within bounds.
+        params: Each physical parameter's initial value, bounds and scale.
+
+    Args:
+        nv: Number of joints.
+        params: Section of each physical parameter: `init`, `low`, `high`, `scale`, `identify`.
+
+    Raises:
+        ConfigError: A parameter is missing, unknown, or its bounds make no sense.
+    """
+
+    name: ClassVar[str]
+    dimensions: ClassVar[Mapping[str, str]] = {}
+    constraint: ClassVar[bool] = False
+    dissipative: ClassVar[bool] = False
+
+    def __init__(self, nv: int, params: Mapping[str, Mapping[str, Any]] | None = None) -> None:
+        super().__init__()
+        self.nv = nv
+        self.params: dict[str, Param] = read_params(type(self).__name__, self.dimensions, params or {})
+        for name, param in self.params.items():
+            initial = torch.full((nv,), param.init, dtype=torch.float64)
+            self.register_parameter(name, torch.nn.Parameter(initial, requires_grad=param.identify))
+
+    @abstractmethod
+    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+        """The law itself, pure: no attribute that a fit changes, no branch on a value.
+
+        Args:
+            xp: Array namespace, `torch` or `jax.numpy`.
+            values: Arrays of this namespace under the names of `state_dict`.
+            state: What the drive is doing, arrays of shape (..., nv).
+
+        Returns:
+            Terms of shape (..., nv), or that broadcast to it.
+        """
+
+    def prepare(self, samples: DriveState) -> None:
+        """Take constants (normalisation) from the training data, before a fit; most laws need none.
+
+        Args:
+            samples: Training samples as numpy arrays of shape (samples, nv).
+        """
+
+    def forward(self, state: DriveState) -> FrictionTerms:
+        """The law in torch with this module's own values.
+
+        Args:
+            state: Torch tensors of shape (..., nv).
+        """
+        return self.terms(torch, self.state_dict(keep_vars=True), state)

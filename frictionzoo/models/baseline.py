@@ -1,0 +1,26 @@
+"""No friction at all."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from frictionzoo.models.base import FrictionModel
+from frictionzoo.models.registry import register_model
+from frictionzoo.types import DriveState, FrictionTerms
+
+
+@register_model("baseline")
+class Baseline(FrictionModel):
+    """A drive without friction, what every other law is measured against; only the bench's quantities are identified.
+
+    torque = 0
+
+    Cannot represent: any loss. A drive that rubs looks heavier or weaker than it is.
+
+    Source: V. Kovalev et al., Proc. MIPT 18(2), 2026, Table 1, "Baseline (no friction)".
+    """
+
+    dissipative = True
+
+    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+        """No term."""
+        return FrictionTerms()

@@ -1,0 +1,35 @@
+"""Coulomb friction with a smooth sign, and viscous friction."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from frictionzoo.models.base import FrictionModel
+from frictionzoo.models.registry import register_model
+from frictionzoo.types import DriveState, FrictionTerms
+
+
+@register_model("coulomb_smooth")
+class CoulombSmooth(FrictionModel):
+    """Coulomb friction whose sign is smoothed around standstill, and viscous friction.
+
+    torque = tanh(10 g v) |f_s| + d v
+
+        v    joint velocity [rad/s or m/s]
+        f_s  static_torque [N m or N]
+        g    smoothing [s/rad or s/m]: the sign is complete from about |v| = 1 / (5 g)
+        d    viscous_coefficient [N m s/rad or N s/m]
+
+    Cannot represent: sticking (the torque is 0 at v = 0, so a loaded joint creeps), a breakaway torque above the
+    sliding one, friction that depends on direction, load or position.
+
+    Source: V. Kovalev et al., Proc. MIPT 18(2), 2026, Table 1, "Coulomb-Smooth".
+    """
+
+    dimensions = {"static_torque": "torque", "smoothing": "1/velocity", "viscous_coefficient": "damping"}
+    dissipative = True
+
+    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+        """The explicit torque."""
+        direction = xp.tanh(10 * values["smoothing"] * state.qvel)
+        dry = direction * xp.abs(values["static_torque"])
+        return FrictionTerms(torque=dry + values["viscous_coefficient"] * state.qvel)

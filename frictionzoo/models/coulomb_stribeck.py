@@ -1,0 +1,50 @@
+"""Friction that falls from static to kinetic with speed, and viscous friction."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from frictionzoo.models.base import FrictionModel
+from frictionzoo.models.registry import register_model
+from frictionzoo.types import DriveState, FrictionTerms
+
+
+@register_model("coulomb_stribeck")
+class CoulombStribeck(FrictionModel):
+    """Coulomb friction with the Stribeck effect, a smooth sign, and viscous friction.
+
+    torque = (f_k + (f_s - f_k) exp(-(v / v_s)^2)) tanh(v / v_0) + d v
+
+        v    joint velocity [rad/s or m/s]
+        f_s  static_torque [N m or N], at the onset of motion
+        f_k  kinetic_torque [N m or N], well above v_s
+        v_s  stribeck_velocity [rad/s or m/s], over which the one falls to the other
+        v_0  smoothing_velocity [rad/s or m/s], over which the sign changes; it belongs to the simulation rather than to
+             the drive, hence known by default, and v_0 << v_s or f_s is never reached
+        d    viscous_coefficient [N m s/rad or N s/m]
+
+    The formula printed by Kovalev et al., f_s + d v + (f_k - f_s) exp(...), swaps static and kinetic against its own
+    legend; this is the one of the literature, with the exponent delta = 2.
+
+    Cannot represent: sticking (the torque is 0 at v = 0, so a loaded joint creeps), friction that lags the velocity or
+    depends on direction, load or position.
+
+    Source: B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, "A survey of models, analysis tools and compensation
+    methods for the control of machines with friction", Automatica 30(7), 1994; V. Kovalev et al., Proc. MIPT 18(2),
+    2026, Table 1, "Coulomb-Stribeck".
+    """
+
+    dimensions = {
+        "static_torque": "torque",
+        "kinetic_torque": "torque",
+        "stribeck_velocity": "velocity",
+        "viscous_coefficient": "damping",
+        "smoothing_velocity": "velocity",
+    }
+    dissipative = True
+
+    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+        """The explicit torque."""
+        kinetic, velocity = values["kinetic_torque"], state.qvel
+        excess = (values["static_torque"] - kinetic) * xp.exp(-xp.square(velocity / values["stribeck_velocity"]))
+        dry = (kinetic + excess) * xp.tanh(velocity / values["smoothing_velocity"])
+        return FrictionTerms(torque=dry + values["viscous_coefficient"] * velocity)

@@ -1,0 +1,35 @@
+"""MuJoCo's own joint friction."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from frictionzoo.models.base import FrictionModel
+from frictionzoo.models.registry import register_model
+from frictionzoo.types import DriveState, FrictionTerms
+
+
+@register_model("mujoco_default")
+class MujocoDefault(FrictionModel):
+    """MuJoCo's own joint friction: dry friction as a constraint that can stop the joint, and viscous damping.
+
+    The constraint's force f makes the joint stick while |f| < frictionloss and is frictionloss against the motion
+    otherwise; damping * v adds to it.
+
+        v              joint velocity [rad/s or m/s]
+        frictionloss   limit of the dry friction [N m or N], strictly positive: at 0 MuJoCo locks the joint
+        damping        viscous coefficient [N m s/rad or N s/m]
+
+    Cannot represent: a breakaway torque above the sliding one, friction that depends on direction, load or position,
+    and true sticking: with MuJoCo's default `solref` the constraint creeps, viscous at very low speed.
+
+    Source: E. Todorov, T. Erez, Y. Tassa, "MuJoCo: A physics engine for model-based control", IROS 2012; MuJoCo
+    documentation, "Computation", friction loss; V. Kovalev et al., Proc. MIPT 18(2), 2026, Table 1, "MuJoCo-Default".
+    """
+
+    dimensions = {"frictionloss": "torque", "damping": "damping"}
+    constraint = True
+    dissipative = True
+
+    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+        """The constraint's limit and the damping, whatever the state."""
+        return FrictionTerms(frictionloss=values["frictionloss"], damping=values["damping"])

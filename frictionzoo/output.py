@@ -1,0 +1,35 @@
+"""Writing of results: a file is there whole, or not at all."""
+
+import contextlib
+import os
+from pathlib import Path
+
+from frictionzoo.errors import OutputError
+
+
+def write_atomically(path: Path, content: bytes) -> None:
+    """Write a file under a temporary name in the same folder, then rename it.
+
+    Args:
+        path: The file; missing folders are made, an older file of that name is replaced.
+        content: All of it.
+
+    Raises:
+        OutputError: The disk is full or the folder cannot be written; nothing new is left behind.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with open(temporary, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except OSError as error:
+        raise OutputError(
+            f"{path}: {error.strerror} while writing {len(content)} bytes, expected a folder that can be written; "
+            "free space or set hydra.run.dir to another folder"
+        ) from error
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink()

@@ -1,0 +1,1 @@
+"""What a run tells: `result.json`, figures, and a summary on the terminal."""

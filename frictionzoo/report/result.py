@@ -1,0 +1,188 @@
+"""`result.json`: the machine-readable record of a run, described by `result.schema.json` beside this file."""
+
+import hashlib
+import json
+import math
+import platform
+from collections.abc import Mapping
+from dataclasses import asdict
+from importlib import metadata, resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from frictionzoo.bench.base import Bench
+from frictionzoo.evaluate import Judgement, Values
+from frictionzoo.models.base import FrictionModel
+from frictionzoo.output import write_atomically
+from frictionzoo.params import Param
+from frictionzoo.types import Dataset
+
+SCHEMA_VERSION = 1
+PACKAGES = ("frictionzoo", "mujoco", "mujoco-mjx", "jax", "torch", "optax", "lightning", "numpy")
+AT_BOUND = 1e-4  # share of the bounds' distance, in the optimiser's coordinate, that counts as reaching a bound
+
+
+def read_schema() -> dict[str, Any]:
+    """The JSON schema of `result.json`; its descriptions are the documentation of every field."""
+    return json.loads(resources.files("frictionzoo.report").joinpath("result.schema.json").read_text(encoding="utf-8"))
+
+
+def build_result(
+    *,
+    name: str,
+    bench: Bench,
+    model: FrictionModel,
+    values: Values,
+    dataset: Dataset,
+    judgement: Judgement,
+    baseline: Judgement,
+    fit: Mapping[str, Any],
+    timing: Mapping[str, float],
+    seed: int,
+    dtype: str,
+    device: str,
+) -> dict[str, Any]:
+    """The record of a run, ready for JSON: no NaN, no numpy types.
+
+    Args:
+        name: The chosen model, as in conf/model.
+        bench: The bench that was used.
+        model: The friction law.
+        values: Identified and known values of both.
+        dataset: What was fitted and judged on.
+        judgement: Of the identified drive.
+        baseline: Of the same bench identified without friction, on the same rollouts.
+        fit: `method`, `iterations`, `best_iteration`, `loss`, `stopped`, as the schema says.
+        timing: Seconds of `setup`, `compile`, `fit`, `evaluate`, `total`.
+        seed: The run's seed.
+        dtype: Number type of the simulation.
+        device: Where it ran.
+    """
+    result = {
+        "schema_version": SCHEMA_VERSION,
+        "model": name,
+        "data": describe_data(dataset),
+        "parameters": [
+            *_list_parameters("bench", bench.params, values["bench"], bench.joint_type),
+            *_list_parameters("friction", model.params, values["friction"], bench.joint_type),
+        ],
+        "network": _describe_network(model),
+        **_describe_metrics(judgement, baseline),
+        "fit": dict(fit),
+        "timing": dict(timing),
+        "seed": seed,
+        "dtype": dtype,
+        "device": device,
+        "versions": _read_versions(),
+    }
+    return _to_json(result)
+
+
+def write_result(path: Path, result: Mapping[str, Any]) -> None:
+    """Write `result.json`.
+
+    Args:
+        path: The file.
+        result: From `build_result`.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    write_atomically(path, (json.dumps(result, indent=2, allow_nan=False) + "\n").encode())
+
+
+def describe_data(dataset: Dataset) -> dict[str, Any]:
+    """The section `data`: what was read, with hashes.
+
+    Args:
+        dataset: Recordings, train and test.
+    """
+    parts = [(part, log) for part in ("train", "test") for log in getattr(dataset, part)]
+    hashes = list(dict.fromkeys(log.sha256 for log in dataset.logs))
+    joined = hashlib.sha256("\n".join(hashes).encode()).hexdigest()
+    return {
+        "name": dataset.name,
+        "sha256": hashes[0] if len(hashes) == 1 else joined,
+        "simulated": any(log.simulated for log in dataset.logs),
+        "timestep": round(dataset.logs[0].timestep, 9),
+        "samples": sum(log.samples for log in dataset.logs),
+        "logs": [{"name": log.name, "part": part, "samples": log.samples, "sha256": log.sha256} for part, log in parts],
+    }
+
+
+def _list_parameters(
+    owner: str, params: Mapping[str, Param], values: Mapping[str, np.ndarray], joint_type: str
+) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": name,
+            "owner": owner,
+            "value": _number_or_list(values[name]),
+            "unit": param.unit(joint_type),
+            "low": param.low,
+            "high": param.high,
+            "identified": param.identify,
+            "at_bound": param.identify and _is_at_bound(param, values[name]),
+        }
+        for name, param in params.items()
+    ]
+
+
+def _number_or_list(value: np.ndarray) -> float | list[float]:
+    """One joint's value as a number, several as a list."""
+    flat = np.atleast_1d(np.asarray(value, dtype=np.float64))
+    return float(flat[0]) if flat.size == 1 else flat.tolist()
+
+
+def _is_at_bound(param: Param, value: np.ndarray) -> bool:
+    at, low, high = (param.to_coordinate(np.asarray(x, dtype=np.float64), np) for x in (value, param.low, param.high))
+    return bool((np.minimum(at - low, high - at) <= AT_BOUND * (high - low)).any())
+
+
+def _describe_network(model: FrictionModel) -> dict[str, int] | None:
+    weights = sum(tensor.numel() for name, tensor in model.named_parameters() if name not in model.params)
+    return {"weights": weights} if weights else None
+
+
+def _describe_metrics(judgement: Judgement, baseline: Judgement) -> dict[str, Any]:
+    by_horizon = [
+        {
+            "horizon": fitted["test"].horizon,
+            "train": asdict(fitted["train"]),
+            "test": asdict(fitted["test"]),
+            "baseline": asdict(without["test"]),
+        }
+        for fitted, without in zip(judgement.by_horizon, baseline.by_horizon, strict=True)
+    ]
+    main = by_horizon[0]
+    return {
+        "metrics": {part: main[part] for part in ("train", "test", "baseline")},
+        "by_horizon": by_horizon,
+        "paper": {
+            "a": {"model": asdict(judgement.trajectory), "baseline": asdict(baseline.trajectory)},
+            "b": {"model": asdict(judgement.places), "baseline": asdict(baseline.places)},
+        },
+    }
+
+
+def _read_versions() -> dict[str, str]:
+    versions = {"python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            versions[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            versions[package] = "not installed"
+    return versions
+
+
+def _to_json(value: Any) -> Any:
+    """The same with numpy numbers as Python's and non-finite numbers as None, which JSON calls null."""
+    if isinstance(value, Mapping):
+        return {key: _to_json(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_to_json(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,96 @@
+"""The summary of a run in plain text, legible on a terminal and in a log file alike."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+ERRORS = {  # row of the table: key of the metrics, key of its unit
+    "position MAE": ("position_mae", "unit"),
+    "sigma of the MAE": ("position_mae_std", "unit"),
+    "position RMSE": ("position_rmse", "unit"),
+    "velocity RMSE": ("velocity_rmse", "velocity_unit"),
+}
+
+
+def summarise(result: Mapping[str, Any], folder: Path) -> str:
+    """Parameters, test errors beside those without friction, warnings, and where the files are.
+
+    Args:
+        result: What `result.json` holds.
+        folder: The run's folder.
+    """
+    blocks = [
+        _say_origin(result),
+        _tabulate_parameters(result),
+        _tabulate_errors(result["metrics"]),
+        *_warn(result),
+        f"files: {folder}",
+    ]
+    return "\n\n".join(blocks)
+
+
+def _say_origin(result: Mapping[str, Any]) -> str:
+    data = result["data"]
+    origin = "The data are simulated." if data["simulated"] else "The data are real, recorded on hardware."
+    return f"{result['model']} on {data['name']}. {origin}"
+
+
+def _tabulate_parameters(result: Mapping[str, Any]) -> str:
+    rows = [("parameter", "value", "unit", "")]
+    for parameter in result["parameters"]:
+        status = "identified" if parameter["identified"] else "known"
+        name = f"{parameter['owner']}.{parameter['name']}"
+        rows.append((name, _format_value(parameter["value"]), parameter["unit"], status))
+    if result["network"]:
+        rows.append(("friction network", str(result["network"]["weights"]), "weights", "identified"))
+    return _align(rows)
+
+
+def _tabulate_errors(metrics: Mapping[str, Any]) -> str:
+    test, baseline = metrics["test"], metrics["baseline"]
+    rows = [(f"test, {test['rollouts']} x {test['horizon']:g} s", "this model", "no friction", "unit", "change")]
+    for row, (key, unit) in ERRORS.items():
+        change = _format_change(test[key], baseline[key])
+        rows.append((row, _format_value(test[key]), _format_value(baseline[key]), test[unit], change))
+    rows.append(("diverged", str(test["diverged"]), str(baseline["diverged"]), "rollouts", ""))
+    return _align(rows)
+
+
+def _warn(result: Mapping[str, Any]) -> list[str]:
+    """One line a parameter that ended at a bound."""
+    lines = [
+        f"warning: {parameter['owner']}.{parameter['name']} ended at a bound of [{parameter['low']:g}, "
+        f"{parameter['high']:g}] {parameter['unit']}; widen the bounds or doubt the model"
+        for parameter in result["parameters"]
+        if parameter["at_bound"]
+    ]
+    return ["\n".join(lines)] if lines else []
+
+
+def _format_value(value: float | Sequence[float] | None) -> str:
+    if value is None:
+        return "none"
+    return f"{value:.4g}" if isinstance(value, int | float) else " ".join(f"{joint:.4g}" for joint in value)
+
+
+def _format_change(value: float | None, reference: float | None) -> str:
+    """Relative change, where there is something to compare."""
+    return f"{round(100 * (value / reference - 1)):+d} %" if value is not None and reference else ""
+
+
+def _align(rows: Sequence[Sequence[str]]) -> str:
+    """Columns padded to their longest entry, the first flush left and numbers flush right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    numbers = [all(_is_number(row[i]) for row in rows[1:]) for i in range(len(widths))]
+    lines = (
+        "  ".join(
+            cell.rjust(width) if number else cell.ljust(width)
+            for cell, width, number in zip(row, widths, numbers, strict=True)
+        )
+        for row in rows
+    )
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _is_number(cell: str) -> bool:
+    return not cell or cell == "none" or cell[0] in "+-.0123456789"

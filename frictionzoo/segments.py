@@ -1,0 +1,171 @@
+"""Logs to segments: the windows that a fit learns from, and the longer ones that an evaluation rolls out."""
+
+import logging
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Int
+
+from frictionzoo.errors import ConfigError, LogError, closest
+from frictionzoo.types import Log, Segments
+
+logger = logging.getLogger(__name__)
+
+SAME_TIMESTEP = 1e-3  # largest relative difference between the timesteps of logs that belong together
+PLACEMENTS = ("random", "consecutive")
+
+
+def cut_segments(logs: Sequence[Log], count: int | None, length: int) -> Segments:
+    """Windows for a fit: they share no step, and are spread evenly if there are more of them than asked for.
+
+    Neighbours share the sample on their border: it ends one and starts the other.
+
+    Args:
+        logs: Recordings with the same columns and timestep.
+        count: Largest number of segments; None takes all.
+        length: Steps in a segment; it spans one sample more.
+
+    Raises:
+        LogError: The logs do not belong together, or none is long enough for one segment.
+        ConfigError: `count` or `length` is below 1.
+    """
+    _refuse_mixture(logs)
+    _refuse_below_one("segments.length", length)
+    available = [_consecutive(log, length) for log in logs]
+    if not any(len(starts) for starts in available):
+        longest = max(logs, key=lambda log: log.samples)
+        raise LogError(
+            f"{longest.name}: {longest.samples} samples, expected at least {length + 1} for one segment of {length} "
+            "steps; record a longer log or set a smaller segments.length"
+        )
+    for log, starts in zip(logs, available, strict=True):
+        if not len(starts):
+            logger.warning("%s: %d samples, too short for %d steps; left out", log.name, log.samples, length)
+    return _windows(logs, _spread(_places(available), count, "segments.count"), length)
+
+
+def cut_rollouts(logs: Sequence[Log], horizon_s: float, count: int | None, placement: str, seed: int) -> Segments:
+    """Windows for an evaluation.
+
+    Args:
+        logs: Recordings with the same columns and timestep.
+        horizon_s: Length of a rollout [s].
+        count: Largest number of rollouts; None takes all, with `consecutive` only.
+        placement: `random`: distinct starts drawn from `seed`, which may overlap; `consecutive`: a restart every
+            horizon, spread evenly if there are more of them than asked for.
+        seed: Seed of the random starts.
+
+    Raises:
+        LogError: The logs do not belong together, or one is shorter than the horizon.
+        ConfigError: An option is impossible.
+    """
+    timestep = _refuse_mixture(logs)
+    length = _steps(horizon_s, timestep)
+    for log in logs:
+        if log.samples < length + 1:
+            raise LogError(
+                f"{log.name}: {log.samples} samples, expected at least {length + 1} for a rollout of {horizon_s:g} s; "
+                "use a longer log or smaller evaluation.horizons"
+            )
+    if placement == "consecutive":
+        places = _spread(_places([_consecutive(log, length) for log in logs]), count, "evaluation.rollouts")
+    elif placement == "random":
+        places = _draw(_places([np.arange(log.samples - length) for log in logs]), count, seed)
+    else:
+        raise ConfigError(f"evaluation.placement={placement}: unknown; {closest(placement, PLACEMENTS)}")
+    return _windows(logs, places, length)
+
+
+def split_by_time(log: Log, test_share: float, gap: float) -> tuple[Log, Log]:
+    """Train and test part of one log: its first block and its last, with a gap that neither sees.
+
+    Args:
+        log: The recording.
+        test_share: Share of the samples that goes into the test part, between 0 and 1.
+        gap: Time between the parts [s], so that the drive's state at the end of the one says nothing about the other.
+
+    Raises:
+        LogError: A part would have fewer than two samples.
+        ConfigError: The share lies outside 0 to 1, or the gap is negative.
+    """
+    if not 0 <= test_share <= 1:
+        raise ConfigError(f"data.split.test_share={test_share}: expected a share between 0 and 1")
+    if not gap >= 0:
+        raise ConfigError(f"data.split.gap={gap}: expected 0 s or more")
+    test = round(test_share * log.samples)
+    train = log.samples - test - round(gap / log.timestep)
+    for part, samples in (("train", train), ("test", test)):
+        if samples < 2:
+            raise LogError(
+                f"{log.name}: the {part} part has {max(samples, 0)} of {log.samples} samples with data.split."
+                f"test_share={test_share:g} and gap={gap:g} s, expected at least 2; change data.split"
+            )
+    return log.between(0, train, "train"), log.between(log.samples - test, log.samples, "test")
+
+
+def _refuse_mixture(logs: Sequence[Log]) -> float:
+    """The timestep [s] of logs that belong together; LogError where they do not."""
+    if not logs:
+        raise LogError("no log was given, expected at least one")
+    first = logs[0]
+    for log in logs[1:]:
+        if abs(log.timestep - first.timestep) > SAME_TIMESTEP * first.timestep:
+            raise LogError(
+                f"{log.name}: timestep {log.timestep:.6g} s, expected {first.timestep:.6g} s as in {first.name}; "
+                "resample the logs to one timestep"
+            )
+        for signal in ("qpos", "ctrl"):
+            came, expected = getattr(log, signal).shape[1], getattr(first, signal).shape[1]
+            if came != expected:
+                raise LogError(f"{log.name}: {came} columns of {signal}, expected {expected} as in {first.name}")
+    return first.timestep
+
+
+def _refuse_below_one(option: str, value: int | None) -> None:
+    if value is not None and value < 1:
+        raise ConfigError(f"{option}={value}: expected 1 or more")
+
+
+def _steps(horizon_s: float, timestep: float) -> int:
+    steps = round(horizon_s / timestep)
+    if steps < 1:
+        raise ConfigError(f"evaluation.horizons: {horizon_s:g} s, expected at least one step of {timestep:g} s")
+    return steps
+
+
+def _consecutive(log: Log, length: int) -> Int[np.ndarray, "segments"]:
+    """First samples of the windows of `length` steps that fit into a log one after the other."""
+    return np.arange((log.samples - 1) // length) * length
+
+
+def _places(starts: Sequence[Int[np.ndarray, "..."]]) -> Int[np.ndarray, "segments 2"]:
+    """Index of the log and first sample of every window, from the first samples in each log."""
+    return np.concatenate(
+        [np.stack([np.full_like(first, number), first], axis=1) for number, first in enumerate(starts)]
+    )
+
+
+def _spread(places: Int[np.ndarray, "available 2"], count: int | None, option: str) -> Int[np.ndarray, "segments 2"]:
+    """At most `count` of the windows, evenly spread."""
+    _refuse_below_one(option, count)
+    available = len(places)
+    if count is None or count >= available:
+        return places
+    return places[np.arange(count) * available // count]
+
+
+def _draw(places: Int[np.ndarray, "available 2"], count: int | None, seed: int) -> Int[np.ndarray, "segments 2"]:
+    """At most `count` of the windows, drawn without repetition, in the order in which they were drawn."""
+    if count is None:
+        raise ConfigError("evaluation.rollouts=null with evaluation.placement=random: expected a number of rollouts")
+    _refuse_below_one("evaluation.rollouts", count)
+    chosen = np.random.default_rng(seed).choice(len(places), size=min(count, len(places)), replace=False)
+    return places[chosen]
+
+
+def _windows(logs: Sequence[Log], places: Int[np.ndarray, "segments 2"], length: int) -> Segments:
+    """The windows that start at these places (index of the log, first sample)."""
+    offset = np.cumsum([0] + [log.samples for log in logs[:-1]])
+    index = (offset[places[:, 0]] + places[:, 1])[:, None] + np.arange(length + 1)
+    qpos, qvel, ctrl = (np.concatenate([getattr(log, signal) for log in logs]) for signal in ("qpos", "qvel", "ctrl"))
+    return Segments(qpos[index], qvel[index], ctrl[index[:, :-1]], logs[0].timestep)

@@ -1,0 +1,197 @@
+"""What flows between the parts: logs, segments, the state a friction law sees, and the terms it answers with."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from frictionzoo.errors import LogError
+
+JITTER = 0.05  # largest deviation of a sample interval from the median, as a share of it, that still counts as uniform
+
+
+@dataclass(frozen=True)
+class Log:
+    """One recording of a drive in SI units.
+
+    Attributes:
+        name: Where it came from, for messages.
+        time: Sample times [s], increasing by one constant interval.
+        qpos: Joint position [rad or m].
+        qvel: Joint velocity [rad/s or m/s], measured or estimated.
+        ctrl: Command, one column an actuator, in the actuator law's unit.
+        sha256: Hash of what was read or made.
+        simulated: Whether a simulator made it.
+        metadata: What else the source says about it (payload, gains, notes).
+
+    Raises:
+        LogError: Shapes disagree, a sample is not finite, or time is not uniform.
+    """
+
+    name: str
+    time: Float[np.ndarray, "time"]
+    qpos: Float[np.ndarray, "time nv"]
+    qvel: Float[np.ndarray, "time nv"]
+    ctrl: Float[np.ndarray, "time nu"]
+    sha256: str
+    simulated: bool
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        samples = len(self.time)
+        if samples < 2:
+            raise LogError(f"{self.name}: {samples} samples, expected at least 2; record a longer log")
+        for signal in ("qpos", "qvel", "ctrl"):
+            values = getattr(self, signal)
+            if values.ndim != 2 or len(values) != samples:
+                raise LogError(
+                    f"{self.name}: {signal} has shape {values.shape}, expected ({samples}, columns) as time has; "
+                    "check the columns"
+                )
+        if self.qvel.shape != self.qpos.shape:
+            raise LogError(
+                f"{self.name}: qvel has {self.qvel.shape[1]} columns and qpos {self.qpos.shape[1]}, expected as many; "
+                "check the columns"
+            )
+        for signal in ("time", "qpos", "qvel", "ctrl"):
+            self._refuse_nonfinite(signal)
+        self._refuse_uneven_time()
+
+    def _refuse_nonfinite(self, signal: str) -> None:
+        values = getattr(self, signal)
+        bad = ~np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+        if bad.any():
+            raise LogError(
+                f"{self.name}: {signal} is NaN or infinite in {bad.sum()} of {len(bad)} samples, first at sample "
+                f"{int(np.argmax(bad))}; expected finite values; cut or repair the log"
+            )
+
+    def _refuse_uneven_time(self) -> None:
+        steps = np.diff(self.time)
+        if (steps <= 0).any():
+            at = int(np.argmax(steps <= 0))
+            what = "repeats" if steps[at] == 0 else "runs backwards"
+            raise LogError(
+                f"{self.name}: time {what} at sample {at + 1} ({self.time[at]:.6g} s, then {self.time[at + 1]:.6g} s); "
+                "expected increasing times; sort the log or drop the samples"
+            )
+        uneven = np.abs(steps - np.median(steps)) > JITTER * np.median(steps)
+        if uneven.any():
+            at = int(np.argmax(uneven))
+            raise LogError(
+                f"{self.name}: {steps[at]:.6g} s between samples {at} and {at + 1}, expected {np.median(steps):.6g} s "
+                f"everywhere; resample the log to a constant step"
+            )
+
+    @property
+    def timestep(self) -> float:
+        """Sample interval [s]."""
+        return float((self.time[-1] - self.time[0]) / (len(self.time) - 1))
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return len(self.time)
+
+    def between(self, start: int, stop: int, part: str) -> "Log":
+        """The samples from start up to, not including, stop, under the name `NAME[part]`."""
+        cut = slice(start, stop)
+        return Log(
+            f"{self.name}[{part}]",
+            self.time[cut],
+            self.qpos[cut],
+            self.qvel[cut],
+            self.ctrl[cut],
+            self.sha256,
+            self.simulated,
+            self.metadata,
+        )
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Recordings to fit on and other recordings to judge on.
+
+    Attributes:
+        name: The data set's name.
+        train: Logs that a fit may see.
+        test: Logs that only the evaluation sees.
+    """
+
+    name: str
+    train: tuple[Log, ...]
+    test: tuple[Log, ...]
+
+    def __post_init__(self) -> None:
+        for part in ("train", "test"):
+            if not getattr(self, part):
+                raise LogError(f"{self.name}: the {part} part is empty; change data.split so that both parts have data")
+
+    @property
+    def logs(self) -> tuple[Log, ...]:
+        """All logs, train first."""
+        return self.train + self.test
+
+
+@dataclass(frozen=True)
+class Segments:
+    """Windows cut from logs: each starts at a measured state and is driven by the recorded commands.
+
+    Sample i of `ctrl` acts between samples i and i + 1 of `qpos` and `qvel`, so the states have one more.
+
+    Attributes:
+        qpos: Measured position [rad or m].
+        qvel: Measured velocity [rad/s or m/s].
+        ctrl: Command.
+        timestep: Sample interval [s].
+    """
+
+    qpos: Float[np.ndarray, "batch states nv"]
+    qvel: Float[np.ndarray, "batch states nv"]
+    ctrl: Float[np.ndarray, "batch time nu"]
+    timestep: float
+
+    @property
+    def count(self) -> int:
+        """Number of segments."""
+        return len(self.ctrl)
+
+    @property
+    def length(self) -> int:
+        """Steps in each segment."""
+        return self.ctrl.shape[1]
+
+
+class DriveState(NamedTuple):
+    """What a friction law may look at, each of shape (..., nv), in numpy, torch or JAX alike.
+
+    Attributes:
+        qpos: Joint position [rad or m].
+        qvel: Joint velocity [rad/s or m/s].
+        ctrl: Command of the joint's actuator.
+        motor_torque: Torque or force of the joint's actuator [N m or N].
+        external_torque: Torque or force of everything but actuator and friction: gravity, springs, payload, Coriolis
+            [N m or N]; the paper's tau_e.
+    """
+
+    qpos: Any
+    qvel: Any
+    ctrl: Any
+    motor_torque: Any
+    external_torque: Any
+
+
+class FrictionTerms(NamedTuple):
+    """A friction law's answer, each of shape (..., nv) or None where the law does not use it.
+
+    Attributes:
+        torque: Explicit friction torque [N m or N], subtracted from the drive torque; positive against positive qvel.
+        frictionloss: Limit of MuJoCo's own dry-friction constraint [N m or N]. Strictly positive: at 0 the joint locks.
+        damping: MuJoCo's own joint damping [N m s/rad or N s/m].
+    """
+
+    torque: Any = None
+    frictionloss: Any = None
+    damping: Any = None

@@ -1,0 +1,182 @@
+"""EMPS: the real files as published, the velocity estimate against known motions, and the line of each bad input."""
+
+import os
+from pathlib import Path
+
+import hydra
+import mujoco
+import numpy as np
+import pytest
+import scipy.io
+from omegaconf import OmegaConf
+
+from frictionzoo.errors import ConfigError, LogError
+from frictionzoo.logs.emps import Emps, estimate_velocity
+
+OPTIONS = {"name": "emps", "train": "DATA_EMPS.mat", "test": "DATA_EMPS_PULSES.mat", "cutoff": 100.0, "order": 4}
+TIME = np.arange(500) * 1e-3
+
+real = pytest.mark.skipif("FRICTIONZOO_DATA" not in os.environ, reason="FRICTIONZOO_DATA is not set")
+
+
+def signals(**changes):
+    """The variables of a small recording; a change to None leaves one out."""
+    stored = {"t": TIME[:, None], "qm": np.sin(9 * TIME)[:, None], "vir": np.cos(9 * TIME)[:, None], "gtau": 35.15}
+    return {name: values for name, values in {**stored, **changes}.items() if values is not None}
+
+
+def folder_with(tmp_path: Path, train: dict, test: dict) -> Emps:
+    """The source over two files with these variables."""
+    (tmp_path / "emps").mkdir()
+    scipy.io.savemat(tmp_path / "emps" / OPTIONS["train"], train)
+    scipy.io.savemat(tmp_path / "emps" / OPTIONS["test"], test)
+    return Emps(folder=str(tmp_path), **OPTIONS)
+
+
+def test_the_configuration_selects_bench_and_rollouts_with_the_data(monkeypatch):
+    monkeypatch.delenv("FRICTIONZOO_DATA", raising=False)
+    config = OmegaConf.load(Path(__file__).parent.parent / "conf" / "data" / "emps.yaml")
+    assert config.defaults == [{"override /bench": "emps"}]
+    assert (config.segments.length, config.evaluation.placement) == (1000, "consecutive")
+    source = hydra.utils.instantiate(config.data)
+    assert {name: getattr(source, name) for name in OPTIONS} == OPTIONS
+    assert source.folder is None
+    monkeypatch.setenv("FRICTIONZOO_DATA", "/somewhere")
+    assert hydra.utils.instantiate(config.data).folder == "/somewhere"
+
+
+def test_the_bench_lumps_everything_into_the_armature():
+    assets = Path(__file__).parent.parent / "frictionzoo" / "bench" / "assets"
+    model = mujoco.MjModel.from_xml_path(str(assets / "emps.xml"))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert model.joint("carriage").type == mujoco.mjtJoint.mjJNT_SLIDE
+    assert data.qfrc_bias[0] == 0.0  # no gravity along the axis
+    assert float(model.body_mass.sum()) == pytest.approx(1e-3, rel=1e-12)
+    assert (model.dof_armature[0], model.dof_damping[0], model.dof_frictionloss[0], model.nu) == (0.0, 0.0, 0.0, 0)
+
+
+@real
+def test_the_real_files_are_what_was_published():
+    dataset = Emps(folder=os.environ["FRICTIONZOO_DATA"], **OPTIONS).load()
+    assert [log.name for log in dataset.logs] == ["DATA_EMPS.mat", "DATA_EMPS_PULSES.mat"]
+    for log in dataset.logs:
+        assert log.samples == 24841
+        assert log.timestep == pytest.approx(1e-3, rel=1e-6)  # the published rate, 1 kHz
+        assert not log.simulated
+        assert np.abs(log.ctrl).max() <= 10.0  # the published limit of the voltage [V]
+        assert "Janot" in log.metadata["citation"]
+    assert dataset.train[0].sha256 != dataset.test[0].sha256
+
+
+@real
+def test_the_real_train_log_obeys_the_published_parameters():
+    log = Emps(folder=os.environ["FRICTIONZOO_DATA"], **OPTIONS).load().train[0]
+    qvel, force = log.qvel[:, 0], 35.1507 * log.ctrl[:, 0]
+    moving = np.abs(qvel) > 0.01
+    moving &= np.arange(log.samples) > 50  # the filter's start
+    columns = np.stack([np.gradient(qvel, log.timestep), qvel, np.sign(qvel), np.ones_like(qvel)], axis=1)
+    mass, viscous, coulomb, offset = np.linalg.lstsq(columns[moving], force[moving], rcond=None)[0]
+    # Published (IDIM-LS on filtered and decimated signals): 95.109 kg, 203.503 N s/m, 20.394 N, -3.165 N. Plain least
+    # squares over the moving samples weighs them differently.
+    assert mass == pytest.approx(95.109, rel=0.02)
+    assert viscous == pytest.approx(203.503, rel=0.05)
+    assert coulomb == pytest.approx(20.394, rel=0.10)
+    assert offset == pytest.approx(-3.165, rel=0.20)
+
+
+def test_position_and_voltage_stay_as_measured(tmp_path):
+    dataset = folder_with(tmp_path, signals(), signals(vir=2 * TIME)).load()
+    np.testing.assert_array_equal(dataset.train[0].qpos[:, 0], np.sin(9 * TIME))
+    np.testing.assert_array_equal(dataset.train[0].ctrl[:, 0], np.cos(9 * TIME))
+    np.testing.assert_array_equal(dataset.test[0].ctrl[:, 0], 2 * TIME)
+    # Away from the ends, a motion of 1.4 Hz passes a 100 Hz filter; central differences err by (9 rad/s * 1 ms)^2 / 6.
+    np.testing.assert_allclose(dataset.train[0].qvel[50:-50, 0], 9 * np.cos(9 * TIME[50:-50]), atol=9 * 2e-5)
+
+
+def test_the_velocity_has_no_phase_lag_and_less_noise():
+    time = np.arange(20_000) * 1e-3
+    noise = 1e-4 * np.random.default_rng(0).standard_normal(len(time))
+    true = np.cos(2 * np.pi * 5 * time)
+    position = np.sin(2 * np.pi * 5 * time) / (2 * np.pi * 5)
+    velocity = estimate_velocity(position + noise, 1e-3, 100.0, 4, "log")
+    lags = [np.sum(true[100:-100] * np.roll(velocity, lag)[100:-100]) for lag in range(-3, 4)]
+    assert int(np.argmax(lags)) == 3  # no shift fits best
+    plain = np.std(np.gradient(position + noise, 1e-3) - true)
+    assert np.std(velocity - true) < 0.6 * plain  # 100 Hz of the 500 Hz band, weighted with frequency
+
+
+def test_the_filter_halves_a_motion_at_its_cutoff():
+    position = np.sin(2 * np.pi * 100 * np.arange(4000) * 1e-4)
+    velocity = estimate_velocity(position, 1e-4, 100.0, 4, "log")
+    amplitude = np.abs(velocity[1000:3000]).max() / (2 * np.pi * 100)
+    assert amplitude == pytest.approx(0.5, rel=0.01)  # central differences take another 0.07 % off
+
+
+def test_no_folder_says_what_to_set():
+    with pytest.raises(LogError, match=r"set FRICTIONZOO_DATA or data\.folder .*nonlinearbenchmark\.org"):
+        Emps(folder=None, **OPTIONS).load()
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(LogError, match=r"emps/DATA_EMPS\.mat: no such file; set FRICTIONZOO_DATA or data\.folder"):
+        Emps(folder=str(tmp_path), **OPTIONS).load()
+
+
+@pytest.mark.parametrize("damage", ["text", "empty", "truncated", "flipped", "folder"])
+def test_an_unreadable_file_gets_one_line(tmp_path, damage):
+    source = folder_with(tmp_path, signals(), signals())
+    path = tmp_path / "emps" / OPTIONS["train"]
+    whole = path.read_bytes()
+    if damage == "folder":
+        path.unlink()
+        path.mkdir()
+    else:
+        path.write_bytes(
+            {
+                "text": b"time,qpos\n0,1\n",
+                "empty": b"",
+                "truncated": whole[: len(whole) // 2],
+                "flipped": whole[:128] + bytes(255 - byte for byte in whole[128:]),
+            }[damage]
+        )
+    with pytest.raises(LogError, match=r"DATA_EMPS\.mat: (not a readable MATLAB file|cannot be read)") as caught:
+        source.load()
+    assert "\n" not in str(caught.value)
+
+
+NAN = np.where(np.arange(500) == 7, np.nan, 0.5)
+BAD = {
+    "missing": (
+        signals(vir=None, virr=TIME),
+        r"no variable vir, it holds t, qm, gtau, virr; did you mean virr\?",
+    ),
+    "length": (signals(qm=TIME[:-1]), r"qm has shape \(1, 499\) and t \(500, 1\), expected one column as long as t"),
+    "matrix": (signals(qm=np.ones((500, 2))), r"qm has shape \(500, 2\)"),
+    "text": (signals(vir="volt"), r"vir is of type <U4, expected real numbers"),
+    "complex": (signals(vir=TIME + 1j), r"vir is of type complex128, expected real numbers"),
+    "nan": (signals(qm=NAN), r"qpos is NaN or infinite in 1 of 500 samples, first at sample 7"),
+    "backwards": (signals(t=TIME[::-1]), r"time runs backwards at sample 1"),
+    "short": ({"t": TIME[:9], "qm": TIME[:9], "vir": TIME[:9]}, r"9 samples, expected more than 15 to estimate"),
+}
+
+
+@pytest.mark.parametrize(("stored", "line"), BAD.values(), ids=BAD)
+def test_wrong_contents_get_one_line(tmp_path, stored, line):
+    with pytest.raises(LogError, match=line):
+        folder_with(tmp_path, stored, signals()).load()
+
+
+@pytest.mark.parametrize(
+    ("changes", "line"),
+    [
+        ({"cutoff": 500.0}, r"data\.cutoff=500: expected less than half the sample rate, 500 Hz"),
+        ({"cutoff": 0.0}, r"data\.cutoff=0\.0: expected a positive frequency"),
+        ({"order": 0}, r"data\.order=0"),
+    ],
+    ids=["above-nyquist", "zero", "order"],
+)
+def test_a_filter_that_makes_no_sense(tmp_path, changes, line):
+    folder_with(tmp_path, signals(), signals())
+    with pytest.raises(ConfigError, match=line):
+        Emps(folder=str(tmp_path), **{**OPTIONS, **changes}).load()

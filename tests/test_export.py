@@ -1,0 +1,147 @@
+"""The exported MJCF in MuJoCo C: exact where the law is MuJoCo's own, nearest and said so where it is not."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from frictionzoo.bench import Bench, PositionPD
+from frictionzoo.export.mjcf import export_mjcf, nearest_frictionloss_and_damping
+from frictionzoo.models.base import FrictionModel
+from frictionzoo.models.baseline import Baseline
+from frictionzoo.models.coulomb_stribeck import CoulombStribeck
+from frictionzoo.models.mujoco_default import MujocoDefault
+from frictionzoo.models.neural_friction import NeuralFriction
+from frictionzoo.types import DriveState, FrictionTerms
+
+EXACT = "represented exactly"
+NEAREST = "not representable in MJCF"
+
+
+class Explicit(FrictionModel):
+    """A law given by a function of the state, for these tests."""
+
+    name = "explicit"
+
+    def __init__(self, formula):
+        super().__init__(1)
+        self.formula = formula
+
+    def terms(self, xp, values, state):
+        return self.formula(xp, state)
+
+
+def known(**values):
+    return {
+        name: {"init": value, "low": 1e-6, "high": 10.0, "scale": "log", "identify": True}
+        for name, value in values.items()
+    }
+
+
+@pytest.fixture
+def bench():
+    actuator = PositionPD(known(kp=5.0, kd=1.0))
+    return Bench("knee_rod.xml", None, actuator, known(armature=1 / 30), solreffriction=[0.02, 1.0])
+
+
+@pytest.fixture
+def samples():
+    signals = np.random.default_rng(0).normal(size=(5, 500, 1))
+    return DriveState(*signals)
+
+
+def export(bench, model, samples):
+    """The exported text, and the joint's frictionloss and damping as MuJoCo C compiles them."""
+    values = {"bench": bench.initial_values(), "friction": {}}
+    text = export_mjcf(bench, values, model, samples)
+    compiled = mujoco.MjModel.from_xml_string(text)
+    joint = compiled.joint(bench.joints[0])
+    np.testing.assert_array_equal(joint.armature, values["bench"]["armature"])
+    return text, float(joint.frictionloss[0]), float(joint.damping[0])
+
+
+def test_mujoco_default_is_exact(bench, samples):
+    third = 1 / 3  # has no short decimal form: every digit must arrive
+    text, frictionloss, damping = export(bench, MujocoDefault(1, known(frictionloss=third, damping=third / 7)), samples)
+    assert (frictionloss, damping) == (third, third / 7)
+    assert f"mujoco_default: {EXACT}" in text
+    assert NEAREST not in text
+
+
+def test_baseline_has_no_friction(bench, samples):
+    text, frictionloss, damping = export(bench, Baseline(1, {}), samples)
+    assert (frictionloss, damping) == (0, 0)
+    assert f"baseline: {EXACT}" in text
+
+
+def test_known_coulomb_and_viscous_torque_is_recovered(bench, samples):
+    law = Explicit(lambda xp, state: FrictionTerms(torque=0.3 * xp.sign(state.qvel) + 0.05 * state.qvel))
+    text, frictionloss, damping = export(bench, law, samples)
+    # Least squares of data without noise: rounding only.
+    assert frictionloss == pytest.approx(0.3, rel=1e-9)
+    assert damping == pytest.approx(0.05, rel=1e-9)
+    assert f"explicit is {NEAREST}" in text
+
+
+def test_nearest_adds_up_all_terms(bench, samples):
+    def formula(xp, state):
+        return FrictionTerms(0.1 * xp.sign(state.qvel), xp.full_like(state.qvel, 0.2), xp.full_like(state.qvel, 0.05))
+
+    text, frictionloss, damping = export(bench, Explicit(formula), samples)
+    assert frictionloss == pytest.approx(0.3, rel=1e-9)
+    assert damping == pytest.approx(0.05, rel=1e-9)
+    assert NEAREST in text
+
+
+def test_friction_that_depends_on_the_state_is_not_exact(bench, samples):
+    law = Explicit(lambda xp, state: FrictionTerms(frictionloss=0.2 + 0.1 * xp.tanh(xp.abs(state.qpos))))
+    text, frictionloss, damping = export(bench, law, samples)
+    assert NEAREST in text and EXACT not in text
+    assert 0.2 < frictionloss + damping < 0.3
+
+
+@pytest.mark.parametrize(
+    ("loss", "viscous", "expected"),
+    [(0.3, -0.05, (True, False)), (-0.3, 0.5, (False, True)), (-0.3, -0.05, (False, False))],
+    ids=["negative damping", "negative dry friction", "both"],
+)
+def test_nearest_never_drives_the_joint(samples, loss, viscous, expected):
+    torque = loss * np.sign(samples.qvel) + viscous * samples.qvel
+    (frictionloss,), (damping,) = nearest_frictionloss_and_damping(torque, samples.qvel)
+    assert frictionloss >= 0 and damping >= 0
+    assert (frictionloss > 0, damping > 0) == expected
+
+
+def test_nearest_is_taken_joint_by_joint():
+    velocity = np.random.default_rng(1).normal(size=(300, 2))
+    torque = np.array([0.1, 0.4]) * np.sign(velocity) + np.array([0.02, 0.03]) * velocity
+    frictionloss, damping = nearest_frictionloss_and_damping(torque, velocity)
+    np.testing.assert_allclose(frictionloss, [0.1, 0.4], rtol=1e-9)
+    np.testing.assert_allclose(damping, [0.02, 0.03], rtol=1e-9)
+
+
+def test_stribeck_is_nearest_and_says_how_far(bench, samples):
+    params = known(
+        static_torque=0.4,
+        kinetic_torque=0.2,
+        stribeck_velocity=0.1,
+        viscous_coefficient=0.05,
+        smoothing_velocity=0.01,
+    )
+    text, frictionloss, damping = export(bench, CoulombStribeck(1, params), samples)
+    v = samples.qvel
+    torque = (0.2 + 0.2 * np.exp(-((v / 0.1) ** 2))) * np.tanh(v / 0.01) + 0.05 * v
+    rms = np.sqrt(np.mean((torque - frictionloss * np.sign(v) - damping * v) ** 2))
+    assert f"coulomb_stribeck is {NEAREST}" in text and EXACT not in text
+    assert f"RMS difference {rms:.4g} N m" in text
+    # No better pair nearby: the exported one is the least-squares optimum.
+    for change in ((1e-3, 0), (-1e-3, 0), (0, 1e-3), (0, -1e-3)):
+        other = torque - (frictionloss + change[0]) * np.sign(v) - (damping + change[1]) * v
+        assert np.sqrt(np.mean(other**2)) > rms
+
+
+def test_network_is_exported_without_being_changed(bench, samples):
+    model = NeuralFriction(1, hidden=[8], seed=0).float()
+    text, frictionloss, damping = export(bench, model, samples)
+    assert f"neural_friction is {NEAREST}" in text
+    assert frictionloss >= 0 and damping >= 0
+    assert {str(weights.dtype) for weights in model.parameters()} == {"torch.float32"}

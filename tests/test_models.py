@@ -1,0 +1,332 @@
+"""Every friction law of this package, built from its YAML."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import hydra
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import safetensors.torch
+import torch
+from omegaconf import DictConfig, OmegaConf
+
+from frictionzoo.bridge import to_jax
+from frictionzoo.check import check_model
+from frictionzoo.models import FrictionModel, NeuralFriction, get_model, model_names
+from frictionzoo.params import UNITS
+from frictionzoo.types import DriveState, FrictionTerms
+
+CONF = Path(__file__).parent.parent / "conf"
+OURS = [name for name in model_names() if get_model(name).__module__.startswith("frictionzoo.")]
+ANALYTIC = [name for name in OURS if get_model(name).dimensions]
+BENCHES = sorted(path.stem for path in (CONF / "bench").glob("*.yaml"))
+PRIMARY = f"""
+defaults: [_self_, {{bench: knee}}, {{fit: adam}}, {{model: baseline}}]
+hydra: {{searchpath: ["file://{CONF}"]}}
+seed: 0
+"""
+
+Compose = Callable[..., DictConfig]
+
+
+@pytest.fixture
+def compose(tmp_path: Path) -> Compose:
+    """Composes what a model's YAML looks at: a bench, a fit, a seed."""
+    OmegaConf.register_new_resolver("mul", lambda a, b: float(a) * float(b), replace=True)
+    OmegaConf.register_new_resolver("div", lambda a, b: float(a) / float(b), replace=True)
+    (tmp_path / "config.yaml").write_text(PRIMARY)
+
+    def composed(*overrides: str) -> DictConfig:
+        with hydra.initialize_config_dir(str(tmp_path), version_base="1.3"):
+            return hydra.compose("config", list(overrides))
+
+    return composed
+
+
+@pytest.fixture
+def build(compose: Compose) -> Callable[..., FrictionModel]:
+    """Builds a law from its YAML."""
+
+    def built(model: str, nv: int = 1, bench: str = "knee") -> FrictionModel:
+        return hydra.utils.instantiate(compose(f"model={model}", f"bench={bench}").model, nv=nv)
+
+    return built
+
+
+def random_state(*shape: int, seed: int = 0) -> DriveState:
+    return DriveState(*np.random.default_rng(seed).standard_normal((5, *shape)))
+
+
+def in_torch(state: DriveState) -> DriveState:
+    return DriveState(*(torch.tensor(signal) for signal in state))
+
+
+def anywhere_in_bounds(model: FrictionModel, seed: int) -> dict[str, torch.Tensor]:
+    """The model's values, the bounded ones drawn between their bounds."""
+    generator = np.random.default_rng(seed)
+    values = {name: tensor.clone() for name, tensor in model.state_dict().items()}
+    for name, param in model.params.items():
+        values[name] = torch.tensor(np.exp(generator.uniform(np.log(param.low), np.log(param.high), model.nv)))
+    return values
+
+
+def total(terms: FrictionTerms):
+    """One number that depends on every entry of every term."""
+    return sum(((1 + index) * term).sin().sum() for index, term in enumerate(terms) if term is not None)
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_law_has_a_yaml_of_its_name(build, name):
+    assert type(build(name)) is get_model(name)
+
+
+def test_every_yaml_is_tested():
+    assert {path.stem for path in (CONF / "model").glob("*.yaml")} == {*OURS, "mujoco_grid_search"}
+
+
+@pytest.mark.parametrize("bench", BENCHES)
+@pytest.mark.parametrize("nv", [1, 3])
+@pytest.mark.parametrize("name", OURS)
+def test_law_keeps_the_contract(build, name, nv, bench):
+    check_model(build(name, nv, bench))
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_parameters_have_bounds_and_units(build, name):
+    model = build(name)
+    assert set(model.params) == set(get_model(name).dimensions)
+    for param in model.params.values():
+        assert 0 < param.low < param.init < param.high
+        assert all(param.unit(joint_type) in UNITS[joint_type].values() for joint_type in ("hinge", "slide"))
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_torch_equals_jax(build, name):
+    model, state = build(name, 2), random_state(50, 2)
+    model.prepare(state)
+    values = {key: value.detach().clone().requires_grad_() for key, value in model.state_dict().items()}
+    drive = DriveState(*(signal.requires_grad_() for signal in in_torch(state)))
+    ours = model.terms(torch, values, drive)
+    with jax.enable_x64(True):
+        theirs, pull = jax.vjp(lambda *inputs: model.terms(jnp, *inputs), to_jax(model, jnp.float64), state)
+        gradient = pull(jax.tree.map(jnp.ones_like, theirs))
+    torch_gradient = {}
+    if name != "baseline":
+        wanted = values | drive._asdict()
+        outputs = sum(term.sum() for term in ours if term is not None)
+        slopes = torch.autograd.grad(outputs, list(wanted.values()), allow_unused=True, materialize_grads=True)
+        torch_gradient = dict(zip(wanted, slopes, strict=True))
+    # Rounding only: both compute the same formula in float64; the gradients are sums of 100 terms.
+    for term, other in zip(ours, theirs, strict=True):
+        assert (term is None) == (other is None)
+        assert term is None or np.allclose(term.detach().numpy(), other, rtol=1e-12, atol=1e-12)
+    for key, slope in torch_gradient.items():
+        other = np.asarray((gradient[0] | gradient[1]._asdict())[key])
+        assert np.allclose(slope.numpy(), other, rtol=1e-12, atol=1e-12 * max(1.0, np.abs(other).max()))
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("name", [name for name in OURS if name != "baseline"])
+def test_gradient_equals_central_differences(build, name, seed):
+    model, state = build(name, 2), random_state(3, 2, seed=seed)
+    model.prepare(state)
+    values = anywhere_in_bounds(model, seed) if name in ANALYTIC else model.state_dict()
+    names = [key for key, _ in model.named_parameters()]
+
+    def law(*inputs):
+        given = {**values, **dict(zip(names, inputs, strict=False))}
+        return total(model.terms(torch, given, DriveState(*inputs[len(names) :])))
+
+    inputs = [values[key].detach().clone().requires_grad_() for key in names]
+    inputs += [signal.requires_grad_() for signal in in_torch(state)]
+    if name in ANALYTIC:  # the smooth sign is steepest here; a ReLU may have a kink here
+        inputs[len(names) + 1].data[0] = 0.0
+    # fast_mode compares along one random direction, of the thousands that a network has.
+    assert torch.autograd.gradcheck(law, inputs, eps=1e-7, rtol=1e-4, fast_mode=name not in ANALYTIC)
+
+
+@pytest.mark.parametrize("name", [name for name in OURS if name != "baseline"])
+def test_gradient_at_standstill_is_finite(build, name):
+    model = build(name)
+    drive = DriveState(*(torch.zeros(4, 1, dtype=torch.float64, requires_grad=True) for _ in range(5)))
+    total(model(drive)).backward()
+    assert all(torch.isfinite(weights.grad).all() for weights in model.parameters() if weights.requires_grad)
+    assert drive.qvel.grad is None or torch.isfinite(drive.qvel.grad).all()
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("name", [name for name in OURS if get_model(name).dissipative])
+def test_friction_opposes_motion_anywhere_in_bounds(build, name, seed):
+    model, state = build(name), random_state(200, 1, seed=seed)
+    terms = model.terms(torch, anywhere_in_bounds(model, seed), in_torch(state))
+    if terms.torque is not None:
+        assert (terms.torque.numpy() * state.qvel > 0).all()
+    for term in (terms.frictionloss, terms.damping):
+        assert term is None or (term > 0).all()
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_saved_state_is_the_law(build, name, tmp_path):
+    model, other, state = build(name, 2), build(name, 2), random_state(20, 2)
+    model.prepare(state)
+    with torch.no_grad():
+        for weights in model.parameters():
+            weights *= 1.5
+    safetensors.torch.save_file(model.state_dict(), tmp_path / "friction.safetensors")
+    other.load_state_dict(safetensors.torch.load_file(tmp_path / "friction.safetensors"))
+    for ours, theirs in zip(model(in_torch(state)), other(in_torch(state)), strict=True):
+        assert (ours is None and theirs is None) or torch.equal(ours, theirs)
+
+
+def friction(model: FrictionModel, qvel: list[float], **values: float) -> FrictionTerms:
+    given = {name: torch.tensor([value], dtype=torch.float64) for name, value in values.items()}
+    zero = torch.zeros(len(qvel), 1, dtype=torch.float64)
+    speeds = torch.tensor(qvel, dtype=torch.float64)[:, None]
+    return model.terms(torch, given, DriveState(zero, speeds, zero, zero, zero))
+
+
+def test_baseline_has_no_friction(build):
+    assert friction(build("baseline"), [1.0, -2.0]) == FrictionTerms(None, None, None)
+
+
+def test_mujoco_default_hands_its_values_to_the_constraint(build):
+    terms = friction(build("mujoco_default"), [1.0], frictionloss=0.3, damping=0.07)
+    assert (terms.torque, terms.frictionloss.item(), terms.damping.item()) == (None, 0.3, 0.07)
+
+
+def test_coulomb_smooth_known_values(build):
+    terms = friction(
+        build("coulomb_smooth"), [0.0, 0.1, -2.0], static_torque=0.4, smoothing=0.5, viscous_coefficient=0.2
+    )
+    # tanh(10 * 0.5 * 0.1) = tanh(0.5) = 0.46211715726000975; tanh(10) is 1 but for 4e-9
+    assert terms.torque.flatten().tolist() == pytest.approx([0.0, 0.4 * 0.46211715726000975 + 0.02, -0.8], abs=1e-8)
+
+
+def test_coulomb_stribeck_known_values(build):
+    values = {"static_torque": 0.5, "kinetic_torque": 0.3, "stribeck_velocity": 0.1, "smoothing_velocity": 0.01}
+    terms = friction(build("coulomb_stribeck"), [0.0, 0.1, -0.2, 3.0, 0.01], viscous_coefficient=0.2, **values)
+    # exp(-1) = 0.36787944117144233, exp(-4) = 0.018315638888734179, exp(-0.01) = 0.99004983374916811,
+    # tanh(1) = 0.76159415595576489; tanh(10) is 1 but for 4e-9
+    expected = [
+        0.0,
+        0.3 + 0.2 * 0.36787944117144233 + 0.02,
+        -(0.3 + 0.2 * 0.018315638888734179 + 0.04),
+        0.3 + 0.6,
+        (0.3 + 0.2 * 0.99004983374916811) * 0.76159415595576489 + 0.002,
+    ]
+    assert terms.torque.flatten().tolist() == pytest.approx(expected, abs=1e-8)
+
+
+def test_static_friction_is_felt_before_kinetic(build):
+    """The published formula, which swaps the two, would rise with speed instead."""
+    model = build("coulomb_stribeck")
+    values = {name: param.init for name, param in model.params.items()} | {"viscous_coefficient": 0.0}
+    slow, fast = friction(model, [0.03, 1.0], **values).torque.flatten().tolist()
+    assert slow > 1.3 * fast
+    assert fast == pytest.approx(values["kinetic_torque"])
+
+
+def test_neural_friction_known_values():
+    model = NeuralFriction(nv=1, hidden=[2], seed=0)
+    model.load_state_dict(
+        {
+            "layers.0.weight": torch.tensor([[1.0, 0.0, 2.0, 0.0], [0.0, -1.0, 0.0, 1.0]]),
+            "layers.0.bias": torch.tensor([0.5, 0.0]),
+            "layers.1.weight": torch.tensor([[2.0, 3.0]]),
+            "layers.1.bias": torch.tensor([-1.0]),
+            "input_mean": torch.tensor([1.0, 0.0, 0.0, 2.0]),
+            "input_std": torch.tensor([2.0, 1.0, 0.5, 4.0]),
+            "torque_scale": torch.tensor(10.0),
+        }
+    )
+    signals = {"qpos": 2.0, "qvel": 1.0, "ctrl": 0.25, "motor_torque": 99.0, "external_torque": 4.0}
+    state = DriveState(**{name: torch.tensor([value], dtype=torch.float64) for name, value in signals.items()})
+    # x = (0.5, 1, 0.5, 0.5); layer 0 = (0.5 + 1 + 0.5, relu(-1 + 0.5)) = (2, 0); layer 1 = 4 - 1
+    assert model(state).torque.item() == pytest.approx(30.0)
+
+
+def test_neural_friction_has_the_shape_of_its_yaml(build):
+    shapes = [tuple(weights.shape) for weights in build("neural_friction").parameters()]
+    assert shapes == [(64, 4), (64,), (64, 64), (64,), (1, 64), (1,)]
+    assert {weights.dtype for weights in build("neural_friction").parameters()} == {torch.float64}
+
+
+def test_neural_friction_starts_near_zero(build):
+    model, state = build("neural_friction"), random_state(200, 1)
+    model.prepare(state)
+    torque = model(in_torch(state)).torque
+    assert 0 < torque.abs().max() < 0.02 * np.std(state.motor_torque)
+
+
+def test_neural_friction_depends_on_its_seed_alone():
+    torch.manual_seed(1)
+    before = torch.get_rng_state()
+    first = NeuralFriction(nv=1, hidden=[8], seed=3)
+    assert torch.equal(before, torch.get_rng_state())
+    torch.manual_seed(2)
+    again, other = NeuralFriction(nv=1, hidden=[8], seed=3), NeuralFriction(nv=1, hidden=[8], seed=4)
+    for name, weights in first.named_parameters():
+        assert torch.equal(weights, again.get_parameter(name))
+        assert not torch.equal(weights, other.get_parameter(name))
+
+
+def test_neural_friction_takes_its_normalisation_from_the_data():
+    state = random_state(1000, 2)
+    state = state._replace(
+        qpos=5.0 + 3.0 * state.qpos, external_torque=np.full((1000, 2), 0.7), motor_torque=7 * state.qpos
+    )
+    model = NeuralFriction(nv=2, hidden=[4], seed=0)
+    model.prepare(state)
+    expected = [np.mean(signal) for signal in (state.qpos, state.qvel, state.ctrl, state.external_torque)]
+    assert model.input_mean.tolist() == pytest.approx(expected)
+    assert model.input_std[0].item() == pytest.approx(np.std(state.qpos))
+    assert model.input_std[3].item() == 1.0  # a constant input, whose deviation is nothing but rounding
+    assert model.torque_scale.item() == pytest.approx(np.std(state.motor_torque))
+
+
+def test_neural_friction_without_actuation_stays_finite():
+    model = NeuralFriction(nv=1, hidden=[4], seed=0)
+    model.prepare(DriveState(*np.zeros((5, 10, 1))))
+    assert torch.isfinite(model(in_torch(random_state(10, 1))).torque).all()
+
+
+def test_neural_friction_shares_its_weights_over_joints():
+    model, state = NeuralFriction(nv=3, hidden=[4], seed=0), random_state(10, 3)
+    swapped = DriveState(*(signal[:, ::-1].copy() for signal in state))
+    assert torch.equal(model(in_torch(state)).torque.flip(-1), model(in_torch(swapped)).torque)
+
+
+def test_neural_friction_lets_nan_through():
+    model = NeuralFriction(nv=1, hidden=[4], seed=0)
+    state = in_torch(random_state(1))
+    assert torch.isnan(model(state._replace(qvel=torch.full((1,), torch.nan, dtype=torch.float64))).torque).all()
+
+
+@pytest.mark.parametrize("bench", BENCHES)
+def test_grid_search_is_the_default_law_with_the_papers_bounds(compose, bench):
+    config = compose("model=mujoco_grid_search", f"bench={bench}")
+    params = {**config.model.params, "armature": config.bench.params.armature}
+    scales = {"frictionloss": config.scale.torque, "damping": config.scale.damping, "armature": config.scale.inertia}
+    for name, scale in scales.items():
+        assert (params[name].low, params[name].high) == pytest.approx((0.001 * scale, 0.3 * scale))
+        assert params[name].identify and params[name].scale == pytest.approx(scale)
+    assert config.fit._target_ == "frictionzoo.fit.Grid"
+    assert type(hydra.utils.instantiate(config.model, nv=1)) is get_model("mujoco_default")
+
+
+def test_grid_search_can_be_overridden(compose):
+    config = compose("model=mujoco_grid_search", "fit=adam", "model.params.damping.high=0.5")
+    assert (config.fit._target_, config.model.params.damping.high) == ("frictionzoo.fit.Adam", 0.5)
+
+
+@pytest.mark.parametrize("bench", BENCHES)
+@pytest.mark.parametrize("name", ["coulomb_smooth", "coulomb_stribeck"])
+def test_initial_friction_is_stable_in_a_step(compose, build, name, bench):
+    """An explicit torque of slope s chatters in semi-implicit Euler once s * timestep / inertia reaches 2."""
+    model = build(name, bench=bench)
+    zero = torch.zeros(1, dtype=torch.float64)
+    qvel = zero.clone().requires_grad_()
+    slope = torch.autograd.grad(model(DriveState(zero, qvel, zero, zero, zero)).torque, qvel)[0].item()
+    assert slope * 0.001 / compose(f"bench={bench}").bench.params.armature.init < 1.0  # a factor 2 in hand, at 1 ms

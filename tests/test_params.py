@@ -1,0 +1,103 @@
+"""Parameters: coordinates, bounds, units, and the line of each section that makes no sense."""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import torch
+
+from frictionzoo.errors import ConfigError
+from frictionzoo.params import UNITS, Param, read_params
+
+GOOD = {"init": 0.1, "low": 0.01, "high": 1.0, "scale": "log", "identify": True}
+
+
+def make(**changes) -> Param:
+    return Param.from_config("armature", "inertia", GOOD | changes)
+
+
+@pytest.mark.parametrize("scale", ["log", 1, 0.25], ids=str)
+@pytest.mark.parametrize(
+    ("xp", "array"), [(np, np.asarray), (torch, torch.as_tensor), (jnp, jnp.asarray)], ids=["numpy", "torch", "jax"]
+)
+def test_a_coordinate_goes_there_and_back(scale, xp, array):
+    values = array(np.array([0.01, 0.1, 1.0], dtype=np.float32))
+    param = make(scale=scale)
+    back = param.from_coordinate(param.to_coordinate(values, xp), xp)
+    np.testing.assert_allclose(np.asarray(back), [0.01, 0.1, 1.0], rtol=1e-5)  # float32 through exp and log
+
+
+def test_a_step_of_the_coordinate_is_a_share():
+    assert make(scale="log").from_coordinate(math.log(0.2) + 0.01, np) == pytest.approx(0.2 * 1.01, rel=1e-4)
+    assert make(scale=0.5).from_coordinate(0.4 + 0.01, np) == pytest.approx(0.2 + 0.005, rel=1e-12)
+
+
+def test_a_section_becomes_a_parameter():
+    param = make(init="0.2", scale=2, identify=False)
+    assert (param.name, param.dimension) == ("armature", "inertia")
+    assert (param.init, param.low, param.high, param.scale, param.identify) == (0.2, 0.01, 1.0, 2.0, False)
+
+
+@pytest.mark.parametrize(
+    ("dimension", "hinge", "slide"),
+    [
+        ("inertia", "kg m^2", "kg"),
+        ("torque", "N m", "N"),
+        ("damping", "N m s/rad", "N s/m"),
+        ("velocity", "rad/s", "m/s"),
+    ],
+)
+def test_the_unit_follows_from_the_joint(dimension, hinge, slide):
+    param = Param.from_config("x", dimension, GOOD)
+    assert (param.unit("hinge"), param.unit("slide")) == (hinge, slide)
+
+
+def test_both_joints_have_a_unit_for_every_dimension():
+    assert UNITS["hinge"].keys() == UNITS["slide"].keys()
+
+
+BAD = {
+    "empty-bounds": ({"low": 1.0, "high": 1.0, "init": 1.0}, r"^armature: bounds low=1, high=1; expected low < high"),
+    "below": ({"init": 0.001}, r"^armature: init=0\.001 lies outside low=0\.01, high=1; start inside"),
+    "above": ({"init": 2.0}, r"init=2 lies outside"),
+    "nan": ({"init": float("nan")}, r"init=nan lies outside"),
+    "nan-bound": ({"low": float("nan")}, r"bounds low=nan"),
+    "log-of-zero": ({"low": 0.0}, r"low=0 with scale=log; expected low > 0, or a number as scale"),
+    "zero-scale": ({"scale": 0.0}, r"scale=0\.0; expected log or a positive number"),
+    "negative-scale": ({"scale": -1.0}, r"scale=-1\.0; expected log or a positive number"),
+    "word-scale": ({"scale": "logarithm"}, r"^armature: could not convert .* scale is log or a number"),
+    "word": ({"high": "much"}, r"^armature: could not convert .* init, low, high are numbers"),
+    "null": ({"init": None}, r"^armature: .* init, low, high are numbers"),
+    "unknown": ({"hihg": 2.0}, r"^armature\.hihg: unknown option; did you mean high\?"),
+}
+
+
+@pytest.mark.parametrize(("changes", "line"), BAD.values(), ids=BAD)
+def test_a_section_that_makes_no_sense_gets_one_line(changes, line):
+    with pytest.raises(ConfigError, match=line) as caught:
+        make(**changes)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("key", GOOD)
+def test_every_key_of_a_section_is_needed(key):
+    with pytest.raises(ConfigError, match=rf"^armature\.{key}: missing; give high, identify, init, low, scale"):
+        Param.from_config("armature", "inertia", {k: v for k, v in GOOD.items() if k != key})
+
+
+def test_declared_parameters_are_read_in_their_order():
+    dimensions = {"viscous_coefficient": "damping", "coulomb_torque": "torque"}
+    params = read_params("Law", dimensions, {"coulomb_torque": GOOD, "viscous_coefficient": GOOD})
+    assert list(params) == ["viscous_coefficient", "coulomb_torque"]
+    assert params["coulomb_torque"].dimension == "torque"
+
+
+def test_a_parameter_that_the_law_does_not_have():
+    with pytest.raises(ConfigError, match=r"^Law: unknown parameter colomb_torque; did you mean coulomb_torque\?"):
+        read_params("Law", {"coulomb_torque": "torque"}, {"coulomb_torque": GOOD, "colomb_torque": GOOD})
+
+
+def test_a_parameter_without_a_section():
+    with pytest.raises(ConfigError, match=r"^Law: no section for parameter coulomb_torque; add params\.coulomb_torque"):
+        read_params("Law", {"coulomb_torque": "torque"}, {})

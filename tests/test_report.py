@@ -1,0 +1,437 @@
+"""`result.json` against its schema, figures against the data they draw, the summary, and files whole or not at all."""
+
+import contextlib
+import copy
+import json
+import resource
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+from matplotlib import colors
+from matplotlib.image import imread
+
+from frictionzoo.bench import Bench, PositionPD
+from frictionzoo.errors import OutputError
+from frictionzoo.evaluate import Evaluation, Prediction
+from frictionzoo.models.coulomb_stribeck import CoulombStribeck
+from frictionzoo.models.neural_friction import NeuralFriction
+from frictionzoo.output import write_atomically
+from frictionzoo.report.figures import draw_error, draw_parameters, draw_trajectory, save_figure, write_figures
+from frictionzoo.report.result import build_result, read_schema, write_result
+from frictionzoo.report.terminal import summarise
+from frictionzoo.types import Dataset, Log, Segments
+
+TIMESTEP = 0.001
+FIT = {"method": "adam", "iterations": 3, "best_iteration": 2, "loss": 1e-6, "stopped": "all iterations made"}
+TIMING = {"setup": 1.0, "compile": 2.0, "fit": 3.0, "evaluate": 0.5, "total": 6.5}
+PARAMS = {
+    "static_torque": {"init": 0.3, "low": 1e-3, "high": 1.0, "scale": "log", "identify": True},
+    "kinetic_torque": {"init": 0.2, "low": 1e-3, "high": 1.0, "scale": "log", "identify": True},
+    "stribeck_velocity": {"init": 0.1, "low": 0.05, "high": 1.0, "scale": "log", "identify": True},
+    "viscous_coefficient": {"init": 0.05, "low": 1e-3, "high": 1.0, "scale": "log", "identify": True},
+    "smoothing_velocity": {"init": 0.01, "low": 0.01, "high": 0.1, "scale": "log", "identify": False},
+}
+ARMATURE = {"armature": {"init": 0.04, "low": 1e-3, "high": 1.0, "scale": "log", "identify": True}}
+GAINS = {
+    "kp": {"init": 20.0, "low": 1.0, "high": 100.0, "scale": "log", "identify": False},
+    "kd": {"init": 1.0, "low": 0.1, "high": 10.0, "scale": "log", "identify": False},
+}
+VALUES = {name: np.array([section["init"]]) for name, section in PARAMS.items()}
+
+
+def make_log(name, samples, simulated=True):
+    time = np.arange(samples) * TIMESTEP
+    wave = np.sin(3 * time)[:, None]
+    return Log(name, time, wave, 3 * np.cos(3 * time)[:, None], wave, sha256=64 * name[0], simulated=simulated)
+
+
+@pytest.fixture
+def bench():
+    return Bench("knee_rod.xml", None, PositionPD(GAINS), ARMATURE, solreffriction=[0.02, 1.0])
+
+
+@pytest.fixture
+def model():
+    return CoulombStribeck(1, PARAMS)
+
+
+@pytest.fixture
+def dataset():
+    return Dataset("waves", (make_log("a", 400),), (make_log("b", 400),))
+
+
+@pytest.fixture
+def evaluation(dataset):
+    return Evaluation(
+        dataset,
+        "hinge",
+        horizons=[0.1, 0.05],
+        rollouts=4,
+        placement="random",
+        trajectory=0.3,
+        window=0.02,
+        places=3,
+        seed=0,
+    )
+
+
+def hold(values, qpos, qvel, ctrl):
+    """A drive that follows its command with an offset."""
+    return ctrl + values["offset"]["rad"], np.zeros_like(ctrl)
+
+
+def judge(evaluation, offset):
+    return evaluation.judge(hold, {"offset": {"rad": np.array([offset])}})
+
+
+def build(bench, model, dataset, evaluation, friction, offset=0.01, **changes):
+    options = {
+        "values": {
+            "bench": {name: np.array([param.init]) for name, param in bench.params.items()},
+            "friction": friction,
+        },
+        "judgement": judge(evaluation, offset),
+        "baseline": judge(evaluation, 0.04),
+        "fit": FIT,
+        "timing": TIMING,
+        "seed": 0,
+        "dtype": "float64",
+        "device": "cpu",
+    }
+    return build_result(name=model.name, bench=bench, model=model, dataset=dataset, **(options | changes))
+
+
+@pytest.fixture
+def result(bench, model, dataset, evaluation):
+    return build(bench, model, dataset, evaluation, VALUES)
+
+
+def validate(result):
+    jsonschema.Draft202012Validator(read_schema()).validate(result)
+
+
+def test_schema_is_one_and_describes_every_field():
+    schema = read_schema()
+    jsonschema.Draft202012Validator.check_schema(schema)
+    sections = [("result", schema), *schema["$defs"].items(), *schema["properties"].items()]
+    sections += [(f"{name}[]", section["items"]) for name, section in sections if "items" in section]
+    for name, section in sections:
+        fields = section.get("properties", {})
+        assert not fields or section["additionalProperties"] is False, name
+        assert set(fields) == set(section.get("required", [])), name
+        for field, description in fields.items():
+            assert name == "versions" or "description" in description, f"{name}.{field}"
+
+
+def test_result_is_valid(result, tmp_path):
+    validate(result)
+    write_result(tmp_path / "result.json", result)
+    assert json.loads((tmp_path / "result.json").read_text()) == result
+
+
+def test_result_says_what_was_done(result):
+    assert result["model"] == "coulomb_stribeck"
+    assert result["data"]["simulated"] is True
+    assert result["data"]["samples"] == 800
+    assert result["data"]["timestep"] == TIMESTEP
+    assert [(log["part"], log["samples"]) for log in result["data"]["logs"]] == [("train", 400), ("test", 400)]
+    assert [log["sha256"] for log in result["data"]["logs"]] == [64 * "a", 64 * "b"]
+    assert result["data"]["sha256"] not in (64 * "a", 64 * "b")
+    parameters = {(parameter["owner"], parameter["name"]): parameter for parameter in result["parameters"]}
+    assert parameters["friction", "static_torque"] == {
+        "name": "static_torque",
+        "owner": "friction",
+        "value": 0.3,
+        "unit": "N m",
+        "low": 1e-3,
+        "high": 1.0,
+        "identified": True,
+        "at_bound": False,
+    }
+    assert parameters["bench", "armature"]["unit"] == "kg m^2"
+    assert result["network"] is None
+    assert result["fit"] == FIT
+    assert result["timing"] == TIMING
+
+
+def test_result_compares_on_the_same_rollouts(result):
+    test, baseline = result["metrics"]["test"], result["metrics"]["baseline"]
+    assert (test["horizon"], test["rollouts"]) == (0.1, 4)
+    assert (baseline["horizon"], baseline["rollouts"]) == (0.1, 4)
+    # The measured position moves on by up to 3 mrad between the command and the sample that it is compared with.
+    assert test["position_mae"] == pytest.approx(0.01, abs=0.003)
+    assert baseline["position_mae"] == pytest.approx(0.04, abs=0.003)
+    assert [entry["horizon"] for entry in result["by_horizon"]] == [0.1, 0.05]
+    assert result["by_horizon"][0]["test"] == test
+    assert result["paper"]["a"]["model"]["rollouts"] == 1
+    assert result["paper"]["b"]["baseline"]["rollouts"] == 3
+
+
+def test_one_source_keeps_its_hash(bench, model, evaluation):
+    log = make_log("c", 400)
+    result = build(
+        bench,
+        model,
+        Dataset("one", (log.between(0, 200, "train"),), (log.between(200, 400, "test"),)),
+        evaluation,
+        VALUES,
+    )
+    assert result["data"]["sha256"] == 64 * "c"
+
+
+@pytest.mark.parametrize(("value", "expected"), [(1e-3, True), (1.0, True), (1.002e-3, False), (0.99, False)])
+def test_at_bound(bench, model, dataset, evaluation, value, expected):
+    result = build(bench, model, dataset, evaluation, VALUES | {"viscous_coefficient": np.array([value])})
+    at_bound = {parameter["name"] for parameter in result["parameters"] if parameter["at_bound"]}
+    # smoothing_velocity lies on its bound as well, but is known and not identified.
+    assert at_bound == ({"viscous_coefficient"} if expected else set())
+
+
+def test_network_counts_its_weights(bench, dataset, evaluation):
+    result = build(bench, NeuralFriction(1, hidden=[64, 64], seed=0), dataset, evaluation, {})
+    validate(result)
+    assert result["network"] == {"weights": 4 * 64 + 64 + 64 * 64 + 64 + 64 + 1}
+    assert "4545" in summarise(result, Path("run"))
+
+
+def test_divergence_is_null(bench, model, dataset, evaluation):
+    result = build(bench, model, dataset, evaluation, VALUES, offset=np.nan, fit=FIT | {"loss": np.float64(np.nan)})
+    validate(result)
+    assert result["metrics"]["test"]["position_mae"] is None
+    assert result["metrics"]["test"]["diverged"] == 4
+    assert result["fit"]["loss"] is None
+    assert "none" in summarise(result, Path("run"))
+
+
+def breakages():
+    """Name and path of one field that is spoilt, and what it is spoilt with; `...` takes it away."""
+    return [
+        (("model",), ...),
+        (("extra",), 1),
+        (("schema_version",), 2),
+        (("data", "sha256"), "abc"),
+        (("data", "logs"), []),
+        (("data", "logs", 0, "part"), "validation"),
+        (("parameters", 0, "unit"), ...),
+        (("parameters", 0, "value"), None),
+        (("parameters", 0, "value"), [0.1]),
+        (("network",), {"weights": 0}),
+        (("metrics", "test", "position_mae"), -1.0),
+        (("metrics", "test", "rollouts"), 2.5),
+        (("metrics", "test", "more"), 1),
+        (("by_horizon",), []),
+        (("paper", "a", "baseline"), ...),
+        (("fit", "loss"), "small"),
+        (("timing", "total"), -1),
+        (("seed",), None),
+        (("dtype",), "float16"),
+        (("versions", "jax"), ...),
+    ]
+
+
+@pytest.mark.parametrize(("path", "value"), breakages(), ids=[".".join(map(str, path)) for path, _ in breakages()])
+def test_schema_rejects(result, path, value):
+    broken = copy.deepcopy(result)
+    section = broken
+    for key in path[:-1]:
+        section = section[key]
+    if value is ...:
+        del section[path[-1]]
+    else:
+        section[path[-1]] = value
+    with pytest.raises(jsonschema.ValidationError):
+        validate(broken)
+
+
+@contextlib.contextmanager
+def smallest_files(limit):
+    """No file of this process may grow beyond `limit` bytes: writing fails in the middle, as on a full disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_write_atomically(tmp_path):
+    path = tmp_path / "deep" / "result.bin"
+    for content in (b"first", b"second"):
+        write_atomically(path, content)
+        assert path.read_bytes() == content
+    assert list(path.parent.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("before", [None, b"older"])
+def test_full_disk_leaves_nothing_half_written(tmp_path, before):
+    path = tmp_path / "result.json"
+    if before:
+        path.write_bytes(before)
+    with smallest_files(1000), pytest.raises(OutputError) as caught:
+        write_atomically(path, 5000 * b"x")
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "5000 bytes" in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert (path.read_bytes() if path.exists() else None) == before
+    assert list(tmp_path.iterdir()) == ([path] if before else [])
+
+
+def test_unwritable_folder_is_one_line(tmp_path):
+    (tmp_path / "file").write_text("not a folder")
+    with pytest.raises(OutputError, match=r"file/result\.json: File exists"):
+        write_atomically(tmp_path / "file" / "result.json", b"{}")
+
+
+def test_summary_holds_the_numbers(result):
+    text = summarise(result, Path("outputs/run"))
+    assert "coulomb_stribeck on waves. The data are simulated." in text
+    assert "outputs/run" in text
+    lines = {line.split("  ")[0]: line for line in text.splitlines()}
+    assert "0.3" in lines["friction.static_torque"] and "N m" in lines["friction.static_torque"]
+    assert lines["friction.smoothing_velocity"].endswith("known")
+    test, baseline = (result["metrics"][part]["position_mae"] for part in ("test", "baseline"))
+    assert f"{test:.4g}" in lines["position MAE"] and f"{baseline:.4g}" in lines["position MAE"]
+    assert lines["position MAE"].endswith(f"{round(100 * (test / baseline - 1)):+d} %")
+    assert "warning" not in text
+    assert max(map(len, text.splitlines())) <= 80
+
+
+def test_summary_says_real(bench, model, evaluation):
+    dataset = Dataset("encoder", (make_log("a", 400, simulated=False),), (make_log("b", 400, simulated=False),))
+    text = summarise(build(bench, model, dataset, evaluation, VALUES), Path("run"))
+    assert "encoder. The data are real" in text and "simulated" not in text
+
+
+def test_summary_warns_at_a_bound(bench, model, dataset, evaluation):
+    text = summarise(
+        build(bench, model, dataset, evaluation, VALUES | {"kinetic_torque": np.array([1.0])}), Path("run")
+    )
+    assert "warning: friction.kinetic_torque ended at a bound of [0.001, 1] N m" in text
+
+
+def history(**values):
+    return {"iteration": np.array([1, 2, 3]), "loss": np.array([3.0, 1.0, 2.0]), "grad_norm": np.ones(3)} | values
+
+
+def drawn(axes, color):
+    """Data of the one line of this colour."""
+    lines = [line for line in axes.get_lines() if colors.same_color(line.get_color(), color)]
+    (line,) = [line for line in lines if line.get_marker() == "None"]
+    return np.asarray(line.get_xdata()), np.asarray(line.get_ydata())
+
+
+def test_figure3_draws_every_parameter():
+    values = {"bench.armature": np.array([[1.0], [2.0], [4.0]]), "friction.damping": np.array([5.0, 6.0, 7.0])}
+    units = {"bench.armature": "kg m^2", "friction.damping": "N m s/rad"}
+    figure = draw_parameters(history(**values), 2, units, "title")
+    armature, damping = figure.get_axes()
+    assert (armature.get_ylabel(), damping.get_ylabel()) == ("armature\n[kg m^2]", "damping\n[N m s/rad]")
+    for axes, name in ((armature, "bench.armature"), (damping, "friction.damping")):
+        iterations, curve = drawn(axes, "#0072B2")
+        np.testing.assert_array_equal(iterations, [1, 2, 3])
+        np.testing.assert_array_equal(curve, values[name].ravel())
+        best, marker = axes.get_lines()[0], axes.get_lines()[-1]
+        assert set(best.get_xdata()) == {2} and best.get_linestyle() == "--"
+        assert (marker.get_xdata()[0], marker.get_ydata()[0]) == (2, values[name].ravel()[1])
+
+
+def test_figure3_of_a_network_draws_loss_and_gradient():
+    figure = draw_parameters(history(**{"bench.armature": np.ones(3)}), 2, {"bench.armature": "kg"}, "title")
+    shown = [axes.get_ylabel() for axes in figure.get_axes() if axes.axison]
+    assert shown == ["armature\n[kg]", "loss", "grad_norm"]
+
+
+def test_figure3_draws_every_joint():
+    values = {"friction.damping": np.arange(6.0).reshape(3, 2)}
+    (axes,) = draw_parameters(history(**values), 3, {"friction.damping": "N m s/rad"}, "title").get_axes()
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["joint 0", "joint 1"]
+
+
+def make_rollout(nv=1, length=200):
+    time = np.arange(length + 1) * TIMESTEP
+    states = np.repeat(np.sin(20 * time)[None, :, None], nv, axis=2)
+    segments = Segments(states, 2 * states, states[:, :-1], TIMESTEP)
+    growth = np.linspace(0, 1, length)[None, :, None]
+    model, baseline = (
+        Prediction(states[:, 1:] + error * growth, 2 * states[:, 1:] + error * growth) for error in (0.02, 0.1)
+    )
+    return segments, model, baseline
+
+
+def test_figure4_draws_the_rollouts():
+    segments, model, baseline = make_rollout()
+    figure = draw_trajectory(segments, model, baseline, "hinge", ("knee",), "a test rollout of simulated data")
+    assert figure.get_suptitle() == "a test rollout of simulated data"
+    position, velocity = figure.get_axes()
+    assert (position.get_ylabel(), velocity.get_ylabel()) == ("position [rad]", "velocity [rad/s]")
+    assert velocity.get_xlabel() == "time [s]"
+    for axes, signal in ((position, "qpos"), (velocity, "qvel")):
+        measured = getattr(segments, signal)[0, :, 0]
+        np.testing.assert_array_equal(drawn(axes, "black")[1], measured)
+        np.testing.assert_allclose(drawn(axes, "black")[0], np.arange(201) * TIMESTEP, rtol=1e-12)
+        for color, prediction in (("#0072B2", model), ("#E69F00", baseline)):
+            expected = np.concatenate([measured[:1], getattr(prediction, signal)[0, :, 0]])
+            np.testing.assert_array_equal(drawn(axes, color)[1], expected)
+    (inset,) = position.child_axes
+    assert inset.get_xlim()[1] == pytest.approx(0.2)  # the error grows to the end
+
+
+def test_figure4_has_a_column_a_joint():
+    figure = draw_trajectory(*make_rollout(nv=2), "slide", ("x", "y"), "title")
+    assert [axes.get_title() for axes in figure.get_axes()] == ["x", "y", "", ""]
+    assert figure.get_axes()[3].get_ylabel() == "velocity [m/s]"
+
+
+def test_figure5_draws_the_moving_error():
+    segments, model, baseline = make_rollout()
+    (axes,) = draw_error(segments, model, baseline, "hinge", 0.01, "title").get_axes()
+    assert axes.get_ylabel() == "absolute position error [rad]"
+    time, mean = drawn(axes, "#0072B2")
+    error = np.concatenate([[0.0], np.abs(model.qpos - segments.qpos[:, 1:])[0, :, 0]])
+    np.testing.assert_allclose(mean, [error[i : i + 10].mean() for i in range(192)], rtol=1e-12)
+    np.testing.assert_allclose(time[[0, -1]], [0.0045, 0.1955], rtol=1e-12)
+    assert len(axes.collections) == 2  # a band each
+    assert axes.get_yscale() == "linear"
+
+
+def test_figure5_keeps_the_smaller_error_visible():
+    segments, model, baseline = make_rollout()
+    away = Prediction(baseline.qpos * 1e3, baseline.qvel)
+    (axes,) = draw_error(segments, model, away, "hinge", 0.01, "title").get_axes()
+    assert axes.get_yscale() == "log"
+
+
+@pytest.mark.parametrize("spoilt", ["model", "baseline"])
+@pytest.mark.parametrize("first", [0, 100])
+def test_diverged_rollouts_are_drawn_as_far_as_they_go(tmp_path, spoilt, first):
+    segments, model, baseline = make_rollout()
+    prediction = {"model": model, "baseline": baseline}[spoilt]
+    prediction.qpos[:, first:] = np.inf
+    figure = draw_trajectory(segments, model, baseline, "hinge", ("knee",), "title")
+    curve = drawn(figure.get_axes()[0], {"model": "#0072B2", "baseline": "#E69F00"}[spoilt])[1]
+    assert np.isfinite(curve).sum() == first + 1
+    save_figure(figure, tmp_path / "figure4.png")
+    save_figure(draw_error(segments, model, baseline, "hinge", 0.01, "title"), tmp_path / "figure5.png")
+
+
+def test_figures_are_written(bench, model, dataset, evaluation, tmp_path):
+    values = {"bench.armature": np.ones(3), "friction.static_torque": np.arange(3.0)}
+    write_figures(
+        tmp_path,
+        bench,
+        model,
+        dataset,
+        evaluation,
+        judge(evaluation, 0.01),
+        judge(evaluation, 0.04),
+        history(**values),
+        2,
+    )
+    names = ["figure3_parameters.png", "figure4_trajectory.png", "figure5_error.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == names
+    for name in names:
+        image = imread(tmp_path / name, format="png")
+        assert image.shape[1] == 1200
+        assert image.std() > 0.05  # more than an empty canvas

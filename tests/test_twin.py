@@ -1,0 +1,347 @@
+"""The simulated twin: physics against an independent integrator, hidden effects, determinism, cache, bad options."""
+
+import copy
+import math
+from pathlib import Path
+
+import hydra
+import mujoco
+import numpy as np
+import pytest
+import scipy.integrate
+from omegaconf import OmegaConf
+
+from frictionzoo.errors import ConfigError, LogError
+from frictionzoo.logs import cache
+from frictionzoo.logs.twin import HiddenDrive, Twin
+from frictionzoo.segments import cut_segments
+
+CONF = Path(__file__).parent.parent / "conf" / "data"
+SIGNALS = ("time", "qpos", "qvel", "ctrl")
+
+# Two seconds of a drive with every hidden effect, in shapes that are smooth enough for an adaptive integrator.
+SHORT = {
+    "name": "short",
+    "seed": 3,
+    "samples": 2001,
+    "timestep": 1e-3,
+    "substeps": 4,
+    "mjcf": "knee_rod.xml",
+    "excitation": {
+        "harmonics": 5,
+        "amplitude": [0.5, 1.5],
+        "frequency": [3.0, 12.0],
+        "phase": [0.0, 6.28],
+        "velocity_limit": 4.0,
+    },
+    "controller": {"kp": 20.0, "kd": 1.0},
+    "drive": {
+        "armature": 0.05,
+        "coulomb_torque": 0.2,
+        "static_torque": 0.3,
+        "stribeck_velocity": 0.5,
+        "viscous_coefficient": 0.1,
+        "smoothing_velocity": 0.3,
+        "load_share": 0.2,
+        "ripple_torque": 0.05,
+        "ripple_periods": 12.0,
+        "command_delay": 0.002,
+    },
+    "sensor": {"position_quantum": 0.0, "velocity_noise": 0.0},
+    "split": {"test_share": 0.4, "gap": 0.1},
+    "cache_dir": None,
+}
+
+
+def options(**changes):
+    """SHORT with some of it changed: `drive__armature=0.1` reaches into a section."""
+    given = copy.deepcopy(SHORT)
+    for name, value in changes.items():
+        *section, key = name.split("__")
+        (given[section[0]] if section else given)[key] = value
+    return given
+
+
+def from_yaml(name, tmp_path) -> Twin:
+    """The twin of `conf/data/NAME.yaml`."""
+    return hydra.utils.instantiate(OmegaConf.load(CONF / f"{name}.yaml"), cache_dir=str(tmp_path))
+
+
+def same(first, second) -> bool:
+    return all(np.array_equal(getattr(first, signal), getattr(second, signal)) for signal in SIGNALS)
+
+
+@pytest.fixture(scope="module", params=["twin", "twin_clean"])
+def shipped(request, tmp_path_factory):
+    """Each shipped twin with its data set."""
+    twin = from_yaml(request.param, tmp_path_factory.mktemp("cache"))
+    return twin, twin.load()
+
+
+def integrate(ctrl: np.ndarray, drive: dict) -> np.ndarray:
+    """The same bench and drive written down again from the paper's numbers, by an adaptive Runge-Kutta method."""
+    inertia = 0.0011 + 0.26 * 0.1127**2 + drive["armature"]
+    weight = 0.26 * 9.81 * 0.1127
+
+    def motion(_, state, command):
+        q, v = state
+        motor = 20.0 * (command - q) - 1.0 * v
+        stribeck = (drive["static_torque"] - drive["coulomb_torque"]) * math.exp(
+            -((v / drive["stribeck_velocity"]) ** 2)
+        )
+        dry = drive["coulomb_torque"] + stribeck + drive["load_share"] * abs(motor)
+        dry += drive["ripple_torque"] * math.sin(drive["ripple_periods"] * q)
+        friction = dry * math.tanh(v / drive["smoothing_velocity"]) + drive["viscous_coefficient"] * v
+        return v, (motor - friction - weight * math.sin(q)) / inertia
+
+    states = [np.array([ctrl[0], 0.0])]
+    for sample in range(len(ctrl) - 1):
+        command = ctrl[max(sample - 2, 0)]  # late by 2 ms, held over each millisecond
+        step = scipy.integrate.solve_ivp(motion, (0, 1e-3), states[-1], args=(command,), rtol=1e-8, atol=1e-10)
+        states.append(step.y[:, -1])
+    return np.array(states)
+
+
+def test_the_simulation_obeys_the_equation_of_motion():
+    twin = Twin(**options(samples=801))
+    ctrl = twin.load().train[0].ctrl[:, 0]
+    errors = []
+    for substeps in (10, 20):
+        qpos, qvel = Twin(**options(samples=len(ctrl), substeps=substeps)).simulate(ctrl)
+        reference = integrate(ctrl, SHORT["drive"])
+        errors.append([np.abs(qpos[:, 0] - reference[:, 0]).max(), np.abs(qvel[:, 0] - reference[:, 1]).max()])
+    # Semi-implicit Euler is of first order: the error is below step x change per second (0.1 ms x 4 rad/s, and
+    # 0.1 ms x 30 rad/s^2), and half the step halves it, which a term that is missing or wrong would not do.
+    assert errors[0][0] < 4e-4
+    assert errors[0][1] < 3e-3
+    np.testing.assert_allclose(np.divide(*errors), 2.0, rtol=0.1)
+
+
+def test_the_rod_has_the_published_inertia_and_hangs_down():
+    model = mujoco.MjModel.from_xml_string(Twin(**options()).mjcf)
+    data = mujoco.MjData(model)
+    data.qpos[0] = 0.3
+    mujoco.mj_forward(model, data)
+    inertia = np.zeros(1)
+    mujoco.mj_mulM(model, data, inertia, np.ones(1))
+    assert inertia[0] == pytest.approx(0.0011 + 0.26 * 0.1127**2, rel=1e-12)
+    assert data.qfrc_bias[0] == pytest.approx(0.26 * 9.81 * 0.1127 * math.sin(0.3), rel=1e-12)
+    assert (model.dof_armature[0], model.dof_damping[0], model.dof_frictionloss[0], model.nu) == (0.0, 0.0, 0.0, 0)
+
+
+def test_a_frictionless_free_drive_keeps_its_energy():
+    nothing = dict.fromkeys(SHORT["drive"], 0.0) | {
+        "armature": 0.01,
+        "stribeck_velocity": 1.0,
+        "smoothing_velocity": 1.0,
+    }
+    twin = Twin(**options(samples=2000, substeps=20, drive=nothing, controller={"kp": 0.0, "kd": 0.0}))
+    qpos, qvel = twin.simulate(np.full(2000, 0.5))
+    inertia = 0.0011 + 0.26 * 0.1127**2 + 0.01
+    energy = inertia * qvel**2 / 2 - 0.26 * 9.81 * 0.1127 * np.cos(qpos)
+    swing = 0.26 * 9.81 * 0.1127 * (1 - math.cos(0.5))
+    assert qpos.min() == pytest.approx(-0.5, abs=1e-3)  # it swings to the other side
+    assert np.ptp(energy) < 1e-3 * swing  # a symplectic step of 0.05 ms
+
+
+def test_a_command_acts_late():
+    ctrl = np.where(np.arange(100) < 10, 0.0, 0.1)
+    for delay, first in ((0.0, 11), (0.002, 13), (0.00525, 16)):
+        qpos, _ = Twin(**options(samples=100, drive__command_delay=delay)).simulate(ctrl)
+        assert int(np.argmax(qpos[:, 0] != 0.0)) == first  # the first sample after the command has arrived
+
+
+def test_the_encoder_has_steps_and_the_velocity_noise():
+    exact = Twin(**options()).load().train[0]
+    measured = Twin(**options(sensor={"position_quantum": 1e-3, "velocity_noise": 0.02})).load().train[0]
+    steps = measured.qpos / 1e-3
+    np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
+    assert 0.4e-3 < np.abs(measured.qpos - exact.qpos).max() <= 0.5e-3 * (1 + 1e-9)
+    noise = measured.qvel - exact.qvel
+    assert np.std(noise) == pytest.approx(0.02, rel=0.1)  # 1101 samples: the estimate has a spread of 2 %
+    assert abs(np.corrcoef(noise[1:, 0], noise[:-1, 0])[0, 1]) < 0.15  # white: five times the spread of 0.03
+    np.testing.assert_array_equal(measured.ctrl, exact.ctrl)
+
+
+@pytest.mark.parametrize(
+    ("term", "value"),
+    [("load_share", 0.0), ("ripple_torque", 0.0), ("static_torque", 0.2), ("viscous_coefficient", 0.0)],
+)
+def test_every_term_of_the_friction_moves_the_joint(term, value):
+    with_term = Twin(**options()).load().train[0]
+    without = Twin(**options(**{f"drive__{term}": value})).load().train[0]
+    assert np.abs(with_term.qpos - without.qpos).max() > 5e-4
+
+
+@pytest.mark.parametrize("name", ["twin", "twin_clean"])
+def test_the_hidden_friction_only_dissipates(name, tmp_path):
+    drive = from_yaml(name, tmp_path).drive
+    rng = np.random.default_rng(0)
+    for qpos, qvel, torque in rng.uniform([-1, -4, -3], [1, 4, 3], (1000, 3)).tolist():
+        assert drive.friction(qpos, qvel, torque) * qvel >= 0
+    assert drive.friction(0.3, 0.0, 2.0) == 0.0
+
+
+def test_the_clean_drive_is_coulomb_stribeck_and_nothing_else(tmp_path):
+    drive = from_yaml("twin_clean", tmp_path).drive
+    assert (drive.load_share, drive.ripple_torque, drive.command_delay) == (0.0, 0.0, 0.0)
+    for qvel in (-2.0, -0.05, 0.003, 0.5):
+        stribeck = (drive.static_torque - drive.coulomb_torque) * math.exp(-((qvel / drive.stribeck_velocity) ** 2))
+        law = (drive.coulomb_torque + stribeck) * math.tanh(qvel / 0.01) + drive.viscous_coefficient * qvel
+        # The law is the same expression, so only rounding separates them.
+        assert drive.friction(0.7, qvel, 5.0) == pytest.approx(law, rel=1e-14)
+
+
+def test_the_default_twin_has_every_hidden_effect(tmp_path):
+    twin = from_yaml("twin", tmp_path)
+    drive, sensor = twin.drive, twin.sensor
+    assert all(value > 0 for value in (drive.load_share, drive.ripple_torque, drive.command_delay))
+    assert sensor.position_quantum > 0 and sensor.velocity_noise > 0
+    assert drive.ripple_torque < drive.coulomb_torque  # or friction would drive the joint somewhere
+    assert twin.substeps > 1
+
+
+def test_the_shipped_recordings_follow_the_protocol(shipped):
+    twin, dataset = shipped
+    (train,), (test,) = dataset.train, dataset.test
+    assert (twin.samples, twin.timestep) == (119_981, 1e-3)
+    assert (twin.controller.kp, twin.controller.kd, twin.excitation.harmonics) == (20.0, 1.0, 5)
+    assert dataset.name == twin.name
+    assert (train.name, test.name) == (f"{twin.name}[train]", f"{twin.name}[test]")
+    assert train.simulated and test.simulated
+    assert cut_segments([train], 20_000, 5).count == 20_000
+    assert test.time[-1] - test.time[0] == pytest.approx(18.0, abs=0.1)
+    assert test.time[0] - train.time[-1] >= twin.split["gap"]
+    for log in (train, test):
+        speed = np.abs(np.diff(log.ctrl[:, 0]) / 1e-3)
+        assert speed.max() < 4.0 + 0.05  # clipped at 4 rad/s, plus the straight line that was removed
+        assert speed.max() > 2.0
+        assert np.abs(log.qpos).max() < 2.0  # less than a third of a turn to each side: it does not drift away
+
+
+def test_the_clip_limits_the_commanded_speed():
+    twin = Twin(**options(samples=20_000, excitation__amplitude=[2.0, 3.0]))
+    time = np.arange(20_000) * 1e-3
+    speed = np.diff(twin.excitation.command(time, np.random.default_rng(0))) / 1e-3
+    assert np.abs(speed).max() == pytest.approx(4.0, abs=0.2)  # the removed line has a slope below that
+    assert np.mean(np.abs(speed) > 3.7) > 0.1
+
+
+def test_the_same_seed_gives_the_same_recording_and_another_another():
+    first, again, other = (Twin(**options(seed=seed)).load().train[0] for seed in (1, 1, 2))
+    assert same(first, again) and first.sha256 == again.sha256
+    assert not same(first, other) and first.sha256 != other.sha256
+
+
+def test_the_hash_is_that_of_the_whole_recording(tmp_path):
+    dataset = Twin(**options(cache_dir=str(tmp_path))).load()
+    with np.load(next(tmp_path.iterdir()), allow_pickle=False) as stored:
+        whole = {signal: stored[signal] for signal in SIGNALS}
+    assert dataset.train[0].sha256 == dataset.test[0].sha256 == cache.digest(whole)
+    changed = whole | {"ctrl": whole["ctrl"] + 1e-12}
+    assert cache.digest(changed) != cache.digest(whole)
+
+
+def test_the_cache_is_read(tmp_path):
+    twin = Twin(**options(cache_dir=str(tmp_path)))
+    made = twin.load().train[0]
+    assert [path.suffix for path in tmp_path.iterdir()] == [".npz"]
+    assert same(made, twin.load().train[0])
+    with np.load(twin.cache_file(), allow_pickle=False) as stored:
+        marked = {signal: stored[signal] for signal in SIGNALS}
+    marked["qpos"] = marked["qpos"] + 1.0  # intact, and recognisable
+    np.savez(twin.cache_file(), sha256=np.array(cache.digest(marked)), **marked)
+    np.testing.assert_array_equal(twin.load().train[0].qpos, made.qpos + 1.0)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"seed": 4},
+        {"samples": 1999},
+        {"substeps": 5},
+        {"drive__armature": 0.051},
+        {"sensor__velocity_noise": 0.01},
+        {"controller__kp": 21.0},
+        {"excitation__velocity_limit": 3.9},
+    ],
+    ids=lambda changes: next(iter(changes)),
+)
+def test_another_setting_has_another_cache_file(changes, tmp_path):
+    folder = {"cache_dir": str(tmp_path)}
+    assert Twin(**options(**changes, **folder)).cache_file() != Twin(**options(**folder)).cache_file()
+
+
+def test_the_split_shares_the_cache_file(tmp_path):
+    folder = {"cache_dir": str(tmp_path)}
+    assert Twin(**options(split__gap=0.2, **folder)).cache_file() == Twin(**options(**folder)).cache_file()
+
+
+@pytest.mark.parametrize("damage", ["garbage", "empty", "truncated", "no-array", "wrong-hash", "objects"])
+def test_a_damaged_cache_is_made_anew(damage, tmp_path, caplog):
+    twin = Twin(**options(cache_dir=str(tmp_path)))
+    made = twin.load().train[0]
+    path = twin.cache_file()
+    whole = path.read_bytes()
+    with np.load(path, allow_pickle=False) as stored:
+        arrays = {name: stored[name] for name in stored.files}
+    if damage == "no-array":
+        np.savez(path, **{name: values for name, values in arrays.items() if name != "qvel"})
+    elif damage == "wrong-hash":
+        np.savez(path, **(arrays | {"qvel": arrays["qvel"] + 1.0}))
+    elif damage == "objects":
+        np.savez(path, **(arrays | {"qvel": np.array([print], dtype=object)}))
+    else:
+        path.write_bytes({"garbage": b"not an archive", "empty": b"", "truncated": whole[: len(whole) // 2]}[damage])
+    assert same(made, twin.load().train[0])
+    assert "made anew" in caplog.text
+    caplog.clear()
+    assert same(made, twin.load().train[0])
+    assert not caplog.text  # the damaged file was replaced
+
+
+def test_a_cache_that_cannot_be_written_costs_only_time(tmp_path, caplog):
+    blocked = tmp_path / "file"
+    blocked.write_text("in the way")
+    dataset = Twin(**options(cache_dir=str(blocked / "cache"))).load()
+    assert same(dataset.train[0], Twin(**options()).load().train[0])
+    assert "cannot be written" in caplog.text
+
+
+def test_the_users_cache_folder_is_the_operating_systems(tmp_path):
+    assert cache.cache_folder(None) is None
+    assert cache.cache_folder(str(tmp_path)) == tmp_path
+    assert "frictionzoo" in str(cache.cache_folder("user"))
+
+
+BAD_OPTIONS = {
+    "bench": ({"mjcf": "knee_rot.xml"}, r"data\.mjcf=knee_rot\.xml: no such bench; did you mean knee_rod\.xml\?"),
+    "unknown": ({"drive__armatur": 1.0}, r"data\.drive\.armatur: unknown option; did you mean armature\?"),
+    "missing": ({"controller": {"kp": 20.0}}, r"data\.controller\.kd: missing; give kp, kd"),
+    "number": ({"drive__armature": "much"}, r"data\.drive\.armature=much: expected a number"),
+    "range": ({"excitation__phase": [0.0]}, r"data\.excitation\.phase=\[0\.0\]: expected two numbers, \[low, high\]"),
+    "samples": ({"samples": 0}, r"data\.samples=0: expected a whole number of 2 or more"),
+    "substeps": ({"substeps": 0}, r"data\.substeps=0: expected a whole number of 1 or more"),
+    "seed": ({"seed": -1}, r"data\.seed=-1: expected a whole number of 0 or more"),
+    "speed": ({"drive__smoothing_velocity": 0.0}, r"data\.drive\.smoothing_velocity=0: expected a positive speed"),
+    "delay": ({"drive__command_delay": -0.001}, r"data\.drive\.command_delay=-0\.001: expected 0 or more"),
+    "timestep": ({"timestep": 0.0}, r"data\.timestep=0\.0: expected a positive number"),
+}
+
+
+@pytest.mark.parametrize(("changes", "line"), BAD_OPTIONS.values(), ids=BAD_OPTIONS)
+def test_options_that_make_no_sense(changes, line):
+    with pytest.raises(ConfigError, match=line):
+        Twin(**options(**changes))
+
+
+def test_a_split_that_leaves_a_part_empty():
+    with pytest.raises(LogError, match=r"short: the test part has 0 of 2001 samples .* change data\.split"):
+        Twin(**options(split__test_share=0.0)).load()
+
+
+def test_a_drive_that_runs_away_is_refused_as_a_log():
+    # An explicit step cannot hold this much damping: the state overflows and MuJoCo resets it, over and over.
+    drive = HiddenDrive(**(SHORT["drive"] | {"viscous_coefficient": 1e6}))
+    with pytest.raises(LogError, match=r"short: the simulation diverged at sample \d+"):
+        Twin(**options(drive=vars(drive))).load()
