@@ -16,6 +16,16 @@ _PACKAGE = Path(__file__).parent
 # A wheel ships conf/ inside the package; in a checkout it stands beside it.
 CONF_DIR = _PACKAGE / "conf" if (_PACKAGE / "conf").is_dir() else _PACKAGE.parent / "conf"
 _NUMBERS = (int, float)
+# Options that may be null, with an example of each kind of value that they take besides.
+_NULLABLE: dict[str, tuple[Any, ...]] = {
+    "resume": ("",),
+    "segments.count": (0,),
+    "loop.patience": (0,),
+    "evaluation.rollouts": (0,),
+    "bench.joint": ("", []),
+    "data.folder": ("",),
+    "data.cache_dir": ("",),
+}
 
 
 def register_resolvers() -> None:
@@ -67,25 +77,39 @@ def build(section: Mapping[str, Any], **more: Any) -> Any:
         raise ConfigError(f"{target}: {error}; compare the section with conf/") from error
 
 
-def check_overrides(overrides: list[str], config: DictConfig, plain: DictConfig) -> None:
-    """Refuse a value of another type than the one it replaces.
+def check_overrides(config: DictConfig, plain: DictConfig) -> None:
+    """Refuse options that do not exist, are gone, or have a value of another type than the one that it replaces.
 
     Args:
-        overrides: As on the command line.
         config: The composed configuration.
-        plain: The same with nothing but the choices of groups overridden.
+        plain: The same with nothing but the choices of groups.
 
     Raises:
-        ConfigError: Text came where a number stands, or the like.
+        ConfigError: A key or a value is not what `plain` has in its place.
     """
-    given = {override.lstrip("+~").partition("=")[0] for override in overrides}
-    before = dict(_leaves(OmegaConf.to_container(plain, resolve=True)))
-    for key, value in _leaves(OmegaConf.to_container(config, resolve=True)):
-        if not any(key == name or key.startswith(f"{name}.") for name in given) or before.get(key) is None:
-            continue
-        if value is not None and not _same_kind(value, before[key]):
-            kind = _kind(before[key])
-            raise ConfigError(f"{key}={value}; expected {kind} such as {before[key]}")
+    before, after = (dict(_leaves(OmegaConf.to_container(part, resolve=True))) for part in (plain, config))
+    for key in [key for key in after if key not in before]:
+        inside = [name.removeprefix(f"{key}.") for name in before if name.startswith(f"{key}.")]
+        if inside:
+            raise ConfigError(f"{key}={_text(after[key])}; expected a section with {', '.join(inside)}")
+        raise ConfigError(f"{key}: unknown option; {suggest_option(key, plain)}")
+    for key in [key for key in before if key not in after]:
+        raise ConfigError(f"{key}: missing; expected a value such as {before[key]}; do not delete it")
+    for key, value in after.items():
+        _check_value(key, value, before[key])
+
+
+def _check_value(key: str, value: Any, example: Any) -> None:
+    name = key.rpartition(".")[2]
+    if name == "seed" and not (_same_kind(value, 0) and value >= 0):
+        raise ConfigError(f"{key}={_text(value)}; expected a whole number from 0 on, so that the run can be repeated")
+    # A parameter's scale is text or a number; `Param` looks at it.
+    if name == "scale" or (value is None and (key in _NULLABLE or example is None)):
+        return
+    examples = _NULLABLE.get(key, () if example is None else (example,))
+    if examples and not any(_same_kind(value, other) for other in examples):
+        such = "" if example is None else f" such as {example}"
+        raise ConfigError(f"{key}={_text(value)}; expected {' or '.join(map(_kind, examples))}{such}")
 
 
 def _same_kind(value: Any, example: Any) -> bool:
@@ -93,7 +117,13 @@ def _same_kind(value: Any, example: Any) -> bool:
         return isinstance(value, bool) and isinstance(example, bool)
     if isinstance(example, int):
         return isinstance(value, int)
+    if isinstance(example, list):
+        return isinstance(value, list) and all(_same_kind(item, first) for first in example[:1] for item in value)
     return isinstance(value, _NUMBERS) if isinstance(example, float) else isinstance(value, type(example))
+
+
+def _text(value: Any) -> str:
+    return "null" if value is None else str(value)
 
 
 def _kind(example: Any) -> str:
@@ -102,12 +132,12 @@ def _kind(example: Any) -> str:
 
 
 def _leaves(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Every value with its dotted key, lists as values, without `scale`, which is text or a number."""
+    """Every value with its dotted key, lists as values."""
     for key, value in config.items():
         name = f"{prefix}{key}"
         if isinstance(value, dict):
             yield from _leaves(value, f"{name}.")
-        elif key != "scale":
+        else:
             yield name, value
 
 
@@ -120,8 +150,9 @@ def _find(target: str) -> Any:
         found = getattr(importlib.import_module(module), name)
     except (ModuleNotFoundError, AttributeError):
         raise ConfigError(f"_target_={target}; expected a class that exists; compare with conf/") from None
-    if not isinstance(found, type):
-        raise ConfigError(f"_target_={target}; expected a class")
+    # A module may also hold what it imported from elsewhere.
+    if not isinstance(found, type) or found.__module__.partition(".")[0] not in packages:
+        raise ConfigError(f"_target_={target}; expected a class of {' or '.join(sorted(packages))}")
     return found
 
 

@@ -1,18 +1,42 @@
-"""What tests share: the composed configuration, parts built from it, and where real recordings lie."""
+"""What tests share: configurations, parts built from them, recordings, and jobs, in this process or in their own."""
 
+import logging
 import os
-from collections.abc import Callable
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import absl.logging
+import jax
+import numpy as np
 import pytest
+from jax.experimental.compilation_cache import compilation_cache as jax_cache
 from omegaconf import DictConfig, OmegaConf
 
 from frictionzoo.bench import Bench
 from frictionzoo.config import build, compose_config
+from frictionzoo.run import main
 
 DATA = os.environ.get("FRICTIONZOO_DATA")
 needs_data = pytest.mark.skipif(DATA is None, reason="FRICTIONZOO_DATA is not set; it names the folder of recordings")
+
+ROOT = Path(__file__).parent.parent
+CACHE_OPTIONS = {  # keep every compiled function, however small
+    "jax_persistent_cache_min_compile_time_secs": 0,
+    "jax_persistent_cache_min_entry_size_bytes": -1,
+}
+
+
+@dataclass(frozen=True)
+class Finished:
+    """What a command left: exit status, standard output and standard error."""
+
+    status: int
+    out: str
+    err: str
 
 
 @pytest.fixture(scope="session")
@@ -42,3 +66,88 @@ def knee(make: Callable[..., Any]) -> Bench:
 def compilation_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder in which the programs that tests start share compiled functions."""
     return tmp_path_factory.mktemp("xla")
+
+
+@pytest.fixture(scope="session")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A CSV recording of 1.5 s at 1 ms: the paper's rod under its controller, with Coulomb and viscous friction."""
+    samples, timestep, inertia = 1500, 1e-3, 0.0011 + 0.26 * 0.1127**2 + 0.04
+    time = timestep * np.arange(samples)
+    ctrl = 0.6 * np.sin(2 * np.pi * 1.5 * time) + 0.3 * np.sin(2 * np.pi * 0.7 * time)
+    qpos, qvel = np.zeros((2, samples))
+    for i in range(samples - 1):
+        friction = 0.1 * np.tanh(qvel[i] / 0.01) + 0.05 * qvel[i]
+        torque = 20 * (ctrl[i] - qpos[i]) - qvel[i] - 0.26 * 9.81 * 0.1127 * np.sin(qpos[i]) - friction
+        qvel[i + 1] = qvel[i] + timestep * torque / inertia
+        qpos[i + 1] = qpos[i] + timestep * qvel[i + 1]
+    path = tmp_path_factory.mktemp("recording") / "knee.csv"
+    table = np.stack([time, qpos, qvel, ctrl], axis=1)
+    np.savetxt(path, table, fmt="%.9g", delimiter=",", header="time,qpos,qvel,ctrl", comments="")
+    return path
+
+
+@pytest.fixture(scope="session")
+def tiny(recording: Path) -> tuple[str, ...]:
+    """Overrides of a job of seconds. Its rollouts have one shape, so that little is compiled."""
+    return (
+        *("data=csv", f"data.train=[{recording}]", "data.split.gap=0.05"),
+        *("segments.count=20", "loop.chunk=2", "loop.progress=false"),
+        *("evaluation.horizons=[0.1]", "evaluation.rollouts=1", "evaluation.places=1"),
+        *("evaluation.trajectory=0.1", "evaluation.window=0.02"),
+    )
+
+
+@pytest.fixture
+def start(compilation_cache: Path, tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen]]:
+    """Starts `python -m frictionzoo.run` as a process in the test's folder; none outlives the test."""
+    cache = {"JAX_COMPILATION_CACHE_DIR": compilation_cache, **{key.upper(): v for key, v in CACHE_OPTIONS.items()}}
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), **{key: str(value) for key, value in cache.items()}}
+    started: list[subprocess.Popen] = []
+
+    def start(*overrides: str) -> subprocess.Popen:
+        command = [sys.executable, "-m", "frictionzoo.run", *overrides]
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+        started.append(subprocess.Popen(command, cwd=tmp_path, env=environment, **pipes))
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+@pytest.fixture
+def call(
+    compilation_cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Iterator[Callable[..., Finished]]:
+    """Does in this process what `python -m frictionzoo.run` does in its own, in the test's folder."""
+    options = {"jax_compilation_cache_dir": str(compilation_cache), **CACHE_OPTIONS}
+    before = {name: getattr(jax.config, name) for name in (*options, "jax_enable_x64", "jax_default_device")}
+    root = logging.getLogger()
+    handlers, level = root.handlers[:], root.level
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HYDRA_FULL_ERROR", "1")
+    # Hydra closes all handlers before it adds its own, and absl's would close the stream that it began with, pytest's.
+    monkeypatch.setattr(absl.logging.get_absl_handler().python_handler, "stream", sys.__stderr__)
+    _configure_jax(options)
+
+    def call(*overrides: str) -> Finished:
+        monkeypatch.setattr(sys, "argv", ["frictionzoo", *overrides])
+        capsys.readouterr()
+        try:
+            main()
+            status = 0
+        except SystemExit as end:
+            status = int(end.code or 0)
+        return Finished(status, *capsys.readouterr())
+
+    yield call
+    _configure_jax(before)
+    root.handlers[:] = handlers
+    root.setLevel(level)
+
+
+def _configure_jax(options: dict[str, Any]) -> None:
+    for name, value in options.items():
+        jax.config.update(name, value)
+    jax_cache.reset_cache()

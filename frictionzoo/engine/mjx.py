@@ -23,6 +23,10 @@ Friction = Callable[[Mapping[str, Any], DriveState], FrictionTerms]
 """A friction law's formula: its values and what the drive is doing to friction terms."""
 
 
+_SLIDES_ONLY = 2
+"""MuJoCo's body_simple of a body that only slides along its own axes: its dof_invweight0 leaves the armature out."""
+
+
 class MjxEngine:
     """Advances one bench by MJX's own functions.
 
@@ -45,6 +49,7 @@ class MjxEngine:
         self._friction = friction
         self._constraint = constraint
         self._rigid_inertia = _rigid_inertia(model)
+        self._ignores_armature = model.body_simple[model.dof_bodyid] == _SLIDES_ONLY
         self._model = mjx.put_model(model)
         self._data = mjx.make_data(self._model)
 
@@ -90,9 +95,10 @@ class MjxEngine:
         # MuJoCo computes dof_invweight0 when it compiles, and the friction constraint's softness depends on it: it has
         # to follow the armature, else the exported model would have another friction.
         inverse = jnp.linalg.inv(jnp.asarray(self._rigid_inertia, armature.dtype) + jnp.diag(armature))
+        invweight0 = jnp.where(self._ignores_armature, self._model.dof_invweight0, jnp.diagonal(inverse))
         return self._model.replace(
             dof_armature=armature,
-            dof_invweight0=jnp.diagonal(inverse),
+            dof_invweight0=invweight0,
             actuator_gainprm=gainprm,
             actuator_biasprm=self._model.actuator_biasprm.at[:, :3].set(bias),
         )

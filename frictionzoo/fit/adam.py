@@ -19,6 +19,7 @@ class Adam(Fit):
     Args:
         iterations: Number of updates.
         learning_rate: Step of a coordinate; in logarithmic coordinates a share of the value.
+        b2: Share that the mean of squared gradients keeps from one iteration to the next, in [0, 1).
         derivative: `forward`, `reverse` or `auto`.
 
     Raises:
@@ -27,16 +28,18 @@ class Adam(Fit):
 
     name = "adam"
 
-    def __init__(self, iterations: int, learning_rate: float, derivative: str) -> None:
+    def __init__(self, iterations: int, learning_rate: float, b2: float, derivative: str) -> None:
         if iterations < 1:
             raise ConfigError(f"fit.iterations={iterations}; expected at least 1")
         if not learning_rate > 0:
             raise ConfigError(f"fit.learning_rate={learning_rate}; expected a positive number")
+        if not 0 <= b2 < 1:
+            raise ConfigError(f"fit.b2={b2}; expected a number from 0 to less than 1")
         if derivative not in ("auto", "forward", "reverse"):
             raise ConfigError(f"fit.derivative={derivative}; expected auto, forward or reverse")
         self._iterations = iterations
         self._derivative = derivative
-        self._optimiser = optax.adam(learning_rate)
+        self._optimiser = optax.adam(learning_rate, b2=b2)
 
     def total(self, objective: Objective) -> int:
         """See `Fit.total`."""
@@ -60,4 +63,4 @@ class Adam(Fit):
             gradient=gradient,
             method=moments,
         )
-        return following, loss, optax.global_norm(gradient)
+        return following, loss, jnp.linalg.norm(gradient)

@@ -1,5 +1,6 @@
 """Lightning around a fit: chunks of compiled iterations; between them logs, progress, checkpoints, stop, resume."""
 
+import io
 import logging
 import time
 import warnings
@@ -15,8 +16,9 @@ import numpy as np
 import torch
 from jaxtyping import Shaped
 from lightning.pytorch.loggers import TensorBoardLogger
+from lightning.pytorch.plugins import TorchCheckpointIO
 from lightning.pytorch.plugins.environments import LightningEnvironment
-from tqdm.auto import tqdm
+from tqdm import tqdm
 
 from frictionzoo.bridge import load_from_jax
 from frictionzoo.engine.mjx import Values
@@ -24,6 +26,7 @@ from frictionzoo.errors import CheckpointError, ConfigError, FitError, OutputErr
 from frictionzoo.fit.base import Fit, Progress, Trace
 from frictionzoo.fit.objective import Objective
 from frictionzoo.models import FrictionModel
+from frictionzoo.output import write_atomically
 
 CHECKPOINT = "last.ckpt"
 _log = logging.getLogger(__name__)
@@ -93,13 +96,13 @@ def run_fit(
     for name, value in (("chunk", chunk), ("patience", patience)):
         if value is not None and value < 1:
             raise ConfigError(f"loop.{name}={value}; expected at least 1")
+    checkpoint = _checked_checkpoint(folder, identity)
     began = time.perf_counter()
     module = FitModule(fit, objective, model, identity, chunk, patience)
     compile_seconds = time.perf_counter() - began
-    checkpoint = _checked_checkpoint(folder, identity)
     _train(module, folder, checkpoint, progress)
     outcome = module.outcome(compile_seconds, time.perf_counter() - began - compile_seconds)
-    load_from_jax(model, outcome.values["friction"])
+    load_from_jax(model, jax.tree.map(jnp.asarray, outcome.values["friction"]))
     return outcome
 
 
@@ -218,12 +221,25 @@ class FitModule(pl.LightningModule):
     def _explain_divergence(self) -> str | None:
         if not bool(self.progress.broken):
             return None
-        where = self._objective.space.first_nonfinite(np.asarray(self.progress.gradient))
-        what = f"the gradient of {where}" if where else "the loss"
-        return (
-            f"fit diverged at iteration {self.iteration}: {what} is not finite; the best of the iterations before it "
-            "is kept; lower fit.learning_rate, or start from other initial values or narrower bounds"
+        kept = (
+            "the best of the iterations before it is kept"
+            if int(self.progress.best_iteration) >= 0
+            else "none before it"
         )
+        return (
+            f"fit diverged at iteration {self.iteration}: {self._name_divergence()}; {kept}; lower fit.learning_rate, "
+            "or start from other initial values or narrower bounds"
+        )
+
+    def _name_divergence(self) -> str:
+        space, gradient = self._objective.space, np.asarray(self.progress.gradient)
+        if np.isfinite(gradient).any():
+            return f"the gradient of {space.first_nonfinite(gradient)} is not finite"
+        # A loss that is not finite has no finite gradient at all: that tells nothing about where it comes from.
+        if self.iteration == 0:
+            return f"the loss or its gradient is not finite at the initial values of {', '.join(space.names)}"
+        moved = space.farthest(np.asarray(self.progress.vector), np.asarray(self.progress.best))
+        return f"the loss or its gradient is not finite, with {moved} farthest from its best value"
 
     def _whole_history(self) -> Trace:
         if self.history:
@@ -241,8 +257,20 @@ class FitModule(pl.LightningModule):
                 logger.log_metrics({name: float(value) for name, value in scalars.items()}, step=before + row)
 
 
+class _AtomicFiles(TorchCheckpointIO):
+    """A checkpoint is put in place in one step, from the same folder.
+
+    Lightning's own way goes through the temporary folder, and moving a file to another disk can be interrupted.
+    """
+
+    def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any = None) -> None:
+        content = io.BytesIO()
+        torch.save(checkpoint, content)
+        write_atomically(Path(path), content.getvalue())
+
+
 class _Saver(pl.Callback):
-    """A checkpoint after each chunk, replaced in one step.
+    """A checkpoint after each chunk.
 
     Lightning's ModelCheckpoint counts steps of torch optimisers, of which there is none, and would save nothing.
     """
@@ -285,7 +313,7 @@ def _train(module: FitModule, folder: Path, checkpoint: Path | None, progress: b
             max_epochs=-1,
             logger=TensorBoardLogger(folder, name="tensorboard", version=""),
             callbacks=[_Saver(folder / "checkpoints" / CHECKPOINT), *([_ProgressBar()] if progress else [])],
-            plugins=[LightningEnvironment()],
+            plugins=[LightningEnvironment(), _AtomicFiles()],
             enable_checkpointing=False,
             enable_progress_bar=False,
             enable_model_summary=False,
@@ -295,7 +323,7 @@ def _train(module: FitModule, folder: Path, checkpoint: Path | None, progress: b
             trainer.fit(module, ckpt_path=checkpoint, weights_only=True)
         except OSError as error:
             raise OutputError(
-                f"{folder}: {error.strerror or error} while writing checkpoints; free space or set hydra.run.dir"
+                f"{folder}: {error.strerror or error} while writing the fit's progress; free space or set hydra.run.dir"
             ) from None
 
 
@@ -305,7 +333,7 @@ def _checked_checkpoint(folder: Path, identity: Mapping[str, str]) -> Path | Non
     if not path.exists():
         return None
     try:
-        saved = torch.load(path, weights_only=True, map_location="cpu")["frictionzoo"]["identity"]
+        saved = dict(torch.load(path, weights_only=True, map_location="cpu")["frictionzoo"]["identity"])
     except Exception as error:  # torch raises a dozen types for files that are not checkpoints
         raise CheckpointError(
             f"{path}: cannot be read ({type(error).__name__}), expected a checkpoint of this version; start a new run"

@@ -1,6 +1,6 @@
 """What a fit moves and what it minimises."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import jax
@@ -29,6 +29,8 @@ class Space:
 
     Attributes:
         params: The identified physical parameters by their full name, `bench.armature`.
+        names: All that is identified, physical parameters first, then a network's weights.
+        weights: The network's weights among them.
         start: Coordinates of the initial values, as one vector.
         low: Lower bound of each coordinate; minus infinity where there is none.
         high: Upper bound of each coordinate.
@@ -49,18 +51,18 @@ class Space:
         specs |= {f"friction.{name}": param for name, param in model.params.items()}
         self.params: dict[str, Param] = {name: param for name, param in specs.items() if param.identify}
         free = [f"friction.{name}" for name, tensor in model.named_parameters() if tensor.requires_grad]
-        names = [name for name in specs if name in self.params] + [name for name in free if name not in specs]
-        if not names:
+        self.weights = [name for name in free if name not in specs]
+        self.names = [*self.params, *self.weights]
+        if not self.names:
             raise ConfigError("no parameter is to be identified; set identify: true for at least one")
-        self.weights = [name for name in names if name not in specs]
-        coordinates = {name: self._to_coordinate(name, self._get(self._values, name)) for name in names}
+        coordinates = [self._to_coordinate(name, self._get(self._values, name)) for name in self.names]
         self.start, self._unravel = ravel_pytree(coordinates)
         self.low, self.high = (ravel_pytree(self._bounds(coordinates, side))[0] for side in ("low", "high"))
 
     def values(self, vector: Float[Array, "coordinates"]) -> Values:
         """Physical values of all parameters, identified and known, by owner and name."""
         values = {owner: dict(named) for owner, named in self._values.items()}
-        for name, coordinate in self._unravel(vector).items():
+        for name, coordinate in self._split(vector):
             owner, _, key = name.partition(".")
             values[owner][key] = self._from_coordinate(name, coordinate)
         return values
@@ -72,22 +74,26 @@ class Space:
 
     def first_nonfinite(self, vector: Float[np.ndarray, "coordinates"]) -> str | None:
         """Name of the first parameter whose entry in this vector (a gradient, say) is not finite."""
-        for name, entries in self._unravel(jnp.asarray(vector)).items():
+        for name, entries in self._split(jnp.asarray(vector)):
             if not np.isfinite(entries).all():
                 return name
         return None
 
-    def _bounds(self, coordinates: Mapping[str, Array], side: str) -> dict[str, Array]:
+    def farthest(self, vector: Float[np.ndarray, "coordinates"], origin: Float[np.ndarray, "coordinates"]) -> str:
+        """Name of the parameter whose coordinate in `vector` is farthest from that in `origin`."""
+        distances = self._split(jnp.nan_to_num(jnp.abs(jnp.asarray(vector) - jnp.asarray(origin)), nan=jnp.inf))
+        return max(distances, key=lambda named: float(named[1].max()))[0]
+
+    def _split(self, vector: Array) -> Iterable[tuple[str, Array]]:
+        return zip(self.names, self._unravel(vector), strict=True)
+
+    def _bounds(self, coordinates: list[Array], side: str) -> list[Array]:
         infinite = -np.inf if side == "low" else np.inf
-        return {
-            name: jnp.full_like(
-                array,
-                self.params[name].to_coordinate(getattr(self.params[name], side), np)
-                if name in self.params
-                else infinite,
-            )
-            for name, array in coordinates.items()
-        }
+        ends = [
+            self.params[name].to_coordinate(getattr(self.params[name], side), np) if name in self.params else infinite
+            for name in self.names
+        ]
+        return [jnp.full_like(coordinate, end) for coordinate, end in zip(coordinates, ends, strict=True)]
 
     def _to_coordinate(self, name: str, value: Array) -> Array:
         return self.params[name].to_coordinate(value, jnp) if name in self.params else value

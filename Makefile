@@ -1,0 +1,27 @@
+# Every target works in the active environment; `make install` fills it.
+.DEFAULT_GOAL := help
+.PHONY: help install test slow lint format docs
+
+help: ## list the targets
+	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+
+install: ## the package with its development tools, in the versions of constraints.txt
+	pip install -c constraints.txt -e ".[dev]"
+
+test: ## the quick tests
+	pytest -n 2
+
+slow: ## the experiments at full size, about half an hour; FRICTIONZOO_DATA names the folder of real recordings
+	pytest -m slow
+
+lint: ## what CI checks besides tests
+	ruff format --check
+	ruff check
+	pyright
+
+format: ## mend what can be mended
+	ruff format
+	ruff check --fix
+
+docs: ## docs/result.md from the JSON schema
+	python docs/write_result.py

@@ -1,0 +1,117 @@
+"""Benches: templates, joints, actuators, and the refusal of what does not fit."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from frictionzoo.bench import Bench, Force, PositionPD
+from frictionzoo.errors import BenchError
+from frictionzoo.types import Log
+
+KNOWN = {"low": 1e-6, "high": 1e3, "scale": "log", "identify": False}
+ARMATURE = {"armature": {"init": 0.02, **KNOWN}}
+TWO_JOINTS = """<mujoco><option timestep="0.001"/><worldbody><body>
+<joint name="hip" axis="0 1 0"/><inertial pos="0 0 -0.1" mass="1" diaginertia="0.01 0.01 0.01"/>
+<body pos="0 0 -0.2"><joint name="knee" axis="0 1 0"/>
+<inertial pos="0 0 -0.1" mass="1" diaginertia="0.01 0.01 0.01"/></body>
+</body></worldbody></mujoco>"""
+
+
+def pd() -> PositionPD:
+    return PositionPD({"kp": {"init": 20.0, **KNOWN}, "kd": {"init": 1.0, **KNOWN}})
+
+
+def bench(tmp_path: Path, text: str, joint: Any = None) -> Bench:
+    path = tmp_path / "bench.xml"
+    path.write_text(text)
+    return Bench(str(path), joint, pd(), ARMATURE, [0.02, 1.0])
+
+
+def test_values_reach_the_compiled_model_unrounded(knee: Bench) -> None:
+    values = {"armature": np.array([1 / 3]), "kp": np.array([2 / 3]), "kd": np.array([1 / 7])}
+    model = mujoco.MjModel.from_xml_string(knee.mjcf(values, np.array([1 / 9]), np.array([1 / 11])))
+    assert model.dof_armature[0] == 1 / 3
+    assert model.dof_frictionloss[0] == 1 / 9
+    assert model.dof_damping[0] == 1 / 11
+    assert model.actuator_gainprm[0, 0] == 2 / 3
+    np.testing.assert_array_equal(model.actuator_biasprm[0, :3], [0, -2 / 3, -1 / 7])
+
+
+def test_position_pd_is_the_controller(knee: Bench) -> None:
+    model = knee.compile(constraint=False)
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:], data.ctrl[:] = 0.3, -0.7, 0.5
+    mujoco.mj_forward(model, data)
+    assert data.qfrc_actuator[0] == pytest.approx(20 * (0.5 - 0.3) - 1 * -0.7, abs=1e-14)
+
+
+def test_force_is_gain_times_command_plus_offset(make: Callable[..., Any]) -> None:
+    emps = make("bench", "data=emps")
+    values = emps.initial_values() | {"force_offset": np.array([-3.165])}
+    model = mujoco.MjModel.from_xml_string(emps.mjcf(values))
+    data = mujoco.MjData(model)
+    data.ctrl[:] = 2.0
+    mujoco.mj_forward(model, data)
+    assert data.qfrc_actuator[0] == pytest.approx(2 * 35.15065188 - 3.165, abs=1e-12)
+    assert isinstance(emps.actuator, Force)
+    assert (emps.joint_type, emps.params["armature"].unit(emps.joint_type)) == ("slide", "kg")
+
+
+def test_friction_row_only_where_asked_for(knee: Bench) -> None:
+    assert knee.compile(constraint=False).dof_frictionloss[0] == 0
+    assert knee.compile(constraint=True).dof_frictionloss[0] > 0
+
+
+def test_comments_cannot_break_the_file(knee: Bench) -> None:
+    text = knee.mjcf(knee.initial_values(), comments=("a -- b",))
+    assert "a - - b" in text
+    mujoco.MjModel.from_xml_string(text)
+
+
+def test_joints_come_in_mujocos_order(tmp_path: Path) -> None:
+    assert bench(tmp_path, TWO_JOINTS, ["knee", "hip"]).joints == ("hip", "knee")
+
+
+@pytest.mark.parametrize(
+    ("text", "joint", "line"),
+    [
+        ("<mujoco", None, "not XML"),
+        (TWO_JOINTS, None, "joints hip, knee, expected one named joint; set bench.joint"),
+        (TWO_JOINTS, "kne", r"no joint kne; did you mean knee\?"),
+        (TWO_JOINTS, "knee", "2 degrees of freedom, but 1 identified joints"),
+        (TWO_JOINTS.replace("<worldbody>", '<include file="a.xml"/><worldbody>'), "knee", "has an <include>"),
+        (TWO_JOINTS.replace("mass", "maas"), "knee", "MuJoCo does not compile it"),
+        (TWO_JOINTS.replace("<option", '<option integrator="RK4"'), ["hip", "knee"], "integrator RK4, expected Euler"),
+        (
+            TWO_JOINTS.replace("</worldbody>", '</worldbody><actuator><motor joint="hip"/></actuator>'),
+            ["hip", "knee"],
+            "joint hip has an actuator",
+        ),
+        (TWO_JOINTS.replace('name="knee"', 'name="knee" type="slide"'), ["hip", "knee"], "all hinge or all slide"),
+    ],
+    ids=["xml", "several", "unknown", "others", "include", "refused", "integrator", "actuator", "types"],
+)
+def test_a_template_that_does_not_fit_is_refused(tmp_path: Path, text: str, joint: Any, line: str) -> None:
+    with pytest.raises(BenchError, match=line) as error:
+        bench(tmp_path, text, joint)
+    assert "\n" not in str(error.value)
+
+
+def test_a_template_that_is_missing_is_refused() -> None:
+    with pytest.raises(BenchError, match=r"nowhere\.xml: cannot be read"):
+        Bench("nowhere.xml", None, pd(), ARMATURE, [0.02, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("timestep", "columns", "line"),
+    [(0.002, 1, "0.002 s per sample, expected 0.001 s"), (0.001, 2, "qpos has 2 columns, expected 1")],
+)
+def test_a_log_of_another_bench_is_refused(knee: Bench, timestep: float, columns: int, line: str) -> None:
+    zeros = np.zeros((10, columns))
+    log = Log("a.csv", np.arange(10) * timestep, zeros, zeros, zeros, "", False)
+    with pytest.raises(BenchError, match=line):
+        knee.check_log(log)

@@ -1,0 +1,143 @@
+"""Composing a job, what an override may be, and building parts from their sections."""
+
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from omegaconf import OmegaConf
+
+from frictionzoo.config import CONF_DIR, build, check_overrides, compose_config, suggest_option
+from frictionzoo.errors import ConfigError
+from frictionzoo.fit import Grid
+
+CHOICES = [(path.parent.name, path.stem) for path in sorted(CONF_DIR.glob("*/*.yaml"))]
+EXPERIMENTS = sorted((CONF_DIR / "experiment").glob("*.yaml"))
+
+
+@pytest.mark.parametrize(("group", "name"), CHOICES, ids="=".join)
+def test_every_choice_composes_and_resolves(group: str, name: str) -> None:
+    config = OmegaConf.to_container(compose_config(f"{group}={name}"), resolve=True)
+    assert isinstance(config, dict)
+    assert {"bench", "data", "fit", "model", "seed", "segments", "loss", "loop", "evaluation"} <= set(config)
+    assert isinstance(config["seed"], int)
+
+
+@pytest.mark.parametrize(("group", "name"), [choice for choice in CHOICES if choice[0] in ("fit", "bench", "model")])
+def test_every_choice_builds(make: Callable, group: str, name: str) -> None:
+    part = make(group, f"{group}={name}", **({"nv": 1} if group == "model" else {}))
+    assert type(part).__module__.startswith(f"frictionzoo.{'models' if group == 'model' else group}")
+
+
+@pytest.mark.parametrize("path", EXPERIMENTS, ids=lambda path: path.stem)
+def test_an_experiment_starts_with_the_command_that_runs_it(path: Path) -> None:
+    package, command = path.read_text().splitlines()[:2]
+    assert package == "# @package _global_"
+    words = shlex.split(command.removeprefix("# "))
+    assert words[:4] == ["python", "-m", "frictionzoo.run", f"experiment={path.stem}"]
+    chosen = compose_config(*words[3:])
+    plain = compose_config(f"data={chosen.data.name}", *words[4:], *_model_choice(path))
+    check_overrides(chosen, plain)
+
+
+def _model_choice(path: Path) -> list[str]:
+    """The model that an experiment chooses, as an override."""
+    defaults = OmegaConf.load(path).get("defaults", [])
+    return [f"model={entry['override /model']}" for entry in defaults if "override /model" in entry]
+
+
+@pytest.mark.parametrize(
+    "target",
+    [
+        "os.system",
+        "subprocess.Popen",
+        "builtins.eval",
+        "frictionzoo",
+        "eval",
+        "frictionzoo.errors.closest",  # a function
+        "frictionzoo.fit.Newton",
+        "frictionzoo.nowhere.Adam",
+        "frictionzoo_evil.Adam",
+        "frictionzoo.fit.loop.TensorBoardLogger",  # a class of another package
+        "frictionzoo.logs.csv.Path",
+    ],
+)
+def test_build_refuses_foreign_targets(target: str) -> None:
+    with pytest.raises(ConfigError, match="_target_="):
+        build({"_target_": target})
+
+
+def test_build_refuses_a_foreign_target_inside_a_section() -> None:
+    with pytest.raises(ConfigError, match=r"_target_=os\.system"):
+        build({"_target_": "frictionzoo.fit.Grid", "points": {"_target_": "os.system", "command": "true"}})
+
+
+def test_build_makes_the_class_with_its_arguments() -> None:
+    with pytest.raises(ConfigError, match=r"fit\.points=1; expected at least 2"):
+        build({"_target_": "frictionzoo.fit.Grid", "points": 1})
+    assert isinstance(build({"_target_": "frictionzoo.fit.Grid"}, points=2), Grid)
+
+
+@pytest.mark.parametrize("arguments", [{}, {"points": 3, "speed": 1}])
+def test_build_refuses_other_arguments(arguments: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError, match=r"frictionzoo\.fit\.Grid"):
+        build({"_target_": "frictionzoo.fit.Grid", **arguments})
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        [],
+        ["segments.count=null", "loop.patience=3", "evaluation.rollouts=null", "data.cache_dir=null"],
+        ["fit.learning_rate=1", "evaluation.horizons=[1,0.5]", "bench.joint=[knee]", "bench.joint=null"],
+        ["model.params.static_torque.scale=2.0", "resume=outputs/yesterday", "seed=7", "loop.progress=false"],
+        ["data=emps", "segments.count=3", "data.folder=somewhere"],
+    ],
+    ids=str,
+)
+def test_overrides_of_the_right_kind_pass(overrides: list[str]) -> None:
+    check_overrides(compose_config(*overrides), compose_config(*(o for o in overrides if o == "data=emps")))
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("segments.count=many", r"segments\.count=many; expected a whole number such as 20000"),
+        ("segments.length=true", r"segments\.length=True; expected a whole number"),
+        ("segments.length=null", r"segments\.length=null; expected a whole number"),
+        ("loss.position=[1.0]", r"loss\.position=\[1\.0\]; expected a number such as 1\.0"),
+        ("loop.progress=1", r"loop\.progress=1; expected true or false"),
+        ("loop.patience=2.5", r"loop\.patience=2\.5; expected a whole number"),
+        ("evaluation.horizons=[true]", r"evaluation\.horizons=\[True\]; expected a list such as"),
+        ("dtype=64", r"dtype=64; expected text such as float64"),
+        ("bench.joint=3", r"bench\.joint=3; expected text or a list"),
+        ("evaluation.seed=-1", r"evaluation\.seed=-1; expected a whole number from 0 on"),
+        ("+bench.friction=3", r"bench\.friction: unknown option; did you mean solreffriction\?"),
+        ("+loop.chunks=3", r"loop\.chunks: unknown option; did you mean chunk\?"),
+        ("~loss.position", r"loss\.position: missing; expected a value such as 1\.0"),
+        ("loss=3", r"loss=3; expected a section with position, velocity"),
+    ],
+)
+def test_overrides_of_another_kind_are_refused(override: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        check_overrides(compose_config(override), compose_config())
+
+
+@pytest.mark.parametrize(
+    ("key", "hint"),
+    [
+        ("sed", "did you mean seed?"),
+        ("segments.cuont", "did you mean count? (expected one of count, length) in segments"),
+        ("model.params.static_torque.inti", "did you mean init?"),
+        ("modl.params", "did you mean model?"),
+        ("seed.deep", "expected one of"),
+    ],
+)
+def test_the_closest_option_is_named(key: str, hint: str) -> None:
+    assert hint in suggest_option(key, compose_config())
+
+
+def test_a_configuration_has_one_seed() -> None:
+    config = compose_config("seed=5", "model=neural_friction")
+    assert config.evaluation.seed == config.model.seed == 5

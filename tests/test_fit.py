@@ -1,0 +1,226 @@
+"""Objective, coordinates and methods on segments whose truth is known."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from frictionzoo.bench import Bench
+from frictionzoo.engine import MjxEngine
+from frictionzoo.engine.mjx import friction_of
+from frictionzoo.errors import ConfigError, FitError
+from frictionzoo.fit import Adam, Grid, Objective, Space, fit_reference, run_fit
+from frictionzoo.models import Baseline, FrictionModel
+from frictionzoo.rollout import make_rollout
+from frictionzoo.types import DriveState, Segments
+
+MODELS = ["baseline", "mujoco_default", "coulomb_smooth", "coulomb_stribeck", "neural_friction"]
+TRUTH = {"armature": 0.03, "frictionloss": 0.2, "damping": 0.1}
+
+
+@pytest.fixture(autouse=True)
+def x64() -> Iterator[None]:
+    with jax.enable_x64(True):
+        yield
+
+
+@dataclass
+class Problem:
+    bench: Bench
+    model: FrictionModel
+    objective: Objective
+
+
+@pytest.fixture(scope="module")
+def recording(make: Callable[..., Any]) -> Segments:
+    """Segments of a drive with MuJoCo's own friction, made by MuJoCo C, without noise."""
+    bench: Bench = make("bench")
+    values = bench.initial_values() | {"armature": np.array([TRUTH["armature"]])}
+    text = bench.mjcf(values, np.array([TRUTH["frictionloss"]]), np.array([TRUTH["damping"]]))
+    model = mujoco.MjModel.from_xml_string(text)
+    rng = np.random.default_rng(0)
+    batch, time = 60, 5
+    states = np.empty((batch, time + 1, 2))
+    ctrl = np.empty((batch, time, 1))
+    data = mujoco.MjData(model)
+    for row in range(batch):
+        mujoco.mj_resetData(model, data)
+        data.qpos, data.qvel = rng.normal(), rng.normal()
+        ctrl[row] = data.qpos + rng.normal(scale=0.1)
+        states[row, 0] = data.qpos[0], data.qvel[0]
+        for i in range(time):
+            data.ctrl = ctrl[row, i]
+            mujoco.mj_step(model, data)
+            states[row, i + 1] = data.qpos[0], data.qvel[0]
+    return Segments(states[..., :1], states[..., 1:], ctrl, 0.001)
+
+
+@pytest.fixture
+def pose(make: Callable[..., Any], recording: Segments) -> Callable[..., Problem]:
+    """The identification problem of one model on the recording."""
+
+    def pose(model: str, *overrides: str, dtype: str = "float64") -> Problem:
+        choices = (f"model={model}", *overrides)
+        bench = make("bench", *choices)
+        law = make("model", *choices, nv=1)
+        samples = DriveState(*np.random.default_rng(0).normal(size=(5, 100, 1)))
+        law.prepare(samples)
+        rollout = make_rollout(MjxEngine(bench, friction_of(law), law.constraint).step)
+        return Problem(bench, law, Objective(Space(bench, law, dtype), rollout, recording, 1.0, 1.0))
+
+    return pose
+
+
+def identified(values: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
+    return {name: np.ravel(value)[0] for owner in values.values() for name, value in owner.items()}
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_gradient_equals_central_differences(pose: Callable[..., Problem], name: str) -> None:
+    problem = pose(name)
+    loss = jax.jit(problem.objective.loss)
+    start = problem.objective.space.start
+    rng = np.random.default_rng(1)
+    # A network has corners in its ReLUs: the step is so small that next to none of them lies inside.
+    step = 1e-5 if name != "neural_friction" else 1e-8
+    vector = start + jnp.asarray(rng.normal(scale=0.1, size=start.shape))
+    gradients = {mode: jax.jit(problem.objective.value_and_grad(mode))(vector)[1] for mode in ("reverse",)}
+    if len(start) < 16:
+        gradients["forward"] = jax.jit(problem.objective.value_and_grad("forward"))(vector)[1]
+    for direction in (rng.normal(size=start.shape) for _ in range(3)):
+        difference = (loss(vector + step * direction) - loss(vector - step * direction)) / (2 * step)
+        for gradient in gradients.values():
+            # Central differences themselves err by step^2 and by rounding over step, both far below this.
+            np.testing.assert_allclose(gradient @ direction, difference, rtol=1e-6)
+
+
+def test_space_names_values_and_bounds(pose: Callable[..., Problem]) -> None:
+    space = pose("mujoco_default", "model.params.damping.identify=false").objective.space
+    assert list(space.params) == ["bench.armature", "friction.frictionloss"]
+    values = space.values(space.start)
+    np.testing.assert_allclose(values["bench"]["armature"], 0.01)
+    assert values["bench"]["kp"] == 20.0
+    low = identified(space.values(space.low))
+    param = space.params["friction.frictionloss"]
+    assert low["frictionloss"] == pytest.approx(param.low)
+    assert low["damping"] == pose("mujoco_default").model.params["damping"].init
+
+
+def test_a_space_with_nothing_to_identify_is_refused(pose: Callable[..., Problem]) -> None:
+    with pytest.raises(ConfigError, match="no parameter is to be identified"):
+        pose("baseline", "bench.params.armature.identify=false")
+
+
+def test_known_truth_has_no_loss_in_our_engine(pose: Callable[..., Problem]) -> None:
+    """MuJoCo C made the recording: at its values the MJX rollouts must agree to rounding."""
+    space = (problem := pose("mujoco_default")).objective.space
+    vector = jnp.log(jnp.asarray([TRUTH["armature"], TRUTH["frictionloss"], TRUTH["damping"]]))
+    assert list(space.params) == ["bench.armature", "friction.frictionloss", "friction.damping"]
+    assert float(problem.objective.loss(vector)) < 1e-24
+
+
+def run(problem: Problem, fit: Any, folder: Path, **options: Any) -> Any:
+    loop = {"chunk": 100, "patience": None, "progress": False, "identity": {}} | options
+    return run_fit(fit, problem.objective, problem.model, folder=folder, **loop)
+
+
+def test_adam_recovers_a_known_drive(pose: Callable[..., Problem], tmp_path: Path) -> None:
+    problem = pose("mujoco_default")
+    outcome = run(problem, Adam(600, 0.02, 0.9, "auto"), tmp_path)
+    found = identified(outcome.values)
+    for name, value in TRUTH.items():
+        # Adam at a constant rate circles the optimum within about its step.
+        assert found[name] == pytest.approx(value, rel=0.02), name
+    assert problem.model.state_dict()["damping"].item() == found["damping"]
+    assert outcome.stopped == "finished"
+    assert outcome.loss == np.min(outcome.history["loss"]) == outcome.history["loss"][outcome.best_iteration]
+    np.testing.assert_array_equal(outcome.history["friction.damping"][outcome.best_iteration], found["damping"])
+
+
+def test_grid_finds_the_best_of_its_points(pose: Callable[..., Problem], tmp_path: Path) -> None:
+    problem = pose("mujoco_grid_search")
+    outcome = run(problem, Grid(4), tmp_path, chunk=30)
+    assert outcome.iterations == len(outcome.history["loss"]) == 4**3
+    combinations = np.column_stack([outcome.history[name][:, 0] for name in problem.objective.space.params])
+    assert len(np.unique(combinations.round(12), axis=0)) == 4**3
+    space = problem.objective.space
+    np.testing.assert_allclose(combinations.min(0), [param.low for param in space.params.values()])
+    np.testing.assert_allclose(combinations.max(0), [param.high for param in space.params.values()])
+    losses = [float(problem.objective.loss(jnp.asarray(c))) for c in combinations[::9]]  # scales are 1 on this bench
+    np.testing.assert_allclose(losses, outcome.history["loss"][::9], rtol=1e-12)
+    assert outcome.loss == outcome.history["loss"].min()
+
+
+def test_grid_refuses_a_network(pose: Callable[..., Problem], tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"fit=grid: friction\.layers\.0\.weight has no bounds"):
+        run(pose("neural_friction"), Grid(3), tmp_path)
+
+
+def test_reference_is_the_optimum_of_the_recipe(pose: Callable[..., Problem], tmp_path: Path) -> None:
+    problem = pose("baseline")
+    reference = identified(fit_reference(problem.objective))
+    assert isinstance(problem.model, Baseline)
+    adam = identified(run(problem, Adam(400, 0.02, 0.9, "auto"), tmp_path).values)
+    assert reference["armature"] == pytest.approx(adam["armature"], rel=5e-3)
+
+
+@pytest.mark.parametrize("chunk", [1, 7, 100])
+def test_chunks_change_no_bit(pose: Callable[..., Problem], tmp_path: Path, chunk: int) -> None:
+    problem = pose("coulomb_smooth")
+    ours = run(problem, Adam(20, 0.01, 0.9, "auto"), tmp_path / "a", chunk=chunk)
+    whole = run(problem, Adam(20, 0.01, 0.9, "auto"), tmp_path / "b", chunk=20)
+    for name, history in whole.history.items():
+        np.testing.assert_array_equal(ours.history[name], history)
+
+
+def test_bounds_hold(pose: Callable[..., Problem], tmp_path: Path) -> None:
+    problem = pose("mujoco_default", "model.params.frictionloss.high=0.1", "model.params.frictionloss.init=0.05")
+    outcome = run(problem, Adam(200, 0.02, 0.9, "auto"), tmp_path)
+    assert outcome.history["friction.frictionloss"].max() <= 0.1 * (1 + 1e-12)
+    assert identified(outcome.values)["frictionloss"] == pytest.approx(0.1, rel=1e-6)
+
+
+def test_patience_stops(pose: Callable[..., Problem], tmp_path: Path) -> None:
+    outcome = run(pose("baseline"), Adam(1000, 0.05, 0.9, "auto"), tmp_path, patience=20, chunk=10)
+    assert outcome.stopped == "patience"
+    assert outcome.iterations < 1000
+    assert outcome.iterations - 1 - outcome.best_iteration >= 20
+
+
+def test_divergence_names_iteration_and_parameter(pose: Callable[..., Problem], tmp_path: Path) -> None:
+    # A huge step makes the explicit friction's slope explode within a segment.
+    wild = ["bench.params.armature.low=1e-300", "bench.params.armature.scale=1e-6", "bench.params.armature.low=-1.0"]
+    problem = pose("coulomb_smooth", *wild)
+    outcome = run(problem, Adam(50, 1e9, 0.9, "auto"), tmp_path)
+    assert outcome.stopped == "diverged"
+    assert outcome.message is not None
+    assert outcome.message.startswith(f"fit diverged at iteration {outcome.iterations}: ")
+    assert np.isfinite(outcome.loss)
+    assert all(np.isfinite(value).all() for value in jax.tree.leaves(outcome.values))
+
+
+def test_a_fit_that_never_starts_says_so(pose: Callable[..., Problem], tmp_path: Path) -> None:
+    problem = pose("baseline")
+    problem.objective.space.start = problem.objective.space.start * jnp.nan
+    with pytest.raises(FitError, match="diverged at iteration 0"):
+        run(problem, Adam(5, 0.01, 0.9, "auto"), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        ((0, 0.01, 0.9, "auto"), "fit.iterations=0"),
+        ((1, 0.0, 0.9, "auto"), "fit.learning_rate=0.0"),
+        ((1, 0.01, 1.0, "auto"), "fit.b2=1.0"),
+        ((1, 0.01, 0.9, "both"), "fit.derivative=both; expected auto, forward or reverse"),
+    ],
+)
+def test_impossible_options_are_refused(arguments: tuple, line: str) -> None:
+    with pytest.raises(ConfigError, match=line):
+        Adam(*arguments)

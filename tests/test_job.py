@@ -1,0 +1,107 @@
+"""One job from a recording to an identified drive, for every model: what it leaves behind holds together."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import jsonschema
+import mujoco
+import numpy as np
+import pytest
+import safetensors
+import safetensors.torch
+import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from frictionzoo import __version__
+from frictionzoo.models import FrictionModel
+from frictionzoo.report.result import read_schema
+from frictionzoo.types import DriveState
+
+JOBS = {
+    "baseline": ("fit.iterations=3",),
+    "coulomb_smooth": ("fit.iterations=3",),
+    "coulomb_stribeck": ("fit.iterations=3",),
+    "mujoco_default": ("fit.iterations=3",),
+    "mujoco_grid_search": ("fit.points=2",),
+    "neural_friction": ("fit.iterations=3", "fit.derivative=reverse", "model.hidden=[4,4]", "segments.length=3"),
+}
+ITERATIONS = dict.fromkeys(JOBS, 3) | {"mujoco_grid_search": 2**3}
+FIGURES = ("figure3_parameters.png", "figure4_trajectory.png", "figure5_error.png")
+
+
+@pytest.mark.parametrize("name", JOBS)
+def test_a_job_leaves_a_whole_record(
+    call: Callable, make: Callable, tiny: tuple[str, ...], tmp_path: Path, name: str
+) -> None:
+    overrides = (*tiny, f"model={name}", *JOBS[name])
+    finished = call(*overrides, "hydra.run.dir=run")
+    assert finished.status == 0, finished.err
+    run = tmp_path / "run"
+    result = json.loads((run / "result.json").read_text())
+
+    check_result(result, name)
+    check_friction(run, make("model", *overrides, nv=1), result)
+    check_mjcf(run, result)
+    check_scalars(run, result)
+    assert all((run / "figures" / figure).read_bytes().startswith(b"\x89PNG") for figure in FIGURES)
+    checkpoint = torch.load(run / "checkpoints" / "last.ckpt", weights_only=True)["frictionzoo"]
+    assert checkpoint["identity"]["model"] == name
+    assert not [path for path in run.rglob("*") if path.suffix == ".part"]
+
+    assert f"{name} on csv. The data are real" in finished.out
+    assert all(f"{entry['owner']}.{entry['name']}" in finished.out for entry in result["parameters"])
+    assert "no friction" in finished.out and str(run) in finished.out
+
+
+def check_result(result: dict, name: str) -> None:
+    """Valid, and about this job."""
+    jsonschema.validate(result, read_schema())
+    assert result["model"] == name
+    assert result["data"]["samples"] == 1150 + 300  # 1500, less the gap of 50, a fifth for the test
+    assert not result["data"]["simulated"]
+    assert result["fit"]["iterations"] == ITERATIONS[name]
+    assert result["fit"]["stopped"] == "finished"
+    assert 0 <= result["fit"]["best_iteration"] < ITERATIONS[name]
+    assert sum(result["timing"][part] for part in ("setup", "compile", "fit", "evaluate")) <= result["timing"]["total"]
+
+
+def check_friction(run: Path, module: FrictionModel, result: dict) -> None:
+    """The weights load into a module that was built anew, which then is the fitted law."""
+    path = run / "friction.safetensors"
+    before = {key: tensor.clone() for key, tensor in module.state_dict().items()}
+    module.load_state_dict(safetensors.torch.load_file(path), strict=True)
+    with safetensors.safe_open(path, "pt") as file:
+        assert file.metadata() == {"frictionzoo": f"{module.name}, version {__version__}"}
+    fitted = {p["name"]: p["value"] for p in result["parameters"] if p["owner"] == "friction"}
+    for key, value in fitted.items():
+        np.testing.assert_array_equal(np.ravel(module.state_dict()[key].numpy()), np.ravel(value))
+    # One iteration moves weights by a hundredth: a state that stayed as it was built would show.
+    if before and result["fit"]["best_iteration"] > 0:
+        assert any(not torch.equal(before[key], tensor) for key, tensor in module.state_dict().items())
+    state = DriveState(*torch.linspace(-1, 1, 10, dtype=torch.float64).reshape(5, 2, 1))
+    assert all(
+        torch.isfinite(term).all() for term in module.terms(torch, module.state_dict(), state) if term is not None
+    )
+
+
+def check_mjcf(run: Path, result: dict) -> None:
+    """MuJoCo C loads it, with the identified armature."""
+    model = mujoco.MjModel.from_xml_path(str(run / "identified.xml"))
+    armature = next(p["value"] for p in result["parameters"] if p["name"] == "armature")
+    np.testing.assert_array_equal(model.dof_armature, np.ravel(armature))
+    if result["model"].startswith("mujoco"):
+        values = {p["name"]: np.ravel(p["value"]) for p in result["parameters"]}
+        np.testing.assert_array_equal(model.dof_frictionloss, values["frictionloss"])
+        np.testing.assert_array_equal(model.dof_damping, values["damping"])
+
+
+def check_scalars(run: Path, result: dict) -> None:
+    """TensorBoard has the loss, the gradient's norm and every identified parameter of every iteration."""
+    events = EventAccumulator(str(run / "tensorboard"), size_guidance={"scalars": 0}).Reload()
+    identified = {f"{p['owner']}.{p['name']}" for p in result["parameters"] if p["identified"]}
+    steps = list(range(result["fit"]["iterations"]))
+    for tag in {"loss", "grad_norm"} | identified:
+        assert [event.step for event in events.Scalars(tag)] == steps
+    best = events.Scalars("loss")[result["fit"]["best_iteration"]].value
+    assert best == pytest.approx(result["fit"]["loss"], rel=1e-6)  # TensorBoard keeps 32 bits

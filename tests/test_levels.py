@@ -1,0 +1,75 @@
+"""The order of the package: a file imports only from the levels above it, or from its own."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parent.parent / "frictionzoo"
+LEVELS = {
+    **dict.fromkeys(("types", "errors", "params", "output"), 0),
+    **dict.fromkeys(("logs", "segments"), 1),
+    **dict.fromkeys(("models",), 2),
+    **dict.fromkeys(("bench", "engine", "rollout"), 3),
+    **dict.fromkeys(("bridge", "check"), 4),
+    **dict.fromkeys(("fit",), 5),
+    **dict.fromkeys(("evaluate", "compare", "report", "export"), 6),
+    **dict.fromkeys(("config", "job", "run"), 7),
+}
+FORBIDDEN = {0: {"torch", "jax", "mujoco"}, 1: {"torch", "jax"}, 2: {"jax"}, 3: {"torch"}}
+FILES = [path for path in sorted(PACKAGE.rglob("*.py")) if path != PACKAGE / "__init__.py"]
+
+
+def part(names: tuple[str, ...]) -> str:
+    """The part of the package to which a dotted name under it belongs."""
+    return names[0].removesuffix(".py")
+
+
+def imports(tree: ast.Module) -> Iterator[str]:
+    """Dotted names of all modules that a file imports, wherever in it."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "a relative import"
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def mistakes(path: Path, source: str) -> list[str]:
+    """Imports of a file that its level forbids."""
+    level = LEVELS[part(path.relative_to(PACKAGE).parts)]
+    found = []
+    for name in imports(ast.parse(source)):
+        package, *inside = name.split(".")
+        if package == "frictionzoo" and inside and inside[0] in LEVELS and LEVELS[inside[0]] > level:
+            found.append(name)
+        if package in FORBIDDEN.get(level, ()):
+            found.append(name)
+    return found
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_a_file_imports_only_from_its_level_and_those_above(path: Path) -> None:
+    assert mistakes(path, path.read_text()) == []
+
+
+@pytest.mark.parametrize(
+    ("file", "source"),
+    [
+        ("types.py", "from frictionzoo.segments import cut_segments"),
+        ("logs/csv.py", "import torch"),
+        ("segments.py", "def cut():\n    import jax.numpy as jnp"),
+        ("models/baseline.py", "from jax import numpy"),
+        ("bench/base.py", "import torch.nn"),
+        ("engine/mjx.py", "from frictionzoo import bridge"),
+        ("fit/adam.py", "from frictionzoo.report.figures import write_figures"),
+        ("evaluate.py", "import frictionzoo.job"),
+    ],
+)
+def test_a_wrong_import_is_found(file: str, source: str) -> None:
+    assert len(mistakes(PACKAGE / file, source)) == 1
+
+
+def test_every_part_has_a_level() -> None:
+    assert {part(path.relative_to(PACKAGE).parts) for path in FILES} <= set(LEVELS)

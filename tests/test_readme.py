@@ -1,0 +1,140 @@
+"""What the documentation tells a newcomer to type: commands compose, options exist, pages agree with their source."""
+
+import re
+import runpy
+import shlex
+import subprocess
+from pathlib import Path
+
+import pytest
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from omegaconf import OmegaConf
+
+from frictionzoo.config import CONF_DIR, check_overrides
+from frictionzoo.report.result import read_schema
+
+ROOT = Path(__file__).parent.parent
+PAGES = [
+    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md")),
+    *sorted((ROOT / "docs").glob("*.md")),
+    *sorted((ROOT / "experiments").glob("*/README.md")),
+]
+FLAGS = {"-m", "--cfg", "job"}
+PLACEHOLDER = re.compile(r"[A-Z]{3}")  # FOLDER, NAME, DATE: what a reader has to fill in
+
+
+def blocks_of(page):
+    """The commands of each bash block."""
+    return [block.strip() for block in re.findall(r"^```bash\n(.*?)^```$", page.read_text(), re.M | re.S)]
+
+
+def jobs_of(page):
+    """The arguments of each command that starts a job, from bash blocks and from inline code."""
+    inline = re.findall(r"(?<!`)`(?!`)([^`]+)`(?!`)", page.read_text())
+    commands = [part for text in [*blocks_of(page), *inline] for line in text.splitlines() for part in line.split("&&")]
+    starts = ("python -m frictionzoo.run ", "frictionzoo ")
+    for command in map(str.strip, commands):
+        if start := next((start for start in starts if command.startswith(start)), None):
+            yield shlex.split(command.removeprefix(start))
+
+
+def options_of(page):
+    """Dotted names in inline code that are followed by a value: `segments.length=5`."""
+    return set(re.findall(r"`([a-z_]+(?:\.[a-z_]+)+)=[^`]*`", page.read_text()))
+
+
+def expand(argument):
+    """One override for each value of a sweep."""
+    override = OverridesParser.create().parse_override(argument)
+    if "glob(" in argument:
+        folder = CONF_DIR / override.key_or_group
+        return [f"{override.key_or_group}={path.stem}" for path in sorted(folder.glob("*.yaml"))]
+    if override.is_sweep_override():
+        return [f"{override.key_or_group}={value}" for value in override.sweep_string_iterator()]
+    return [argument]
+
+
+JOBS = [(page, job) for page in PAGES for job in jobs_of(page) if not any(map(PLACEHOLDER.search, job))]
+
+
+@pytest.mark.parametrize("page, job", JOBS, ids=lambda value: value.parent.name if isinstance(value, Path) else None)
+def test_a_command_composes(page, job, compose):
+    choices = [expand(argument) for argument in job if argument not in FLAGS]
+    for index in range(max(map(len, choices), default=1)):
+        overrides = [values[index % len(values)] for values in choices]
+        config = compose(*overrides)
+        groups = [override for override in overrides if (CONF_DIR / override.partition("=")[0]).is_dir()]
+        check_overrides(config, compose(*groups))
+        OmegaConf.to_container(config, resolve=True)
+
+
+def test_the_pages_have_commands():
+    """The pattern above still finds them."""
+    assert len(JOBS) >= 15
+    assert {page.name for page, _ in JOBS} >= {"README.md"}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: f"{page.parent.name}-{page.stem}")
+def test_a_named_option_exists(page, compose):
+    groups = [
+        f"{group}={path.stem}" for group in ("data", "model", "bench") for path in (CONF_DIR / group).glob("*.yaml")
+    ]
+    configs = [compose(), *map(compose, groups)]
+    for option in options_of(page):
+        if not option.startswith("hydra."):
+            assert any(OmegaConf.select(config, option, default=missing) is not missing for config in configs), option
+
+
+missing = object()
+
+
+@pytest.mark.parametrize("group", ["model", "data", "experiment"])
+def test_the_readme_lists_every_choice(group):
+    text = (ROOT / "README.md").read_text()
+    for path in (CONF_DIR / group).glob("*.yaml"):
+        assert re.search(rf"[`\[]{path.stem}[`\]]", text), path.stem
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: f"{page.parent.name}-{page.stem}")
+def test_a_link_inside_the_project_leads_somewhere(page):
+    for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text()):
+        assert (page.parent / target).exists(), target
+
+
+def test_ci_runs_the_second_block_of_the_readme_as_it_stands():
+    first, second = blocks_of(ROOT / "README.md")[:2]
+    assert first.endswith("python -m frictionzoo.run model=coulomb_stribeck")
+    assert '".[test]"' in second and "pytest" in second
+    shown = subprocess.run([ROOT / ".ci" / "readme_command", "2"], capture_output=True, text=True, check=True)
+    assert shown.stdout.strip() == second
+    assert ".ci/readme_command 2" in (ROOT / ".ci" / "run").read_text()
+
+
+def test_a_missing_block_of_the_readme_stops_ci():
+    shown = subprocess.run([ROOT / ".ci" / "readme_command", "99"], capture_output=True, text=True)
+    assert shown.returncode == 1
+    assert "no bash block number 99" in shown.stderr
+
+
+def test_the_page_of_result_json_is_made_from_the_schema():
+    render = runpy.run_path(str(ROOT / "docs" / "write_result.py"))["render"]
+    assert (ROOT / "docs" / "result.md").read_text() == render(read_schema()), "run `make docs`"
+
+
+def test_the_page_of_models_has_a_row_and_a_section_for_each():
+    text = (ROOT / "docs" / "models.md").read_text()
+    rows, headings = (re.findall(pattern, text, re.M) for pattern in (r"^\| `(\w+)` \|", r"^## (.*)$"))
+    for path in (CONF_DIR / "model").glob("*.yaml"):
+        assert path.stem in rows
+        assert any(f"`{path.stem}`" in heading for heading in headings)
+
+
+def test_constraints_are_exact_and_cover_what_the_project_asks_for():
+    lines = [line for line in (ROOT / "constraints.txt").read_text().splitlines() if line and not line.startswith("#")]
+    pins = {name.lower().replace("_", "-"): version for name, version in (line.split("==") for line in lines)}
+    assert not [version for version in pins.values() if "+" in version]  # a local build is not on PyPI
+    asked = re.findall(
+        r'"([A-Za-z][\w-]*)(?:[<>=~][^"]*)"', (ROOT / "pyproject.toml").read_text().split("[project.scripts]")[0]
+    )
+    assert len(asked) > 20
+    assert not [name for name in asked if name.lower() not in pins and name != "hatchling"]
