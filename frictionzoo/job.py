@@ -21,12 +21,11 @@ from frictionzoo.engine.mjx import friction_of
 from frictionzoo.errors import ConfigError
 from frictionzoo.evaluate import Evaluation, Judgement
 from frictionzoo.export.mjcf import export_mjcf
-from frictionzoo.fit import Objective, Outcome, Space, fit_reference, run_fit
+from frictionzoo.fit import Fit, Objective, Outcome, Space, fit_reference, run_fit
 from frictionzoo.models import Baseline, FrictionModel
 from frictionzoo.output import write_atomically
 from frictionzoo.report.figures import write_figures
 from frictionzoo.report.result import build_result, describe_data, write_result
-from frictionzoo.report.terminal import summarise
 from frictionzoo.rollout import Rollout, make_rollout
 from frictionzoo.segments import cut_segments
 from frictionzoo.types import Dataset, DriveState, Segments
@@ -55,6 +54,52 @@ class Drive:
         return cls(model, engine, jax.jit(make_rollout(engine.step)))
 
 
+@dataclass(frozen=True)
+class Problem:
+    """An identification that is ready to begin: all of the input has been looked at.
+
+    Attributes:
+        bench: The test stand.
+        dataset: Recordings, train and test.
+        segments: What the fit compares.
+        evaluation: The rollouts that judge.
+        drive: The bench with the chosen law.
+        samples: What the law sees in the training samples.
+        objective: What the fit minimises.
+        fit: How.
+        device: Where it runs.
+    """
+
+    bench: Bench
+    dataset: Dataset
+    segments: Segments
+    evaluation: Evaluation
+    drive: Drive
+    samples: DriveState
+    objective: Objective
+    fit: Fit
+    device: str
+
+    @classmethod
+    def pose(cls, settings: Mapping[str, Any]) -> "Problem":
+        """The problem that the settings describe.
+
+        Raises:
+            FrictionzooError: The input is at fault.
+        """
+        device = _configure_jax(settings["dtype"], settings["device"])
+        bench, dataset = build(settings["bench"]), build(settings["data"]).load()
+        for log in dataset.logs:
+            bench.check_log(log)
+        segments = cut_segments(dataset.train, **settings["segments"])
+        evaluation = Evaluation(dataset, bench.joint_type, **settings["evaluation"])
+        drive = Drive.assemble(bench, build(settings["model"], nv=bench.nv))
+        samples = _training_samples(drive.engine, bench, dataset)
+        drive.model.prepare(samples)
+        objective = _make_objective(bench, drive, segments, settings)
+        return cls(bench, dataset, segments, evaluation, drive, samples, objective, build(settings["fit"]), device)
+
+
 def run_job(config: DictConfig, name: str, folder: Path) -> tuple[dict[str, Any], str | None]:
     """Identify a drive and write what a run leaves behind.
 
@@ -71,64 +116,60 @@ def run_job(config: DictConfig, name: str, folder: Path) -> tuple[dict[str, Any]
     """
     began = time.perf_counter()
     settings = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
-    device = _configure_jax(settings["dtype"], settings["device"])
-    bench, dataset = build(settings["bench"]), build(settings["data"]).load()
-    for log in dataset.logs:
-        bench.check_log(log)
-    segments = cut_segments(dataset.train, **settings["segments"])
-    evaluation = Evaluation(dataset, bench.joint_type, **settings["evaluation"])
-    drive = Drive.assemble(bench, build(settings["model"], nv=bench.nv))
-    samples = _training_samples(drive.engine, bench, dataset)
-    drive.model.prepare(samples)
-    objective = _make_objective(bench, drive, segments, settings)
-    fit = build(settings["fit"])
-    _log.info("%s: %d segments of %d steps to train on", dataset.name, segments.count, segments.length)
+    problem = Problem.pose(settings)
     timing = {"setup": time.perf_counter() - began}
+    segments = problem.segments
+    _log.info("%s: %d segments of %d steps to train on", problem.dataset.name, segments.count, segments.length)
 
-    identity = _identify(name, dataset, settings)
-    outcome = run_fit(fit, objective, drive.model, folder=folder, identity=identity, **settings["loop"])
+    identity = _identify(name, problem.dataset, settings)
+    model = problem.drive.model
+    outcome = run_fit(problem.fit, problem.objective, model, folder=folder, identity=identity, **settings["loop"])
     timing |= {"compile": outcome.compile_seconds, "fit": outcome.fit_seconds}
 
     judged = time.perf_counter()
-    judgement = evaluation.judge(drive.rollout, outcome.values)
-    baseline = _judge_baseline(bench, segments, evaluation, settings)
+    judgement = problem.evaluation.judge(problem.drive.rollout, outcome.values)
+    baseline = _judge_baseline(problem, settings)
     timing |= {"evaluate": time.perf_counter() - judged}
 
-    write_figures(
-        folder / "figures",
-        bench,
-        drive.model,
-        dataset,
-        evaluation,
-        judgement,
-        baseline,
-        outcome.history,
-        outcome.best_iteration,
-    )
-    state = drive.model.state_dict()
-    # One entry only: safetensors writes several in an order that changes from run to run.
-    header = {"frictionzoo": f"{drive.model.name}, version {__version__}"}
-    write_atomically(folder / "friction.safetensors", safetensors.torch.save(state, header))
-    mjcf = export_mjcf(bench, outcome.values, drive.model, samples)
-    write_atomically(folder / "identified.xml", mjcf.encode())
+    _write_drive(folder, problem, outcome, judgement, baseline)
     timing |= {"total": time.perf_counter() - began}
     result = build_result(
         name=name,
-        bench=bench,
-        model=drive.model,
+        bench=problem.bench,
+        model=model,
         values=outcome.values,
-        dataset=dataset,
+        dataset=problem.dataset,
         judgement=judgement,
         baseline=baseline,
         fit=_describe_fit(outcome),
         timing=timing,
         seed=settings["seed"],
         dtype=settings["dtype"],
-        device=device,
+        device=problem.device,
     )
     write_result(folder / "result.json", result)
-    print(summarise(result, folder))
     return result, outcome.message
+
+
+def _write_drive(folder: Path, problem: Problem, outcome: Outcome, judgement: Judgement, baseline: Judgement) -> None:
+    """Figures, the law's values and the MJCF; each is written whole or not at all."""
+    bench, model = problem.bench, problem.drive.model
+    write_figures(
+        folder / "figures",
+        bench,
+        model,
+        problem.dataset,
+        problem.evaluation,
+        judgement,
+        baseline,
+        outcome.history,
+        outcome.best_iteration,
+    )
+    # One entry only: safetensors writes several in an order that changes from run to run.
+    header = {"frictionzoo": f"{model.name}, version {__version__}"}
+    write_atomically(folder / "friction.safetensors", safetensors.torch.save(model.state_dict(), header))
+    mjcf = export_mjcf(bench, outcome.values, model, problem.samples)
+    write_atomically(folder / "identified.xml", mjcf.encode())
 
 
 def _configure_jax(dtype: str, device: str) -> str:
@@ -161,11 +202,11 @@ def _training_samples(engine: MjxEngine, bench: Bench, dataset: Dataset) -> Driv
     return DriveState(*(np.concatenate(signals) for signals in zip(*parts, strict=True)))
 
 
-def _judge_baseline(bench: Bench, segments: Segments, evaluation: Evaluation, settings: Mapping[str, Any]) -> Judgement:
+def _judge_baseline(problem: Problem, settings: Mapping[str, Any]) -> Judgement:
     """The best that the bench does without friction, on the same segments and the same rollouts."""
-    drive = Drive.assemble(bench, Baseline(bench.nv))
-    values = fit_reference(_make_objective(bench, drive, segments, settings))
-    return evaluation.judge(drive.rollout, values)
+    drive = Drive.assemble(problem.bench, Baseline(problem.bench.nv))
+    values = fit_reference(_make_objective(problem.bench, drive, problem.segments, settings))
+    return problem.evaluation.judge(drive.rollout, values)
 
 
 def _identify(name: str, dataset: Dataset, settings: Mapping[str, Any]) -> dict[str, str]:

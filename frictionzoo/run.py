@@ -31,9 +31,11 @@ def _job(config: DictConfig) -> float:
         check_overrides(config, compose_config(*_choices(hydra_config.runtime.choices)))
         # Imported here, so that --help and a typing error do not wait for torch and JAX.
         from frictionzoo.job import run_job
+        from frictionzoo.report.terminal import summarise
 
         model, folder = hydra_config.runtime.choices["model"], Path(hydra_config.runtime.output_dir)
         result, complaint = run_job(config, model, folder)
+        print(summarise(result, folder))
     if complaint:
         _fail(complaint)
     return result["fit"]["loss"]

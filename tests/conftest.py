@@ -90,7 +90,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def tiny(recording: Path) -> tuple[str, ...]:
     """Overrides of a job of seconds. Its rollouts have one shape, so that little is compiled."""
     return (
-        *("data=csv", f"data.train=[{recording}]", "data.split.gap=0.05"),
+        *("data=csv", f"data.train=[{recording}]", "data.split.gap=0.05", "dtype=float64"),
         *("segments.count=20", "loop.chunk=2", "loop.progress=false"),
         *("evaluation.horizons=[0.1]", "evaluation.rollouts=1", "evaluation.places=1"),
         *("evaluation.trajectory=0.1", "evaluation.window=0.02"),
@@ -139,7 +139,8 @@ def call(
             status = 0
         except SystemExit as end:
             status = int(end.code or 0)
-        return Finished(status, *capsys.readouterr())
+        written = capsys.readouterr()
+        return Finished(status, written.out, written.err)
 
     yield call
     _configure_jax(before)

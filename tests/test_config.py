@@ -110,7 +110,7 @@ def test_overrides_of_the_right_kind_pass(overrides: list[str]) -> None:
         ("loop.progress=1", r"loop\.progress=1; expected true or false"),
         ("loop.patience=2.5", r"loop\.patience=2\.5; expected a whole number"),
         ("evaluation.horizons=[true]", r"evaluation\.horizons=\[True\]; expected a list such as"),
-        ("dtype=64", r"dtype=64; expected text such as float64"),
+        ("dtype=64", r"dtype=64; expected text such as float"),
         ("bench.joint=3", r"bench\.joint=3; expected text or a list"),
         ("evaluation.seed=-1", r"evaluation\.seed=-1; expected a whole number from 0 on"),
         ("+bench.friction=3", r"bench\.friction: unknown option; did you mean solreffriction\?"),

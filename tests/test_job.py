@@ -24,7 +24,13 @@ JOBS = {
     "coulomb_stribeck": ("fit.iterations=3",),
     "mujoco_default": ("fit.iterations=3",),
     "mujoco_grid_search": ("fit.points=2",),
-    "neural_friction": ("fit.iterations=3", "fit.derivative=reverse", "model.hidden=[4,4]", "segments.length=3"),
+    "neural_friction": (
+        "fit.iterations=3",
+        "fit.derivative=reverse",
+        "model.hidden=[4,4]",
+        "segments.length=3",
+        "dtype=float32",
+    ),
 }
 ITERATIONS = dict.fromkeys(JOBS, 3) | {"mujoco_grid_search": 2**3}
 FIGURES = ("figure3_parameters.png", "figure4_trajectory.png", "figure5_error.png")

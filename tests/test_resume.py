@@ -15,7 +15,7 @@ JOBS = {
     "coulomb_smooth": ("model=coulomb_smooth", "fit.iterations=60", "segments.length=5"),
     "neural_friction": (
         *("model=neural_friction", "model.hidden=[4,4]", "fit.derivative=reverse"),
-        *("fit.iterations=60", "segments.length=3"),
+        *("fit.iterations=60", "segments.length=3", "dtype=float32"),
     ),
 }
 PATIENCE = 600.0  # s after which a process that has not come to the awaited moment is a failure

@@ -357,7 +357,9 @@ def _from_tensors(tensors: list[torch.Tensor], like: Any) -> Any:
 
 
 def _by_joint(name: str, values: np.ndarray) -> dict[str, float]:
-    return {name: values[0]} if len(values) == 1 else {f"{name}/{joint}": value for joint, value in enumerate(values)}
+    if len(values) == 1:
+        return {name: float(values[0])}
+    return {f"{name}/{joint}": float(value) for joint, value in enumerate(values)}
 
 
 def _short(values: np.ndarray) -> str:
