@@ -207,5 +207,5 @@ def _affine_actuator(joint: str, index: int, affine: Affine) -> ET.Element:
     return ET.Element("general", attributes)
 
 
-def _number(value: float) -> str:
+def _number(value: float | np.floating) -> str:
     return repr(float(value))
