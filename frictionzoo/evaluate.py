@@ -172,6 +172,10 @@ class Evaluation:
     ) -> None:
         if not horizons:
             raise ConfigError("evaluation.horizons is empty, expected at least one length in seconds")
+        if not 0 < window <= trajectory:
+            raise ConfigError(
+                f"evaluation.window={window:g}; expected more than 0 s and at most the {trajectory:g} s shown"
+            )
         parts = {"train": dataset.train, "test": dataset.test}
         self.joint_type = joint_type
         self.window = window

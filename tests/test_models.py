@@ -14,6 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from frictionzoo.bridge import to_jax
 from frictionzoo.check import check_model
+from frictionzoo.errors import ConfigError
 from frictionzoo.models import FrictionModel, NeuralFriction, get_model, model_names
 from frictionzoo.params import UNITS
 from frictionzoo.types import DriveState, FrictionTerms
@@ -330,3 +331,8 @@ def test_initial_friction_is_stable_in_a_step(compose, build, name, bench):
     qvel = zero.clone().requires_grad_()
     slope = torch.autograd.grad(model(DriveState(zero, qvel, zero, zero, zero)).torque, qvel)[0].item()
     assert slope * 0.001 / compose(f"bench={bench}").bench.params.armature.init < 1.0  # a factor 2 in hand, at 1 ms
+
+
+def test_a_network_without_width_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"model\.hidden=\[4, 0\]; expected widths of at least 1"):
+        NeuralFriction(1, [4, 0], 0)

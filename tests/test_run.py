@@ -162,6 +162,8 @@ def test_a_matlab_file_that_does_not_serve_is_refused(
         ("evaluation.horizons=1", ("evaluation.horizons=1", "a list such as [1.0]")),
         ("evaluation.horizons=[long]", ("evaluation.horizons=['long']", "a list such as [1.0]")),
         ("evaluation.placement=rnadom", ("evaluation.placement=rnadom", "did you mean random?")),
+        ("evaluation.window=0.0", ("evaluation.window=0", "more than 0 s")),
+        ("loss.position=-1.0", ("loss.position=-1", "at least 0")),
         ("model.params.static_torque.init=x", ("static_torque.init=x", "a number such as 0.05")),
         ("model.params.static_torque.init=9", ("static_torque: init=9 lies outside", "start inside")),
         ("model.params.static_torque.scale=ln", ("static_torque", "scale is log or a number")),

@@ -122,9 +122,16 @@ class Objective:
         segments: What was measured.
         position: Weight of squared position errors [1/rad^2 or 1/m^2].
         velocity: Weight of squared velocity errors [s^2/rad^2 or s^2/m^2].
+
+    Raises:
+        ConfigError: A weight is negative, or both are 0.
     """
 
     def __init__(self, space: Space, rollout: Rollout, segments: Segments, position: float, velocity: float) -> None:
+        if min(position, velocity) < 0 or max(position, velocity) == 0:
+            raise ConfigError(
+                f"loss.position={position:g}, loss.velocity={velocity:g}; expected weights of at least 0, not both 0"
+            )
         self.space = space
         self._rollout = rollout
         dtype = space.start.dtype

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
+from frictionzoo.errors import ConfigError
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.models.registry import register_model
 from frictionzoo.types import DriveState, FrictionTerms
@@ -40,6 +41,9 @@ class NeuralFriction(FrictionModel):
         nv: Number of joints.
         hidden: Width of each hidden layer.
         seed: Of the initial weights; torch's global generator is not touched.
+
+    Raises:
+        ConfigError: A width is below 1.
     """
 
     input_mean: torch.Tensor
@@ -48,6 +52,8 @@ class NeuralFriction(FrictionModel):
 
     def __init__(self, nv: int, hidden: Sequence[int], seed: int) -> None:
         super().__init__(nv)
+        if not all(width >= 1 for width in hidden):
+            raise ConfigError(f"model.hidden={list(hidden)}; expected widths of at least 1")
         generator = torch.Generator().manual_seed(seed)
         widths = [INPUTS, *hidden, 1]
         self.layers = torch.nn.ModuleList(_linear(*pair, generator) for pair in itertools.pairwise(widths))
