@@ -65,7 +65,7 @@ def cut_rollouts(logs: Sequence[Log], horizon_s: float, count: int | None, place
         if log.samples < length + 1:
             raise LogError(
                 f"{log.name}: {log.samples} samples, expected at least {length + 1} for a rollout of {horizon_s:g} s; "
-                "use a longer log or smaller evaluation.horizons"
+                "use a longer log or smaller evaluation.horizons and evaluation.trajectory"
             )
     if placement == "consecutive":
         places = _spread(_places([_consecutive(log, length) for log in logs]), count, "evaluation.rollouts")

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from omegaconf import OmegaConf
 
-from frictionzoo.config import CONF_DIR, build, check_overrides, compose_config, suggest_option
+from frictionzoo.config import _NULLABLE, CONF_DIR, _leaves, build, check_overrides, compose_config, suggest_option
 from frictionzoo.errors import ConfigError
 from frictionzoo.fit import Grid
 
@@ -98,6 +98,17 @@ def test_build_refuses_other_arguments(arguments: dict[str, Any]) -> None:
 )
 def test_overrides_of_the_right_kind_pass(overrides: list[str]) -> None:
     check_overrides(compose_config(*overrides), compose_config(*(o for o in overrides if o == "data=emps")))
+
+
+def test_options_that_may_be_null_exist_and_no_other_is_null() -> None:
+    """The list in the code and the files in conf/ must not drift apart."""
+    groups = [("data", "csv"), ("data", "emps"), ("data", "twin")]
+    nulls, keys = set(), set()
+    for group, name in groups:
+        plain = dict(_leaves(OmegaConf.to_container(compose_config(f"{group}={name}"), resolve=True)))
+        keys |= set(plain)
+        nulls |= {key for key, value in plain.items() if value is None}
+    assert nulls <= set(_NULLABLE) <= keys
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 JOBS = {
     "coulomb_smooth": ("model=coulomb_smooth", "fit.iterations=60", "segments.length=5"),
@@ -39,6 +40,12 @@ def iterations_saved(folder: Path) -> int:
     """Iterations in the folder's checkpoint; 0 without one. A checkpoint is there whole or not at all."""
     path = folder / "checkpoints" / "last.ckpt"
     return int(torch.load(path, weights_only=True)["frictionzoo"]["progress"][0]) if path.exists() else 0
+
+
+def steps_on_tensorboard(folder: Path) -> list[int]:
+    events = EventAccumulator(str(folder / "tensorboard"), size_guidance={"scalars": 0})
+    events.Reload()
+    return [scalar.step for scalar in events.Scalars("loss")]
 
 
 def has_begun(folder: Path) -> bool:
@@ -108,6 +115,7 @@ def test_killed_and_resumed_is_as_if_nothing_had_happened(
     assert str(folder) in out
     assert ("resuming from" in err) == (moment is not has_begun)
     assert_same(folder, expected)
+    assert steps_on_tensorboard(folder) == list(range(60))
 
 
 def test_a_finished_run_resumed_is_the_same_run(

@@ -311,7 +311,10 @@ def _train(module: FitModule, folder: Path, checkpoint: Path | None, progress: b
             accelerator="cpu",
             devices=1,
             max_epochs=-1,
-            logger=TensorBoardLogger(folder, name="tensorboard", version=""),
+            # What an interrupted run wrote after its last checkpoint is done again: TensorBoard is to forget it.
+            logger=TensorBoardLogger(
+                folder, name="tensorboard", version="", purge_step=_iterations_saved(checkpoint) if checkpoint else None
+            ),
             callbacks=[_Saver(folder / "checkpoints" / CHECKPOINT), *([_ProgressBar()] if progress else [])],
             plugins=[LightningEnvironment(), _AtomicFiles()],
             enable_checkpointing=False,
@@ -325,6 +328,11 @@ def _train(module: FitModule, folder: Path, checkpoint: Path | None, progress: b
             raise OutputError(
                 f"{folder}: {error.strerror or error} while writing the fit's progress; free space or set hydra.run.dir"
             ) from None
+
+
+def _iterations_saved(checkpoint: Path) -> int:
+    progress = torch.load(checkpoint, weights_only=True, map_location="cpu")["frictionzoo"]["progress"]
+    return int(progress[Progress._fields.index("iteration")])
 
 
 def _checked_checkpoint(folder: Path, identity: Mapping[str, str]) -> Path | None:

@@ -26,6 +26,7 @@ class CsvLogs:
         test: Paths of the test recordings; empty to cut the test part out of every training recording.
         columns: Header of `time` [s], and lists of the headers of `qpos` [rad or m], `qvel` [rad/s or m/s] and `ctrl`.
         split: `test_share` and `gap` of `split_by_time`, for an empty `test`.
+        simulated: Whether a simulator made the files; results and the terminal say so.
 
     Raises:
         ConfigError: `columns` does not name the four signals.
@@ -38,7 +39,9 @@ class CsvLogs:
         test: Sequence[str],
         columns: Mapping[str, Any],
         split: Mapping[str, Any],
+        simulated: bool,
     ) -> None:
+        self.simulated = simulated
         self.name, self.train, self.test = name, _names("train", train), _names("test", test)
         for key in set(columns) - {"time", *SIGNALS}:
             raise ConfigError(f"data.columns.{key}: unknown signal; {closest(str(key), ('time', *SIGNALS))}")
@@ -74,7 +77,7 @@ class CsvLogs:
         table = read_table(name, _decode(name, content), [h for headers in self.columns.values() for h in headers])
         qpos, qvel, ctrl = (np.stack([table[header] for header in self.columns[key]], axis=1) for key in SIGNALS)
         sha256 = hashlib.sha256(content).hexdigest()
-        return Log(name, table[self.columns["time"][0]], qpos, qvel, ctrl, sha256, simulated=False)
+        return Log(name, table[self.columns["time"][0]], qpos, qvel, ctrl, sha256, self.simulated)
 
 
 def read_table(name: str, text: str, headers: Sequence[str]) -> dict[str, Float[np.ndarray, "rows"]]:
