@@ -19,6 +19,7 @@ _NUMBERS = (int, float)
 # Options that may be null, with an example of each kind of value that they take besides.
 _NULLABLE: dict[str, tuple[Any, ...]] = {
     "resume": ("",),
+    "compilation_cache": ("",),
     "segments.count": (0,),
     "loop.patience": (0,),
     "evaluation.rollouts": (0,),

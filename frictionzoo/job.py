@@ -16,12 +16,12 @@ from omegaconf import DictConfig, OmegaConf
 from frictionzoo import __version__
 from frictionzoo.bench import Bench
 from frictionzoo.config import build
-from frictionzoo.engine import MjxEngine
-from frictionzoo.engine.mjx import friction_of
+from frictionzoo.engine import Engine, friction_of, make_engine
 from frictionzoo.errors import ConfigError
 from frictionzoo.evaluate import Evaluation, Judgement
 from frictionzoo.export.mjcf import export_mjcf
 from frictionzoo.fit import Fit, Objective, Outcome, Space, fit_reference, run_fit
+from frictionzoo.logs.cache import cache_folder
 from frictionzoo.models import Baseline, FrictionModel
 from frictionzoo.output import write_atomically
 from frictionzoo.report.figures import write_figures
@@ -40,18 +40,18 @@ class Drive:
     Attributes:
         model: The friction law.
         engine: One step.
-        rollout: Many open-loop rollouts, compiled.
+        rollout: Many open-loop rollouts.
     """
 
     model: FrictionModel
-    engine: MjxEngine
+    engine: Engine
     rollout: Rollout
 
     @classmethod
-    def assemble(cls, bench: Bench, model: FrictionModel) -> "Drive":
-        """The drive of this bench and this law."""
-        engine = MjxEngine(bench, friction_of(model), model.constraint)
-        return cls(model, engine, jax.jit(make_rollout(engine.step)))
+    def assemble(cls, bench: Bench, model: FrictionModel, engine: str) -> "Drive":
+        """The drive of this bench and this law, simulated by the engine of this name."""
+        simulated = make_engine(engine, bench, friction_of(model), model.constraint)
+        return cls(model, simulated, make_rollout(simulated))
 
 
 @dataclass(frozen=True)
@@ -87,13 +87,13 @@ class Problem:
         Raises:
             FrictionzooError: The input is at fault.
         """
-        device = _configure_jax(settings["dtype"], settings["device"])
+        device = _configure_jax(settings["dtype"], settings["device"], settings["compilation_cache"])
         bench, dataset = build(settings["bench"]), build(settings["data"]).load()
         for log in dataset.logs:
             bench.check_log(log)
         segments = cut_segments(dataset.train, **settings["segments"])
         evaluation = Evaluation(dataset, bench.joint_type, **settings["evaluation"])
-        drive = Drive.assemble(bench, build(settings["model"], nv=bench.nv))
+        drive = Drive.assemble(bench, build(settings["model"], nv=bench.nv), settings["engine"])
         samples = _training_samples(drive.engine, bench, dataset)
         drive.model.prepare(samples)
         objective = _make_objective(bench, drive, segments, settings)
@@ -119,15 +119,17 @@ def run_job(config: DictConfig, name: str, folder: Path) -> tuple[dict[str, Any]
     problem = Problem.pose(settings)
     timing = {"setup": time.perf_counter() - began}
     segments = problem.segments
+    engine = problem.drive.engine
+    _log.info("engine %s%s", engine.name, f": {engine.note}" if engine.note else "")
     _log.info("%s: %d segments of %d steps to train on", problem.dataset.name, segments.count, segments.length)
 
-    identity = _identify(name, problem.dataset, settings)
+    identity = _identify(name, problem, settings)
     model = problem.drive.model
     outcome = run_fit(problem.fit, problem.objective, model, folder=folder, identity=identity, **settings["loop"])
     timing |= {"compile": outcome.compile_seconds, "fit": outcome.fit_seconds}
 
     judged = time.perf_counter()
-    judgement = problem.evaluation.judge(problem.drive.rollout, outcome.values)
+    judgement = problem.evaluation.judge(problem.drive.rollout.compiled, outcome.values)
     baseline = _judge_baseline(problem, settings)
     timing |= {"evaluate": time.perf_counter() - judged}
 
@@ -145,6 +147,7 @@ def run_job(config: DictConfig, name: str, folder: Path) -> tuple[dict[str, Any]
         timing=timing,
         seed=settings["seed"],
         dtype=settings["dtype"],
+        engine=engine.name,
         device=problem.device,
     )
     write_result(folder / "result.json", result)
@@ -172,8 +175,8 @@ def _write_drive(folder: Path, problem: Problem, outcome: Outcome, judgement: Ju
     write_atomically(folder / "identified.xml", mjcf.encode())
 
 
-def _configure_jax(dtype: str, device: str) -> str:
-    """Set JAX's precision and device; returns the device's name."""
+def _configure_jax(dtype: str, device: str, compilation_cache: str | None) -> str:
+    """Set JAX's precision, device and cache of compiled functions; returns the device's name."""
     if dtype not in ("float32", "float64"):
         raise ConfigError(f"dtype={dtype}; expected float32 or float64")
     if device not in ("auto", "cpu", "cuda"):
@@ -186,6 +189,10 @@ def _configure_jax(dtype: str, device: str) -> str:
             f"device={device}: JAX finds none, expected a GPU; install jax[cuda] or set device=cpu"
         ) from None
     jax.config.update("jax_default_device", chosen)
+    folder = cache_folder(compilation_cache)
+    if folder is not None and jax.config.jax_compilation_cache_dir is None:  # JAX's own variable has the last word
+        jax.config.update("jax_compilation_cache_dir", str(folder / "xla"))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
     return str(chosen.device_kind if chosen.platform != "cpu" else "cpu")
 
 
@@ -194,7 +201,7 @@ def _make_objective(bench: Bench, drive: Drive, segments: Segments, settings: Ma
     return Objective(space, drive.rollout, segments, **settings["loss"])
 
 
-def _training_samples(engine: MjxEngine, bench: Bench, dataset: Dataset) -> DriveState:
+def _training_samples(engine: Engine, bench: Bench, dataset: Dataset) -> DriveState:
     """What the friction law sees in every training sample, with the bench's initial values, as numpy arrays."""
     values = {"bench": bench.initial_values()}
     state = jax.jit(jax.vmap(engine.drive_state, in_axes=(None, 0, 0, 0)))
@@ -204,18 +211,19 @@ def _training_samples(engine: MjxEngine, bench: Bench, dataset: Dataset) -> Driv
 
 def _judge_baseline(problem: Problem, settings: Mapping[str, Any]) -> Judgement:
     """The best that the bench does without friction, on the same segments and the same rollouts."""
-    drive = Drive.assemble(problem.bench, Baseline(problem.bench.nv))
+    drive = Drive.assemble(problem.bench, Baseline(problem.bench.nv), problem.drive.engine.name)
     values = fit_reference(_make_objective(problem.bench, drive, problem.segments, settings))
-    return problem.evaluation.judge(drive.rollout, values)
+    return problem.evaluation.judge(drive.rollout.compiled, values)
 
 
-def _identify(name: str, dataset: Dataset, settings: Mapping[str, Any]) -> dict[str, str]:
+def _identify(name: str, problem: Problem, settings: Mapping[str, Any]) -> dict[str, str]:
     """What a checkpoint must share with this run."""
     sections = {key: settings[key] for key in ("bench", "model", "fit", "segments", "loss", "seed", "dtype")}
     return {
         "frictionzoo": __version__,
         "model": name,
-        "data": describe_data(dataset)["sha256"],
+        "data": describe_data(problem.dataset)["sha256"],
+        "engine": problem.drive.engine.name,
         **{section: json.dumps(value, sort_keys=True) for section, value in sections.items() if section != "model"},
         "model settings": json.dumps(sections["model"], sort_keys=True),
         "chunk": str(settings["loop"]["chunk"]),

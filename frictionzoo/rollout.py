@@ -1,35 +1,58 @@
 """Segments to predicted states: many open-loop rollouts at once."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from frictionzoo.engine.mjx import Values
-
-Step = Callable[[Values, Any, Any, Any], tuple[Any, Any]]
-"""(values, qpos, qvel, ctrl) of one state to the next (qpos, qvel)."""
-
-Rollout = Callable[[Values, Any, Any, Any], tuple[Any, Any]]
-"""(values, initial qpos, initial qvel, ctrl) of a batch to predicted (qpos, qvel)."""
+from frictionzoo.engine import Engine, Values
 
 
-def make_rollout(step: Step) -> Rollout:
-    """The function that rolls a batch of initial states forward under recorded commands.
+@dataclass(frozen=True)
+class Rollout:
+    """Many open-loop rollouts at once: initial states and commands to predicted states.
+
+    Call it, or `compiled` where nothing else around it is compiled, with the values, initial qpos and qvel of shape
+    (batch, nv) and ctrl of shape (batch, time, nu); the answer is qpos and qvel after each step, of shape
+    (batch, time, nv). A rollout that diverges contains non-finite values.
+
+    Attributes:
+        function: The rollout, not compiled.
+        compiler_options: For `jax.jit` of whatever it is part of.
+        forward_limit: Tangents up to which forward mode is faster than a reverse sweep.
+    """
+
+    function: Callable[[Values, Any, Any, Any], tuple[Any, Any]]
+    compiler_options: Mapping[str, Any]
+    forward_limit: int
+
+    def __call__(self, values: Values, qpos: Any, qvel: Any, ctrl: Any) -> tuple[Any, Any]:
+        """The predicted states."""
+        return self.function(values, qpos, qvel, ctrl)
+
+    @cached_property
+    def compiled(self) -> Callable[[Values, Any, Any, Any], tuple[Any, Any]]:
+        """The same, compiled."""
+        return self.compile(self.function)
+
+    def compile(self, function: Callable[..., Any]) -> Any:
+        """`jax.jit` of a function that calls this rollout."""
+        return jax.jit(function, compiler_options=dict(self.compiler_options))
+
+
+def make_rollout(engine: Engine) -> Rollout:
+    """The rollouts of an engine.
 
     Only position and velocity are carried from step to step, so that reverse mode stores little.
 
     Args:
-        step: One step of one state, from an engine.
-
-    Returns:
-        rollout(values, qpos, qvel, ctrl), not compiled: initial qpos and qvel of shape (batch, nv) and ctrl of shape
-        (batch, time, nu) to predicted qpos and qvel after each step, of shape (batch, time, nv). A rollout that
-        diverges contains non-finite values.
+        engine: The simulated drive.
     """
-    batched = jax.vmap(step, in_axes=(None, 0, 0, 0))
+    batched = jax.vmap(engine.step, in_axes=(None, 0, 0, 0))
 
     def rollout(
         values: Values,
@@ -44,4 +67,4 @@ def make_rollout(step: Step) -> Rollout:
         _, (positions, velocities) = jax.lax.scan(advance, (qpos, qvel), jnp.swapaxes(ctrl, 0, 1))
         return jnp.swapaxes(positions, 0, 1), jnp.swapaxes(velocities, 0, 1)
 
-    return rollout
+    return Rollout(rollout, engine.compiler_options, engine.forward_limit)

@@ -130,7 +130,7 @@ def test_rollout_is_the_step_repeated(tmp_path: Path) -> None:
     values = {"bench": {name: jnp.asarray(value) for name, value in bench.initial_values().items()}, "friction": {}}
     rng = np.random.default_rng(1)
     qpos, qvel, ctrl = rng.normal(size=(2, 1)), rng.normal(size=(2, 1)), rng.normal(size=(2, 4, 1))
-    positions, velocities = make_rollout(engine.step)(values, *map(jnp.asarray, (qpos, qvel, ctrl)))
+    positions, velocities = make_rollout(engine)(values, *map(jnp.asarray, (qpos, qvel, ctrl)))
     assert positions.shape == velocities.shape == (2, 4, 1)
     for row in range(2):
         q, v = jnp.asarray(qpos[row]), jnp.asarray(qvel[row])

@@ -9,8 +9,7 @@ import torch
 
 from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.bridge import to_jax
-from frictionzoo.engine import MjxEngine
-from frictionzoo.engine.mjx import friction_of
+from frictionzoo.engine import friction_of, make_engine
 from frictionzoo.export.mjcf import export_mjcf, nearest_frictionloss_and_damping
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.models.baseline import Baseline
@@ -172,7 +171,7 @@ def test_identified_model_moves_in_mujoco_c_as_it_was_fitted(make, name):
 
     with jax.enable_x64(True):
         values["friction"] = to_jax(model, "float64")
-        rollout = jax.jit(make_rollout(MjxEngine(bench, friction_of(model), model.constraint).step))
+        rollout = make_rollout(make_engine("auto", bench, friction_of(model), model.constraint)).compiled
         start = jnp.asarray([[0.1]]), jnp.asarray([[0.2]])
         fitted, _ = rollout(jax.tree.map(jnp.asarray, values), *start, jnp.asarray(ctrl))
     exported = np.empty(3000)

@@ -98,6 +98,7 @@ def build(bench, model, dataset, evaluation, friction, offset=0.01, **changes):
         "timing": TIMING,
         "seed": 0,
         "dtype": "float64",
+        "engine": "mjx",
         "device": "cpu",
     }
     return build_result(name=model.name, bench=bench, model=model, dataset=dataset, **(options | changes))

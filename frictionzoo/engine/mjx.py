@@ -2,8 +2,7 @@
 
 import contextlib
 import io
-from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import mujoco
@@ -11,23 +10,52 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from frictionzoo.bench import Bench
+from frictionzoo.engine.base import Engine, Friction, Values
 from frictionzoo.types import DriveState, FrictionTerms
 
 with contextlib.redirect_stdout(io.StringIO()):  # it prints that its optional backend is not installed
     from mujoco import mjx
-
-Values = Mapping[str, Mapping[str, Any]]
-"""Physical values by owner (`bench`, `friction`) and name."""
-
-Friction = Callable[[Mapping[str, Any], DriveState], FrictionTerms]
-"""A friction law's formula: its values and what the drive is doing to friction terms."""
-
+    from mujoco.mjx._src import derivative, support
 
 _SLIDES_ONLY = 2
 """MuJoCo's body_simple of a body that only slides along its own axes: its dof_invweight0 leaves the armature out."""
 
 
-class MjxEngine:
+class ModelInputs(NamedTuple):
+    """What a bench's values change in the model.
+
+    Attributes:
+        armature: `dof_armature` [kg m^2 or kg].
+        invweight0: `dof_invweight0`, inverse joint-space inertia at the reference position [1/(kg m^2) or 1/kg].
+        actuator: `gainprm[0]` and `biasprm[:3]` of each actuator, of shape (nv, 4).
+    """
+
+    armature: Any
+    invweight0: Any
+    actuator: Any
+
+
+class Dynamics(NamedTuple):
+    """MJX's answer in one state, before friction.
+
+    Attributes:
+        inertia: Joint-space inertia with the armature, of shape (nv, nv).
+        motor_torque: Of the actuators [N m or N].
+        external_torque: Of everything but actuators and friction [N m or N].
+        implicit: What the integrator adds to the inertia without the friction law's damping, of shape (nv, nv).
+        constraint_inertia: `efc_D` of the friction constraint's rows [kg m^2 or kg]; empty without constraint.
+        constraint_reference: `efc_aref` of these rows [rad/s^2 or m/s^2].
+    """
+
+    inertia: Any
+    motor_torque: Any
+    external_torque: Any
+    implicit: Any
+    constraint_inertia: Any
+    constraint_reference: Any
+
+
+class MjxEngine(Engine):
     """Advances one bench by MJX's own functions.
 
     The step is `mjx.step` taken apart where a friction law needs to look in: after positions, velocities and actuators
@@ -40,31 +68,28 @@ class MjxEngine:
         constraint: Whether the law answers with a `frictionloss`.
     """
 
+    name = "mjx"
+    forward_limit = 16
+
     def __init__(self, bench: Bench, friction: Friction, constraint: bool) -> None:
         model = bench.compile(constraint)
         # For one joint a single Newton iteration is exact, and only then does MJX avoid a while loop, which reverse
         # mode cannot pass.
         model.opt.iterations = 1 if bench.nv == 1 else model.opt.iterations
+        self.compiler_options = {}
         self._bench = bench
         self._friction = friction
-        self._constraint = constraint
         self._rigid_inertia = _rigid_inertia(model)
         self._ignores_armature = model.body_simple[model.dof_bodyid] == _SLIDES_ONLY
         self._model = mjx.put_model(model)
         self._data = mjx.make_data(self._model)
+        self._constraint = self._data._impl.efc_J.shape[0] > 0
 
     def step(
         self, values: Values, qpos: Float[Array, "nv"], qvel: Float[Array, "nv"], ctrl: Float[Array, "nu"]
     ) -> tuple[Float[Array, "nv"], Float[Array, "nv"]]:
-        """Position and velocity one time step later.
-
-        Args:
-            values: Bench and friction parameters.
-            qpos: Position [rad or m].
-            qvel: Velocity [rad/s or m/s].
-            ctrl: Command.
-        """
-        model, data = self._drive(values, qpos, qvel, ctrl)
+        """See `Engine.step`."""
+        model, data = self._drive(self.model_inputs(values), qpos, qvel, ctrl)
         terms = self._friction(values["friction"], _drive_state(data))
         model, data = self._apply(terms, model, data)
         data = mjx.fwd_acceleration(model, data)
@@ -76,32 +101,56 @@ class MjxEngine:
     def drive_state(
         self, values: Values, qpos: Float[Array, "nv"], qvel: Float[Array, "nv"], ctrl: Float[Array, "nu"]
     ) -> DriveState:
-        """What a friction law would see in this state; arguments as in `step`."""
-        return _drive_state(self._drive(values, qpos, qvel, ctrl)[1])
+        """See `Engine.drive_state`."""
+        return _drive_state(self._drive(self.model_inputs(values), qpos, qvel, ctrl)[1])
 
-    def _drive(self, values: Values, qpos: Array, qvel: Array, ctrl: Array) -> tuple[mjx.Model, mjx.Data]:
-        """Everything up to the actuator forces, without friction."""
-        model = self._set_bench(values["bench"])
-        data = self._data.replace(qpos=qpos, qvel=qvel, ctrl=ctrl)
-        data = mjx.fwd_position(model, data)
-        data = mjx.fwd_velocity(model, data)
-        return model, mjx.fwd_actuation(model, data)
-
-    def _set_bench(self, values: Mapping[str, Any]) -> mjx.Model:
-        armature = jnp.asarray(values["armature"], self._model.dof_armature.dtype)
-        affine = self._bench.actuator.affine(values)
-        gainprm = self._model.actuator_gainprm.at[:, 0].set(affine.gain)
-        bias = jnp.stack([affine.bias0, affine.bias1, affine.bias2], axis=-1)
+    def model_inputs(self, values: Values) -> ModelInputs:
+        """What these values change in the model."""
+        armature = jnp.asarray(values["bench"]["armature"], jnp.result_type(float))
+        affine = self._bench.actuator.affine(values["bench"])
         # MuJoCo computes dof_invweight0 when it compiles, and the friction constraint's softness depends on it: it has
         # to follow the armature, else the exported model would have another friction.
         inverse = jnp.linalg.inv(jnp.asarray(self._rigid_inertia, armature.dtype) + jnp.diag(armature))
-        invweight0 = jnp.where(self._ignores_armature, self._model.dof_invweight0, jnp.diagonal(inverse))
-        return self._model.replace(
-            dof_armature=armature,
-            dof_invweight0=invweight0,
-            actuator_gainprm=gainprm,
-            actuator_biasprm=self._model.actuator_biasprm.at[:, :3].set(bias),
+        fixed = jnp.asarray(self._model.dof_invweight0, armature.dtype)
+        invweight0 = jnp.where(self._ignores_armature, fixed, jnp.diagonal(inverse))
+        return ModelInputs(armature, invweight0, jnp.stack(list(affine), axis=-1))
+
+    def dynamics(
+        self, inputs: ModelInputs, qpos: Float[Array, "nv"], qvel: Float[Array, "nv"], ctrl: Float[Array, "nu"]
+    ) -> Dynamics:
+        """What a step needs to know of this state, friction left out; further arguments as in `step`."""
+        model, data = self._drive(inputs, qpos, qvel, ctrl)
+        state = _drive_state(data)
+        if model.opt.integrator != mujoco.mjtIntegrator.mjINT_EULER:
+            slope = derivative.deriv_smooth_vel(model, data)
+            implicit = jnp.zeros((model.nv, model.nv)) if slope is None else -model.opt.timestep * slope
+        elif model.opt.disableflags & mjx.DisableBit.EULERDAMP:
+            implicit = jnp.zeros((model.nv, model.nv))
+        else:
+            implicit = jnp.diag(model.opt.timestep * model.dof_damping)
+        return Dynamics(
+            support.full_m(model, data) if support.is_sparse(model) else data._impl.M,
+            state.motor_torque,
+            state.external_torque,
+            implicit,
+            data._impl.efc_D,
+            data._impl.efc_aref,
         )
+
+    def _drive(self, inputs: ModelInputs, qpos: Array, qvel: Array, ctrl: Array) -> tuple[mjx.Model, mjx.Data]:
+        """Everything up to the actuator forces, without friction."""
+        model = self._model.replace(
+            dof_armature=inputs.armature,
+            dof_invweight0=inputs.invweight0,
+            actuator_gainprm=self._model.actuator_gainprm.at[:, 0].set(inputs.actuator[:, 0]),
+            actuator_biasprm=self._model.actuator_biasprm.at[:, :3].set(inputs.actuator[:, 1:]),
+        )
+        data = self._data.replace(qpos=qpos, qvel=qvel, ctrl=ctrl)
+        data = mjx.fwd_position(model, data)
+        if self._constraint:
+            data = mjx.make_constraint(model, data)  # again, now that it sees the velocity
+        data = mjx.fwd_velocity(model, data)
+        return model, mjx.fwd_actuation(model, data)
 
     def _apply(self, terms: FrictionTerms, model: mjx.Model, data: mjx.Data) -> tuple[mjx.Model, mjx.Data]:
         if terms.damping is not None:
@@ -113,15 +162,6 @@ class MjxEngine:
         if terms.torque is not None:
             data = data.replace(qfrc_applied=data.qfrc_applied - terms.torque)
         return model, data
-
-
-def friction_of(module: Any) -> Friction:
-    """A friction module's formula over `jax.numpy`."""
-
-    def friction(values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
-        return module.terms(jnp, values, state)
-
-    return friction
 
 
 def _drive_state(data: mjx.Data) -> DriveState:

@@ -3,8 +3,20 @@
 from frictionzoo.fit.adam import Adam
 from frictionzoo.fit.base import Fit
 from frictionzoo.fit.grid import Grid
+from frictionzoo.fit.lm import LevenbergMarquardt
 from frictionzoo.fit.loop import Outcome, run_fit
-from frictionzoo.fit.objective import Objective, Space
+from frictionzoo.fit.objective import Objective
 from frictionzoo.fit.reference import fit_reference
+from frictionzoo.fit.space import Space
 
-__all__ = ["Adam", "Fit", "Grid", "Objective", "Outcome", "Space", "fit_reference", "run_fit"]
+__all__ = [
+    "Adam",
+    "Fit",
+    "Grid",
+    "LevenbergMarquardt",
+    "Objective",
+    "Outcome",
+    "Space",
+    "fit_reference",
+    "run_fit",
+]

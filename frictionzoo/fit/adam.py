@@ -1,12 +1,13 @@
 """Adam on the whole training set, the paper's recipe for every gradient model."""
 
+import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from frictionzoo.errors import ConfigError
-from frictionzoo.fit.base import Fit, Progress, begin, keep_best
-from frictionzoo.fit.objective import Objective
+from frictionzoo.fit.base import Chunk, Fit, Progress, Trace, begin, compile_chunk, keep_best
+from frictionzoo.fit.objective import Blocks, Objective
 
 
 class Adam(Fit):
@@ -50,17 +51,42 @@ class Adam(Fit):
         vector = objective.space.start
         return begin(objective, vector, self._optimiser.init(vector))
 
-    def iterate(self, objective: Objective, progress: Progress) -> tuple[Progress, Float[Array, ""], Float[Array, ""]]:
-        """See `Fit.iterate`."""
-        loss, gradient = objective.value_and_grad(self._derivative)(progress.vector)
+    def chunk(self, objective: Objective, size: int) -> Chunk:
+        """See `Fit.chunk`."""
+        value_and_grad = objective.value_and_grad(self._derivative)
+
+        def run(progress: Progress, count: Array, data: Blocks) -> tuple[Progress, Trace]:
+            empty = jnp.zeros(size, progress.vector.dtype)
+            shapes = jax.eval_shape(objective.space.identified, progress.vector)
+            params = {name: jnp.zeros((size, *shape.shape), shape.dtype) for name, shape in shapes.items()}
+
+            def body(row: Array, carry: tuple[Progress, Trace]) -> tuple[Progress, Trace]:
+                progress, trace = carry
+                here = objective.space.identified(progress.vector)
+                loss, gradient = value_and_grad(progress.vector, data)
+                written = Trace(
+                    trace.loss.at[row].set(loss),
+                    trace.grad_norm.at[row].set(jnp.linalg.norm(gradient)),
+                    {name: values.at[row].set(here[name]) for name, values in trace.params.items()},
+                )
+                return self._update(objective, progress, loss, gradient), written
+
+            return jax.lax.fori_loop(0, count, body, (progress, Trace(empty, empty, params)))
+
+        return compile_chunk(self, objective, run)
+
+    def _update(self, objective: Objective, progress: Progress, loss: Array, gradient: Array) -> Progress:
         updates, moments = self._optimiser.update(gradient, progress.method, progress.vector)
-        moved = optax.apply_updates(progress.vector, updates)
-        progress = keep_best(progress, loss)
-        following = progress._replace(
+        moved = jnp.asarray(optax.apply_updates(progress.vector, updates))
+        following = keep_best(progress, loss)._replace(
             iteration=progress.iteration + 1,
-            vector=jnp.clip(jnp.asarray(moved), objective.space.low, objective.space.high),
+            vector=jnp.clip(moved, objective.space.low, objective.space.high),
             broken=progress.broken | ~jnp.isfinite(loss) | ~jnp.isfinite(gradient).all(),
             gradient=gradient,
             method=moments,
         )
-        return following, loss, jnp.linalg.norm(gradient)
+        # Once broken, everything but the offending gradient stays as it was.
+        kept = jax.tree.map(lambda old, new: jnp.where(following.broken, old, new), progress, following)
+        return kept._replace(
+            broken=following.broken, gradient=jnp.where(progress.broken, progress.gradient, following.gradient)
+        )

@@ -1,9 +1,9 @@
 """The interface of a fit: a state that advances by iterations inside one compiled call."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
@@ -20,6 +20,7 @@ class Progress(NamedTuple):
         best_loss: That loss; infinite before the first.
         best_iteration: Its iteration, from 0; -1 before the first.
         broken: Whether a loss or a gradient was not finite; then nothing moves any more.
+        converged: Whether the method sees nothing left to gain.
         gradient: The gradient of the last iteration.
         method: What the method keeps besides (moments of Adam).
     """
@@ -30,6 +31,7 @@ class Progress(NamedTuple):
     best_loss: Float[Array, ""]
     best_iteration: Int[Array, ""]
     broken: Any
+    converged: Any
     gradient: Float[Array, "coordinates"]
     method: Any
 
@@ -48,6 +50,10 @@ class Trace(NamedTuple):
     params: dict[str, Any]
 
 
+Chunk = Callable[[Progress, int], tuple[Progress, Trace]]
+"""(progress, count) to the progress after up to `count` more iterations, and a trace whose first rows are theirs."""
+
+
 class Fit(ABC):
     """A way of finding parameters.
 
@@ -59,7 +65,7 @@ class Fit(ABC):
 
     @abstractmethod
     def total(self, objective: Objective) -> int:
-        """Number of iterations that the whole fit takes.
+        """Largest number of iterations that the whole fit takes.
 
         Raises:
             ConfigError: The method cannot search this space.
@@ -70,55 +76,23 @@ class Fit(ABC):
         """Where the fit begins."""
 
     @abstractmethod
-    def iterate(self, objective: Objective, progress: Progress) -> tuple[Progress, Float[Array, ""], Float[Array, ""]]:
-        """One iteration: the next progress, this iteration's loss and gradient norm."""
+    def chunk(self, objective: Objective, size: int) -> Chunk:
+        """The function that does up to `size` iterations, compiled.
 
-    def chunk(self, objective: Objective, size: int) -> Any:
-        """A compiled function (progress, count) -> (progress, Trace) of up to `size` iterations.
-
-        The count is an argument and not a constant: a chunk cut short runs the same machine code, so that where a fit
-        was interrupted does not change a bit of its result.
+        How iterations are cut into chunks must not change a bit of the result: an interrupted fit goes on in others.
         """
-
-        def run(progress: Progress, count: Array) -> tuple[Progress, Trace]:
-            empty = jnp.zeros(size, progress.vector.dtype)
-            shapes = jax.eval_shape(objective.space.identified, progress.vector)
-            params = {name: jnp.zeros((size, *shape.shape), shape.dtype) for name, shape in shapes.items()}
-
-            def body(row: Array, carry: tuple[Progress, Trace]) -> tuple[Progress, Trace]:
-                progress, trace = carry
-                here = objective.space.identified(progress.vector)
-                following, loss, grad_norm = self.iterate(objective, progress)
-                written = Trace(
-                    trace.loss.at[row].set(loss),
-                    trace.grad_norm.at[row].set(grad_norm),
-                    {name: values.at[row].set(here[name]) for name, values in trace.params.items()},
-                )
-                return _freeze(progress, following), written
-
-            return jax.lax.fori_loop(0, count, body, (progress, Trace(empty, empty, params)))
-
-        return jax.jit(run)
-
-
-def _freeze(progress: Progress, following: Progress) -> Progress:
-    """Once broken, everything but the offending gradient stays as it was."""
-    kept = jax.tree.map(lambda old, new: jnp.where(following.broken, old, new), progress, following)
-    return kept._replace(
-        broken=following.broken, gradient=jnp.where(progress.broken, progress.gradient, following.gradient)
-    )
 
 
 def begin(objective: Objective, vector: Float[Array, "coordinates"], method: Any) -> Progress:
     """Progress before the first iteration, at this vector."""
-    dtype = vector.dtype
     return Progress(
         iteration=jnp.asarray(0),
         vector=vector,
         best=vector,
-        best_loss=jnp.asarray(jnp.inf, dtype),
+        best_loss=jnp.asarray(jnp.inf, vector.dtype),
         best_iteration=jnp.asarray(-1),
         broken=jnp.asarray(False),
+        converged=jnp.asarray(False),
         gradient=jnp.zeros_like(vector),
         method=method,
     )
@@ -132,3 +106,12 @@ def keep_best(progress: Progress, loss: Float[Array, ""]) -> Progress:
         best_loss=jnp.where(better, loss, progress.best_loss),
         best_iteration=jnp.where(better, progress.iteration, progress.best_iteration),
     )
+
+
+def compile_chunk(fit: Fit, objective: Objective, run: Callable[..., tuple[Progress, Trace]]) -> Chunk:
+    """A chunk from a JAX function (progress, count, data) to (progress, trace).
+
+    The count is an argument and not a constant: a chunk cut short runs the same machine code.
+    """
+    compiled = objective.compile(run).lower(fit.start(objective), jnp.asarray(0), objective.data).compile()
+    return lambda progress, count: compiled(progress, jnp.asarray(count), objective.data)

@@ -1,15 +1,16 @@
 """Exhaustive search, the paper's non-gradient competitor."""
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from frictionzoo.errors import ConfigError
-from frictionzoo.fit.base import Fit, Progress, begin, keep_best
-from frictionzoo.fit.objective import Objective
+from frictionzoo.fit.base import Chunk, Fit, Progress, Trace, begin, compile_chunk, keep_best
+from frictionzoo.fit.objective import Blocks, Objective
 
 
 class Grid(Fit):
-    """Every combination of evenly spaced values; an iteration is one combination on the same objective.
+    """Every combination of evenly spaced values; an iteration is one combination, a chunk simulates many at once.
 
     The values are evenly spaced in each parameter's coordinate: in the value itself where its scale is a number, in its
     logarithm where its scale is `log`.
@@ -42,13 +43,23 @@ class Grid(Fit):
         """See `Fit.start`."""
         return begin(objective, self._combination(objective, jnp.asarray(0)), ())
 
-    def iterate(self, objective: Objective, progress: Progress) -> tuple[Progress, Float[Array, ""], Float[Array, ""]]:
-        """See `Fit.iterate`. A combination that diverges loses; it does not end the search."""
-        loss = objective.loss(progress.vector)
-        progress = keep_best(progress, jnp.where(jnp.isfinite(loss), loss, jnp.inf))
-        iteration = progress.iteration + 1
-        following = progress._replace(iteration=iteration, vector=self._combination(objective, iteration))
-        return following, loss, jnp.zeros_like(loss)
+    def chunk(self, objective: Objective, size: int) -> Chunk:
+        """See `Fit.chunk`. A combination that diverges loses; it does not end the search."""
+
+        def run(progress: Progress, count: Array, data: Blocks) -> tuple[Progress, Trace]:
+            rows = jnp.arange(size)
+            vectors = jax.vmap(lambda row: self._combination(objective, progress.iteration + row))(rows)
+            losses = jax.vmap(objective.loss, in_axes=(0, None))(vectors, data)
+            candidates = jnp.where(jnp.isfinite(losses) & (rows < count), losses, jnp.inf)
+            row = jnp.argmin(candidates)
+            best = keep_best(
+                progress._replace(vector=vectors[row], iteration=progress.iteration + row), candidates[row]
+            )
+            iteration = progress.iteration + count
+            following = best._replace(iteration=iteration, vector=self._combination(objective, iteration))
+            return following, Trace(losses, jnp.zeros_like(losses), jax.vmap(objective.space.identified)(vectors))
+
+        return compile_chunk(self, objective, run)
 
     def _combination(self, objective: Objective, index: Array) -> Float[Array, "coordinates"]:
         low, high = objective.space.low, objective.space.high

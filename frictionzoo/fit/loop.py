@@ -21,7 +21,7 @@ from lightning.pytorch.plugins.environments import LightningEnvironment
 from tqdm import tqdm
 
 from frictionzoo.bridge import load_from_jax
-from frictionzoo.engine.mjx import Values
+from frictionzoo.engine import Values
 from frictionzoo.errors import CheckpointError, ConfigError, FitError, OutputError
 from frictionzoo.fit.base import Fit, Progress, Trace
 from frictionzoo.fit.objective import Objective
@@ -42,7 +42,7 @@ class Outcome:
         iterations: Iterations done.
         best_iteration: The one with the lowest loss on the whole training set, from 0.
         loss: That loss.
-        stopped: `finished`, `patience`, or `diverged`.
+        stopped: `converged`, `finished` (all iterations made), `patience`, or `diverged`.
         message: For a fit that diverged, one line that says at which iteration and for which parameter.
         history: Arrays with one entry an iteration: `iteration`, `loss`, `grad_norm`, and each identified physical
             parameter under its full name, of shape (iterations, nv).
@@ -138,7 +138,7 @@ class FitModule(pl.LightningModule):
         self._objective = objective
         self._identity = dict(identity)
         self._patience = patience
-        self._run = fit.chunk(objective, chunk).lower(self.progress, jnp.asarray(0)).compile()
+        self._run = fit.chunk(objective, chunk)
 
     @property
     def iteration(self) -> int:
@@ -150,6 +150,8 @@ class FitModule(pl.LightningModule):
         """Why the fit is over, or None while it is not; it depends on nothing but the progress."""
         if bool(self.progress.broken):
             return "diverged"
+        if bool(self.progress.converged):
+            return "converged"
         if self.iteration >= self.total:
             return "finished"
         waited = self.iteration - 1 - int(self.progress.best_iteration)
@@ -161,8 +163,7 @@ class FitModule(pl.LightningModule):
             self.trainer.should_stop = True
             return
         before = self.iteration
-        count = jnp.asarray(min(self.chunk, self.total - before))
-        self.progress, trace = self._run(self.progress, count)
+        self.progress, trace = self._run(self.progress, min(self.chunk, self.total - before))
         trace = jax.tree.map(lambda rows: np.asarray(rows)[: self.iteration - before], trace)
         self.history.append(trace)
         load_from_jax(self.friction, self._objective.space.values(self.progress.vector)["friction"])
@@ -361,7 +362,12 @@ def _to_tensors(tree: Any) -> list[torch.Tensor]:
 
 
 def _from_tensors(tensors: list[torch.Tensor], like: Any) -> Any:
-    return jax.tree.unflatten(jax.tree.structure(like), [jnp.asarray(tensor.numpy()) for tensor in tensors])
+    # numpy stays numpy: in JAX, float64 would be rounded where it computes in 32 bits.
+    leaves = [
+        tensor.numpy() if isinstance(leaf, np.ndarray) else jnp.asarray(tensor.numpy())
+        for tensor, leaf in zip(tensors, jax.tree.leaves(like), strict=True)
+    ]
+    return jax.tree.unflatten(jax.tree.structure(like), leaves)
 
 
 def _by_joint(name: str, values: np.ndarray) -> dict[str, float]:

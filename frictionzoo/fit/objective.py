@@ -1,110 +1,62 @@
-"""What a fit moves and what it minimises."""
+"""What a fit minimises."""
 
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float
 
-from frictionzoo.bench import Bench
-from frictionzoo.bridge import to_jax
-from frictionzoo.engine.mjx import Values
-from frictionzoo.errors import ConfigError
-from frictionzoo.models import FrictionModel
-from frictionzoo.params import Param
+from frictionzoo.engine import Values
+from frictionzoo.engine.linear import solve_spd
+from frictionzoo.errors import ConfigError, closest
+from frictionzoo.fit.space import Space
 from frictionzoo.rollout import Rollout
 from frictionzoo.types import Segments
 
-FORWARD_LIMIT = 16  # tangents up to which forward mode is cheaper than one reverse sweep through MJX
+BLOCK_STATES = 25_000
+"""States that are simulated at once: they fit into a processor's cache, and memory does not grow with the log."""
+
+_REFINEMENTS = 3  # Gauss-Newton steps for an initial state; rollouts are nearly linear in it
+_ROBUST: Mapping[str, Callable[[Any], Any]] = {
+    "none": lambda z: z,
+    "huber": lambda z: jnp.where(z <= 1, z, 2 * jnp.sqrt(jnp.where(z <= 1, 1.0, z)) - 1),
+    "soft_l1": lambda z: 2 * (jnp.sqrt(1 + z) - 1),
+    "cauchy": jnp.log1p,
+}
+"""Losses of a squared residual over the squared scale, as in scipy.optimize.least_squares."""
 
 
-class Space:
-    """The coordinates that an optimiser moves, and the physical values that they stand for.
-
-    A parameter's coordinate is its logarithm or its value over its scale, as its `Param` says; a network's weights are
-    their own coordinates. Known parameters have none.
+class Blocks(NamedTuple):
+    """Segments in blocks of equal size, each of shape (blocks, segments, ...).
 
     Attributes:
-        params: The identified physical parameters by their full name, `bench.armature`.
-        names: All that is identified, physical parameters first, then a network's weights.
-        weights: The network's weights among them.
-        start: Coordinates of the initial values, as one vector.
-        low: Lower bound of each coordinate; minus infinity where there is none.
-        high: Upper bound of each coordinate.
-
-    Args:
-        bench: Its parameters come first.
-        model: The friction model; its present values are the initial ones.
-        dtype: JAX type of the coordinates.
-
-    Raises:
-        ConfigError: Nothing is to be identified.
+        qpos: Measured position [rad or m], (blocks, segments, states, nv).
+        qvel: Measured velocity [rad/s or m/s], of the same shape.
+        ctrl: Command, (blocks, segments, time, nu).
+        weight: 1; 0 for a segment that only fills the last block.
     """
 
-    def __init__(self, bench: Bench, model: FrictionModel, dtype: Any) -> None:
-        bench_values = {name: jnp.asarray(value, dtype) for name, value in bench.initial_values().items()}
-        self._values = {"bench": bench_values, "friction": to_jax(model, dtype)}
-        specs = {f"bench.{name}": param for name, param in bench.params.items()}
-        specs |= {f"friction.{name}": param for name, param in model.params.items()}
-        self.params: dict[str, Param] = {name: param for name, param in specs.items() if param.identify}
-        free = [f"friction.{name}" for name, tensor in model.named_parameters() if tensor.requires_grad]
-        self.weights = [name for name in free if name not in specs]
-        self.names = [*self.params, *self.weights]
-        if not self.names:
-            raise ConfigError("no parameter is to be identified; set identify: true for at least one")
-        coordinates = [self._to_coordinate(name, self._get(self._values, name)) for name in self.names]
-        self.start, self._unravel = ravel_pytree(coordinates)
-        self.low, self.high = (ravel_pytree(self._bounds(coordinates, side))[0] for side in ("low", "high"))
+    qpos: Any
+    qvel: Any
+    ctrl: Any
+    weight: Any
 
-    def values(self, vector: Float[Array, "coordinates"]) -> Values:
-        """Physical values of all parameters, identified and known, by owner and name."""
-        values = {owner: dict(named) for owner, named in self._values.items()}
-        for name, coordinate in self._split(vector):
-            owner, _, key = name.partition(".")
-            values[owner][key] = self._from_coordinate(name, coordinate)
-        return values
 
-    def identified(self, vector: Float[Array, "coordinates"]) -> dict[str, Float[Array, "nv"]]:
-        """Physical values of the identified parameters by full name; a network's weights are left out."""
-        values = self.values(vector)
-        return {name: self._get(values, name) for name in self.params}
+class NormalEquations(NamedTuple):
+    """The objective near a vector, as a linear least-squares problem; arrays in float64.
 
-    def first_nonfinite(self, vector: Float[np.ndarray, "coordinates"]) -> str | None:
-        """Name of the first parameter whose entry in this vector (a gradient, say) is not finite."""
-        for name, entries in self._split(jnp.asarray(vector)):
-            if not np.isfinite(entries).all():
-                return name
-        return None
+    Attributes:
+        loss: The objective.
+        gradient: Half its gradient, J' r.
+        hessian: Half of Gauss's and Newton's approximation of its second derivative, J' J.
+    """
 
-    def farthest(self, vector: Float[np.ndarray, "coordinates"], origin: Float[np.ndarray, "coordinates"]) -> str:
-        """Name of the parameter whose coordinate in `vector` is farthest from that in `origin`."""
-        distances = self._split(jnp.nan_to_num(jnp.abs(jnp.asarray(vector) - jnp.asarray(origin)), nan=jnp.inf))
-        return max(distances, key=lambda named: float(named[1].max()))[0]
-
-    def _split(self, vector: Array) -> Iterable[tuple[str, Array]]:
-        return zip(self.names, self._unravel(vector), strict=True)
-
-    def _bounds(self, coordinates: list[Array], side: str) -> list[Array]:
-        infinite = -np.inf if side == "low" else np.inf
-        ends = [
-            self.params[name].to_coordinate(getattr(self.params[name], side), np) if name in self.params else infinite
-            for name in self.names
-        ]
-        return [jnp.full_like(coordinate, end) for coordinate, end in zip(coordinates, ends, strict=True)]
-
-    def _to_coordinate(self, name: str, value: Array) -> Array:
-        return self.params[name].to_coordinate(value, jnp) if name in self.params else value
-
-    def _from_coordinate(self, name: str, coordinate: Array) -> Array:
-        return self.params[name].from_coordinate(coordinate, jnp) if name in self.params else coordinate
-
-    @staticmethod
-    def _get(values: Mapping[str, Mapping[str, Array]], name: str) -> Array:
-        owner, _, key = name.partition(".")
-        return values[owner][key]
+    loss: float
+    gradient: Float[np.ndarray, "coordinates"]
+    hessian: Float[np.ndarray, "coordinates coordinates"]
 
 
 class Objective:
@@ -115,6 +67,8 @@ class Objective:
 
     Attributes:
         space: The coordinates.
+        data: What the functions below take as their last argument: the segments, spread over all local devices.
+        compile: `jax.jit` for functions that call these.
 
     Args:
         space: The coordinates.
@@ -122,45 +76,190 @@ class Objective:
         segments: What was measured.
         position: Weight of squared position errors [1/rad^2 or 1/m^2].
         velocity: Weight of squared velocity errors [s^2/rad^2 or s^2/m^2].
+        robust: What becomes of a squared residual: `none`, `huber`, `soft_l1` or `cauchy`, as scipy names them.
+        robust_scale: Weighted residual from which on it counts less than its square.
+        refine: Whether each segment's initial state is estimated along, from its measured state and from all that
+            follows (multiple shooting), instead of being taken as measured.
 
     Raises:
-        ConfigError: A weight is negative, or both are 0.
+        ConfigError: A weight is negative, or both are 0; the robust loss is unknown or cannot be combined.
     """
 
-    def __init__(self, space: Space, rollout: Rollout, segments: Segments, position: float, velocity: float) -> None:
+    def __init__(
+        self,
+        space: Space,
+        rollout: Rollout,
+        segments: Segments,
+        position: float,
+        velocity: float,
+        robust: str,
+        robust_scale: float,
+        refine: bool,
+    ) -> None:
         if min(position, velocity) < 0 or max(position, velocity) == 0:
             raise ConfigError(
                 f"loss.position={position:g}, loss.velocity={velocity:g}; expected weights of at least 0, not both 0"
             )
+        if robust not in _ROBUST:
+            raise ConfigError(f"loss.robust={robust}: unknown; {closest(robust, _ROBUST)}")
+        if not robust_scale > 0:
+            raise ConfigError(f"loss.robust_scale={robust_scale:g}; expected a positive number")
+        if refine and robust != "none":
+            raise ConfigError(f"loss.robust={robust} with loss.refine=true; expected one of them, set the other off")
+        if refine and not position * velocity:
+            raise ConfigError("loss.refine=true with a weight of 0; expected loss.position and loss.velocity above 0")
         self.space = space
+        self.compile = rollout.compile
+        self.data = _into_blocks(segments, space.start.dtype)
         self._rollout = rollout
-        dtype = space.start.dtype
-        self._qpos, self._qvel, self._ctrl = (
-            jnp.asarray(array, dtype) for array in (segments.qpos, segments.qvel, segments.ctrl)
-        )
-        self._weights = (position, velocity)
+        self._roots = np.sqrt([position, velocity])
+        self._robust, self._scale = _ROBUST[robust], robust_scale
+        self._refine = refine
+        self._terms = segments.count * (segments.length + refine) * segments.qpos.shape[2]
 
-    def loss(self, vector: Float[Array, "coordinates"]) -> Float[Array, ""]:
+    def loss(self, vector: Float[Array, "coordinates"], data: Blocks) -> Float[Array, ""]:
         """The objective."""
-        qpos, qvel = self._rollout(self.space.values(vector), self._qpos[:, 0], self._qvel[:, 0], self._ctrl)
-        position, velocity = self._weights
-        return jnp.mean(
-            position * jnp.square(qpos - self._qpos[:, 1:]) + velocity * jnp.square(qvel - self._qvel[:, 1:])
-        )
+        return jnp.sum(jax.lax.map(lambda block: self._block_loss(vector, block), data))
 
-    def value_and_grad(self, derivative: str) -> Callable[[Array], tuple[Array, Array]]:
-        """The objective and its gradient as one function, not compiled.
+    def value_and_grad(self, derivative: str) -> Callable[[Array, Blocks], tuple[Array, Array]]:
+        """The objective and its gradient as one function of a vector and the data, not compiled.
 
         Args:
             derivative: `forward` (a tangent for each coordinate), `reverse`, or `auto` for the cheaper one.
         """
-        few = len(self.space.start) <= FORWARD_LIMIT
-        if derivative == "reverse" or (derivative == "auto" and not few):
-            return jax.value_and_grad(self.loss)
+        few = len(self.space.start) <= self._rollout.forward_limit
+        reverse = derivative == "reverse" or (derivative == "auto" and not few)
 
-        def forward(vector: Array) -> tuple[Array, Array]:
-            tangents = jnp.eye(len(vector), dtype=vector.dtype)
-            losses, gradient = jax.vmap(lambda tangent: jax.jvp(self.loss, (vector,), (tangent,)))(tangents)
+        def of_block(vector: Array, block: Blocks) -> tuple[Array, Array]:
+            if reverse:
+                return jax.value_and_grad(self._block_loss)(vector, block)
+            slope = jax.vmap(lambda tangent: jax.jvp(lambda x: self._block_loss(x, block), (vector,), (tangent,)))
+            losses, gradient = slope(jnp.eye(len(vector), dtype=vector.dtype))
             return losses[0], gradient
 
-        return forward
+        def of_all(vector: Array, data: Blocks) -> tuple[Array, Array]:
+            losses, gradients = jax.lax.map(lambda block: of_block(vector, block), data)
+            return jnp.sum(losses), jnp.sum(gradients, axis=0)
+
+        return of_all
+
+    def compile_normal_equations(self) -> Callable[[Float[np.ndarray, "coordinates"]], NormalEquations]:
+        """The compiled function of a vector that gives the normal equations, with exact Jacobians.
+
+        They are summed block by block, so that no Jacobian of all residuals is ever kept; the sum over blocks is in
+        float64. With refined initial states these are eliminated (Schur complement).
+        """
+        example = (self.space.start, self.data)
+        compiled = self.compile(
+            lambda vector, data: jax.lax.map(lambda block: self._block_equations(vector, block), data)
+        ).lower(*example)
+        compiled = compiled.compile()
+
+        def evaluate(vector: Float[np.ndarray, "coordinates"]) -> NormalEquations:
+            parts = compiled(jnp.asarray(vector, self.space.start.dtype), self.data)
+            loss, gradient, hessian = (np.asarray(part, np.float64).sum(axis=0) for part in parts)
+            return NormalEquations(float(loss), gradient, hessian)
+
+        return evaluate
+
+    def _block_loss(self, vector: Array, block: Blocks) -> Float[Array, ""]:
+        values = self.space.values(vector)
+        residuals = self._residuals(values, *self._initial(values, block), block)
+        return self._sum(jnp.square(residuals)) / self._terms
+
+    def _sum(self, squares: Array) -> Array:
+        square = self._scale**2
+        return jnp.sum(self._robust(squares / square)) * square
+
+    def _residuals(self, values: Values, qpos: Array, qvel: Array, block: Blocks) -> Float[Array, "segments terms 2"]:
+        """Weighted errors of position and velocity, with that of the initial state first where it is refined."""
+        predicted = self._rollout(values, qpos, qvel, block.ctrl)
+        errors = []
+        for root, start, after, measured in zip(
+            self._roots, (qpos, qvel), predicted, (block.qpos, block.qvel), strict=True
+        ):
+            whole = jnp.concatenate([start[:, None], after], axis=1) if self._refine else after
+            errors.append(root * (whole - (measured if self._refine else measured[:, 1:])))
+        weighted = jnp.stack(errors, axis=-1) * block.weight[:, None, None, None]
+        return weighted.reshape(len(block.weight), -1, 2)
+
+    def _initial(self, values: Values, block: Blocks) -> tuple[Array, Array]:
+        """Where the segments start: as measured, or as fits the whole segment best.
+
+        No derivative goes through the search: at its end the objective does not change with the initial states, so
+        that its derivative is that at fixed ones.
+        """
+        state = (block.qpos[:, 0], block.qvel[:, 0])
+        if not self._refine:
+            return state
+        values, block = jax.lax.stop_gradient((values, block))
+        nv = state[0].shape[1]
+        for _ in range(_REFINEMENTS):
+            residuals, slopes = self._with_slopes(values, *state, block)
+            moved = jax.vmap(solve_spd)(
+                jnp.einsum("isk,jsk->sij", slopes, slopes) + jnp.eye(2 * nv) * (1 - block.weight[:, None, None]),
+                jnp.einsum("isk,sk->si", slopes, residuals),
+            )
+            state = (state[0] - moved[:, :nv], state[1] - moved[:, nv:])
+        return jax.lax.stop_gradient(state)
+
+    def _with_slopes(
+        self, values: Values, qpos: Array, qvel: Array, block: Blocks
+    ) -> tuple[Float[Array, "segments terms"], Float[Array, "states segments terms"]]:
+        """Residuals, and their derivative with respect to each entry of the initial position and velocity."""
+
+        def residuals(qpos: Array, qvel: Array) -> Array:
+            return self._residuals(values, qpos, qvel, block).reshape(len(qpos), -1)
+
+        nv = qpos.shape[1]
+        units = jnp.eye(2 * nv, dtype=qpos.dtype)[:, None, :] * jnp.ones_like(qpos[:, :1])
+        slopes = jax.vmap(
+            lambda unit: jax.jvp(residuals, (qpos, qvel), (unit[:, :nv], unit[:, nv:]))[1],
+        )(units)
+        return residuals(qpos, qvel), slopes
+
+    def _block_equations(self, vector: Array, block: Blocks) -> tuple[Array, Array, Array]:
+        qpos, qvel = self._initial(self.space.values(vector), block)
+
+        def residuals(vector: Array) -> Array:
+            return self._residuals(self.space.values(vector), qpos, qvel, block).reshape(len(qpos), -1)
+
+        errors = residuals(vector)
+        slopes = jax.vmap(lambda unit: jax.jvp(residuals, (vector,), (unit,))[1])(
+            jnp.eye(len(vector), dtype=vector.dtype)
+        )
+        loss = self._sum(jnp.square(errors))
+        # For a robust loss every residual counts by the slope of its loss, as in iteratively reweighted least squares.
+        share = jax.vmap(jax.vmap(jax.grad(self._robust)))(jnp.square(errors) / self._scale**2)
+        gradient = jnp.einsum("isk,sk->i", slopes, share * errors)
+        hessian = jnp.einsum("isk,jsk->ij", slopes, share * slopes)
+        if self._refine:
+            _, own = self._with_slopes(self.space.values(vector), qpos, qvel, block)
+            inverse_of = jnp.einsum("isk,jsk->sij", own, own) + jnp.eye(len(own)) * (1 - block.weight[:, None, None])
+            mixed = jnp.einsum("isk,jsk->sji", own, slopes)
+            right = jnp.einsum("isk,sk->si", own, errors)
+            solved = jax.vmap(jax.vmap(solve_spd, in_axes=(None, 0)))(inverse_of, mixed)
+            gradient = gradient - jnp.einsum("sji,si->j", solved, right)
+            hessian = hessian - jnp.einsum("sji,ski->jk", solved, mixed)
+        return loss / self._terms, gradient / self._terms, hessian / self._terms
+
+
+def _into_blocks(segments: Segments, dtype: Any) -> Blocks:
+    """Equal blocks; where the segments do not fill the last, its rest repeats the last segment with no weight."""
+    device = jax.config.jax_default_device
+    devices = jax.local_devices(backend=device.platform if device is not None else None)
+    largest = max(1, BLOCK_STATES // segments.length)
+    blocks = -(-segments.count // largest)
+    size = -(-segments.count // blocks)
+    size = -(-size // len(devices)) * len(devices)
+    index = np.minimum(np.arange(blocks * size), segments.count - 1)
+
+    def cut(signal: np.ndarray) -> np.ndarray:
+        return signal[index].astype(dtype).reshape(blocks, size, *signal.shape[1:])
+
+    weight = (np.arange(blocks * size) < segments.count).astype(dtype).reshape(blocks, size)
+    host = Blocks(cut(segments.qpos), cut(segments.qvel), cut(segments.ctrl), weight)
+    if len(devices) == 1:
+        return jax.tree.map(jnp.asarray, host)
+    sharding = NamedSharding(Mesh(np.array(devices), ("segments",)), PartitionSpec(None, "segments"))
+    return jax.tree.map(lambda signal: jax.device_put(signal, sharding), host)

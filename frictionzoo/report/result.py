@@ -42,6 +42,7 @@ def build_result(
     timing: Mapping[str, float],
     seed: int,
     dtype: str,
+    engine: str,
     device: str,
 ) -> dict[str, Any]:
     """The record of a run, ready for JSON: no NaN, no numpy types.
@@ -58,6 +59,7 @@ def build_result(
         timing: Seconds of `setup`, `compile`, `fit`, `evaluate`, `total`.
         seed: The run's seed.
         dtype: Number type of the simulation.
+        engine: What simulated.
         device: Where it ran.
     """
     result = {
@@ -74,6 +76,7 @@ def build_result(
         "timing": dict(timing),
         "seed": seed,
         "dtype": dtype,
+        "engine": engine,
         "device": device,
         "versions": _read_versions(),
     }

@@ -1,0 +1,124 @@
+"""The fast engine: MJX's dynamics of one small bench as a flat function, and MuJoCo's friction constraint solved."""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Array, Float
+
+from frictionzoo.bench import Bench
+from frictionzoo.engine.base import Engine, Friction, Values
+from frictionzoo.engine.dry_friction import dry_friction
+from frictionzoo.engine.linear import solve_spd
+from frictionzoo.engine.mjx import Dynamics, MjxEngine, ModelInputs
+from frictionzoo.engine.specialise import CannotSpecialiseError, Specialised, specialise
+from frictionzoo.types import DriveState, FrictionTerms
+
+
+class SpecialisedEngine(Engine):
+    """Advances one bench by what MJX's functions come down to for this very model.
+
+    Inertia, bias, actuator torque and the friction constraint's coefficients are MJX's, partially evaluated once by
+    `specialise`. What remains is written here: MuJoCo's semi-implicit Euler and implicitfast integrators, and its
+    friction constraint.
+
+    Source: MuJoCo documentation, "Computation": "Numerical integration" and "Constraint model".
+
+    Args:
+        bench: What is simulated: hinges or slides, without contacts, limits, tendons and equalities.
+        friction: The friction law's formula over `jax.numpy`.
+        constraint: Whether the law answers with a `frictionloss`.
+
+    Raises:
+        CannotSpecialiseError: The bench has something else.
+    """
+
+    name = "specialised"
+    forward_limit = 3
+
+    def __init__(self, bench: Bench, friction: Friction, constraint: bool) -> None:
+        model = bench.compile(constraint)
+        _refuse_other_constraints(model)
+        self._model_inputs, self._dynamics = _specialised(bench, constraint)
+        self.note = f"the dynamics come down to {self._dynamics.operations} scalar operations"
+        self._friction = friction
+        self._constraint = constraint
+        self._timestep = float(model.opt.timestep)
+        flags = model.opt.disableflags
+        self._damper = not flags & mujoco.mjtDisableBit.mjDSBL_DAMPER
+        euler = model.opt.integrator == mujoco.mjtIntegrator.mjINT_EULER
+        self._damps_implicitly = not flags & mujoco.mjtDisableBit.mjDSBL_EULERDAMP if euler else self._damper
+        # XLA's fusion on CPUs computes shared terms again for each of their uses. For one joint they are few.
+        self.compiler_options = {} if bench.nv == 1 else {"xla_disable_hlo_passes": "fusion"}
+
+    def step(
+        self, values: Values, qpos: Float[Array, "nv"], qvel: Float[Array, "nv"], ctrl: Float[Array, "nu"]
+    ) -> tuple[Float[Array, "nv"], Float[Array, "nv"]]:
+        """See `Engine.step`."""
+        here = self._at(values, qpos, qvel, ctrl)
+        terms = self._friction(
+            values["friction"], DriveState(qpos, qvel, ctrl, here.motor_torque, here.external_torque)
+        )
+        force = here.motor_torque + here.external_torque
+        implicit = here.inertia + here.implicit
+        if terms.torque is not None:
+            force = force - terms.torque
+        if terms.damping is not None:
+            damping = jnp.broadcast_to(terms.damping, qvel.shape)
+            if self._damper:
+                force = force - damping * qvel
+            if self._damps_implicitly:
+                implicit = implicit + jnp.diag(self._timestep * damping)
+        if self._constraint:
+            limit = jnp.broadcast_to(terms.frictionloss, qvel.shape)
+            force = force + dry_friction(here.inertia, force, here.constraint_inertia, here.constraint_reference, limit)
+        qvel = qvel + self._timestep * solve_spd(implicit, force)
+        return qpos + self._timestep * qvel, qvel
+
+    def drive_state(
+        self, values: Values, qpos: Float[Array, "nv"], qvel: Float[Array, "nv"], ctrl: Float[Array, "nu"]
+    ) -> DriveState:
+        """See `Engine.drive_state`."""
+        here = self._at(values, qpos, qvel, ctrl)
+        return DriveState(qpos, qvel, ctrl, here.motor_torque, here.external_torque)
+
+    def _at(self, values: Values, qpos: Array, qvel: Array, ctrl: Array) -> Dynamics:
+        return self._dynamics(self._model_inputs(values), qpos, qvel, ctrl)
+
+
+_known: dict[tuple[str, bool], tuple[Callable[[Values], ModelInputs], Specialised]] = {}
+"""What was specialised in this process: a job simulates its bench with the law and without."""
+
+
+def _specialised(bench: Bench, constraint: bool) -> tuple[Callable[[Values], ModelInputs], Specialised]:
+    """From values to MJX's inputs, and MJX's dynamics, of this bench."""
+    # Two benches that write the same MJCF differ in their initial values and bounds only.
+    key = (f"{type(bench.actuator).__qualname__} {bench.mjcf(bench.initial_values())}", constraint)
+    if key not in _known:
+        with jax.enable_x64(True):
+            reference = MjxEngine(bench, lambda values, state: FrictionTerms(), constraint)
+            inputs = reference.model_inputs({"bench": bench.initial_values()})
+            _known[key] = reference.model_inputs, specialise(reference.dynamics, inputs, *[np.zeros(bench.nv)] * 3)
+    return _known[key]
+
+
+def _refuse_other_constraints(model: mujoco.MjModel) -> None:
+    flags = model.opt.disableflags
+    can_touch = not flags & mujoco.mjtDisableBit.mjDSBL_CONTACT and bool(model.npair or _collides(model))
+    limits = not flags & mujoco.mjtDisableBit.mjDSBL_LIMIT and bool(model.jnt_limited.any())
+    reasons = {
+        "geoms that can touch": can_touch,
+        "joint limits": limits,
+        "equality constraints": model.neq > 0,
+        "tendons": model.ntendon > 0,
+        "an activation": model.na > 0,
+    }
+    for reason, present in reasons.items():
+        if present:
+            raise CannotSpecialiseError(reason)
+
+
+def _collides(model: mujoco.MjModel) -> bool:
+    return bool((model.geom_contype[:, None] & model.geom_conaffinity[None, :]).any())

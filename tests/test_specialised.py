@@ -1,0 +1,305 @@
+"""The specialised engine against MuJoCo C, which is the oracle, and against stock MJX, whose gradients it must have."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from mujoco import mjx
+
+from frictionzoo.bench import Bench, PositionPD
+from frictionzoo.engine import MjxEngine, SpecialisedEngine, make_engine
+from frictionzoo.engine.specialise import CannotSpecialiseError, specialise
+from frictionzoo.errors import ConfigError
+from frictionzoo.types import FrictionTerms
+
+KNOWN = {"low": 1e-6, "high": 1e3, "scale": "log", "identify": False}
+BODIES = {
+    "hinge with gravity": '<joint name="j0" axis="0 1 0"/>'
+    '<inertial pos="0 0 -0.11" mass="0.26" diaginertia="0.0011 0.0011 0.0001"/>',
+    "slide without": '<joint name="j0" type="slide" axis="1 0 0"/>'
+    '<inertial pos="0 0.1 0" mass="3" diaginertia="1 1 1"/>',
+    "inclined axis, off-axis mass": '<joint name="j0" axis="1 2 0.5" pos="0.01 0.02 0"/>'
+    '<inertial pos="0.05 -0.03 -0.1" quat="1 0.2 0.1 0" mass="0.4" diaginertia="0.002 0.003 0.004"/>',
+}
+INTEGRATORS = {
+    "Euler": ('integrator="Euler"', ""),
+    "Euler, explicit damping": ('integrator="Euler"', '<flag eulerdamp="disable"/>'),
+    "implicitfast": ('integrator="implicitfast"', ""),
+}
+AXES = ("0 1 0", "1 0 0", "0 0 1")
+
+
+@pytest.fixture(autouse=True)
+def x64() -> Iterator[None]:
+    with jax.enable_x64(True):
+        yield
+
+
+def make_bench(tmp_path: Path, body: str, integrator: str = "Euler", joints: int = 1, inside: str = "") -> Bench:
+    option, flag = INTEGRATORS[integrator]
+    path = tmp_path / "bench.xml"
+    # The tolerance lets MuJoCo C converge, so that it is an oracle for several joints too.
+    path.write_text(
+        f'<mujoco><option timestep="0.001" tolerance="0" iterations="200" {option}>{flag}</option>'
+        f"<worldbody>{body}</worldbody>{inside}</mujoco>"
+    )
+    actuator = PositionPD({"kp": {"init": 20.0, **KNOWN}, "kd": {"init": 1.0, **KNOWN}})
+    names = [f"j{index}" for index in range(joints)]
+    return Bench(str(path), names, actuator, {"armature": {"init": 0.02, **KNOWN}}, [0.02, 1.0])
+
+
+def chain(joints: int) -> str:
+    """Hinges about changing axes, each on the body before it."""
+    body = ""
+    for index in reversed(range(joints)):
+        body = (
+            f'<body pos="0 0 -0.2"><joint name="j{index}" axis="{AXES[index % 3]}"/>'
+            f'<inertial pos="0.01 0.02 -0.11" mass="0.26" diaginertia="0.0011 0.0012 0.0004"/>{body}</body>'
+        )
+    return body
+
+
+def random_cases(count: int, nv: int, seed: int = 0) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    shape = (count, nv)
+    return {
+        "qpos": rng.normal(size=shape),
+        # Half of them slow enough for the constraint to stick.
+        "qvel": rng.normal(size=shape) * np.where(np.arange(count) % 2, 1.0, 1e-3)[:, None],
+        "ctrl": rng.normal(size=shape),
+        "armature": rng.uniform(0.005, 0.3, shape),
+        "frictionloss": rng.uniform(0.01, 3.0, shape),
+        "damping": rng.uniform(0.0, 2.0, shape),
+        "torque": rng.normal(size=shape),
+    }
+
+
+def law(constraint: bool) -> Any:
+    def friction(values: dict[str, Any], state: Any) -> FrictionTerms:
+        return FrictionTerms(values["torque"], values["frictionloss"] if constraint else None, values["damping"])
+
+    return friction
+
+
+def step_of(engine: Any, bench: Bench) -> Any:
+    known = {name: jnp.asarray(value) for name, value in bench.initial_values().items()}
+
+    def step(case: dict[str, Any]) -> jax.Array:
+        values = {"bench": known | {"armature": case["armature"]}, "friction": case}
+        return jnp.stack(engine.step(values, case["qpos"], case["qvel"], case["ctrl"]))
+
+    return step
+
+
+def steps_in_c(bench: Bench, cases: dict[str, np.ndarray], constraint: bool) -> np.ndarray:
+    """One step of each case; `mj_setConst` does what compiling the MJCF anew would do with other armatures."""
+    model = bench.compile(constraint)
+    data = mujoco.MjData(model)
+    after = np.empty((len(cases["qpos"]), 2, bench.nv))
+    for index in range(len(after)):
+        case = {name: value[index] for name, value in cases.items()}
+        model.dof_armature[:], model.dof_damping[:] = case["armature"], case["damping"]
+        model.dof_frictionloss[:] = case["frictionloss"] if constraint else 0.0
+        mujoco.mj_setConst(model, data)
+        mujoco.mj_resetData(model, data)
+        data.qpos[:], data.qvel[:], data.ctrl[:] = case["qpos"], case["qvel"], case["ctrl"]
+        data.qfrc_applied[:] = -case["torque"]
+        mujoco.mj_step(model, data)
+        after[index] = data.qpos, data.qvel
+    return after
+
+
+def stock_step(bench: Bench, constraint: bool) -> Any:
+    """`mjx.step`, untouched, with these values in its model."""
+    compiled = bench.compile(constraint)
+    model = mjx.put_model(compiled)
+    fresh = mjx.make_data(model)
+    inertia = MjxEngine(bench, law(constraint), constraint)._rigid_inertia
+
+    def step(case: dict[str, Any]) -> jax.Array:
+        invweight0 = jnp.diagonal(jnp.linalg.inv(inertia + jnp.diag(case["armature"])))
+        own = model.replace(
+            dof_armature=case["armature"],
+            dof_damping=case["damping"],
+            dof_invweight0=invweight0,
+            dof_frictionloss=case["frictionloss"] if constraint else model.dof_frictionloss,
+        )
+        own = own.tree_replace({"opt.iterations": 1}) if bench.nv == 1 else own
+        data = fresh.replace(qpos=case["qpos"], qvel=case["qvel"], ctrl=case["ctrl"], qfrc_applied=-case["torque"])
+        data = mjx.step(own, data)
+        return jnp.stack([data.qpos, data.qvel])
+
+    return step
+
+
+@pytest.mark.parametrize("constraint", [False, True], ids=["smooth", "frictionloss"])
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+@pytest.mark.parametrize("body", BODIES)
+def test_ten_thousand_steps_equal_mujoco_c_and_mjx(
+    tmp_path: Path, body: str, integrator: str, constraint: bool
+) -> None:
+    bench = make_bench(tmp_path, f"<body>{BODIES[body]}</body>", integrator)
+    step = step_of(SpecialisedEngine(bench, law(constraint), constraint), bench)
+    cases = random_cases(10_000, 1)
+    ours = jax.jit(jax.vmap(step))(cases)
+    np.testing.assert_allclose(ours, steps_in_c(bench, cases, constraint), rtol=0, atol=1e-12)
+    stock = jax.jit(jax.vmap(stock_step(bench, constraint)))(cases)
+    np.testing.assert_allclose(ours, stock, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("constraint", [False, True], ids=["smooth", "frictionloss"])
+@pytest.mark.parametrize("body", BODIES)
+def test_gradients_equal_those_of_mjx(tmp_path: Path, body: str, constraint: bool) -> None:
+    bench = make_bench(tmp_path, f"<body>{BODIES[body]}</body>")
+    cases = random_cases(500, 1)
+    weights = np.random.default_rng(1).normal(size=(2, 1))
+
+    def gradients(step: Any) -> Any:
+        return jax.jit(jax.vmap(jax.grad(lambda case: jnp.sum(weights * step(case)))))(cases)
+
+    ours = gradients(step_of(SpecialisedEngine(bench, law(constraint), constraint), bench))
+    stock = gradients(stock_step(bench, constraint))
+    for name, gradient in ours.items():
+        np.testing.assert_allclose(gradient, stock[name], rtol=1e-10, atol=1e-10, err_msg=name)
+
+
+@pytest.mark.parametrize("joints", [2, 4, 7])
+def test_chains_equal_mujoco_c(tmp_path: Path, joints: int) -> None:
+    bench = make_bench(tmp_path, chain(joints), joints=joints)
+    cases = random_cases(2000, joints)
+    # Without friction both only round. With friction on every joint MuJoCo C iterates to its own last digit.
+    for constraint, tolerance in ((False, 1e-10), (True, 1e-8)):
+        engine = SpecialisedEngine(bench, law(constraint), constraint)
+        ours = jax.jit(jax.vmap(step_of(engine, bench)), compiler_options=engine.compiler_options)(cases)
+        np.testing.assert_allclose(ours, steps_in_c(bench, cases, constraint), rtol=0, atol=tolerance)
+
+
+def test_gradients_of_a_chain_equal_those_of_mjx(tmp_path: Path) -> None:
+    bench = make_bench(tmp_path, chain(3), joints=3)
+    cases = random_cases(50, 3)
+
+    def gradients(engine: Any) -> Any:
+        step = step_of(engine, bench)
+        slope = jax.jacfwd(step)  # MJX's solver for several joints has a loop, which reverse mode cannot pass
+        return jax.jit(jax.vmap(slope), compiler_options=engine.compiler_options)(cases)
+
+    ours, stock = (gradients(kind(bench, law(False), False)) for kind in (SpecialisedEngine, MjxEngine))
+    for name, gradient in ours.items():
+        np.testing.assert_allclose(gradient, stock[name], rtol=1e-10, atol=1e-10, err_msg=name)
+
+
+def test_gradients_with_dry_friction_on_several_joints_equal_differences(tmp_path: Path) -> None:
+    bench = make_bench(tmp_path, chain(3), joints=3)
+    step = jax.jit(step_of(SpecialisedEngine(bench, law(True), True), bench))
+    slope = jax.jit(jax.jacrev(step))
+    rng = np.random.default_rng(2)
+    cases = random_cases(20, 3)
+    for index in range(20):
+        case = {name: jnp.asarray(value[index]) for name, value in cases.items()}
+        direction = {name: rng.normal(size=3) for name in case}
+        h = 1e-7
+        ahead, behind = (
+            step({name: value + sign * h * direction[name] for name, value in case.items()}) for sign in (1, -1)
+        )
+        ours = sum(slope(case)[name] @ direction[name] for name in case)
+        # A border between sticking and sliding inside the difference would show as a jump of 1; rounding is 1e-9.
+        np.testing.assert_allclose(ours, (ahead - behind) / (2 * h), rtol=1e-5, atol=1e-6)
+
+
+def test_a_tree_with_a_branch_and_a_slide_is_specialised_too(tmp_path: Path) -> None:
+    arm = chain(3).replace("j2", "j3")
+    body = arm.replace(
+        "</body>",
+        '<body><joint name="j2" type="hinge" axis="0 0 1"/>'
+        '<inertial pos="0.1 0 0" mass="0.1" diaginertia="1e-4 1e-4 1e-4"/></body></body>',
+        1,
+    )
+    bench = make_bench(tmp_path, body, joints=4)
+    cases = random_cases(200, 4)
+    engine = SpecialisedEngine(bench, law(True), True)
+    ours = jax.jit(jax.vmap(step_of(engine, bench)), compiler_options=engine.compiler_options)(cases)
+    np.testing.assert_allclose(ours, steps_in_c(bench, cases, True), rtol=0, atol=1e-8)
+
+
+def test_what_the_model_fixes_is_gone(tmp_path: Path) -> None:
+    """A rod on a hinge is one sine, an armature and an actuator, however many frames MJX computes."""
+    for name, body in BODIES.items():
+        bench = make_bench(tmp_path, f"<body>{body}</body>")
+        assert int(SpecialisedEngine(bench, law(False), False).note.split()[-3]) <= 15, name
+
+
+@pytest.mark.parametrize(
+    ("inside", "reason"),
+    [
+        ('<joint name="j0" range="-1 1" limited="true"/>', "joint limits"),
+        ('<joint name="j0"/><geom size="0.1"/><geom size="0.1"/>', "geoms that can touch"),
+    ],
+)
+def test_a_bench_with_other_constraints_goes_to_mjx(tmp_path: Path, inside: str, reason: str) -> None:
+    bench = make_bench(tmp_path, f'<body>{inside}<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>')
+    engine = make_engine("auto", bench, law(False), False)
+    assert engine.name == "mjx"
+    assert engine.note == f"specialised does not apply: {bench.source} has {reason}"
+    with pytest.raises(ConfigError, match=f"engine=specialised: .* has {reason}; set engine=auto"):
+        make_engine("specialised", bench, law(False), False)
+
+
+def test_auto_says_what_it_chose(tmp_path: Path) -> None:
+    bench = make_bench(tmp_path, f"<body>{BODIES['hinge with gravity']}</body>")
+    engine = make_engine("auto", bench, law(False), False)
+    assert (engine.name, engine.note) == ("specialised", "the dynamics come down to 12 scalar operations")
+    with pytest.raises(ConfigError, match=r"engine=special: no such engine; did you mean specialised\?"):
+        make_engine("special", bench, law(False), False)
+
+
+def test_every_rule_gives_what_jax_gives() -> None:
+    rng = np.random.default_rng(0)
+    x, y, matrix = rng.normal(size=4), rng.uniform(0.5, 1.0, 4), rng.normal(size=(3, 4))
+
+    def function(x: Any, y: Any, matrix: Any) -> Any:
+        table = jnp.arange(12.0).reshape(3, 4)
+        padded = jnp.pad(x, (1, 2))
+        return {
+            "elementwise": jnp.sin(x) * jnp.exp(y) / jnp.sqrt(y) - jnp.arctan2(x, y) + jnp.tanh(x) ** 3 + x**-2,
+            "select": jnp.where((x > 0) & ~(y < 0.7) | (x == y), jnp.maximum(x, 0.1), jnp.clip(y, 0.6, 0.8)),
+            "rounding": jnp.floor(x) + jnp.sign(x) + jnp.abs(x) + jnp.fmod(x, 0.3),
+            "gather": matrix[jnp.array([2, 0]), 1:3] + table[jnp.array([2, 0]), 1:3],
+            "scatter": jnp.zeros(5).at[jnp.array([1, 3])].set(x[:2]).at[jnp.array([3, 3])].add(y[:2]),
+            "dropped": jnp.zeros(3).at[jnp.array([1, 7])].add(x[:2], mode="drop"),
+            "slices": jax.lax.dynamic_slice(matrix, (1, 2), (2, 2)) @ padded[1:3],
+            "update": jax.lax.dynamic_update_slice(padded, y[:2], (2,)),
+            "contract": jnp.einsum("ij,j->i", matrix, x) + jnp.linalg.norm(matrix, axis=1),
+            "batched": jax.vmap(jnp.dot)(matrix, table),
+            "reduce": jnp.array([x.sum(), y.max(), y.min(), x.cumsum()[2], jnp.all(y > 0), jnp.any(x > 9)]),
+            "shape": jnp.concatenate([matrix.T[::-1].ravel(), jnp.repeat(x, 2), jnp.stack([x, y]).reshape(-1)]),
+            "constant": jnp.linalg.inv(jnp.eye(3) * 2.0) + jnp.sort(jnp.array([3.0, 1.0, 2.0])),
+            "powers": jnp.cos(x[0]) ** 4 + 2 * jnp.cos(x[0]) ** 2 * jnp.sin(x[0]) ** 2 + jnp.sin(x[0]) ** 4,
+        }
+
+    found, expected = specialise(function, x, y, matrix)(x, y, matrix), function(x, y, matrix)
+    assert found.keys() == expected.keys()
+    for name, value in expected.items():
+        np.testing.assert_allclose(found[name], value, rtol=1e-12, atol=1e-14, err_msg=name)
+
+
+def test_what_cancels_is_multiplied_out() -> None:
+    assert specialise(lambda x: jnp.cos(x) ** 2 + jnp.sin(x) ** 2, np.zeros(())).operations == 0
+    assert specialise(lambda x, y: (x + y) ** 2 - x**2 - 2 * x * y - y * y, np.zeros(()), np.zeros(())).operations == 0
+
+
+@pytest.mark.parametrize(
+    ("function", "operation"),
+    [
+        (lambda x: jnp.sort(x), "sort"),
+        (lambda x: jax.lax.fori_loop(0, 3, lambda _, y: y * x, x), "scan|while"),
+        (lambda x: jnp.arange(3.0)[x[0].astype(int)], "an index that depends on the state"),
+    ],
+)
+def test_what_has_no_rule_is_named(function: Any, operation: str) -> None:
+    with pytest.raises(CannotSpecialiseError, match=operation):
+        specialise(function, np.ones(2))
