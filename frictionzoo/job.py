@@ -2,6 +2,7 @@
 
 import json
 import logging
+import os
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -94,7 +95,7 @@ class Problem:
         segments = cut_segments(dataset.train, **settings["segments"])
         evaluation = Evaluation(dataset, bench.joint_type, **settings["evaluation"])
         drive = Drive.assemble(bench, build(settings["model"], nv=bench.nv), settings["engine"])
-        samples = _training_samples(drive.engine, bench, dataset)
+        samples = _training_samples(drive, bench, dataset)
         drive.model.prepare(samples)
         objective = _make_objective(bench, drive, segments, settings)
         return cls(bench, dataset, segments, evaluation, drive, samples, objective, build(settings["fit"]), device)
@@ -121,6 +122,8 @@ def run_job(config: DictConfig, name: str, folder: Path) -> tuple[dict[str, Any]
     segments = problem.segments
     engine = problem.drive.engine
     _log.info("engine %s%s", engine.name, f": {engine.note}" if engine.note else "")
+    if problem.objective.devices > 1:
+        _log.info("segments are spread over %d devices", problem.objective.devices)
     _log.info("%s: %d segments of %d steps to train on", problem.dataset.name, segments.count, segments.length)
 
     identity = _identify(name, problem, settings)
@@ -177,6 +180,8 @@ def _write_drive(folder: Path, problem: Problem, outcome: Outcome, judgement: Ju
 
 def _configure_jax(dtype: str, device: str, compilation_cache: str | None) -> str:
     """Set JAX's precision, device and cache of compiled functions; returns the device's name."""
+    # XLA would take most of a GPU's memory at once and leave torch none; it reads this when it first meets the GPU.
+    os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     if dtype not in ("float32", "float64"):
         raise ConfigError(f"dtype={dtype}; expected float32 or float64")
     if device not in ("auto", "cpu", "cuda"):
@@ -186,7 +191,7 @@ def _configure_jax(dtype: str, device: str, compilation_cache: str | None) -> st
         chosen = jax.devices(None if device == "auto" else device)[0]
     except RuntimeError:
         raise ConfigError(
-            f"device={device}: JAX finds none, expected a GPU; install jax[cuda] or set device=cpu"
+            f"device={device}: JAX finds none, expected a GPU; install frictionzoo[cuda] or set device=cpu"
         ) from None
     jax.config.update("jax_default_device", chosen)
     folder = cache_folder(compilation_cache)
@@ -201,10 +206,10 @@ def _make_objective(bench: Bench, drive: Drive, segments: Segments, settings: Ma
     return Objective(space, drive.rollout, segments, **settings["loss"])
 
 
-def _training_samples(engine: Engine, bench: Bench, dataset: Dataset) -> DriveState:
+def _training_samples(drive: Drive, bench: Bench, dataset: Dataset) -> DriveState:
     """What the friction law sees in every training sample, with the bench's initial values, as numpy arrays."""
     values = {"bench": bench.initial_values()}
-    state = jax.jit(jax.vmap(engine.drive_state, in_axes=(None, 0, 0, 0)))
+    state = drive.rollout.compile(jax.vmap(drive.engine.drive_state, in_axes=(None, 0, 0, 0)))
     parts = [jax.tree.map(np.asarray, state(values, log.qpos, log.qvel, log.ctrl)) for log in dataset.train]
     return DriveState(*(np.concatenate(signals) for signals in zip(*parts, strict=True)))
 

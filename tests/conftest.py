@@ -101,10 +101,10 @@ def tiny(recording: Path) -> tuple[str, ...]:
 def start(compilation_cache: Path, tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen]]:
     """Starts `python -m frictionzoo.run` as a process in the test's folder; none outlives the test."""
     cache = {"JAX_COMPILATION_CACHE_DIR": compilation_cache, **{key.upper(): v for key, v in CACHE_OPTIONS.items()}}
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), **{key: str(value) for key, value in cache.items()}}
     started: list[subprocess.Popen] = []
 
     def start(*overrides: str) -> subprocess.Popen:
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), **{key: str(value) for key, value in cache.items()}}
         command = [sys.executable, "-m", "frictionzoo.run", *overrides]
         pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
         started.append(subprocess.Popen(command, cwd=tmp_path, env=environment, **pipes))

@@ -113,5 +113,10 @@ def compile_chunk(fit: Fit, objective: Objective, run: Callable[..., tuple[Progr
 
     The count is an argument and not a constant: a chunk cut short runs the same machine code.
     """
-    compiled = objective.compile(run).lower(fit.start(objective), jnp.asarray(0), objective.data).compile()
-    return lambda progress, count: compiled(progress, jnp.asarray(count), objective.data)
+    example = objective.spread((fit.start(objective), jnp.asarray(0)))
+    compiled = objective.compile(run).lower(*example, objective.data).compile()
+
+    def chunk(progress: Progress, count: int) -> tuple[Progress, Trace]:
+        return objective.collect(compiled(*objective.spread((progress, jnp.asarray(count))), objective.data))
+
+    return chunk

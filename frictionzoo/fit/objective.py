@@ -68,6 +68,7 @@ class Objective:
     Attributes:
         space: The coordinates.
         data: What the functions below take as their last argument: the segments, spread over all local devices.
+        devices: How many these are.
         compile: `jax.jit` for functions that call these.
 
     Args:
@@ -111,11 +112,24 @@ class Objective:
         self.space = space
         self.compile = rollout.compile
         self.data = _into_blocks(segments, space.start.dtype)
+        self.devices = len(self.data.weight.sharding.device_set)
+        self._first = min(self.data.weight.sharding.device_set, key=lambda device: device.id)
         self._rollout = rollout
         self._roots = np.sqrt([position, velocity])
         self._robust, self._scale = _ROBUST[robust], robust_scale
         self._refine = refine
         self._terms = segments.count * (segments.length + refine) * segments.qpos.shape[2]
+
+    def spread(self, tree: Any) -> Any:
+        """The same arrays on every device that holds data, as functions compiled for several expect them."""
+        sharding = self.data.weight.sharding
+        if self.devices == 1:
+            return tree
+        return jax.device_put(tree, NamedSharding(sharding.mesh, PartitionSpec()))
+
+    def collect(self, tree: Any) -> Any:
+        """The same arrays on the first device again, where torch can take them."""
+        return tree if self.devices == 1 else jax.device_put(tree, self._first)
 
     def loss(self, vector: Float[Array, "coordinates"], data: Blocks) -> Float[Array, ""]:
         """The objective."""
@@ -149,14 +163,13 @@ class Objective:
         They are summed block by block, so that no Jacobian of all residuals is ever kept; the sum over blocks is in
         float64. With refined initial states these are eliminated (Schur complement).
         """
-        example = (self.space.start, self.data)
-        compiled = self.compile(
+        traced = self.compile(
             lambda vector, data: jax.lax.map(lambda block: self._block_equations(vector, block), data)
-        ).lower(*example)
-        compiled = compiled.compile()
+        )
+        compiled = traced.lower(self.spread(self.space.start), self.data).compile()
 
         def evaluate(vector: Float[np.ndarray, "coordinates"]) -> NormalEquations:
-            parts = compiled(jnp.asarray(vector, self.space.start.dtype), self.data)
+            parts = compiled(self.spread(jnp.asarray(vector, self.space.start.dtype)), self.data)
             loss, gradient, hessian = (np.asarray(part, np.float64).sum(axis=0) for part in parts)
             return NormalEquations(float(loss), gradient, hessian)
 

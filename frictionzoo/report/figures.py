@@ -30,6 +30,7 @@ JOINTS = (
     "#F0E442",
 )  # Okabe and Ito (2008), legible to the colour-blind
 FLATTENED = 20.0  # ratio of two curves' largest errors from which a linear axis hides the smaller one
+COLUMN = 3.5  # inches for each joint of several
 INSET = 0.08  # share of the trajectory that the inset magnifies
 
 
@@ -143,7 +144,7 @@ def draw_trajectory(
         joints: Names of the joints.
         title: Model and data.
     """
-    figure = Figure(figsize=(WIDTH, 6.5), layout="constrained")
+    figure = Figure(figsize=(max(WIDTH, COLUMN * len(joints)), 6.5), layout="constrained")
     panels = figure.subplots(2, len(joints), sharex=True, squeeze=False, height_ratios=(3, 2))
     time = np.arange(segments.length + 1) * segments.timestep
     for quantity, signal, row in (("position", "qpos", panels[0]), ("velocity", "qvel", panels[1])):
