@@ -19,7 +19,7 @@ from frictionzoo.types import Segments
 BLOCK_STATES = 25_000
 """States that are simulated at once: they fit into a processor's cache, and memory does not grow with the log."""
 
-_REFINEMENTS = 3  # Gauss-Newton steps for an initial state; rollouts are nearly linear in it
+_REFINEMENTS = 5  # steps for an initial state; rollouts are nearly linear in it but for sticking and sliding
 _ROBUST: Mapping[str, Callable[[Any], Any]] = {
     "none": lambda z: z,
     "huber": lambda z: jnp.where(z <= 1, z, 2 * jnp.sqrt(jnp.where(z <= 1, 1.0, z)) - 1),
@@ -206,30 +206,39 @@ class Objective:
         if not self._refine:
             return state
         values, block = jax.lax.stop_gradient((values, block))
-        nv = state[0].shape[1]
-        for _ in range(_REFINEMENTS):
-            residuals, slopes = self._with_slopes(values, *state, block)
-            moved = jax.vmap(solve_spd)(
-                jnp.einsum("isk,jsk->sij", slopes, slopes) + jnp.eye(2 * nv) * (1 - block.weight[:, None, None]),
-                jnp.einsum("isk,sk->si", slopes, residuals),
+        unused = jnp.eye(2 * state[0].shape[1]) * (1 - block.weight[:, None, None])
+
+        def improve(_: Any, search: tuple) -> tuple:
+            """One step of Levenberg and Marquardt in every segment; it counts where it lowers the error."""
+            state, residuals, slopes, damping = search
+            curvature = jnp.einsum("isk,jsk->sij", slopes, slopes)
+            damped = curvature * (1 + damping[:, None, None] * jnp.eye(len(slopes))) + unused
+            step = jax.vmap(solve_spd)(damped, jnp.einsum("isk,sk->si", slopes, residuals))
+            trial = state - step
+            tried, sloped = self._with_slopes(values, trial, block)
+            better = jnp.sum(jnp.square(tried), axis=1) < jnp.sum(jnp.square(residuals), axis=1)
+            return (
+                jnp.where(better[:, None], trial, state),
+                jnp.where(better[:, None], tried, residuals),
+                jnp.where(better[:, None], sloped, slopes),
+                damping * jnp.where(better, 0.1, 10.0),
             )
-            state = (state[0] - moved[:, :nv], state[1] - moved[:, nv:])
-        return jax.lax.stop_gradient(state)
+
+        start = jnp.concatenate(state, axis=1)
+        search = (start, *self._with_slopes(values, start, block), jnp.full(len(start), 1e-3, start.dtype))
+        found = jax.lax.fori_loop(0, _REFINEMENTS, improve, search)[0]
+        return tuple(jax.lax.stop_gradient(part) for part in jnp.split(found, 2, axis=1))
 
     def _with_slopes(
-        self, values: Values, qpos: Array, qvel: Array, block: Blocks
+        self, values: Values, state: Array, block: Blocks
     ) -> tuple[Float[Array, "segments terms"], Float[Array, "states segments terms"]]:
         """Residuals, and their derivative with respect to each entry of the initial position and velocity."""
 
-        def residuals(qpos: Array, qvel: Array) -> Array:
-            return self._residuals(values, qpos, qvel, block).reshape(len(qpos), -1)
+        def residuals(state: Array) -> Array:
+            return self._residuals(values, *jnp.split(state, 2, axis=1), block).reshape(len(state), -1)
 
-        nv = qpos.shape[1]
-        units = jnp.eye(2 * nv, dtype=qpos.dtype)[:, None, :] * jnp.ones_like(qpos[:, :1])
-        slopes = jax.vmap(
-            lambda unit: jax.jvp(residuals, (qpos, qvel), (unit[:, :nv], unit[:, nv:]))[1],
-        )(units)
-        return residuals(qpos, qvel), slopes
+        units = jnp.eye(state.shape[1], dtype=state.dtype)[:, None, :] * jnp.ones_like(state[:, :1])
+        return residuals(state), jax.vmap(lambda unit: jax.jvp(residuals, (state,), (unit,))[1])(units)
 
     def _block_equations(self, vector: Array, block: Blocks) -> tuple[Array, Array, Array]:
         qpos, qvel = self._initial(self.space.values(vector), block)
@@ -247,7 +256,7 @@ class Objective:
         gradient = jnp.einsum("isk,sk->i", slopes, share * errors)
         hessian = jnp.einsum("isk,jsk->ij", slopes, share * slopes)
         if self._refine:
-            _, own = self._with_slopes(self.space.values(vector), qpos, qvel, block)
+            _, own = self._with_slopes(self.space.values(vector), jnp.concatenate([qpos, qvel], axis=1), block)
             inverse_of = jnp.einsum("isk,jsk->sij", own, own) + jnp.eye(len(own)) * (1 - block.weight[:, None, None])
             mixed = jnp.einsum("isk,jsk->sji", own, slopes)
             right = jnp.einsum("isk,sk->si", own, errors)

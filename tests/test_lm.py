@@ -1,0 +1,204 @@
+"""Levenberg-Marquardt: its normal equations, what it finds, robust losses and refined initial states."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from test_fit import TRUTH, Problem, identified, pose, recording, run  # noqa: F401 - pose and recording are fixtures
+
+from frictionzoo.errors import ConfigError
+from frictionzoo.fit import LevenbergMarquardt
+from frictionzoo.fit import objective as objective_module
+from frictionzoo.fit.lm import _compress
+from frictionzoo.fit.objective import NormalEquations
+from frictionzoo.types import Segments
+
+Pose = Callable[..., Problem]
+LM = LevenbergMarquardt(100, 1e-12)
+
+
+@pytest.fixture(autouse=True)
+def x64() -> Iterator[None]:
+    with jax.enable_x64(True):
+        yield
+
+
+def assert_recovered(values: Any, tolerance: float) -> None:
+    found = identified(values)
+    for name, value in TRUTH.items():
+        assert found[name] == pytest.approx(value, rel=tolerance), name
+
+
+def noisy(segments: Segments, position: float, velocity: float) -> Segments:
+    rng = np.random.default_rng(3)
+    qpos = segments.qpos + position * rng.normal(size=segments.qpos.shape)
+    qvel = segments.qvel + velocity * rng.normal(size=segments.qvel.shape)
+    return Segments(qpos, qvel, segments.ctrl, segments.timestep)
+
+
+def test_a_known_drive_is_found_in_a_few_iterations(pose: Pose, tmp_path: Path) -> None:  # noqa: F811
+    problem = pose("mujoco_default")
+    outcome = run(problem, LM, tmp_path)
+    assert outcome.stopped == "converged"
+    assert outcome.iterations <= 15
+    assert_recovered(outcome.values, 1e-6)
+    np.testing.assert_array_equal(outcome.loss, outcome.history["loss"].min())
+
+
+@pytest.mark.parametrize("options", [{}, {"robust": "soft_l1", "robust_scale": 0.01}, {"refine": True}], ids=str)
+def test_the_gradient_is_that_of_the_loss(pose: Pose, options: dict[str, Any]) -> None:  # noqa: F811
+    # A law without corners: on one, where sticking begins, the best start may lie, and the loss has no gradient there.
+    objective = pose("coulomb_smooth", **options).objective
+    vector = objective.space.start + 0.1
+    equations = objective.compile_normal_equations()(np.asarray(vector))
+    loss, gradient = jax.jit(objective.value_and_grad("forward"))(vector, objective.data)
+    np.testing.assert_allclose(equations.loss, loss, rtol=1e-12)
+    # A refined start is the best one up to its search's last step, and the gradient assumes the best.
+    np.testing.assert_allclose(2 * equations.gradient, gradient, rtol=1e-6 if options.get("refine") else 1e-10)
+
+
+@pytest.mark.parametrize("refine", [False, True])
+def test_where_nothing_is_left_over_the_second_derivative_is_exact(pose: Pose, refine: bool) -> None:  # noqa: F811
+    objective = pose("mujoco_default", refine=refine).objective
+    truth = jnp.log(jnp.asarray([TRUTH["armature"], TRUTH["frictionloss"], TRUTH["damping"]]))
+    value_and_grad = jax.jit(objective.value_and_grad("forward"))
+    step = 1e-5
+    columns = [
+        (
+            value_and_grad(truth + step * unit, objective.data)[1]
+            - value_and_grad(truth - step * unit, objective.data)[1]
+        )
+        / (2 * step)
+        for unit in jnp.eye(3)
+    ]
+    hessian = objective.compile_normal_equations()(np.asarray(truth)).hessian
+    # Differences across the border of a stick in a few of the segments are what the tolerance is for.
+    np.testing.assert_allclose(2 * hessian, np.stack(columns), rtol=2e-3, atol=1e-3 * np.abs(hessian).max())
+
+
+def test_compressed_residuals_have_the_same_loss_gradient_and_curvature() -> None:
+    rng = np.random.default_rng(0)
+    jacobian, residuals = rng.normal(size=(50, 4)) * [1.0, 1e3, 1e-4, 1.0], rng.normal(size=50)
+    equations = NormalEquations(residuals @ residuals, jacobian.T @ residuals, jacobian.T @ jacobian)
+    short, slopes = _compress(equations, 1.0)
+    assert short.shape == (5,) and slopes.shape == (5, 4)
+    assert short @ short == pytest.approx(equations.loss, rel=1e-12)
+    np.testing.assert_allclose(slopes.T @ short, equations.gradient, rtol=1e-8)
+    np.testing.assert_allclose(slopes.T @ slopes, equations.hessian, rtol=1e-8, atol=1e-12)
+
+
+def test_what_cannot_be_identified_does_not_break_it() -> None:
+    jacobian = np.array([[1.0, 1.0, 0.0], [2.0, 2.0, 0.0]])
+    residuals = np.array([1.0, 3.0])
+    equations = NormalEquations(residuals @ residuals, jacobian.T @ residuals, jacobian.T @ jacobian)
+    short, slopes = _compress(equations, 1.0)
+    np.testing.assert_allclose(slopes.T @ short, equations.gradient, atol=1e-12)
+    assert np.isfinite(short).all()
+
+
+@pytest.mark.parametrize("chunk", [1, 3])
+def test_chunks_change_no_bit(pose: Pose, tmp_path: Path, chunk: int) -> None:  # noqa: F811
+    problem = pose("coulomb_smooth")
+    ours = run(problem, LM, tmp_path / "a", chunk=chunk)
+    whole = run(problem, LM, tmp_path / "b", chunk=100)
+    assert ours.iterations == whole.iterations > chunk
+    assert identified(ours.values) == identified(whole.values)
+    for name, history in whole.history.items():
+        np.testing.assert_array_equal(ours.history[name], history)
+
+
+def test_blocks_change_nothing_but_rounding(pose: Pose, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: F811
+    whole = pose("mujoco_default").objective
+    monkeypatch.setattr(objective_module, "BLOCK_STATES", 35)  # 7 of the 60 segments: the last block is not full
+    blocks = pose("mujoco_default").objective
+    assert blocks.data.weight.shape == (9, 7) and float(blocks.data.weight.sum()) == 60
+    vector = np.asarray(whole.space.start)
+    for one, two in zip(
+        whole.compile_normal_equations()(vector), blocks.compile_normal_equations()(vector), strict=True
+    ):
+        np.testing.assert_allclose(two, one, rtol=1e-12)
+    losses = [float(part.loss(whole.space.start, part.data)) for part in (whole, blocks)]
+    assert losses[0] == pytest.approx(losses[1], rel=1e-12)
+
+
+def test_bounds_hold(pose: Pose, tmp_path: Path) -> None:  # noqa: F811
+    problem = pose("mujoco_default", "model.params.frictionloss.high=0.1", "model.params.frictionloss.init=0.05")
+    outcome = run(problem, LM, tmp_path)
+    assert outcome.history["friction.frictionloss"].max() <= 0.1 * (1 + 1e-12)
+    assert identified(outcome.values)["frictionloss"] == pytest.approx(0.1, rel=1e-3)
+
+
+@pytest.mark.parametrize("robust", ["huber", "soft_l1", "cauchy"])
+def test_outliers_do_not_rule_a_robust_fit(
+    pose: Pose,  # noqa: F811
+    recording: Segments,  # noqa: F811
+    tmp_path: Path,
+    robust: str,
+) -> None:
+    recording.qvel[::6, 3:] += 2.0  # the fixture is this module's own copy
+    try:
+        plain = run(pose("mujoco_default"), LM, tmp_path / "plain")
+        kept = run(pose("mujoco_default", robust=robust, robust_scale=1e-3), LM, tmp_path / robust)
+    finally:
+        recording.qvel[::6, 3:] -= 2.0
+    errors = [
+        max(abs(identified(outcome.values)[name] / value - 1) for name, value in TRUTH.items())
+        for outcome in (plain, kept)
+    ]
+    assert errors[1] < 0.02 < 0.2 < errors[0]
+
+
+def test_refined_starts_take_the_bias_of_noisy_ones_away(
+    pose: Pose,  # noqa: F811
+    recording: Segments,  # noqa: F811
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    measured = noisy(recording, 1e-6, 3e-3)
+    for signal in ("qpos", "qvel"):
+        np.copyto(getattr(recording, signal), getattr(measured, signal))
+    weights = {"position": 1e12, "velocity": 1 / 9e-6}  # of the noise's variances
+    plain, refined = (
+        identified(run(pose("mujoco_default", refine=refine, **weights), LM, tmp_path / str(refine)).values)
+        for refine in (False, True)
+    )
+    errors = {name: (abs(plain[name] / value - 1), abs(refined[name] / value - 1)) for name, value in TRUTH.items()}
+    assert sum(after for _, after in errors.values()) < 0.5 * sum(before for before, _ in errors.values())
+
+
+def test_both_engines_find_the_same(pose: Pose, tmp_path: Path) -> None:  # noqa: F811
+    for model in ("mujoco_default", "coulomb_stribeck"):
+        ours, stock = (
+            identified(run(pose(model, engine=engine), LM, tmp_path / model / engine).values)
+            for engine in ("specialised", "mjx")
+        )
+        assert ours == pytest.approx(stock, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        ({"robust": "huberr"}, r"loss\.robust=huberr: unknown; did you mean huber\?"),
+        ({"robust": "huber", "robust_scale": 0.0}, r"loss\.robust_scale=0; expected a positive number"),
+        ({"robust": "huber", "refine": True}, r"loss\.robust=huber with loss\.refine=true; expected one of them"),
+        ({"refine": True, "velocity": 0.0}, r"loss\.refine=true with a weight of 0"),
+    ],
+)
+def test_impossible_losses_are_refused(pose: Pose, options: dict[str, Any], line: str) -> None:  # noqa: F811
+    with pytest.raises(ConfigError, match=line):
+        pose("baseline", **options)
+
+
+def test_a_network_is_refused(pose: Pose, tmp_path: Path) -> None:  # noqa: F811
+    with pytest.raises(ConfigError, match=r"fit=lm: \d+ coordinates .*, expected at most 200; use fit=adam"):
+        run(pose("neural_friction"), LM, tmp_path)
+
+
+@pytest.mark.parametrize(("arguments", "line"), [((0, 1e-8), r"fit\.iterations=0"), ((9, 0.0), r"fit\.tolerance=0\.0")])
+def test_impossible_options_are_refused(arguments: tuple[int, float], line: str) -> None:
+    with pytest.raises(ConfigError, match=line):
+        LevenbergMarquardt(*arguments)
