@@ -24,6 +24,7 @@ _NULLABLE: dict[str, tuple[Any, ...]] = {
     "loop.patience": (0,),
     "evaluation.rollouts": (0,),
     "bench.joint": ("", []),
+    "bench.payload": ("",),
     "data.folder": ("",),
     "data.cache_dir": ("",),
 }

@@ -13,7 +13,7 @@ from frictionzoo.types import Dataset, Segments
 
 Values = Mapping[str, Mapping[str, np.ndarray]]
 Rollout = Callable[..., tuple]
-"""`rollout(values, qpos, qvel, ctrl)`: predicted qpos and qvel, each (batch, time, nv)."""
+"""`rollout(values, qpos, qvel, ctrl, load)`: predicted qpos and qvel, each (batch, time, nv)."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def predict(rollout: Rollout, values: Values, segments: Segments) -> Prediction:
         values: Values of the bench's and the law's parameters.
         segments: What was measured.
     """
-    qpos, qvel = rollout(values, segments.qpos[:, 0], segments.qvel[:, 0], segments.ctrl)
+    qpos, qvel = rollout(values, segments.qpos[:, 0], segments.qvel[:, 0], segments.ctrl, segments.load)
     return Prediction(np.asarray(qpos, dtype=np.float64), np.asarray(qvel, dtype=np.float64))
 
 

@@ -26,6 +26,7 @@ from frictionzoo.logs.cache import cache_folder
 from frictionzoo.models import Baseline, FrictionModel
 from frictionzoo.output import write_atomically
 from frictionzoo.report.figures import write_figures
+from frictionzoo.report.html import write_report
 from frictionzoo.report.result import build_result, describe_data, write_result
 from frictionzoo.rollout import Rollout, make_rollout
 from frictionzoo.segments import cut_segments
@@ -90,8 +91,8 @@ class Problem:
         """
         device = _configure_jax(settings["dtype"], settings["device"], settings["compilation_cache"])
         bench, dataset = build(settings["bench"]), build(settings["data"]).load()
-        for log in dataset.logs:
-            bench.check_log(log)
+        train, test = (tuple(map(bench.accept, logs)) for logs in (dataset.train, dataset.test))
+        dataset = Dataset(dataset.name, train, test)
         segments = cut_segments(dataset.train, **settings["segments"])
         evaluation = Evaluation(dataset, bench.joint_type, **settings["evaluation"])
         drive = Drive.assemble(bench, build(settings["model"], nv=bench.nv), settings["engine"])
@@ -153,6 +154,16 @@ def run_job(config: DictConfig, name: str, folder: Path) -> tuple[dict[str, Any]
         engine=engine.name,
         device=problem.device,
     )
+    write_report(
+        folder / "report.html",
+        result,
+        segments=problem.evaluation.trajectory,
+        model=judgement.prediction,
+        baseline=baseline.prediction,
+        joints=problem.bench.joints,
+        history=outcome.history,
+        window=problem.evaluation.window,
+    )
     write_result(folder / "result.json", result)
     return result, outcome.message
 
@@ -209,8 +220,8 @@ def _make_objective(bench: Bench, drive: Drive, segments: Segments, settings: Ma
 def _training_samples(drive: Drive, bench: Bench, dataset: Dataset) -> DriveState:
     """What the friction law sees in every training sample, with the bench's initial values, as numpy arrays."""
     values = {"bench": bench.initial_values()}
-    state = drive.rollout.compile(jax.vmap(drive.engine.drive_state, in_axes=(None, 0, 0, 0)))
-    parts = [jax.tree.map(np.asarray, state(values, log.qpos, log.qvel, log.ctrl)) for log in dataset.train]
+    state = drive.rollout.compile(jax.vmap(drive.engine.drive_state, in_axes=(None, 0, 0, 0, None)))
+    parts = [jax.tree.map(np.asarray, state(values, log.qpos, log.qvel, log.ctrl, log.load)) for log in dataset.train]
     return DriveState(*(np.concatenate(signals) for signals in zip(*parts, strict=True)))
 
 
@@ -229,6 +240,7 @@ def _identify(name: str, problem: Problem, settings: Mapping[str, Any]) -> dict[
         "model": name,
         "data": describe_data(problem.dataset)["sha256"],
         "engine": problem.drive.engine.name,
+        "payload": str([log.payload for log in problem.dataset.logs]),
         **{section: json.dumps(value, sort_keys=True) for section, value in sections.items() if section != "model"},
         "model settings": json.dumps(sections["model"], sort_keys=True),
         "chunk": str(settings["loop"]["chunk"]),

@@ -17,8 +17,9 @@ class Rollout:
     """Many open-loop rollouts at once: initial states and commands to predicted states.
 
     Call it, or `compiled` where nothing else around it is compiled, with the values, initial qpos and qvel of shape
-    (batch, nv) and ctrl of shape (batch, time, nu); the answer is qpos and qvel after each step, of shape
-    (batch, time, nv). A rollout that diverges contains non-finite values.
+    (batch, nv), ctrl of shape (batch, time, nu) and, for a bench with payloads, loads of shape (batch, load). The
+    answer is qpos and qvel after each step, of shape (batch, time, nv). A rollout that diverges contains non-finite
+    values.
 
     Attributes:
         function: The rollout, not compiled.
@@ -26,16 +27,16 @@ class Rollout:
         forward_limit: Tangents up to which forward mode is faster than a reverse sweep.
     """
 
-    function: Callable[[Values, Any, Any, Any], tuple[Any, Any]]
+    function: Callable[..., tuple[Any, Any]]
     compiler_options: Mapping[str, Any]
     forward_limit: int
 
-    def __call__(self, values: Values, qpos: Any, qvel: Any, ctrl: Any) -> tuple[Any, Any]:
+    def __call__(self, values: Values, qpos: Any, qvel: Any, ctrl: Any, load: Any = None) -> tuple[Any, Any]:
         """The predicted states."""
-        return self.function(values, qpos, qvel, ctrl)
+        return self.function(values, qpos, qvel, ctrl, load)
 
     @cached_property
-    def compiled(self) -> Callable[[Values, Any, Any, Any], tuple[Any, Any]]:
+    def compiled(self) -> Callable[..., tuple[Any, Any]]:
         """The same, compiled."""
         return self.compile(self.function)
 
@@ -52,16 +53,19 @@ def make_rollout(engine: Engine) -> Rollout:
     Args:
         engine: The simulated drive.
     """
-    batched = jax.vmap(engine.step, in_axes=(None, 0, 0, 0))
+    batched = jax.vmap(engine.step, in_axes=(None, 0, 0, 0, 0))
 
     def rollout(
         values: Values,
         qpos: Float[Array, "batch nv"],
         qvel: Float[Array, "batch nv"],
         ctrl: Float[Array, "batch time nu"],
+        load: Float[Array, "batch load"] | None = None,
     ) -> tuple[Float[Array, "batch time nv"], Float[Array, "batch time nv"]]:
+        load = jnp.zeros((len(qpos), 0), jnp.result_type(float)) if load is None else load
+
         def advance(state: tuple[Array, Array], command: Array) -> tuple:
-            state = batched(values, state[0], state[1], command)
+            state = batched(values, state[0], state[1], command, load)
             return state, state
 
         _, (positions, velocities) = jax.lax.scan(advance, (qpos, qvel), jnp.swapaxes(ctrl, 0, 1))

@@ -168,4 +168,5 @@ def _windows(logs: Sequence[Log], places: Int[np.ndarray, "segments 2"], length:
     offset = np.cumsum([0] + [log.samples for log in logs[:-1]])
     index = (offset[places[:, 0]] + places[:, 1])[:, None] + np.arange(length + 1)
     qpos, qvel, ctrl = (np.concatenate([getattr(log, signal) for log in logs]) for signal in ("qpos", "qvel", "ctrl"))
-    return Segments(qpos[index], qvel[index], ctrl[index[:, :-1]], logs[0].timestep)
+    load = np.stack([log.load for log in logs])[places[:, 0]]
+    return Segments(qpos[index], qvel[index], ctrl[index[:, :-1]], logs[0].timestep, load)

@@ -12,6 +12,20 @@ from frictionzoo.errors import LogError
 JITTER = 0.05  # largest deviation of a sample interval from the median, as a share of it, that still counts as uniform
 
 
+class Payload(NamedTuple):
+    """What a drive carried in one recording besides the bench's own bodies.
+
+    Attributes:
+        mass: [kg].
+        position: Centre of mass in the frame of the body that carries it [m].
+        inertia: About that centre, along the frame's axes [kg m^2].
+    """
+
+    mass: float
+    position: tuple[float, float, float]
+    inertia: tuple[float, float, float]
+
+
 @dataclass(frozen=True)
 class Log:
     """One recording of a drive in SI units.
@@ -24,7 +38,9 @@ class Log:
         ctrl: Command, one column an actuator, in the actuator law's unit.
         sha256: Hash of what was read or made.
         simulated: Whether a simulator made it.
-        metadata: What else the source says about it (payload, gains, notes).
+        payload: What the drive carried; None for nothing.
+        load: What that changes in the bench's model, of shape (load,); `Bench.accept` computes it.
+        metadata: What else the source says about it (gains, notes).
 
     Raises:
         LogError: Shapes disagree, a sample is not finite, or time is not uniform.
@@ -37,6 +53,8 @@ class Log:
     ctrl: Float[np.ndarray, "time nu"]
     sha256: str
     simulated: bool
+    payload: Payload | None = None
+    load: Float[np.ndarray, "load"] = field(default_factory=lambda: np.zeros(0))
     metadata: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -106,6 +124,8 @@ class Log:
             self.ctrl[cut],
             self.sha256,
             self.simulated,
+            self.payload,
+            self.load,
             self.metadata,
         )
 
@@ -146,12 +166,14 @@ class Segments:
         qvel: Measured velocity [rad/s or m/s].
         ctrl: Command.
         timestep: Sample interval [s].
+        load: What each one's payload changes in the bench's model; None where there is none.
     """
 
     qpos: Float[np.ndarray, "batch states nv"]
     qvel: Float[np.ndarray, "batch states nv"]
     ctrl: Float[np.ndarray, "batch time nu"]
     timestep: float
+    load: Float[np.ndarray, "batch load"] | None = None
 
     @property
     def count(self) -> int:

@@ -28,7 +28,7 @@ def pd() -> PositionPD:
 def bench(tmp_path: Path, text: str, joint: Any = None) -> Bench:
     path = tmp_path / "bench.xml"
     path.write_text(text)
-    return Bench(str(path), joint, pd(), ARMATURE, [0.02, 1.0])
+    return Bench(str(path), joint, pd(), ARMATURE, [0.02, 1.0], None)
 
 
 def test_values_reach_the_compiled_model_unrounded(knee: Bench) -> None:
@@ -103,7 +103,7 @@ def test_a_template_that_does_not_fit_is_refused(tmp_path: Path, text: str, join
 
 def test_a_template_that_is_missing_is_refused() -> None:
     with pytest.raises(BenchError, match=r"nowhere\.xml: cannot be read"):
-        Bench("nowhere.xml", None, pd(), ARMATURE, [0.02, 1.0])
+        Bench("nowhere.xml", None, pd(), ARMATURE, [0.02, 1.0], None)
 
 
 @pytest.mark.parametrize(
@@ -114,4 +114,4 @@ def test_a_log_of_another_bench_is_refused(knee: Bench, timestep: float, columns
     zeros = np.zeros((10, columns))
     log = Log("a.csv", np.arange(10) * timestep, zeros, zeros, zeros, "", False)
     with pytest.raises(BenchError, match=line):
-        knee.check_log(log)
+        knee.accept(log)

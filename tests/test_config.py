@@ -37,14 +37,15 @@ def test_an_experiment_starts_with_the_command_that_runs_it(path: Path) -> None:
     words = shlex.split(command.removeprefix("# "))
     assert words[:4] == ["python", "-m", "frictionzoo.run", f"experiment={path.stem}"]
     chosen = compose_config(*words[3:])
-    plain = compose_config(f"data={chosen.data.name}", *words[4:], *_model_choice(path))
+    plain = compose_config(f"data={chosen.data.name}", *words[4:], *_choices(path))
     check_overrides(chosen, plain)
 
 
-def _model_choice(path: Path) -> list[str]:
-    """The model that an experiment chooses, as an override."""
+def _choices(path: Path) -> list[str]:
+    """Model and fit that an experiment chooses, as overrides."""
     defaults = OmegaConf.load(path).get("defaults", [])
-    return [f"model={entry['override /model']}" for entry in defaults if "override /model" in entry]
+    groups = [(group, f"override /{group}") for group in ("model", "fit")]
+    return [f"{group}={entry[key]}" for entry in defaults for group, key in groups if key in entry]
 
 
 @pytest.mark.parametrize(

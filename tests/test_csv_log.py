@@ -25,14 +25,14 @@ def load(tmp_path, text, columns=COLUMNS):
     """Load one file, split by time, and give its train log."""
     path = tmp_path / "a.csv"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
-    return CsvLogs("mine", [str(path)], [], columns, SPLIT, simulated=False).load().train[0]
+    return CsvLogs("mine", [str(path)], [], columns, SPLIT, payload=[], simulated=False).load().train[0]
 
 
 def test_train_and_test_by_file(tmp_path):
     for name, offset in (("a.csv", 0.0), ("b.csv", 5.0), ("c.csv", 9.0)):
         (tmp_path / name).write_text(table(offset=offset))
     paths = [str(tmp_path / name) for name in ("a.csv", "b.csv", "c.csv")]
-    dataset = CsvLogs("mine", paths[:2], paths[2:], COLUMNS, SPLIT, simulated=False).load()
+    dataset = CsvLogs("mine", paths[:2], paths[2:], COLUMNS, SPLIT, payload=[], simulated=False).load()
     assert dataset.name == "mine"
     assert [log.name for log in dataset.logs] == paths
     assert [log.qpos[0, 0] for log in dataset.logs] == [0.0, 5.0, 9.0]
@@ -47,7 +47,7 @@ def test_train_and_test_by_file(tmp_path):
 
 def test_a_simulator_s_files_are_called_simulated(tmp_path):
     (tmp_path / "a.csv").write_text(table())
-    dataset = CsvLogs("mine", [str(tmp_path / "a.csv")], [], COLUMNS, SPLIT, simulated=True).load()
+    dataset = CsvLogs("mine", [str(tmp_path / "a.csv")], [], COLUMNS, SPLIT, payload=[], simulated=True).load()
     assert all(log.simulated for log in dataset.logs)
 
 
@@ -63,7 +63,7 @@ def test_the_configuration_reads_files_that_the_user_names(tmp_path):
 def test_one_file_is_split_by_time(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text(table(100))
-    dataset = CsvLogs("mine", [str(path)], [], COLUMNS, SPLIT, simulated=False).load()
+    dataset = CsvLogs("mine", [str(path)], [], COLUMNS, SPLIT, payload=[], simulated=False).load()
     assert (dataset.train[0].samples, dataset.test[0].samples) == (50, 40)
     assert dataset.test[0].name.endswith("a.csv[test]")
 
@@ -111,19 +111,19 @@ def test_a_bad_file_gets_one_line(tmp_path, text, line):
 
 def test_a_missing_file_and_a_folder(tmp_path):
     with pytest.raises(LogError, match=r"nowhere\.csv: no such file"):
-        CsvLogs("mine", [str(tmp_path / "nowhere.csv")], [], COLUMNS, SPLIT, simulated=False).load()
+        CsvLogs("mine", [str(tmp_path / "nowhere.csv")], [], COLUMNS, SPLIT, payload=[], simulated=False).load()
     with pytest.raises(LogError, match=r"cannot be read \(Is a directory\)"):
-        CsvLogs("mine", [str(tmp_path)], [], COLUMNS, SPLIT, simulated=False).load()
+        CsvLogs("mine", [str(tmp_path)], [], COLUMNS, SPLIT, payload=[], simulated=False).load()
 
 
 def test_a_file_cannot_be_in_both_parts(tmp_path):
     with pytest.raises(LogError, match=r"a\.csv: in data\.train and in data\.test"):
-        CsvLogs("mine", ["a.csv"], ["a.csv"], COLUMNS, SPLIT, simulated=False).load()
+        CsvLogs("mine", ["a.csv"], ["a.csv"], COLUMNS, SPLIT, payload=[], simulated=False).load()
 
 
 def test_no_file_is_named():
     with pytest.raises(LogError, match=r"data\.train=\[\]: no recording"):
-        CsvLogs("mine", [], [], COLUMNS, SPLIT, simulated=False).load()
+        CsvLogs("mine", [], [], COLUMNS, SPLIT, payload=[], simulated=False).load()
 
 
 @pytest.mark.parametrize(
@@ -139,4 +139,4 @@ def test_no_file_is_named():
 )
 def test_columns_that_make_no_sense(columns, line):
     with pytest.raises(ConfigError, match=line):
-        CsvLogs("mine", ["a.csv"], [], columns, SPLIT, simulated=False)
+        CsvLogs("mine", ["a.csv"], [], columns, SPLIT, payload=[], simulated=False)

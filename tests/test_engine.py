@@ -50,7 +50,7 @@ def make_bench(tmp_path: Path, body: str, integrator: str) -> Bench:
     )
     joints = ["a", "b"] if body == "two" else ["a"]
     actuator = PositionPD({"kp": {"init": 20.0, **KNOWN}, "kd": {"init": 1.0, **KNOWN}})
-    return Bench(str(path), joints, actuator, ARMATURE, [0.02, 1.0])
+    return Bench(str(path), joints, actuator, ARMATURE, [0.02, 1.0], None)
 
 
 def random_cases(nv: int) -> dict[str, np.ndarray]:
@@ -97,7 +97,7 @@ def test_step_equals_mujoco_c(tmp_path: Path, body: str, integrator: str, constr
 
     def step(case: dict[str, Any]) -> tuple:
         values = {"bench": known | {"armature": case["armature"]}, "friction": case}
-        return engine.step(values, case["qpos"], case["qvel"], case["ctrl"])
+        return engine.step(values, case["qpos"], case["qvel"], case["ctrl"], jnp.zeros(0))
 
     cases = random_cases(bench.nv)
     qpos, qvel = jax.jit(jax.vmap(step))(cases)
@@ -114,7 +114,7 @@ def test_law_sees_what_mujoco_c_computes(tmp_path: Path) -> None:
     engine = MjxEngine(bench, lambda values, state: FrictionTerms(), False)
     case = {name: value[0] for name, value in random_cases(1).items()}
     values = {"bench": bench.initial_values()}
-    state = engine.drive_state(values, *(jnp.asarray(case[name]) for name in ("qpos", "qvel", "ctrl")))
+    state = engine.drive_state(values, *(jnp.asarray(case[name]) for name in ("qpos", "qvel", "ctrl")), jnp.zeros(0))
     model = bench.compile(constraint=False)
     data = mujoco.MjData(model)
     data.qpos, data.qvel, data.ctrl = case["qpos"], case["qvel"], case["ctrl"]
@@ -135,6 +135,6 @@ def test_rollout_is_the_step_repeated(tmp_path: Path) -> None:
     for row in range(2):
         q, v = jnp.asarray(qpos[row]), jnp.asarray(qvel[row])
         for i in range(4):
-            q, v = engine.step(values, q, v, jnp.asarray(ctrl[row, i]))
+            q, v = engine.step(values, q, v, jnp.asarray(ctrl[row, i]), jnp.zeros(0))
             np.testing.assert_allclose(positions[row, i], q, rtol=1e-13)
             np.testing.assert_allclose(velocities[row, i], v, rtol=1e-13)

@@ -26,7 +26,7 @@ def with_errors(segments, position, velocity):
     return Prediction(segments.qpos[:, 1:] + position, segments.qvel[:, 1:] + velocity)
 
 
-def hold(values, qpos, qvel, ctrl):
+def hold(values, qpos, qvel, ctrl, load):
     """A drive that stays where it is, plus an offset."""
     still = np.zeros((len(qpos), ctrl.shape[1], qpos.shape[1]))
     return still + qpos[:, None] + values["bench"]["offset"], still

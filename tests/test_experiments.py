@@ -19,7 +19,7 @@ from frictionzoo.types import DriveState
 
 ROOT = Path(__file__).parent.parent
 EXPERIMENTS = ROOT / "experiments"
-MEASURED = [pytest.param("emps", marks=needs_data), "twin_clean"]
+MEASURED = [*(pytest.param(name, marks=needs_data) for name in ("emps", "emps_stiff")), "twin_clean"]
 
 
 def expected_of(name):

@@ -53,6 +53,8 @@ def test_a_job_leaves_a_whole_record(
     assert all((run / "figures" / figure).read_bytes().startswith(b"\x89PNG") for figure in FIGURES)
     checkpoint = torch.load(run / "checkpoints" / "last.ckpt", weights_only=True)["frictionzoo"]
     assert checkpoint["identity"]["model"] == name
+    page = (run / "report.html").read_text(encoding="utf-8")
+    assert f"<title>{name} on csv" in page and 'href="friction.safetensors"' in page
     assert not [path for path in run.rglob("*") if path.suffix == ".part"]
 
     assert f"{name} on csv. The data are real" in finished.out

@@ -49,7 +49,7 @@ def make_log(name, samples, simulated=True):
 
 @pytest.fixture
 def bench():
-    return Bench("knee_rod.xml", None, PositionPD(GAINS), ARMATURE, solreffriction=[0.02, 1.0])
+    return Bench("knee_rod.xml", None, PositionPD(GAINS), ARMATURE, [0.02, 1.0], None)
 
 
 @pytest.fixture
@@ -77,7 +77,7 @@ def evaluation(dataset):
     )
 
 
-def hold(values, qpos, qvel, ctrl):
+def hold(values, qpos, qvel, ctrl, load):
     """A drive that follows its command with an offset."""
     return ctrl + values["offset"]["rad"], np.zeros_like(ctrl)
 

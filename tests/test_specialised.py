@@ -50,7 +50,7 @@ def make_bench(tmp_path: Path, body: str, integrator: str = "Euler", joints: int
     )
     actuator = PositionPD({"kp": {"init": 20.0, **KNOWN}, "kd": {"init": 1.0, **KNOWN}})
     names = [f"j{index}" for index in range(joints)]
-    return Bench(str(path), names, actuator, {"armature": {"init": 0.02, **KNOWN}}, [0.02, 1.0])
+    return Bench(str(path), names, actuator, {"armature": {"init": 0.02, **KNOWN}}, [0.02, 1.0], None)
 
 
 def chain(joints: int) -> str:
@@ -91,7 +91,7 @@ def step_of(engine: Any, bench: Bench) -> Any:
 
     def step(case: dict[str, Any]) -> jax.Array:
         values = {"bench": known | {"armature": case["armature"]}, "friction": case}
-        return jnp.stack(engine.step(values, case["qpos"], case["qvel"], case["ctrl"]))
+        return jnp.stack(engine.step(values, case["qpos"], case["qvel"], case["ctrl"], case.get("load", jnp.zeros(0))))
 
     return step
 

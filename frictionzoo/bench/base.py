@@ -2,20 +2,23 @@
 
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
+from jaxtyping import Float
 
 from frictionzoo.bench.actuators import Actuator, Affine
 from frictionzoo.errors import BenchError, closest
 from frictionzoo.params import Param, read_params
-from frictionzoo.types import Log
+from frictionzoo.types import Log, Payload
 
 _JOINT_TYPES = {mujoco.mjtJoint.mjJNT_HINGE: "hinge", mujoco.mjtJoint.mjJNT_SLIDE: "slide"}
 _INTEGRATORS = {mujoco.mjtIntegrator.mjINT_EULER: "Euler", mujoco.mjtIntegrator.mjINT_IMPLICITFAST: "implicitfast"}
+NO_PAYLOAD = Payload(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 _TIMESTEP_TOLERANCE = 0.01  # share by which the log's interval may differ from the MJCF's
 
 
@@ -30,6 +33,7 @@ class Bench:
         joint_type: `hinge` or `slide`.
         params: The armature and the actuator's parameters.
         timestep: Simulation step [s].
+        payload: Index of the body that carries payloads, or None.
 
     Args:
         mjcf: Path of the template, or the name of one that the package ships (`knee_rod.xml`, `emps.xml`).
@@ -38,6 +42,7 @@ class Bench:
         params: Section of `armature`.
         solreffriction: Time constant [s] and damping ratio of MuJoCo's friction constraint. MuJoCo's default is
             (0.02, 1); a shorter time constant makes sticking stiffer.
+        payload: Name of the body that carries the payloads of recordings; None for recordings without.
 
     Raises:
         BenchError: The template cannot be read or compiled, or does not have these joints.
@@ -51,6 +56,7 @@ class Bench:
         actuator: Actuator,
         params: Mapping[str, Mapping[str, Any]],
         solreffriction: Sequence[float],
+        payload: str | None,
     ) -> None:
         self.source = mjcf
         self.actuator = actuator
@@ -62,6 +68,7 @@ class Bench:
         model = self.compile(constraint=False)
         self.joint_type = self._read_joint_type(model)
         self.timestep = float(model.opt.timestep)
+        self.payload = None if payload is None else self._find_body(model, payload)
 
     @property
     def nv(self) -> int:
@@ -133,12 +140,44 @@ class Bench:
             )
         return model
 
-    def check_log(self, log: Log) -> None:
-        """Refuse a log that this bench cannot have produced.
+    def accept(self, log: Log) -> Log:
+        """The same log with what its payload changes in the model.
 
         Raises:
-            BenchError: The log has another number of joints or actuators, or another time step.
+            BenchError: This bench cannot have produced it: it has another number of joints or actuators, another time
+                step, or a payload that no body carries.
         """
+        self._check_log(log)
+        if self.payload is None and log.payload is not None:
+            raise BenchError(
+                f"{log.name}: a payload of {log.payload.mass:g} kg, but bench.payload=null; name the body of "
+                f"{self.source} that carries it"
+            )
+        return log if self.payload is None else replace(log, load=self.load(log.payload or NO_PAYLOAD))
+
+    def load(self, payload: Payload) -> Float[np.ndarray, "load"]:
+        """What a payload changes in the model; empty for a bench that carries none.
+
+        Args:
+            payload: The body that is fixed to the bench's.
+
+        Returns:
+            Of the body together with its payload: mass [kg], centre of mass [m] (3), orientation of the principal axes
+            (quaternion, 4), principal inertia [kg m^2] (3); then the joint-space inertia at the reference position
+            without armature (nv * nv).
+        """
+        if self.payload is None:
+            return np.zeros(0)
+        model, body = self.compile(constraint=False), self.payload
+        inertial = _combine(model, body, payload)
+        model.body_mass[body], model.body_ipos[body] = inertial[0], inertial[1:4]
+        model.body_iquat[body], model.body_inertia[body] = inertial[4:8], inertial[8:11]
+        # Shortcuts that MuJoCo's compiler allowed itself for the body without the payload.
+        model.body_sameframe[body] = model.body_simple[body] = 0
+        model.dof_simplenum[:] = 0
+        return np.concatenate([inertial, rigid_inertia(model).ravel()])
+
+    def _check_log(self, log: Log) -> None:
         for signal in ("qpos", "ctrl"):
             columns = getattr(log, signal).shape[1]
             if columns != self.nv:
@@ -167,6 +206,12 @@ class Bench:
                 )
         return tuple(name for name in found if name in wanted)
 
+    def _find_body(self, model: mujoco.MjModel, name: str) -> int:
+        bodies = [model.body(index).name for index in range(1, model.nbody)]
+        if name not in bodies:
+            raise BenchError(f"{self.source}: no body {name}; {closest(name, filter(None, bodies))}; set bench.payload")
+        return bodies.index(name) + 1
+
     def _refuse_clashes(self) -> None:
         if self._template.find(".//include") is not None:
             raise BenchError(f"{self.source}: it has an <include>, expected one self-contained MJCF; flatten it first")
@@ -194,6 +239,35 @@ def _read_template(source: str) -> ET.Element:
         raise BenchError(f"{source}: cannot be read ({reason}); set bench.mjcf to an MJCF file") from None
     except ET.ParseError as error:
         raise BenchError(f"{source}: not XML ({error}); set bench.mjcf to an MJCF file") from None
+
+
+def rigid_inertia(model: mujoco.MjModel) -> Float[np.ndarray, "nv nv"]:
+    """Joint-space inertia at the reference position without the armature [kg m^2 or kg]."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = model.qpos0
+    mujoco.mj_forward(model, data)
+    inertia = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, inertia)
+    return inertia - np.diag(model.dof_armature)
+
+
+def _combine(model: mujoco.MjModel, body: int, payload: Payload) -> Float[np.ndarray, "11"]:
+    """Mass, centre, principal axes and inertia of a body and its payload, by the parallel-axis theorem."""
+    axes = np.zeros(9)
+    mujoco.mju_quat2Mat(axes, model.body_iquat[body])
+    axes = axes.reshape(3, 3)
+    masses = np.array([model.body_mass[body], payload.mass])
+    centres = np.stack([model.body_ipos[body], payload.position])
+    inertias = [axes * model.body_inertia[body] @ axes.T, np.diag(payload.inertia)]
+    centre = masses @ centres / masses.sum()
+    total = np.zeros((3, 3))
+    for mass, inertia, offset in zip(masses, inertias, centres - centre, strict=True):
+        total += inertia + mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+    principal, frame = np.linalg.eigh(total)
+    frame[:, 0] *= np.linalg.det(frame)  # a rotation, not a reflection
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, frame.ravel())
+    return np.concatenate([[masses.sum()], centre, quaternion, principal])
 
 
 def _section(root: ET.Element, tag: str) -> ET.Element:

@@ -33,7 +33,12 @@ class Engine(ABC):
 
     @abstractmethod
     def step(
-        self, values: Values, qpos: Float[Array, "nv"], qvel: Float[Array, "nv"], ctrl: Float[Array, "nu"]
+        self,
+        values: Values,
+        qpos: Float[Array, "nv"],
+        qvel: Float[Array, "nv"],
+        ctrl: Float[Array, "nu"],
+        load: Float[Array, "load"],
     ) -> tuple[Float[Array, "nv"], Float[Array, "nv"]]:
         """Position and velocity one time step later.
 
@@ -42,11 +47,17 @@ class Engine(ABC):
             qpos: Position [rad or m].
             qvel: Velocity [rad/s or m/s].
             ctrl: Command.
+            load: What the recording's payload changes in the model, from `Bench.load`.
         """
 
     @abstractmethod
     def drive_state(
-        self, values: Values, qpos: Float[Array, "nv"], qvel: Float[Array, "nv"], ctrl: Float[Array, "nu"]
+        self,
+        values: Values,
+        qpos: Float[Array, "nv"],
+        qvel: Float[Array, "nv"],
+        ctrl: Float[Array, "nu"],
+        load: Float[Array, "load"],
     ) -> DriveState:
         """What a friction law would see in this state; arguments as in `step`."""
 

@@ -6,17 +6,20 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import mujoco
-import numpy as np
 from jaxtyping import Array, Float
 
 from frictionzoo.bench import Bench
+from frictionzoo.bench.base import rigid_inertia
 from frictionzoo.engine.base import Engine, Friction, Values
+from frictionzoo.engine.linear import solve_spd
 from frictionzoo.types import DriveState, FrictionTerms
 
 with contextlib.redirect_stdout(io.StringIO()):  # it prints that its optional backend is not installed
     from mujoco import mjx
     from mujoco.mjx._src import derivative, support
 
+_FUSED_JOINTS = 4  # up to which fusion was measured to gain time
+INERTIAL = 11  # numbers of a load that describe the body; the others are the joint-space inertia
 _SLIDES_ONLY = 2
 """MuJoCo's body_simple of a body that only slides along its own axes: its dof_invweight0 leaves the armature out."""
 
@@ -28,11 +31,14 @@ class ModelInputs(NamedTuple):
         armature: `dof_armature` [kg m^2 or kg].
         invweight0: `dof_invweight0`, inverse joint-space inertia at the reference position [1/(kg m^2) or 1/kg].
         actuator: `gainprm[0]` and `biasprm[:3]` of each actuator, of shape (nv, 4).
+        inertial: `body_mass`, `body_ipos`, `body_iquat` and `body_inertia` of the body that carries payloads, of shape
+            (11,); empty without.
     """
 
     armature: Any
     invweight0: Any
     actuator: Any
+    inertial: Any
 
 
 class Dynamics(NamedTuple):
@@ -76,20 +82,26 @@ class MjxEngine(Engine):
         # For one joint a single Newton iteration is exact, and only then does MJX avoid a while loop, which reverse
         # mode cannot pass.
         model.opt.iterations = 1 if bench.nv == 1 else model.opt.iterations
-        self.compiler_options = {}
+        # On CPUs, XLA's fusion computes shared terms again for each of their uses: of many joints there are many.
+        self.compiler_options = {} if bench.nv <= _FUSED_JOINTS else {"xla_disable_hlo_passes": "fusion"}
         self._bench = bench
         self._friction = friction
-        self._rigid_inertia = _rigid_inertia(model)
+        self._rigid_inertia = rigid_inertia(model)
         self._ignores_armature = model.body_simple[model.dof_bodyid] == _SLIDES_ONLY
         self._model = mjx.put_model(model)
         self._data = mjx.make_data(self._model)
         self._constraint = self._data._impl.efc_J.shape[0] > 0
 
     def step(
-        self, values: Values, qpos: Float[Array, "nv"], qvel: Float[Array, "nv"], ctrl: Float[Array, "nu"]
+        self,
+        values: Values,
+        qpos: Float[Array, "nv"],
+        qvel: Float[Array, "nv"],
+        ctrl: Float[Array, "nu"],
+        load: Float[Array, "load"],
     ) -> tuple[Float[Array, "nv"], Float[Array, "nv"]]:
         """See `Engine.step`."""
-        model, data = self._drive(self.model_inputs(values), qpos, qvel, ctrl)
+        model, data = self._drive(self.model_inputs(values, load), qpos, qvel, ctrl)
         terms = self._friction(values["friction"], _drive_state(data))
         model, data = self._apply(terms, model, data)
         data = mjx.fwd_acceleration(model, data)
@@ -99,21 +111,28 @@ class MjxEngine(Engine):
         return data.qpos, data.qvel
 
     def drive_state(
-        self, values: Values, qpos: Float[Array, "nv"], qvel: Float[Array, "nv"], ctrl: Float[Array, "nu"]
+        self,
+        values: Values,
+        qpos: Float[Array, "nv"],
+        qvel: Float[Array, "nv"],
+        ctrl: Float[Array, "nu"],
+        load: Float[Array, "load"],
     ) -> DriveState:
         """See `Engine.drive_state`."""
-        return _drive_state(self._drive(self.model_inputs(values), qpos, qvel, ctrl)[1])
+        return _drive_state(self._drive(self.model_inputs(values, load), qpos, qvel, ctrl)[1])
 
-    def model_inputs(self, values: Values) -> ModelInputs:
-        """What these values change in the model."""
+    def model_inputs(self, values: Values, load: Float[Array, "load"]) -> ModelInputs:
+        """What these values and this load change in the model."""
         armature = jnp.asarray(values["bench"]["armature"], jnp.result_type(float))
         affine = self._bench.actuator.affine(values["bench"])
         # MuJoCo computes dof_invweight0 when it compiles, and the friction constraint's softness depends on it: it has
         # to follow the armature, else the exported model would have another friction.
-        inverse = jnp.linalg.inv(jnp.asarray(self._rigid_inertia, armature.dtype) + jnp.diag(armature))
+        inertial, rigid = load[:INERTIAL], load[INERTIAL:].reshape(2 * [self._bench.nv] if len(load) else (0, 0))
+        rigid = rigid if len(load) else jnp.asarray(self._rigid_inertia, armature.dtype)
+        inverse = [solve_spd(rigid + jnp.diag(armature), unit)[index] for index, unit in enumerate(jnp.eye(len(rigid)))]
         fixed = jnp.asarray(self._model.dof_invweight0, armature.dtype)
-        invweight0 = jnp.where(self._ignores_armature, fixed, jnp.diagonal(inverse))
-        return ModelInputs(armature, invweight0, jnp.stack(list(affine), axis=-1))
+        invweight0 = jnp.where(self._ignores_armature, fixed, jnp.stack(inverse))
+        return ModelInputs(armature, invweight0, jnp.stack(list(affine), axis=-1), inertial)
 
     def dynamics(
         self, inputs: ModelInputs, qpos: Float[Array, "nv"], qvel: Float[Array, "nv"], ctrl: Float[Array, "nu"]
@@ -145,6 +164,15 @@ class MjxEngine(Engine):
             actuator_gainprm=self._model.actuator_gainprm.at[:, 0].set(inputs.actuator[:, 0]),
             actuator_biasprm=self._model.actuator_biasprm.at[:, :3].set(inputs.actuator[:, 1:]),
         )
+        if self._bench.payload is not None:
+            mass, position, orientation, inertia = jnp.split(inputs.inertial, [1, 4, 8])
+            body = self._bench.payload
+            model = model.replace(
+                body_mass=model.body_mass.at[body].set(mass[0]),
+                body_ipos=model.body_ipos.at[body].set(position),
+                body_iquat=model.body_iquat.at[body].set(orientation),
+                body_inertia=model.body_inertia.at[body].set(inertia),
+            )
         data = self._data.replace(qpos=qpos, qvel=qvel, ctrl=ctrl)
         data = mjx.fwd_position(model, data)
         if self._constraint:
@@ -167,13 +195,3 @@ class MjxEngine(Engine):
 def _drive_state(data: mjx.Data) -> DriveState:
     external = data.qfrc_passive + data.qfrc_applied - data.qfrc_bias
     return DriveState(data.qpos, data.qvel, data.ctrl, data.qfrc_actuator, external)
-
-
-def _rigid_inertia(model: mujoco.MjModel) -> Float[np.ndarray, "nv nv"]:
-    """Joint-space inertia at the reference position without the armature [kg m^2 or kg]."""
-    data = mujoco.MjData(model)
-    data.qpos[:] = model.qpos0
-    mujoco.mj_forward(model, data)
-    inertia = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, inertia)
-    return inertia - np.diag(model.dof_armature)

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from frictionzoo.bench import Bench
+from frictionzoo.bench.base import NO_PAYLOAD
 from frictionzoo.engine.base import Engine, Friction, Values
 from frictionzoo.engine.dry_friction import dry_friction
 from frictionzoo.engine.linear import solve_spd
@@ -54,10 +55,15 @@ class SpecialisedEngine(Engine):
         self.compiler_options = {} if bench.nv == 1 else {"xla_disable_hlo_passes": "fusion"}
 
     def step(
-        self, values: Values, qpos: Float[Array, "nv"], qvel: Float[Array, "nv"], ctrl: Float[Array, "nu"]
+        self,
+        values: Values,
+        qpos: Float[Array, "nv"],
+        qvel: Float[Array, "nv"],
+        ctrl: Float[Array, "nu"],
+        load: Float[Array, "load"],
     ) -> tuple[Float[Array, "nv"], Float[Array, "nv"]]:
         """See `Engine.step`."""
-        here = self._at(values, qpos, qvel, ctrl)
+        here = self._at(values, qpos, qvel, ctrl, load)
         terms = self._friction(
             values["friction"], DriveState(qpos, qvel, ctrl, here.motor_torque, here.external_torque)
         )
@@ -78,28 +84,34 @@ class SpecialisedEngine(Engine):
         return qpos + self._timestep * qvel, qvel
 
     def drive_state(
-        self, values: Values, qpos: Float[Array, "nv"], qvel: Float[Array, "nv"], ctrl: Float[Array, "nu"]
+        self,
+        values: Values,
+        qpos: Float[Array, "nv"],
+        qvel: Float[Array, "nv"],
+        ctrl: Float[Array, "nu"],
+        load: Float[Array, "load"],
     ) -> DriveState:
         """See `Engine.drive_state`."""
-        here = self._at(values, qpos, qvel, ctrl)
+        here = self._at(values, qpos, qvel, ctrl, load)
         return DriveState(qpos, qvel, ctrl, here.motor_torque, here.external_torque)
 
-    def _at(self, values: Values, qpos: Array, qvel: Array, ctrl: Array) -> Dynamics:
-        return self._dynamics(self._model_inputs(values), qpos, qvel, ctrl)
+    def _at(self, values: Values, qpos: Array, qvel: Array, ctrl: Array, load: Array) -> Dynamics:
+        return self._dynamics(self._model_inputs(values, load), qpos, qvel, ctrl)
 
 
-_known: dict[tuple[str, bool], tuple[Callable[[Values], ModelInputs], Specialised]] = {}
+_known: dict[tuple[str, bool], tuple[Callable[[Values, Array], ModelInputs], Specialised]] = {}
 """What was specialised in this process: a job simulates its bench with the law and without."""
 
 
-def _specialised(bench: Bench, constraint: bool) -> tuple[Callable[[Values], ModelInputs], Specialised]:
+def _specialised(bench: Bench, constraint: bool) -> tuple[Callable[[Values, Array], ModelInputs], Specialised]:
     """From values to MJX's inputs, and MJX's dynamics, of this bench."""
     # Two benches that write the same MJCF differ in their initial values and bounds only.
-    key = (f"{type(bench.actuator).__qualname__} {bench.mjcf(bench.initial_values())}", constraint)
+    key = (f"{type(bench.actuator).__qualname__} {bench.payload} {bench.mjcf(bench.initial_values())}", constraint)
     if key not in _known:
         with jax.enable_x64(True):
             reference = MjxEngine(bench, lambda values, state: FrictionTerms(), constraint)
-            inputs = reference.model_inputs({"bench": bench.initial_values()})
+            values = {"bench": bench.initial_values()}
+            inputs = jax.eval_shape(reference.model_inputs, values, jnp.asarray(bench.load(NO_PAYLOAD)))
             _known[key] = reference.model_inputs, specialise(reference.dynamics, inputs, *[np.zeros(bench.nv)] * 3)
     return _known[key]
 

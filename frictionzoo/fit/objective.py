@@ -36,12 +36,14 @@ class Blocks(NamedTuple):
         qpos: Measured position [rad or m], (blocks, segments, states, nv).
         qvel: Measured velocity [rad/s or m/s], of the same shape.
         ctrl: Command, (blocks, segments, time, nu).
+        load: What payloads change in the bench's model, (blocks, segments, load).
         weight: 1; 0 for a segment that only fills the last block.
     """
 
     qpos: Any
     qvel: Any
     ctrl: Any
+    load: Any
     weight: Any
 
 
@@ -186,7 +188,7 @@ class Objective:
 
     def _residuals(self, values: Values, qpos: Array, qvel: Array, block: Blocks) -> Float[Array, "segments terms 2"]:
         """Weighted errors of position and velocity, with that of the initial state first where it is refined."""
-        predicted = self._rollout(values, qpos, qvel, block.ctrl)
+        predicted = self._rollout(values, qpos, qvel, block.ctrl, block.load)
         errors = []
         for root, start, after, measured in zip(
             self._roots, (qpos, qvel), predicted, (block.qpos, block.qvel), strict=True
@@ -227,7 +229,8 @@ class Objective:
         start = jnp.concatenate(state, axis=1)
         search = (start, *self._with_slopes(values, start, block), jnp.full(len(start), 1e-3, start.dtype))
         found = jax.lax.fori_loop(0, _REFINEMENTS, improve, search)[0]
-        return tuple(jax.lax.stop_gradient(part) for part in jnp.split(found, 2, axis=1))
+        qpos, qvel = jnp.split(jax.lax.stop_gradient(found), 2, axis=1)
+        return qpos, qvel
 
     def _with_slopes(
         self, values: Values, state: Array, block: Blocks
@@ -235,7 +238,8 @@ class Objective:
         """Residuals, and their derivative with respect to each entry of the initial position and velocity."""
 
         def residuals(state: Array) -> Array:
-            return self._residuals(values, *jnp.split(state, 2, axis=1), block).reshape(len(state), -1)
+            qpos, qvel = jnp.split(state, 2, axis=1)
+            return self._residuals(values, qpos, qvel, block).reshape(len(state), -1)
 
         units = jnp.eye(state.shape[1], dtype=state.dtype)[:, None, :] * jnp.ones_like(state[:, :1])
         return residuals(state), jax.vmap(lambda unit: jax.jvp(residuals, (state,), (unit,))[1])(units)
@@ -280,7 +284,8 @@ def _into_blocks(segments: Segments, dtype: Any) -> Blocks:
         return signal[index].astype(dtype).reshape(blocks, size, *signal.shape[1:])
 
     weight = (np.arange(blocks * size) < segments.count).astype(dtype).reshape(blocks, size)
-    host = Blocks(cut(segments.qpos), cut(segments.qvel), cut(segments.ctrl), weight)
+    load = np.zeros((segments.count, 0)) if segments.load is None else segments.load
+    host = Blocks(cut(segments.qpos), cut(segments.qvel), cut(segments.ctrl), cut(load), weight)
     if len(devices) == 1:
         return jax.tree.map(jnp.asarray, host)
     sharding = NamedSharding(Mesh(np.array(devices), ("segments",)), PartitionSpec(None, "segments"))

@@ -3,6 +3,7 @@
 import csv
 import hashlib
 import io
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from jaxtyping import Float
 
 from frictionzoo.errors import ConfigError, LogError, closest
 from frictionzoo.segments import split_by_time
-from frictionzoo.types import Dataset, Log
+from frictionzoo.types import Dataset, Log, Payload
 
 SIGNALS = ("qpos", "qvel", "ctrl")
 
@@ -26,6 +27,8 @@ class CsvLogs:
         test: Paths of the test recordings; empty to cut the test part out of every training recording.
         columns: Header of `time` [s], and lists of the headers of `qpos` [rad or m], `qvel` [rad/s or m/s] and `ctrl`.
         split: `test_share` and `gap` of `split_by_time`, for an empty `test`.
+        payload: For each recording, train first, what the drive carried: mass [kg], centre of mass x, y, z [m] and
+            inertia ixx, iyy, izz [kg m^2] in the frame of the bench's `payload` body; empty for none.
         simulated: Whether a simulator made the files; results and the terminal say so.
 
     Raises:
@@ -39,6 +42,7 @@ class CsvLogs:
         test: Sequence[str],
         columns: Mapping[str, Any],
         split: Mapping[str, Any],
+        payload: Sequence[Any],
         simulated: bool,
     ) -> None:
         self.simulated = simulated
@@ -53,7 +57,7 @@ class CsvLogs:
                 raise ConfigError(
                     f"data.columns.{key}={headers}: expected {'one header' if key == 'time' else 'headers'}"
                 )
-        self.split = dict(split)
+        self.split, self.payload = dict(split), payload
 
     def load(self) -> Dataset:
         """All recordings, in the order in which they are named.
@@ -66,18 +70,21 @@ class CsvLogs:
         twice = set(self.train) & set(self.test)
         if twice:
             raise LogError(f"{min(twice)}: in data.train and in data.test; expected recordings that no fit has seen")
-        train = [self._log(name) for name in self.train]
-        if self.test:
-            return Dataset(self.name, tuple(train), tuple(self._log(name) for name in self.test))
+        names = [*self.train, *self.test]
+        payloads = _read_payloads(self.payload, names)
+        logs = [self._log(name, payload) for name, payload in zip(names, payloads, strict=True)]
+        train, test = logs[: len(self.train)], logs[len(self.train) :]
+        if test:
+            return Dataset(self.name, tuple(train), tuple(test))
         parts = [split_by_time(log, **self.split) for log in train]
         return Dataset(self.name, tuple(first for first, _ in parts), tuple(last for _, last in parts))
 
-    def _log(self, name: str) -> Log:
+    def _log(self, name: str, payload: Payload | None) -> Log:
         content = _read(name)
         table = read_table(name, _decode(name, content), [h for headers in self.columns.values() for h in headers])
         qpos, qvel, ctrl = (np.stack([table[header] for header in self.columns[key]], axis=1) for key in SIGNALS)
         sha256 = hashlib.sha256(content).hexdigest()
-        return Log(name, table[self.columns["time"][0]], qpos, qvel, ctrl, sha256, self.simulated)
+        return Log(name, table[self.columns["time"][0]], qpos, qvel, ctrl, sha256, self.simulated, payload)
 
 
 def read_table(name: str, text: str, headers: Sequence[str]) -> dict[str, Float[np.ndarray, "rows"]]:
@@ -103,6 +110,29 @@ def read_table(name: str, text: str, headers: Sequence[str]) -> dict[str, Float[
     if not rows:
         raise LogError(f"{name}: a header and no samples, expected at least 2; record a longer log")
     return dict(zip(headers, np.array(rows).T, strict=True))
+
+
+def _read_payloads(given: Sequence[Any], names: Sequence[str]) -> list[Payload | None]:
+    """The payload of each recording; ConfigError where the numbers make none."""
+    if not given:
+        return [None] * len(names)
+    if len(given) != len(names):
+        raise ConfigError(f"data.payload has {len(given)} entries, expected {len(names)}, one a recording, train first")
+    payloads = []
+    for name, numbers in zip(names, given, strict=True):
+        if not isinstance(numbers, Sequence) or len(numbers) != 7 or not all(_is_finite(x) for x in numbers):
+            raise ConfigError(
+                f"data.payload of {name} is {numbers}; expected 7 numbers: mass, centre x, y, z, inertia ixx, iyy, izz"
+            )
+        mass, x, y, z, ixx, iyy, izz = map(float, numbers)
+        if min(mass, ixx, iyy, izz) < 0:
+            raise ConfigError(f"data.payload of {name} is {numbers}; expected mass and inertia of at least 0")
+        payloads.append(Payload(mass, (x, y, z), (ixx, iyy, izz)))
+    return payloads
+
+
+def _is_finite(number: Any) -> bool:
+    return isinstance(number, int | float) and not isinstance(number, bool) and math.isfinite(number)
 
 
 def _names(option: str, given: Any) -> list[str]:

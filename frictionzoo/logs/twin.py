@@ -208,7 +208,8 @@ class Twin:
         """
         arrays = cached(self.cache_file(), SIGNALS, self._record)
         metadata = {"controller": asdict(self.controller), "seed": self.seed}
-        log = Log(self.name, **arrays, sha256=digest(arrays), simulated=True, metadata=metadata)
+        time, qpos, qvel, ctrl = (arrays[name] for name in SIGNALS)
+        log = Log(self.name, time, qpos, qvel, ctrl, digest(arrays), simulated=True, metadata=metadata)
         train, test = split_by_time(log, **self.split)
         return Dataset(self.name, (train,), (test,))
 

@@ -17,7 +17,7 @@ from frictionzoo.evaluate import Judgement, Values
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.output import write_atomically
 from frictionzoo.params import Param
-from frictionzoo.types import Dataset
+from frictionzoo.types import Dataset, Payload
 
 SCHEMA_VERSION = 1
 PACKAGES = ("frictionzoo", "mujoco", "mujoco-mjx", "jax", "torch", "optax", "lightning", "numpy")
@@ -111,8 +111,21 @@ def describe_data(dataset: Dataset) -> dict[str, Any]:
         "simulated": any(log.simulated for log in dataset.logs),
         "timestep": round(dataset.logs[0].timestep, 9),
         "samples": sum(log.samples for log in dataset.logs),
-        "logs": [{"name": log.name, "part": part, "samples": log.samples, "sha256": log.sha256} for part, log in parts],
+        "logs": [
+            {
+                "name": log.name,
+                "part": part,
+                "samples": log.samples,
+                "sha256": log.sha256,
+                "payload": _flat(log.payload),
+            }
+            for part, log in parts
+        ],
     }
+
+
+def _flat(payload: Payload | None) -> list[float] | None:
+    return None if payload is None else [payload.mass, *payload.position, *payload.inertia]
 
 
 def _list_parameters(

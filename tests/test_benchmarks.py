@@ -1,0 +1,44 @@
+"""The benchmarks run and measure something; how fast is theirs to say."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+BENCHMARKS = ROOT / "benchmarks"
+QUICKEST = {  # script: its arguments, and the rows that it has to give
+    "gradient": (("--quick", "--joints", "2"), 12),
+    "end_to_end": (("--models", "baseline", "--iterations", "2", "--", "data.samples=30000"), 1),
+    "growth": (("--samples", "1e4", "--lengths", "50", "--widths", "16", "--segments", "200"), 3),
+}
+MAY_BE_ZERO = {"difference", "armature_error"}  # errors; everything else is a time, a size or a count
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.mark.parametrize("script", QUICKEST)
+def test_a_benchmark_measures(script: str, tmp_path: Path) -> None:
+    arguments, rows = QUICKEST[script]
+    out = tmp_path / "results" / "measured.json"
+    command = [sys.executable, BENCHMARKS / f"{script}.py", "--out", out, *arguments]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    finished = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert finished.returncode == 0, finished.stderr
+    content = json.loads(out.read_text())
+    assert content["machine"]["cpu_count"] > 0
+    assert len(content["rows"]) == rows
+    for row in content["rows"]:
+        numbers = {name: value for name, value in row.items() if not isinstance(value, str)}
+        assert len(numbers) >= 5
+        assert not [name for name, value in numbers.items() if not value > 0 and name not in MAY_BE_ZERO], row
+
+
+def test_the_page_names_every_benchmark() -> None:
+    text = (BENCHMARKS / "README.md").read_text()
+    for script in QUICKEST:
+        assert f"## `{script}.py`" in text
+        assert f"python benchmarks/{script}.py" in text

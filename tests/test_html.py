@@ -1,0 +1,257 @@
+"""`report.html`: its answers, hostile names, nothing from elsewhere, and how a real browser shows it."""
+
+import copy
+import json
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+
+import numpy as np
+import plotly.graph_objects as go
+import pytest
+from test_report import FIT, bench, dataset, evaluation, history, make_rollout, model, result  # noqa: F401
+
+from frictionzoo.evaluate import Prediction
+from frictionzoo.report.html import POINTS, check_result, write_report
+
+HOSTILE = "</script><img src=x onerror=alert(1)>\"'&"
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on the PATH")
+
+
+@pytest.fixture
+def record(result):  # noqa: F811
+    return copy.deepcopy(result) | {"fit": FIT | {"stopped": "finished"}}
+
+
+class Page(HTMLParser):
+    """The elements of a page with their attributes, and its text without scripts and styles."""
+
+    def __init__(self, source):
+        super().__init__()
+        self.elements, self.text, self._raw = [], "", False
+        self.feed(source)
+
+    def handle_starttag(self, tag, attrs):
+        self.elements.append((tag, dict(attrs)))
+        self._raw = tag in ("script", "style")
+
+    def handle_endtag(self, tag):
+        self._raw = False
+
+    def handle_data(self, data):
+        self.text += "" if self._raw else " ".join(data.split()) + " "
+
+    def with_attribute(self, name):
+        return [attributes for _, attributes in self.elements if name in attributes]
+
+
+def report(path, record, joints=("knee",), rollout=None, **more):
+    segments, fitted, baseline = rollout or make_rollout(nv=len(joints))
+    curves = history(**{"bench.armature": np.array([0.1, 0.05, 0.04]), "friction.static_torque": np.ones(3)} | more)
+    options = {"segments": segments, "model": fitted, "baseline": baseline, "joints": joints, "window": 0.02}
+    write_report(path, record, history=curves, **options)
+    return path.read_text(encoding="utf-8")
+
+
+def figures_of(source):
+    return json.loads(re.search(r'<script type="application/json" id="figures">(.*?)</script>', source, re.S)[1])
+
+
+def checks_of(record, loss=(3.0, 1.0, 2.0)):
+    return {check.title: check for check in check_result(record, {"loss": np.array(loss)})}
+
+
+def test_the_page_answers_the_three_questions(record, tmp_path):
+    (tmp_path / "identified.xml").write_text("<mujoco/>")
+    page = Page(report(tmp_path / "report.html", record))
+    assert "coulomb_stribeck on waves" in page.text and "simulated data" in page.text
+    for parameter in record["parameters"]:
+        assert parameter["name"] in page.text and f"{parameter['value']:.4g}" in page.text
+    for part in ("test", "baseline", "train"):
+        assert f"{record['metrics'][part]['position_mae']:.4g}" in page.text
+    test, baseline = (record["metrics"][part]["position_mae"] for part in ("test", "baseline"))
+    assert f"−{round(100 * (1 - test / baseline))} %" in page.text
+    assert all(version in page.text for version in record["versions"].values())
+    assert "6.50 s" in page.text
+    links = [attributes["href"] for tag, attributes in page.elements if tag == "a"]
+    assert links == ["result.json", "identified.xml"]  # what is there, and what is written next
+
+
+def test_every_figure_has_a_heading_and_a_text(record, tmp_path):
+    source = report(tmp_path / "report.html", record)
+    canvases = Page(source).with_attribute("data-figure")
+    figures = figures_of(source)["figures"]
+    assert [int(canvas["data-figure"]) for canvas in canvases] == list(range(len(figures)))
+    assert len(figures) == 6  # trajectory, error, loss, two parameters, horizons
+    for canvas in canvases:
+        assert canvas["role"] == "img" and len(canvas["aria-label"]) > 40
+    assert source.count("<h3>") == len(figures)
+    for figure in figures:
+        go.Figure(figure)  # raises for a property that plotly does not know
+
+
+def test_curves_are_those_of_the_rollout(record, tmp_path):
+    segments, fitted, baseline = make_rollout()
+    trajectory = figures_of(report(tmp_path / "report.html", record))["figures"][0]
+    for signal, axis in (("qpos", "y"), ("qvel", "y2")):
+        curves = {trace["name"]: trace["y"] for trace in trajectory["data"] if trace["yaxis"] == axis}
+        start = getattr(segments, signal)[0, :, 0]
+        np.testing.assert_allclose(curves["measured"], start, rtol=1e-5)
+        for name, prediction in (("this model", fitted), ("no friction", baseline)):
+            np.testing.assert_allclose(curves[name][1:], getattr(prediction, signal)[0, :, 0], rtol=1e-5)
+
+
+def test_long_curves_keep_their_extremes_and_lose_the_rest(record, tmp_path):
+    segments, fitted, baseline = make_rollout(length=30_000)
+    segments.qpos[0, 12_345, 0] = 9.0
+    source = report(tmp_path / "report.html", record, rollout=(segments, fitted, baseline))
+    figures = figures_of(source)["figures"]
+    lengths = [len(trace["x"]) for figure in figures[:2] for trace in figure["data"] if "fill" not in trace]
+    assert POINTS / 2 < max(lengths) <= POINTS
+    assert 9.0 in next(trace for trace in figures[0]["data"] if trace["name"] == "measured")["y"]
+    assert len(source) < 7_000_000
+
+
+def test_hostile_names_stay_text(record, tmp_path):
+    record["model"] = record["data"]["name"] = record["data"]["logs"][0]["name"] = HOSTILE
+    record["parameters"][0]["name"] = HOSTILE
+    record["parameters"][0]["value"] = [0.1, 0.2]
+    curves = {f"bench.{HOSTILE}": np.ones((3, 2))}
+    source = report(tmp_path / "report.html", record, joints=(HOSTILE, "<b>other</b>"), **curves)
+    page, plain = Page(source), Page(report(tmp_path / "plain.html", record | {"model": "plain"}, joints=("a", "b")))
+    assert not page.with_attribute("onerror")
+    assert [tag for tag, _ in page.elements].count("script") == [tag for tag, _ in plain.elements].count("script") == 3
+    assert "img" not in [tag for tag, _ in page.elements]
+    assert HOSTILE in page.text
+    drawn = json.dumps(figures_of(source)["figures"])
+    assert "<img" not in drawn and "<b>" not in drawn
+
+
+def test_nothing_comes_from_elsewhere(record, tmp_path):
+    source = report(tmp_path / "report.html", record)
+    page = Page(source)
+    targets = [element[name] for name in ("src", "href", "action") for element in page.with_attribute(name)]
+    assert not [target for target in targets if re.match(r"\s*(?:https?:)?//", target)]
+    assert "default-src 'none'" in source and "@import" not in source
+    # plotly.js offers to upload a chart to its makers' server unless it is told not to.
+    assert "showSendToCloud: false" in source
+
+
+def test_no_doubts_about_a_good_run(record):
+    assert {check.state for check in checks_of(record).values()} == {"good", "note"}
+    assert "simulator" in checks_of(record)["Simulated data"].text
+
+
+@pytest.mark.parametrize(
+    ("change", "title", "state", "text"),
+    [
+        ({"data.simulated": False}, "Real data", "good", "recorded on hardware"),
+        ({"fit.stopped": "converged"}, "Fit", "good", "converged after 3"),
+        ({"fit.stopped": "patience"}, "Fit", "good", "fell no more"),
+        ({"fit.stopped": "diverged"}, "Fit", "bad", "diverged after 3"),
+        ({"fit.stopped": "finished", "fit.method": "lm"}, "Fit", "caution", "without converging"),
+        ({"fit.stopped": "finished", "fit.method": "grid"}, "Fit", "good", "3 combinations"),
+        ({"parameters.0.at_bound": True}, "Bounds", "caution", "bench.armature ended at a bound of [0.001, 1] kg m²"),
+        ({"metrics.train.position_mae": 1e-3}, "Test against train", "caution", "learnt its own data"),
+        ({"metrics.train.position_mae": None}, "Test against train", "caution", "cannot be compared"),
+        ({"metrics.baseline.position_mae": 1e-3}, "Gain", "bad", "no better than"),
+        ({"metrics.test.position_mae": None}, "Gain", "bad", "every test rollout diverged"),
+        ({"by_horizon.0.test.diverged": 2}, "Stability", "bad", "2 of 4 test rollouts of 0.1 s"),
+        ({"by_horizon.1.baseline.diverged": 1}, "Stability", "caution", "1 of 4 frictionless test rollouts of 0.05 s"),
+        ({"data.logs.1.sha256": 64 * "a"}, "Held-out data", "good", "same recording"),
+        ({"model": "baseline"}, "Gain", "note", "compared with itself"),
+    ],
+    ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
+)
+def test_a_reason_for_trust_or_doubt_is_said(record, change, title, state, text):
+    for path, value in change.items():
+        *sections, key = path.split(".")
+        section = record
+        for name in sections:
+            section = section[int(name) if name.isdigit() else name]
+        section[int(key) if key.isdigit() else key] = value
+    check = checks_of(record)[title]
+    assert check.state == state and text in check.text
+
+
+@pytest.mark.parametrize(("last", "state"), [(0.9, "caution"), (0.999, "good")])
+def test_a_loss_that_still_falls_is_said(record, last, state):
+    record["fit"]["iterations"] = 20
+    assert checks_of(record, [2.0] + [1.0] * 18 + [last])["Fit"].state == state
+
+
+@pytest.mark.parametrize("spoilt", ["model", "baseline"])
+@pytest.mark.parametrize("first", [0, 100])
+def test_a_diverged_rollout_is_drawn_as_far_as_it_goes(record, tmp_path, spoilt, first):
+    segments, *predictions = make_rollout()
+    qpos = predictions[spoilt == "baseline"].qpos.copy()
+    qpos[:, first:] = np.inf
+    predictions[spoilt == "baseline"] = Prediction(qpos, qpos)
+    source = report(tmp_path / "report.html", record, rollout=(segments, *predictions))
+    name = {"model": "this model", "baseline": "no friction"}[spoilt]
+    curves = [trace for trace in figures_of(source)["figures"][0]["data"] if trace["name"] == name]
+    assert [len(trace["y"]) for trace in curves] == [first + 1] * 2
+    assert "diverged" in Page(source).with_attribute("data-figure")[0]["aria-label"]
+
+
+def test_a_run_without_any_finite_error_has_a_page(record, tmp_path):
+    lost = {"position_mae": None, "position_mae_std": None, "position_rmse": None, "velocity_rmse": None}
+    for metrics in (record["metrics"]["test"], record["by_horizon"][0]["test"]):
+        metrics |= lost | {"diverged": metrics["rollouts"]}
+    assert "diverged: there is no error to report" in Page(report(tmp_path / "report.html", record)).text
+
+
+def browse(path, *options):
+    """The page as Chromium has made it, and what it wrote to the console."""
+    command = [CHROMIUM, "--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"]
+    command += ["--virtual-time-budget=10000", "--dump-dom", "--enable-logging=stderr", "--v=0", *options]
+    profile = f"--user-data-dir={path.parent / 'profile'}"
+    finished = subprocess.run([*command, profile, path.as_uri()], capture_output=True, text=True, timeout=120)
+    return finished.stdout, [line for line in finished.stderr.splitlines() if "CONSOLE" in line]
+
+
+@needs_browser
+@pytest.mark.parametrize("scheme", ["dark", "light"])
+def test_a_browser_draws_every_figure(record, tmp_path, scheme):
+    path = tmp_path / "report.html"
+    source = report(path, record, joints=(HOSTILE, "knee"))
+    probe = """<script>setTimeout(() => {
+      const canvases = [...document.querySelectorAll("[data-figure]")];
+      const drawn = canvases.filter(canvas => canvas.querySelector(".main-svg path.js-line, .main-svg .point path"));
+      document.body.dataset.drawn = drawn.length;
+      document.body.dataset.page = getComputedStyle(document.body).backgroundColor;
+      document.body.dataset.ink = canvases[0].querySelector(".xtick text").style.fill;
+    }, 3000)</script></body>"""
+    path.write_text(source.replace("</body>", probe))
+    dom, console = browse(path, f"--blink-settings=preferredColorScheme={int(scheme == 'light')}")
+    assert console == []
+    (body,) = [attributes for tag, attributes in Page(dom).elements if tag == "body"]
+    assert int(body["data-drawn"]) == len(figures_of(source)["figures"])
+    brightness = [sum(map(int, re.findall(r"\d+", body[name])[:3])) for name in ("data-page", "data-ink")]
+    assert (brightness[0] < brightness[1]) == (scheme == "dark")
+    assert "Share chart" not in dom.rpartition("<script>")[0].partition("<script")[0]
+
+
+@needs_browser
+def test_a_phone_shows_the_page_without_scrolling_sideways(record, tmp_path):
+    # A window of Chromium's is at least 500 px wide, a frame is as narrow as it is told to be.
+    name = "report-of-a-recording-with-a-very-long-name-that-cannot-be-broken-anywhere"
+    record["data"]["name"] = record["data"]["logs"][0]["name"] = name
+    probe = """<script>setTimeout(() => parent.postMessage([
+      innerWidth, document.documentElement.scrollWidth,
+      ...[...document.querySelectorAll(".main-svg")].map(svg => Math.ceil(svg.getBoundingClientRect().right)),
+    ], "*"), 3000)</script></body>"""
+    (tmp_path / "report.html").write_text(report(tmp_path / "made.html", record).replace("</body>", probe))
+    frame = tmp_path / "frame.html"
+    frame.write_text(
+        '<iframe src="report.html" width="390" height="844" style="border:0"></iframe>'
+        '<script>onmessage = ({ data }) => { document.body.dataset.widths = data.join(" "); };</script>'
+    )
+    dom, console = browse(frame)
+    assert console == []
+    (widths,) = Page(dom).with_attribute("data-widths")
+    inner, page, *drawings = map(int, widths["data-widths"].split())
+    assert inner == 390 and page <= inner
+    assert drawings and max(drawings) <= inner
