@@ -228,6 +228,9 @@ def _training_samples(drive: Drive, bench: Bench, dataset: Dataset) -> DriveStat
 def _judge_baseline(problem: Problem, settings: Mapping[str, Any]) -> Judgement:
     """The best that the bench does without friction, on the same segments and the same rollouts."""
     drive = Drive.assemble(problem.bench, Baseline(problem.bench.nv), problem.drive.engine.name)
+    if not any(param.identify for param in problem.bench.params.values()):
+        known = {"bench": problem.bench.initial_values(), "friction": {}}
+        return problem.evaluation.judge(drive.rollout.compiled, known)
     values = fit_reference(_make_objective(problem.bench, drive, problem.segments, settings))
     return problem.evaluation.judge(drive.rollout.compiled, values)
 

@@ -25,11 +25,13 @@ class Rollout:
         function: The rollout, not compiled.
         compiler_options: For `jax.jit` of whatever it is part of.
         forward_limit: Tangents up to which forward mode is faster than a reverse sweep.
+        reverse: Whether there is a reverse mode.
     """
 
     function: Callable[..., tuple[Any, Any]]
     compiler_options: Mapping[str, Any]
     forward_limit: int
+    reverse: bool
 
     def __call__(self, values: Values, qpos: Any, qvel: Any, ctrl: Any, load: Any = None) -> tuple[Any, Any]:
         """The predicted states."""
@@ -71,4 +73,4 @@ def make_rollout(engine: Engine) -> Rollout:
         _, (positions, velocities) = jax.lax.scan(advance, (qpos, qvel), jnp.swapaxes(ctrl, 0, 1))
         return jnp.swapaxes(positions, 0, 1), jnp.swapaxes(velocities, 0, 1)
 
-    return Rollout(rollout, engine.compiler_options, engine.forward_limit)
+    return Rollout(rollout, engine.compiler_options, engine.forward_limit, engine.reverse)

@@ -73,7 +73,7 @@ def test_comments_cannot_break_the_file(knee: Bench) -> None:
 
 
 def test_joints_come_in_mujocos_order(tmp_path: Path) -> None:
-    assert bench(tmp_path, TWO_JOINTS, ["knee", "hip"]).joints == ("hip", "knee")
+    assert bench(tmp_path, TWO_JOINTS, ["hip", "knee"]).joints == ("hip", "knee")
 
 
 @pytest.mark.parametrize(
@@ -99,6 +99,26 @@ def test_a_template_that_does_not_fit_is_refused(tmp_path: Path, text: str, join
     with pytest.raises(BenchError, match=line) as error:
         bench(tmp_path, text, joint)
     assert "\n" not in str(error.value)
+
+
+def test_friction_in_the_template_is_refused(tmp_path: Path) -> None:
+    text = TWO_JOINTS.replace('<joint name="hip"', '<joint name="hip" frictionloss="0.1"')
+    with pytest.raises(BenchError, match="joint hip has frictionloss in the MJCF, expected none"):
+        bench(tmp_path, text, ["hip", "knee"])
+
+
+def test_joints_in_another_order_are_refused(tmp_path: Path) -> None:
+    for joints in (["knee", "hip"], ["hip", "hip", "knee"]):
+        with pytest.raises(BenchError, match=r"expected each joint once in the order of .*, \[hip, knee\]"):
+            bench(tmp_path, TWO_JOINTS, joints)
+
+
+def test_a_template_that_disables_friction_does_not_serve_a_law_that_needs_it(tmp_path: Path) -> None:
+    for flag in ("frictionloss", "constraint"):
+        text = TWO_JOINTS.replace('<option timestep="0.001"/>', f'<option><flag {flag}="disable"/></option>')
+        stand = bench(tmp_path, text, ["hip", "knee"])
+        with pytest.raises(BenchError, match="disables friction constraints, which this friction model needs"):
+            stand.compile(constraint=True)
 
 
 def test_a_template_that_is_missing_is_refused() -> None:

@@ -1,7 +1,7 @@
 """Objective, coordinates and methods on segments whose truth is known."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -171,6 +171,13 @@ def test_reference_is_the_optimum_of_the_recipe(pose: Callable[..., Problem], tm
     assert isinstance(problem.model, Baseline)
     adam = identified(run(problem, Adam(400, 0.02, 0.9, "auto"), tmp_path).values)
     assert reference["armature"] == pytest.approx(adam["armature"], rel=5e-3)
+
+
+def test_reverse_mode_through_a_loop_is_refused(pose: Callable[..., Problem]) -> None:
+    objective = pose("mujoco_default").objective
+    objective._rollout = replace(objective._rollout, reverse=False)
+    with pytest.raises(ConfigError, match=r"fit\.derivative=reverse: engine=mjx .*; set fit\.derivative=forward"):
+        objective.value_and_grad("reverse")
 
 
 @pytest.mark.parametrize("chunk", [1, 7, 100])

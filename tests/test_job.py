@@ -113,3 +113,15 @@ def check_scalars(run: Path, result: dict) -> None:
         assert [event.step for event in events.Scalars(tag)] == steps
     best = events.Scalars("loss")[result["fit"]["best_iteration"]].value
     assert best == pytest.approx(result["fit"]["loss"], rel=1e-6)  # TensorBoard keeps 32 bits
+
+
+def test_a_known_bench_is_judged_as_it_is_without_friction(
+    call: Callable, tiny: tuple[str, ...], tmp_path: Path
+) -> None:
+    options = ("model=coulomb_smooth", "fit=lm", "bench.params.armature.identify=false", "hydra.run.dir=run")
+    finished = call(*tiny, *options)
+    assert finished.status == 0, finished.err
+    result = json.loads((tmp_path / "run" / "result.json").read_text())
+    # No value of the bench is free: what is left without friction is the bench as it was given.
+    assert result["metrics"]["baseline"]["position_mae"] > 0
+    assert {item["name"] for item in result["parameters"] if item["owner"] == "bench" and item["identified"]} == set()

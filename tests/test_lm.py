@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from test_fit import TRUTH, Problem, identified, pose, recording, run  # noqa: F401 - pose and recording are fixtures
 
-from frictionzoo.errors import ConfigError
+from frictionzoo.errors import ConfigError, FitError
 from frictionzoo.fit import LevenbergMarquardt
 from frictionzoo.fit import objective as objective_module
 from frictionzoo.fit.lm import _compress
@@ -59,6 +59,21 @@ def test_the_gradient_is_that_of_the_loss(pose: Pose, options: dict[str, Any]) -
     np.testing.assert_allclose(equations.loss, loss, rtol=1e-12)
     # A refined start is the best one up to its search's last step, and the gradient assumes the best.
     np.testing.assert_allclose(2 * equations.gradient, gradient, rtol=1e-6 if options.get("refine") else 1e-10)
+
+
+def test_a_fit_that_runs_out_of_iterations_has_not_converged(pose: Pose, tmp_path: Path) -> None:  # noqa: F811
+    outcome = run(pose("mujoco_default"), LevenbergMarquardt(2, 1e-12), tmp_path)
+    assert (outcome.stopped, outcome.iterations) == ("finished", 2)
+
+
+def test_a_fit_that_never_starts_says_so(pose: Pose, tmp_path: Path) -> None:  # noqa: F811
+    problem = pose("mujoco_default", engine="specialised")
+    problem.objective.data = problem.objective.data._replace(ctrl=problem.objective.data.ctrl.at[0].set(np.nan))
+    with pytest.raises(
+        FitError, match="diverged at iteration 0: the loss or its gradient is not finite at the init"
+    ) as error:
+        run(problem, LM, tmp_path)
+    assert "learning_rate" not in str(error.value)
 
 
 @pytest.mark.parametrize("refine", [False, True])

@@ -54,10 +54,11 @@ def welded(bench: Bench, payload: Payload, constraint: bool, case: dict[str, np.
 
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize("constraint", [False, True], ids=["smooth", "frictionloss"])
-@pytest.mark.parametrize("body", [*BODIES, "chain"])
+@pytest.mark.parametrize("body", [*BODIES, "simple slide", "chain"])
 def test_a_step_with_a_payload_is_that_of_a_welded_body(tmp_path: Path, body: str, constraint: bool) -> None:
     joints = 2 if body == "chain" else 1
-    text = chain(2) if body == "chain" else f"<body>{BODIES[body]}</body>"
+    simple = '<joint name="j0" type="slide"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+    text = chain(2) if body == "chain" else f"<body>{BODIES.get(body, simple)}</body>"
     at = text.rindex("<body") + len("<body")
     bench = make_bench(tmp_path, f'{text[:at]} name="carrier"{text[at:]}', joints)
     cases = random_cases(30, joints)
@@ -138,6 +139,21 @@ def test_a_payload_needs_a_body_that_is_there(tmp_path: Path, knee: Bench) -> No
         make_bench(tmp_path, f'<body name="carrier">{BODIES["hinge with gravity"]}</body>', 1, "carier")
 
 
+def test_a_body_without_mass_may_carry_a_payload_or_none(tmp_path: Path) -> None:
+    body = f'<body>{BODIES["hinge with gravity"]}<body name="carrier" pos="0 0 -0.2"/></body>'
+    bench = make_bench(tmp_path, body, 1)
+    bare, loaded = bench.load(NO_PAYLOAD), bench.load(PAYLOADS[0])
+    assert np.isfinite(bare).all() and loaded[0] == PAYLOADS[0].mass
+    assert loaded[-1] > bare[-1] > 0
+
+
+def test_a_body_that_no_joint_moves_carries_none(tmp_path: Path) -> None:
+    stand = '<body name="carrier"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>'
+    body = f"{stand}<body>{BODIES['hinge with gravity']}</body>"
+    with pytest.raises(BenchError, match="no joint moves body carrier"):
+        make_bench(tmp_path, body, 1)
+
+
 @pytest.mark.parametrize(
     ("payload", "line"),
     [
@@ -145,6 +161,7 @@ def test_a_payload_needs_a_body_that_is_there(tmp_path: Path, knee: Bench) -> No
         ([[1.0] * 7, [1.0] * 6], r"data\.payload of b\.csv is .*; expected 7 numbers"),
         ([[1.0] * 7, [float("nan")] * 7], "expected 7 numbers"),
         ([[1.0] * 7, 3.0], "expected 7 numbers"),
+        ([[1.0, 0, 0, 0, 1, 0, 0], [0.0] * 7], "no inertia above the sum of the other two"),
         ([[-1.0, 0, 0, 0, 0, 0, 0], [0.0] * 7], "expected mass and inertia of at least 0"),
     ],
 )

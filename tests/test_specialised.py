@@ -226,6 +226,12 @@ def test_a_tree_with_a_branch_and_a_slide_is_specialised_too(tmp_path: Path) -> 
     np.testing.assert_allclose(ours, steps_in_c(bench, cases, True), rtol=0, atol=1e-8)
 
 
+def test_an_engine_without_reverse_mode_says_so(tmp_path: Path) -> None:
+    bench = make_bench(tmp_path, chain(2), joints=2)
+    assert not MjxEngine(bench, law(True), True).reverse
+    assert MjxEngine(bench, law(False), False).reverse and SpecialisedEngine(bench, law(True), True).reverse
+
+
 def test_what_the_model_fixes_is_gone(tmp_path: Path) -> None:
     """A rod on a hinge is one sine, an armature and an actuator, however many frames MJX computes."""
     for name, body in BODIES.items():

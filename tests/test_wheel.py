@@ -42,9 +42,10 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_wheel_holds_what_a_job_needs(wheel: Path) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
-    here = {str(path.relative_to(ROOT)) for path in ROOT.glob("frictionzoo/**/*") if path.suffix in (".py", ".xml")}
+    kinds = (".py", ".xml", ".json", ".jinja")
+    here = {str(path.relative_to(ROOT)) for path in ROOT.glob("frictionzoo/**/*") if path.suffix in kinds}
     conf = {f"frictionzoo/{path.relative_to(ROOT)}" for path in ROOT.glob("conf/**/*.yaml")}
-    assert here | conf | {"frictionzoo/report/result.schema.json"} <= names
+    assert here | conf <= names
     tops = {name.partition("/")[0] for name in names}
     assert {top for top in tops if not top.endswith(".dist-info")} == {"frictionzoo"}
 

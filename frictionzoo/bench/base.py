@@ -66,6 +66,7 @@ class Bench:
         self.joints = self._choose_joints(joint)
         self._refuse_clashes()
         model = self.compile(constraint=False)
+        self._refuse_own_friction(model)
         self.joint_type = self._read_joint_type(model)
         self.timestep = float(model.opt.timestep)
         self.payload = None if payload is None else self._find_body(model, payload)
@@ -132,6 +133,12 @@ class Bench:
             raise BenchError(
                 f"{self.source}: {model.nv} degrees of freedom, but {self.nv} identified joints "
                 f"({', '.join(self.joints)}); name every joint in bench.joint or fix the others"
+            )
+        flags = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
+        if constraint and model.opt.disableflags & flags:
+            raise BenchError(
+                f"{self.source}: the MJCF disables friction constraints, which this friction model needs; remove the "
+                "flag"
             )
         if model.opt.integrator not in _INTEGRATORS:
             name = mujoco.mjtIntegrator(model.opt.integrator).name.removeprefix("mjINT_")
@@ -204,13 +211,25 @@ class Bench:
                 raise BenchError(
                     f"{self.source}: no joint {name}; {closest(name, filter(None, found))}; set bench.joint"
                 )
-        return tuple(name for name in found if name in wanted)
+        ordered = [name for name in found if name in wanted]
+        if wanted != ordered:
+            # The recording's columns follow bench.joint: another order would swap the joints without a word.
+            raise BenchError(
+                f"bench.joint=[{', '.join(wanted)}]: expected each joint once in the order of {self.source}, "
+                f"[{', '.join(ordered)}]; change it, and data.columns with it"
+            )
+        return tuple(ordered)
 
     def _find_body(self, model: mujoco.MjModel, name: str) -> int:
         bodies = [model.body(index).name for index in range(1, model.nbody)]
         if name not in bodies:
             raise BenchError(f"{self.source}: no body {name}; {closest(name, filter(None, bodies))}; set bench.payload")
-        return bodies.index(name) + 1
+        index = bodies.index(name) + 1
+        if model.body_weldid[index] == 0:
+            raise BenchError(
+                f"{self.source}: no joint moves body {name}, expected one that carries the payload; set bench.payload"
+            )
+        return index
 
     def _refuse_clashes(self) -> None:
         if self._template.find(".//include") is not None:
@@ -221,6 +240,14 @@ class Bench:
                     f"{self.source}: joint {element.get('joint')} has an actuator in the MJCF, expected none because "
                     "bench.actuator describes it; remove it from the MJCF"
                 )
+
+    def _refuse_own_friction(self, model: mujoco.MjModel) -> None:
+        if (model.dof_frictionloss > 0).any():
+            joint = self.joints[int(np.argmax(model.dof_frictionloss > 0))]
+            raise BenchError(
+                f"{self.source}: joint {joint} has frictionloss in the MJCF, expected none because the friction model "
+                "brings it; remove it, also from defaults"
+            )
 
     def _read_joint_type(self, model: mujoco.MjModel) -> str:
         types = {int(kind) for kind in model.jnt_type}
@@ -259,7 +286,8 @@ def _combine(model: mujoco.MjModel, body: int, payload: Payload) -> Float[np.nda
     masses = np.array([model.body_mass[body], payload.mass])
     centres = np.stack([model.body_ipos[body], payload.position])
     inertias = [axes * model.body_inertia[body] @ axes.T, np.diag(payload.inertia)]
-    centre = masses @ centres / masses.sum()
+    # A frame without mass may carry the payload, and carry none.
+    centre = masses @ centres / masses.sum() if masses.sum() > 0 else centres[0]
     total = np.zeros((3, 3))
     for mass, inertia, offset in zip(masses, inertias, centres - centre, strict=True):
         total += inertia + mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))

@@ -24,12 +24,14 @@ class Engine(ABC):
         note: What a user may want to know of how it came to simulate.
         compiler_options: What XLA needs to know where a step of this engine is compiled.
         forward_limit: Tangents up to which forward mode is faster than a reverse sweep.
+        reverse: Whether there is a reverse mode: none passes a loop of unknown length.
     """
 
     name: ClassVar[str]
     note: str = ""
     compiler_options: Mapping[str, Any]
     forward_limit: ClassVar[int]
+    reverse: bool = True
 
     @abstractmethod
     def step(

@@ -91,6 +91,7 @@ class MjxEngine(Engine):
         self._model = mjx.put_model(model)
         self._data = mjx.make_data(self._model)
         self._constraint = self._data._impl.efc_J.shape[0] > 0
+        self.reverse = not self._constraint or model.opt.iterations == 1
 
     def step(
         self,
@@ -131,7 +132,10 @@ class MjxEngine(Engine):
         rigid = rigid if len(load) else jnp.asarray(self._rigid_inertia, armature.dtype)
         inverse = [solve_spd(rigid + jnp.diag(armature), unit)[index] for index, unit in enumerate(jnp.eye(len(rigid)))]
         fixed = jnp.asarray(self._model.dof_invweight0, armature.dtype)
-        invweight0 = jnp.where(self._ignores_armature, fixed, jnp.stack(inverse))
+        ignored = jnp.asarray(self._ignores_armature)
+        if self._bench.payload is not None:  # with a payload the body's centre lies elsewhere, and it is simple no more
+            ignored = ignored & (inertial[0] == self._model.body_mass[self._bench.payload])
+        invweight0 = jnp.where(ignored, fixed, jnp.stack(inverse))
         return ModelInputs(armature, invweight0, jnp.stack(list(affine), axis=-1), inertial)
 
     def dynamics(

@@ -124,7 +124,7 @@ class _Solver:
         tolerance = max(tolerance, _SLACK * float(np.finfo(space.start.dtype).eps))
         low, high, start = (np.asarray(side, np.float64) for side in (space.low, space.high, space.start))
         try:
-            scipy.optimize.least_squares(
+            found = scipy.optimize.least_squares(
                 self._residuals,
                 np.clip(start, low, high),
                 jac=self._jacobian,  # pyright: ignore[reportArgumentType] - a function is one of its kinds
@@ -137,7 +137,7 @@ class _Solver:
             )
         except _PauseError:
             return False
-        return not self.broken
+        return found.status > 0  # 0: the number of vectors is used up
 
     def update(self, progress: Progress, converged: bool) -> Progress:
         """The progress after this run."""
@@ -146,7 +146,8 @@ class _Solver:
         best = int(np.argmin(finite)) if len(finite) and np.isfinite(finite).any() else -1
         dtype = progress.vector.dtype
         return progress._replace(
-            iteration=jnp.asarray(len(self._vectors)),
+            # A vector without a finite loss is none, as in other methods.
+            iteration=jnp.asarray(0 if self.broken else len(self._vectors)),
             vector=jnp.asarray(self._vectors[-1], dtype),
             best=jnp.asarray(self._vectors[max(best, 0)], dtype),
             best_loss=jnp.asarray(finite[best] if best >= 0 else np.inf, dtype),

@@ -228,8 +228,9 @@ class FitModule(pl.LightningModule):
             else "none before it"
         )
         return (
-            f"fit diverged at iteration {self.iteration}: {self._name_divergence()}; {kept}; lower fit.learning_rate, "
-            "or start from other initial values or narrower bounds"
+            f"fit diverged at iteration {self.iteration}: {self._name_divergence()}; {kept}; "
+            f"{'lower fit.learning_rate, or ' if self._fit.name == 'adam' else ''}start from other initial values or "
+            "narrower bounds"
         )
 
     def _name_divergence(self) -> str:
@@ -237,7 +238,7 @@ class FitModule(pl.LightningModule):
         if np.isfinite(gradient).any():
             return f"the gradient of {space.first_nonfinite(gradient)} is not finite"
         # A loss that is not finite has no finite gradient at all: that tells nothing about where it comes from.
-        if self.iteration == 0:
+        if int(self.progress.best_iteration) < 0:
             return f"the loss or its gradient is not finite at the initial values of {', '.join(space.names)}"
         moved = space.farthest(np.asarray(self.progress.vector), np.asarray(self.progress.best))
         return f"the loss or its gradient is not finite, with {moved} farthest from its best value"

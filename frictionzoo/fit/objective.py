@@ -142,8 +142,16 @@ class Objective:
 
         Args:
             derivative: `forward` (a tangent for each coordinate), `reverse`, or `auto` for the cheaper one.
+
+        Raises:
+            ConfigError: The engine has no reverse mode for this bench.
         """
-        few = len(self.space.start) <= self._rollout.forward_limit
+        if derivative == "reverse" and not self._rollout.reverse:
+            raise ConfigError(
+                "fit.derivative=reverse: engine=mjx solves the constraints of several joints in a loop, which reverse "
+                "mode cannot pass; set fit.derivative=forward or engine=specialised"
+            )
+        few = len(self.space.start) <= self._rollout.forward_limit or not self._rollout.reverse
         reverse = derivative == "reverse" or (derivative == "auto" and not few)
 
         def of_block(vector: Array, block: Blocks) -> tuple[Array, Array]:

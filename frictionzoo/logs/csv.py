@@ -64,6 +64,7 @@ class CsvLogs:
 
         Raises:
             LogError: No file is named, one cannot be read, or one does not hold what `columns` names.
+            ConfigError: A payload is none, or there are more or fewer than recordings.
         """
         if not self.train:
             raise LogError("data.train=[]: no recording; name CSV files, as in data.train=[a.csv] data.test=[b.csv]")
@@ -125,8 +126,11 @@ def _read_payloads(given: Sequence[Any], names: Sequence[str]) -> list[Payload |
                 f"data.payload of {name} is {numbers}; expected 7 numbers: mass, centre x, y, z, inertia ixx, iyy, izz"
             )
         mass, x, y, z, ixx, iyy, izz = map(float, numbers)
-        if min(mass, ixx, iyy, izz) < 0:
-            raise ConfigError(f"data.payload of {name} is {numbers}; expected mass and inertia of at least 0")
+        if min(mass, ixx, iyy, izz) < 0 or 2 * max(ixx, iyy, izz) > (ixx + iyy + izz) * (1 + 1e-9):
+            raise ConfigError(
+                f"data.payload of {name} is {numbers}; expected mass and inertia of at least 0, and no inertia above "
+                "the sum of the other two, which no body has"
+            )
         payloads.append(Payload(mass, (x, y, z), (ixx, iyy, izz)))
     return payloads
 
