@@ -98,7 +98,8 @@ class Problem:
         drive = Drive.assemble(bench, build(settings["model"], nv=bench.nv), settings["engine"])
         samples = _training_samples(drive, bench, dataset)
         drive.model.prepare(samples)
-        objective = _make_objective(bench, drive, segments, settings)
+        space = Space(bench, drive.model, settings["dtype"])
+        objective = Objective(space, drive.rollout, segments, **settings["loss"])
         return cls(bench, dataset, segments, evaluation, drive, samples, objective, build(settings["fit"]), device)
 
 
@@ -134,7 +135,7 @@ def run_job(config: DictConfig, name: str, folder: Path) -> tuple[dict[str, Any]
 
     judged = time.perf_counter()
     judgement = problem.evaluation.judge(problem.drive.rollout.compiled, outcome.values)
-    baseline = _judge_baseline(problem, settings)
+    baseline = _judge_baseline(problem, settings["dtype"])
     timing |= {"evaluate": time.perf_counter() - judged}
 
     _write_drive(folder, problem, outcome, judgement, baseline)
@@ -212,11 +213,6 @@ def _configure_jax(dtype: str, device: str, compilation_cache: str | None) -> st
     return str(chosen.device_kind if chosen.platform != "cpu" else "cpu")
 
 
-def _make_objective(bench: Bench, drive: Drive, segments: Segments, settings: Mapping[str, Any]) -> Objective:
-    space = Space(bench, drive.model, settings["dtype"])
-    return Objective(space, drive.rollout, segments, **settings["loss"])
-
-
 def _training_samples(drive: Drive, bench: Bench, dataset: Dataset) -> DriveState:
     """What the friction law sees in every training sample, with the bench's initial values, as numpy arrays."""
     values = {"bench": bench.initial_values()}
@@ -225,13 +221,14 @@ def _training_samples(drive: Drive, bench: Bench, dataset: Dataset) -> DriveStat
     return DriveState(*(np.concatenate(signals) for signals in zip(*parts, strict=True)))
 
 
-def _judge_baseline(problem: Problem, settings: Mapping[str, Any]) -> Judgement:
+def _judge_baseline(problem: Problem, dtype: str) -> Judgement:
     """The best that the bench does without friction, on the same segments and the same rollouts."""
     drive = Drive.assemble(problem.bench, Baseline(problem.bench.nv), problem.drive.engine.name)
     if not any(param.identify for param in problem.bench.params.values()):
         known = {"bench": problem.bench.initial_values(), "friction": {}}
         return problem.evaluation.judge(drive.rollout.compiled, known)
-    values = fit_reference(_make_objective(problem.bench, drive, problem.segments, settings))
+    space = Space(problem.bench, drive.model, dtype)
+    values = fit_reference(problem.objective.for_drive(space, drive.rollout))
     return problem.evaluation.judge(drive.rollout.compiled, values)
 
 

@@ -9,13 +9,13 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from test_specialised import KNOWN, random_cases
 
 from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.engine import MjxEngine
 from frictionzoo.rollout import make_rollout
 from frictionzoo.types import FrictionTerms
 
-KNOWN = {"low": 1e-6, "high": 1e3, "scale": "log", "identify": False}
 ARMATURE = {"armature": {"init": 0.02, **KNOWN}}
 HINGE = '<joint name="a" axis="0 1 0"/><inertial pos="0 0 -0.11" mass="0.26" diaginertia="0.0011 0.0011 0.0001"/>'
 BODIES = {
@@ -53,21 +53,6 @@ def make_bench(tmp_path: Path, body: str, integrator: str) -> Bench:
     return Bench(str(path), joints, actuator, ARMATURE, [0.02, 1.0], None)
 
 
-def random_cases(nv: int) -> dict[str, np.ndarray]:
-    rng = np.random.default_rng(0)
-    shape = (STATES, nv)
-    return {
-        "qpos": rng.normal(size=shape),
-        # Half of them slow enough for the constraint to stick.
-        "qvel": rng.normal(size=shape) * np.where(np.arange(STATES) % 2, 1.0, 1e-3)[:, None],
-        "ctrl": rng.normal(size=shape),
-        "armature": rng.uniform(0.005, 0.3, shape),
-        "frictionloss": rng.uniform(0.01, 3.0, shape),
-        "damping": rng.uniform(0.0, 2.0, shape),
-        "torque": rng.normal(size=shape),
-    }
-
-
 def step_in_c(bench: Bench, case: dict[str, np.ndarray], constraint: bool) -> tuple[np.ndarray, np.ndarray]:
     """One step of the bench written as MJCF with these values and compiled anew."""
     values = bench.initial_values() | {"armature": case["armature"]}
@@ -99,7 +84,7 @@ def test_step_equals_mujoco_c(tmp_path: Path, body: str, integrator: str, constr
         values = {"bench": known | {"armature": case["armature"]}, "friction": case}
         return engine.step(values, case["qpos"], case["qvel"], case["ctrl"], jnp.zeros(0))
 
-    cases = random_cases(bench.nv)
+    cases = random_cases(STATES, bench.nv)
     qpos, qvel = jax.jit(jax.vmap(step))(cases)
     # One joint: rounding only. Two joints with friction: both solvers iterate, to their own tolerance.
     tolerance = 1e-8 if constraint and bench.nv > 1 else 1e-12
@@ -112,7 +97,7 @@ def test_step_equals_mujoco_c(tmp_path: Path, body: str, integrator: str, constr
 def test_law_sees_what_mujoco_c_computes(tmp_path: Path) -> None:
     bench = make_bench(tmp_path, "inclined", "euler")
     engine = MjxEngine(bench, lambda values, state: FrictionTerms(), False)
-    case = {name: value[0] for name, value in random_cases(1).items()}
+    case = {name: value[0] for name, value in random_cases(STATES, 1).items()}
     values = {"bench": bench.initial_values()}
     state = engine.drive_state(values, *(jnp.asarray(case[name]) for name in ("qpos", "qvel", "ctrl")), jnp.zeros(0))
     model = bench.compile(constraint=False)

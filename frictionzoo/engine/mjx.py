@@ -179,8 +179,6 @@ class MjxEngine(Engine):
             )
         data = self._data.replace(qpos=qpos, qvel=qvel, ctrl=ctrl)
         data = mjx.fwd_position(model, data)
-        if self._constraint:
-            data = mjx.make_constraint(model, data)  # again, now that it sees the velocity
         data = mjx.fwd_velocity(model, data)
         return model, mjx.fwd_actuation(model, data)
 

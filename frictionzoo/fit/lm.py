@@ -114,7 +114,7 @@ class _Solver:
         self._objective = objective
         self._evaluate = evaluate
         self._memory = Memory(*(part.copy() for part in memory))
-        self._known, self._count, self._asked = known, count, 0
+        self._known, self._count = known, count
         self._vectors: list[np.ndarray] = []
         self._last: NormalEquations | None = None
 

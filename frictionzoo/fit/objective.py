@@ -1,5 +1,6 @@
 """What a fit minimises."""
 
+import copy
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -121,6 +122,12 @@ class Objective:
         self._robust, self._scale = _ROBUST[robust], robust_scale
         self._refine = refine
         self._terms = segments.count * (segments.length + refine) * segments.qpos.shape[2]
+
+    def for_drive(self, space: Space, rollout: Rollout) -> "Objective":
+        """The same objective of another drive on the same bench, on the data that the devices hold already."""
+        other = copy.copy(self)
+        other.space, other.compile, other._rollout = space, rollout.compile, rollout
+        return other
 
     def spread(self, tree: Any) -> Any:
         """The same arrays on every device that holds data, as functions compiled for several expect them."""
