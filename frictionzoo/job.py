@@ -12,6 +12,7 @@ from typing import Any, cast
 import jax
 import numpy as np
 import safetensors.torch
+from jaxtyping import Float
 from omegaconf import DictConfig, OmegaConf
 
 from frictionzoo import __version__
@@ -25,6 +26,7 @@ from frictionzoo.fit import Fit, Objective, Outcome, Space, fit_reference, run_f
 from frictionzoo.logs.cache import cache_folder
 from frictionzoo.models import Baseline, FrictionModel
 from frictionzoo.output import write_atomically
+from frictionzoo.report.curves import Curves, sample_friction, write_curves
 from frictionzoo.report.figures import write_figures
 from frictionzoo.report.html import write_report
 from frictionzoo.report.result import build_result, describe_data, write_result
@@ -146,19 +148,19 @@ def run_job(config: DictConfig, name: str, folder: Path) -> tuple[dict[str, Any]
         model=model,
         values=outcome.values,
         dataset=problem.dataset,
+        evaluation=problem.evaluation,
         judgement=judgement,
         baseline=baseline,
         fit=_describe_fit(outcome),
         timing=timing,
-        seed=settings["seed"],
-        dtype=settings["dtype"],
+        settings=settings,
         engine=engine.name,
         device=problem.device,
     )
     write_report(
         folder / "report.html",
         result,
-        segments=problem.evaluation.trajectory,
+        segments=problem.evaluation.trajectories,
         model=judgement.prediction,
         baseline=baseline.prediction,
         joints=problem.bench.joints,
@@ -186,8 +188,30 @@ def _write_drive(folder: Path, problem: Problem, outcome: Outcome, judgement: Ju
     # One entry only: safetensors writes several in an order that changes from run to run.
     header = {"frictionzoo": f"{model.name}, version {__version__}"}
     write_atomically(folder / "friction.safetensors", safetensors.torch.save(model.state_dict(), header))
+    write_curves(folder, _collect_curves(problem, outcome, judgement))
     mjcf = export_mjcf(bench, outcome.values, model, problem.samples)
     write_atomically(folder / "identified.xml", mjcf.encode())
+
+
+def _collect_curves(problem: Problem, outcome: Outcome, judgement: Judgement) -> Curves:
+    measured, local = problem.evaluation.trajectories, problem.evaluation.local
+    velocity, friction, low, high = sample_friction(problem.drive.model, problem.samples)
+    return Curves(
+        measured_qpos=measured.qpos,
+        measured_qvel=measured.qvel,
+        qpos=judgement.prediction.qpos,
+        qvel=judgement.prediction.qvel,
+        train_mae=judgement.rollout_mae["train"],
+        test_mae=judgement.rollout_mae["test"],
+        local_mae=judgement.local_mae,
+        local_speed=np.abs(local.qvel).mean(axis=(1, 2)),
+        local_load=np.abs(_motor_torque(problem.drive, problem.bench, local)).mean(axis=(1, 2)),
+        velocity=velocity,
+        friction=friction,
+        friction_low=low,
+        friction_high=high,
+        history=outcome.history,
+    )
 
 
 def _configure_jax(dtype: str, device: str, compilation_cache: str | None) -> str:
@@ -219,6 +243,16 @@ def _training_samples(drive: Drive, bench: Bench, dataset: Dataset) -> DriveStat
     state = drive.rollout.compile(jax.vmap(drive.engine.drive_state, in_axes=(None, 0, 0, 0, None)))
     parts = [jax.tree.map(np.asarray, state(values, log.qpos, log.qvel, log.ctrl, log.load)) for log in dataset.train]
     return DriveState(*(np.concatenate(signals) for signals in zip(*parts, strict=True)))
+
+
+def _motor_torque(drive: Drive, bench: Bench, segments: Segments) -> Float[np.ndarray, "batch time nv"]:
+    """The actuators' torque at each measured state, with the bench's initial values: the same for all laws."""
+    values = {"bench": bench.initial_values()}
+    step = jax.vmap(drive.engine.drive_state, in_axes=(None, 0, 0, 0, None))
+    state = drive.rollout.compile(jax.vmap(step, in_axes=(None, 0, 0, 0, 0)))
+    load = np.zeros((segments.count, 0)) if segments.load is None else segments.load
+    seen = state(values, segments.qpos[:, :-1], segments.qvel[:, :-1], segments.ctrl, load)
+    return np.asarray(seen.motor_torque, np.float64)
 
 
 def _judge_baseline(problem: Problem, dtype: str) -> Judgement:

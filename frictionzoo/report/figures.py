@@ -70,7 +70,7 @@ def write_figures(
         for name, param in params.items()
         if param.identify
     }
-    rollouts = (evaluation.trajectory, judgement.prediction, baseline.prediction, bench.joint_type)
+    rollouts = (evaluation.trajectories, judgement.prediction, baseline.prediction, bench.joint_type)
     figures = {
         "figure3_parameters.png": draw_parameters(history, best_iteration, units, fitted),
         "figure4_trajectory.png": draw_trajectory(*rollouts, bench.joints, tested),
