@@ -258,11 +258,11 @@ def _motor_torque(drive: Drive, bench: Bench, segments: Segments) -> Float[np.nd
 def _judge_baseline(problem: Problem, dtype: str) -> Judgement:
     """The best that the bench does without friction, on the same segments and the same rollouts."""
     drive = Drive.assemble(problem.bench, Baseline(problem.bench.nv), problem.drive.engine.name)
-    if not any(param.identify for param in problem.bench.params.values()):
-        known = {"bench": problem.bench.initial_values(), "friction": {}}
-        return problem.evaluation.judge(drive.rollout.compiled, known)
     space = Space(problem.bench, drive.model, dtype)
-    values = fit_reference(problem.objective.for_drive(space, drive.rollout))
+    if space.names:
+        values = fit_reference(problem.objective.for_drive(space, drive.rollout))
+    else:
+        values = jax.tree.map(np.asarray, space.values(space.start))
     return problem.evaluation.judge(drive.rollout.compiled, values)
 
 

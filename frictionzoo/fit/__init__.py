@@ -3,6 +3,7 @@
 from frictionzoo.fit.adam import Adam
 from frictionzoo.fit.base import Fit
 from frictionzoo.fit.grid import Grid
+from frictionzoo.fit.known import Known
 from frictionzoo.fit.lm import LevenbergMarquardt
 from frictionzoo.fit.loop import Outcome, run_fit
 from frictionzoo.fit.objective import Objective
@@ -13,6 +14,7 @@ __all__ = [
     "Adam",
     "Fit",
     "Grid",
+    "Known",
     "LevenbergMarquardt",
     "Objective",
     "Outcome",

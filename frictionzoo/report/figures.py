@@ -71,8 +71,9 @@ def write_figures(
         if param.identify
     }
     rollouts = (evaluation.trajectories, judgement.prediction, baseline.prediction, bench.joint_type)
+    moved = len(history["iteration"]) > 1  # known values have no course
     figures = {
-        "figure3_parameters.png": draw_parameters(history, best_iteration, units, fitted),
+        **({"figure3_parameters.png": draw_parameters(history, best_iteration, units, fitted)} if moved else {}),
         "figure4_trajectory.png": draw_trajectory(*rollouts, bench.joints, tested),
         "figure5_error.png": draw_error(*rollouts, evaluation.window, tested),
     }

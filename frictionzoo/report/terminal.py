@@ -1,4 +1,4 @@
-"""The summary of a run in plain text, legible on a terminal and in a log file alike."""
+"""The summary of a run, or of several, in plain text, legible on a terminal and in a log file alike."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -29,10 +29,67 @@ def summarise(result: Mapping[str, Any], folder: Path) -> str:
     return "\n\n".join(blocks)
 
 
+def summarise_comparison(comparison: Mapping[str, Any], folder: Path) -> str:
+    """The runs best first, what failed, the recommendation, and where the files are.
+
+    Args:
+        comparison: What `comparison.json` holds.
+        folder: Where the comparison lies.
+    """
+    count = len(comparison["runs"])
+    blocks = [
+        f"{count} run{'s' * (count != 1)} on {comparison['data']['name']}. {_say_kind(comparison['data'])}",
+        _tabulate_runs(comparison),
+        *_list_failures(comparison["failures"]),
+        _say_recommendation(comparison["recommendation"]),
+        f"files: {folder}",
+    ]
+    return "\n\n".join(blocks)
+
+
+def _tabulate_runs(comparison: Mapping[str, Any]) -> str:
+    evaluation, unit = comparison["evaluation"], comparison["unit"]
+    best = comparison["runs"][0]["label"]
+    verdicts = {pair["run"]: pair["verdict"] for pair in comparison["pairs"] if pair["other"] == best}
+    test = f"test, {evaluation['rollouts']} x {evaluation['horizon']:g} s [{unit}]"
+    rows = [
+        ("model", "identified", f"train MAE [{unit}]", test, "sigma", "change", "against best", "diverged", "fit [s]")
+    ]
+    for run in comparison["runs"]:
+        change = run["change"]["test"]
+        rows.append(
+            (
+                run["label"],
+                str(run["identified"]),
+                _format_value(run["train"]["position_mae"]),
+                _format_value(run["test"]["position_mae"]),
+                _format_value(run["test"]["position_mae_std"]),
+                "" if change is None else f"{round(100 * change):+d} %",
+                "best" if run["label"] == best else verdicts[run["label"]],
+                str(run["test"]["diverged"]),
+                f"{run['timing']['fit']:.1f}",
+            )
+        )
+    return _align(rows)
+
+
+def _list_failures(failures: Sequence[Mapping[str, str]]) -> list[str]:
+    lines = [f"failed: {failure['run']}: {failure['reason']}" for failure in failures]
+    return ["\n".join(lines)] if lines else []
+
+
+def _say_recommendation(recommendation: Mapping[str, str] | None) -> str:
+    if not recommendation:
+        return "No run has a test error: all test rollouts diverged. None can be recommended."
+    return f"recommended: {recommendation['run']}. {recommendation['reason']}"
+
+
 def _say_origin(result: Mapping[str, Any]) -> str:
-    data = result["data"]
-    origin = "The data are simulated." if data["simulated"] else "The data are real, recorded on hardware."
-    return f"{result['model']} on {data['name']}. {origin}"
+    return f"{result['model']} on {result['data']['name']}. {_say_kind(result['data'])}"
+
+
+def _say_kind(data: Mapping[str, Any]) -> str:
+    return "The data are simulated." if data["simulated"] else "The data are real, recorded on hardware."
 
 
 def _tabulate_parameters(result: Mapping[str, Any]) -> str:
