@@ -15,6 +15,7 @@ from frictionzoo.report.result import SCHEMA_VERSION, read_schema
 
 FAILURE = "failure.json"
 RESULT = "result.json"
+MOST_NAMED = 2  # options in a label
 # Options that may differ between runs that are compared, and are then named. A law's own options belong to the law, and
 # data and evaluation must not differ.
 NAMED = ("seed", "dtype", "engine", "segments", "loss", "fit", "bench")
@@ -181,11 +182,17 @@ def _label(runs: Sequence[Run]) -> list[Run]:
 def _label_among(run: Run, same: Sequence[Run]) -> str:
     if len(same) == 1:
         return run.label
-    options = differing([other.result["settings"] for other in same], (*NAMED, "model"))
-    described = [" ".join(f"{name}={values[i]}" for name, values in options.items()) for i in range(len(same))]
-    if len(set(described)) == len(same) and len(options) <= 2:
-        return f"{run.label} {described[same.index(run)]}"
-    names = [other.folder.name for other in same]
     place = same.index(run)
-    unique = run.folder.name if names.count(run.folder.name) == 1 else f"{run.folder.name} {place}"
-    return f"{run.label} ({unique})"
+    for described in _describe(same):
+        if len(set(described)) == len(same):
+            return f"{run.label} {described[place]}"
+    return f"{run.label} ({run.folder.name} {place})"
+
+
+def _describe(same: Sequence[Run]) -> Iterator[list[str]]:
+    """What may tell runs of one model apart, the plainest first: one text a run."""
+    yield [f"fit={run.result['fit']['method']}" for run in same]
+    options = differing([run.result["settings"] for run in same], (*NAMED, "model"))
+    if len(options) <= MOST_NAMED:
+        yield [" ".join(f"{name}={values[i]}" for name, values in options.items()) for i in range(len(same))]
+    yield [f"({run.folder.name})" for run in same]
