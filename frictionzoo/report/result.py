@@ -83,6 +83,22 @@ def build_result(
     return _to_json(result)
 
 
+def pick_metrics(result: Mapping[str, Any]) -> dict[str, float]:
+    """The numbers by which runs are compared, without those that have no value because rollouts diverged.
+
+    Args:
+        result: From `build_result`.
+    """
+    picked = {
+        "test/position_mae": result["metrics"]["test"]["position_mae"],
+        "test/position_rmse": result["metrics"]["test"]["position_rmse"],
+        "train/position_mae": result["metrics"]["train"]["position_mae"],
+        "fit/loss": result["fit"]["loss"],
+        "fit/seconds": result["timing"]["fit"],
+    }
+    return {name: value for name, value in picked.items() if value is not None}
+
+
 def write_result(path: Path, result: Mapping[str, Any]) -> None:
     """Write `result.json`.
 
