@@ -261,12 +261,13 @@ def _identify(name: str, problem: Problem, settings: Mapping[str, Any]) -> dict[
 
 
 def _list_hyperparameters(name: str, problem: Problem, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """What tells a run from others: the choices, and every option that can change the result, by its name in conf/."""
+    """What tells a run from others: the choices, and options that can change the result, by their names in conf/."""
     chosen = {"model": name, "data": problem.dataset.name, "fit": problem.fit.name}
     options = dict(list_options(settings))
     indifferent = ("resume", "compilation_cache", "loop.progress", "logger.")
-    kept = {key: value for key, value in options.items() if not key.startswith(indifferent)}
-    return chosen | {key: value for key, value in kept.items() if not key.endswith("_target_")}
+    # Bounds and scales come with a choice. TensorBoard shows the first few that differ: they would hide the choice.
+    implied = ("_target_", ".low", ".high", ".scale")
+    return chosen | {k: v for k, v in options.items() if not k.startswith(indifferent) and not k.endswith(implied)}
 
 
 def _describe_fit(outcome: Outcome) -> dict[str, Any]:

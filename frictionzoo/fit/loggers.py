@@ -121,18 +121,17 @@ class Wandb(RunLogger):
         self._project = project
 
     def _open(self, folder: Path) -> Logger:
-        _empty(folder / "wandb")
         os.environ["WANDB_ERROR_REPORTING"] = "false"  # it is sent from offline runs too
         import wandb
 
+        wandb.finish(exit_code=1)  # a run that a failed job of the same sweep left open; Lightning would go on with it
+        _empty(folder / "wandb")
         quiet = {"silent": True, "console": "off", "x_disable_stats": True, "x_disable_meta": True}
-        # The run is made here and not by Lightning, which would take up a run that a failed job of a sweep left open.
         self._run = wandb.init(
             project=self._project,
             name=folder.name,
             dir=folder,
             mode="offline",
-            reinit="finish_previous",
             settings=wandb.Settings(**quiet, disable_git=True, disable_code=True, x_disable_machine_info=True),
         )
         self._run.define_metric("*", step_metric="trainer/global_step")

@@ -96,6 +96,12 @@ def pick_metrics(result: Mapping[str, Any]) -> dict[str, float]:
         "fit/loss": result["fit"]["loss"],
         "fit/seconds": result["timing"]["fit"],
     }
+    for parameter in result["parameters"]:
+        if parameter["identified"]:
+            name = f"identified/{parameter['owner']}.{parameter['name']}"
+            values = parameter["value"]
+            several = isinstance(values, list)
+            picked |= {f"{name}/{joint}": value for joint, value in enumerate(values)} if several else {name: values}
     return {name: value for name, value in picked.items() if value is not None}
 
 
