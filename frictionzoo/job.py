@@ -17,7 +17,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from frictionzoo import __version__
 from frictionzoo.bench import Bench
-from frictionzoo.config import build
+from frictionzoo.config import build, list_options
 from frictionzoo.engine import Engine, friction_of, make_engine
 from frictionzoo.errors import ConfigError
 from frictionzoo.evaluate import Evaluation, Judgement
@@ -29,7 +29,8 @@ from frictionzoo.output import write_atomically
 from frictionzoo.report.curves import Curves, sample_friction, write_curves
 from frictionzoo.report.figures import write_figures
 from frictionzoo.report.html import write_report
-from frictionzoo.report.result import build_result, describe_data, write_result
+from frictionzoo.report.result import build_result, describe_data, pick_metrics, write_result
+from frictionzoo.report.terminal import summarise_in_markdown
 from frictionzoo.rollout import Rollout, make_rollout
 from frictionzoo.segments import cut_segments
 from frictionzoo.types import Dataset, DriveState, Segments
@@ -121,6 +122,7 @@ def run_job(config: DictConfig, name: str, folder: Path) -> tuple[dict[str, Any]
     """
     began = time.perf_counter()
     settings = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
+    logger = build(settings["logger"])
     problem = Problem.pose(settings)
     timing = {"setup": time.perf_counter() - began}
     segments = problem.segments
@@ -132,7 +134,16 @@ def run_job(config: DictConfig, name: str, folder: Path) -> tuple[dict[str, Any]
 
     identity = _identify(name, problem, settings)
     model = problem.drive.model
-    outcome = run_fit(problem.fit, problem.objective, model, folder=folder, identity=identity, **settings["loop"])
+    outcome = run_fit(
+        problem.fit,
+        problem.objective,
+        model,
+        folder=folder,
+        identity=identity,
+        logger=logger,
+        hyperparameters=_list_hyperparameters(name, problem, settings),
+        **settings["loop"],
+    )
     timing |= {"compile": outcome.compile_seconds, "fit": outcome.fit_seconds}
 
     judged = time.perf_counter()
@@ -168,6 +179,8 @@ def run_job(config: DictConfig, name: str, folder: Path) -> tuple[dict[str, Any]
         window=problem.evaluation.window,
     )
     write_result(folder / "result.json", result)
+    figures = sorted((folder / "figures").glob("*.png"))
+    logger.finish(outcome.iterations, pick_metrics(result), figures, summarise_in_markdown(result, folder))
     return result, outcome.message
 
 
@@ -279,6 +292,16 @@ def _identify(name: str, problem: Problem, settings: Mapping[str, Any]) -> dict[
         "model settings": json.dumps(sections["model"], sort_keys=True),
         "chunk": str(settings["loop"]["chunk"]),
     }
+
+
+def _list_hyperparameters(name: str, problem: Problem, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """What tells a run from others: the choices, and options that can change the result, by their names in conf/."""
+    chosen = {"model": name, "data": problem.dataset.name, "fit": problem.fit.name}
+    options = dict(list_options(settings))
+    indifferent = ("resume", "compilation_cache", "loop.progress", "logger.")
+    # Bounds and scales come with a choice. TensorBoard shows the first few that differ: they would hide the choice.
+    implied = ("_target_", ".low", ".high", ".scale")
+    return chosen | {k: v for k, v in options.items() if not k.startswith(indifferent) and not k.endswith(implied)}
 
 
 def _describe_fit(outcome: Outcome) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from frictionzoo.bench import Bench
 from frictionzoo.engine import friction_of, make_engine
 from frictionzoo.errors import ConfigError, FitError
 from frictionzoo.fit import Adam, Grid, Objective, Space, fit_reference, run_fit
+from frictionzoo.fit.loggers import TensorBoard
 from frictionzoo.models import Baseline, FrictionModel
 from frictionzoo.rollout import make_rollout
 from frictionzoo.types import DriveState, Segments
@@ -144,7 +145,8 @@ def test_known_truth_has_no_loss_in_our_engine(pose: Callable[..., Problem]) -> 
 
 def run(problem: Problem, fit: Any, folder: Path, **options: Any) -> Any:
     loop = {"chunk": 100, "patience": None, "progress": False, "identity": {}} | options
-    return run_fit(fit, problem.objective, problem.model, folder=folder, **loop)
+    record = {"logger": TensorBoard(), "hyperparameters": {}}
+    return run_fit(fit, problem.objective, problem.model, folder=folder, **record, **loop)
 
 
 def test_adam_recovers_a_known_drive(pose: Callable[..., Problem], tmp_path: Path) -> None:

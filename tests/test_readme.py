@@ -88,7 +88,7 @@ def test_a_named_option_exists(page, compose):
 missing = object()
 
 
-@pytest.mark.parametrize("group", ["model", "data", "experiment"])
+@pytest.mark.parametrize("group", ["model", "data", "logger", "experiment"])
 def test_the_readme_lists_every_choice(group):
     text = (ROOT / "README.md").read_text()
     for path in (CONF_DIR / group).glob("*.yaml"):

@@ -5,6 +5,7 @@ from frictionzoo.fit.base import Fit
 from frictionzoo.fit.grid import Grid
 from frictionzoo.fit.known import Known
 from frictionzoo.fit.lm import LevenbergMarquardt
+from frictionzoo.fit.loggers import RunLogger
 from frictionzoo.fit.loop import Outcome, run_fit
 from frictionzoo.fit.objective import Objective
 from frictionzoo.fit.reference import fit_reference
@@ -18,6 +19,7 @@ __all__ = [
     "LevenbergMarquardt",
     "Objective",
     "Outcome",
+    "RunLogger",
     "Space",
     "fit_reference",
     "run_fit",

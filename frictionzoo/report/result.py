@@ -86,6 +86,28 @@ def build_result(
     return to_json(result)
 
 
+def pick_metrics(result: Mapping[str, Any]) -> dict[str, float]:
+    """The numbers by which runs are compared, without those that have no value because rollouts diverged.
+
+    Args:
+        result: From `build_result`.
+    """
+    picked = {
+        "test/position_mae": result["metrics"]["test"]["position_mae"],
+        "test/position_rmse": result["metrics"]["test"]["position_rmse"],
+        "train/position_mae": result["metrics"]["train"]["position_mae"],
+        "fit/loss": result["fit"]["loss"],
+        "fit/seconds": result["timing"]["fit"],
+    }
+    for parameter in result["parameters"]:
+        if parameter["identified"]:
+            name = f"identified/{parameter['owner']}.{parameter['name']}"
+            values = parameter["value"]
+            several = isinstance(values, list)
+            picked |= {f"{name}/{joint}": value for joint, value in enumerate(values)} if several else {name: values}
+    return {name: value for name, value in picked.items() if value is not None}
+
+
 def write_result(path: Path, result: Mapping[str, Any]) -> None:
     """Write `result.json`.
 

@@ -1,8 +1,10 @@
 """The summary of a run, or of several, in plain text, legible on a terminal and in a log file alike."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+Rows = Sequence[Sequence[str]]
 
 ERRORS = {  # row of the table: key of the metrics, key of its unit
     "position MAE": ("position_mae", "unit"),
@@ -19,10 +21,24 @@ def summarise(result: Mapping[str, Any], folder: Path) -> str:
         result: What `result.json` holds.
         folder: The run's folder.
     """
+    return _arrange(result, folder, _align)
+
+
+def summarise_in_markdown(result: Mapping[str, Any], folder: Path) -> str:
+    """The same as a page of Markdown, for loggers that show one.
+
+    Args:
+        result: What `result.json` holds.
+        folder: The run's folder.
+    """
+    return _arrange(result, folder, _tabulate_in_markdown)
+
+
+def _arrange(result: Mapping[str, Any], folder: Path, tabulate: Callable[[Rows], str]) -> str:
     blocks = [
         _say_origin(result),
-        _tabulate_parameters(result),
-        _tabulate_errors(result["metrics"]),
+        tabulate(_list_parameters(result)),
+        tabulate(_list_errors(result["metrics"])),
         *_warn(result),
         f"files: {folder}",
     ]
@@ -92,7 +108,7 @@ def _say_kind(data: Mapping[str, Any]) -> str:
     return "The data are simulated." if data["simulated"] else "The data are real, recorded on hardware."
 
 
-def _tabulate_parameters(result: Mapping[str, Any]) -> str:
+def _list_parameters(result: Mapping[str, Any]) -> Rows:
     rows = [("parameter", "value", "unit", "")]
     for parameter in result["parameters"]:
         status = "identified" if parameter["identified"] else "known"
@@ -100,17 +116,17 @@ def _tabulate_parameters(result: Mapping[str, Any]) -> str:
         rows.append((name, _format_value(parameter["value"]), parameter["unit"], status))
     if result["network"]:
         rows.append(("friction network", str(result["network"]["weights"]), "weights", "identified"))
-    return _align(rows)
+    return rows
 
 
-def _tabulate_errors(metrics: Mapping[str, Any]) -> str:
+def _list_errors(metrics: Mapping[str, Any]) -> Rows:
     test, baseline = metrics["test"], metrics["baseline"]
     rows = [(f"test, {test['rollouts']} x {test['horizon']:g} s", "this model", "no friction", "unit", "change")]
     for row, (key, unit) in ERRORS.items():
         change = _format_change(test[key], baseline[key])
         rows.append((row, _format_value(test[key]), _format_value(baseline[key]), test[unit], change))
     rows.append(("diverged", str(test["diverged"]), str(baseline["diverged"]), "rollouts", ""))
-    return _align(rows)
+    return rows
 
 
 def _warn(result: Mapping[str, Any]) -> list[str]:
@@ -135,7 +151,7 @@ def _format_change(value: float | None, reference: float | None) -> str:
     return f"{round(100 * (value / reference - 1)):+d} %" if value is not None and reference else ""
 
 
-def _align(rows: Sequence[Sequence[str]]) -> str:
+def _align(rows: Rows) -> str:
     """Columns padded to their longest entry, the first flush left and numbers flush right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     numbers = [all(_is_number(row[i]) for row in rows[1:]) for i in range(len(widths))]
@@ -147,6 +163,11 @@ def _align(rows: Sequence[Sequence[str]]) -> str:
         for row in rows
     )
     return "\n".join(line.rstrip() for line in lines)
+
+
+def _tabulate_in_markdown(rows: Rows) -> str:
+    head, *body = (f"| {' | '.join(row)} |" for row in rows)
+    return "\n".join([head, "|---" * len(rows[0]) + "|", *body])
 
 
 def _is_number(cell: str) -> bool:
