@@ -32,7 +32,8 @@ JOINTS = (
     "#F0E442",
 )  # Okabe and Ito (2008), legible to the colour-blind
 FLATTENED = 20.0  # ratio of two curves' largest errors from which a linear axis hides the smaller one
-RUNAWAY = 1000.0  # the same ratio, from which a logarithmic axis does
+BAND = 1.5  # times the largest of an error's moving mean is as high as a band around it is shown
+LARGEST = 1e100  # rad or m, of what is drawn
 COLUMN = 3.5  # inches for each joint of several
 INSET = 0.08  # share of the trajectory that the inset magnifies
 
@@ -159,7 +160,7 @@ def draw_trajectory(
             if quantity == "position":
                 axes.set_title(joints[joint], fontsize="medium")
                 centre = int(np.nanargmax(np.abs(curves[1] - curves[0])))  # the model's largest error
-                magnify(axes, time, centre, 0.45, partial(_draw_curves, time=time, curves=curves))
+                magnify(axes, time, centre, INSET, 0.45, partial(_draw_curves, time=time, curves=curves))
                 axes.legend(loc="upper left", fontsize="small")
             else:
                 axes.set_xlabel("time [s]")
@@ -190,7 +191,7 @@ def draw_error(
         axes.plot(centre, mean, color=color, label=label)
         axes.fill_between(centre, mean - std, mean + std, color=color, alpha=0.25, linewidth=0)
     axes.set_xlim(0, segments.length * segments.timestep)
-    scale_errors(axes, room=0.17)
+    scale_errors(axes, room=0.17, widest=np.inf)
     axes.set_xlabel("time [s]")
     axes.set_ylabel(f"absolute position error [{UNITS[joint_type]['position']}]")
     axes.set_title(f"{title}\nmoving mean and standard deviation over {window:g} s", fontsize="medium")
@@ -199,23 +200,26 @@ def draw_error(
     return figure
 
 
-def scale_errors(axes: Axes, room: float) -> None:
-    """Errors from 0 upwards; logarithmic where one curve would flatten the other, which may leave the frame at last.
+def scale_errors(axes: Axes, room: float, widest: float) -> None:
+    """Errors from 0 upwards; logarithmic where one curve would flatten another.
 
     Args:
         axes: With the errors as lines.
         room: For the legend, above the curves, as a share of the axis.
+        widest: How many times larger a curve may grow than the smallest one does; one beyond that leaves the frame.
     """
     curves = [np.asarray(line.get_ydata(), dtype=np.float64) for line in axes.get_lines()]
     curves = [curve[curve > 0] for curve in curves if (curve > 0).any()]
-    largest = [float(curve.max()) for curve in curves]
-    if largest and max(largest) > FLATTENED * min(largest):
-        low = min(float(np.percentile(np.concatenate(curves), 1)), min(largest) / 2)
-        high = min(max(largest), RUNAWAY * min(largest))
+    lowest = min((curve.max() for curve in curves), default=1.0)
+    curves = [curve for curve in curves if curve.max() <= widest * lowest] or [np.ones(1)]
+    highest = max(curve.max() for curve in curves)
+    if highest > FLATTENED * lowest:
+        bottom = min(np.percentile(np.concatenate(curves), 1), lowest / 2)
         axes.set_yscale("log")
-        axes.set_ylim(low, high * (high / low) ** (room / (1 - room)))
+        axes.set_ylim(bottom, highest * (highest / bottom) ** (room / (1 - room)))
     else:
-        axes.set_ylim(0, axes.get_ylim()[1] / (1 - room))
+        # Bands around the curves reach higher than they do.
+        axes.set_ylim(0, min(axes.get_ylim()[1], BAND * highest) / (1 - room))
 
 
 def save_figure(figure: Figure, path: Path) -> None:
@@ -241,12 +245,12 @@ def _with_start(segments: Segments, signal: str, prediction: Prediction) -> Floa
 
 
 def cut_divergence(curve: Float[np.ndarray, "samples nv"]) -> Float[np.ndarray, "samples nv"]:
-    """A rollout, NaN from the first sample that is not finite.
+    """A rollout, NaN from the first sample that is not finite, or too large to be squared.
 
     Args:
         curve: The rollout.
     """
-    finite = np.isfinite(curve).all(axis=1)
+    finite = (np.abs(curve) < LARGEST).all(axis=1)
     return curve if finite.all() else np.where(np.arange(len(curve))[:, None] < np.argmin(finite), curve, np.nan)
 
 
@@ -277,7 +281,12 @@ def limit_frame(axes: Axes, kept: Sequence[Float[np.ndarray, "time"]]) -> None:
 
 
 def magnify(
-    axes: Axes, time: Float[np.ndarray, "time"], centre: int, left: float, draw: Callable[[Axes, slice], None]
+    axes: Axes,
+    time: Float[np.ndarray, "time"],
+    centre: int,
+    share: float,
+    left: float,
+    draw: Callable[[Axes, slice], None],
 ) -> None:
     """An inset, above the curves, of the stretch around one sample.
 
@@ -285,12 +294,13 @@ def magnify(
         axes: With the curves drawn.
         time: Of the samples [s].
         centre: The sample.
+        share: Of the samples, that the stretch has.
         left: Where the inset begins, as a share of the width; free space before it is for a legend.
         draw: Draws a stretch of samples.
     """
     low, high = axes.get_ylim()
     axes.set_ylim(low, high + 0.9 * (high - low))
-    half = max(2, round(INSET * len(time) / 2))
+    half = max(2, round(share * len(time) / 2))
     start = min(max(0, centre - half), max(0, len(time) - 2 * half - 1))
     inset = axes.inset_axes((left, 0.56, 0.98 - left, 0.41))
     draw(inset, slice(start, start + 2 * half + 1))
