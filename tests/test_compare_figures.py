@@ -107,6 +107,14 @@ def test_figure3_of_a_grid_search_has_points_where_it_improved(make_runs):
     assert axes.get_xlabel() == "combination"
 
 
+def test_figure3_names_joints_and_networks(make_runs):
+    runs = make_runs(["neural"], joints=2)
+    runs[0].result["network"] = {"weights": 4545}
+    panels = draw_parameters(compare(runs), runs).get_axes()
+    titles = [axes.get_legend().get_title().get_text() for axes in panels]
+    assert titles == [f"neural, joint {i} (4545 weights not shown)" for i in range(2)]
+
+
 def test_figure3_without_parameters_is_not_drawn(runs, comparison, tmp_path):
     for run in runs:
         run.result["parameters"][0]["identified"] = False

@@ -53,7 +53,7 @@ RUNAWAY = 1000.0  # ratio of two runs' largest errors from which a logarithmic a
 MAGNIFIED = 6.0  # times the largest difference of the curves is what the measured one may move in the inset
 NARROWEST = 0.01  # share of the trajectory in the inset
 ROW, LINE = 0.42, 0.17  # inches for each run of a figure with a row a run, and for each line of its name
-TICK, LEGEND = 30, 100  # characters of a label on one line, at an axis and in a legend
+TICK, PANEL, LEGEND = 30, 45, 100  # characters on one line: at an axis, over a small panel, in a legend
 
 Style = Mapping[str, Any]
 
@@ -83,13 +83,14 @@ def write_figures(folder: Path, comparison: Comparison, runs: Sequence[Run]) -> 
         "autocorrelation": draw_autocorrelation(comparison),
         "differences": draw_differences(comparison),
     }
-    for name, figure in figures.items():
-        for suffix in FORMATS:
-            path = folder / f"{name}.{suffix}"
-            if figure:
-                save_figure(figure, path)
-            else:
-                path.unlink(missing_ok=True)
+    paths = {name: [folder / f"{name}.{suffix}" for suffix in FORMATS] for name in figures}
+    drawn = {name: figure for name, figure in figures.items() if figure}
+    for name, figure in drawn.items():
+        for path in paths[name]:
+            save_figure(figure, path)
+    for name in figures.keys() - drawn.keys():
+        for path in paths[name]:
+            path.unlink(missing_ok=True)
 
 
 def choose_styles(labels: Iterable[str]) -> dict[str, Style]:
@@ -120,16 +121,18 @@ def draw_parameters(comparison: Comparison, runs: Sequence[Run]) -> Figure | Non
     columns = min(2, len(shown)) if len(joints) == 1 else len(joints)
     rows = -(-len(shown) * len(joints) // columns)
     tallest = max(len(_identified(run)) for run in shown)
-    figure = Figure(figsize=(_width(columns), 0.6 + rows * (2.1 + 0.17 * tallest)), layout="constrained")
+    figure = Figure(figsize=(_width(columns), 0.6 + rows * (2.1 + LINE * tallest)), layout="constrained")
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     styles = choose_styles(_labels(comparison))
     for place, axes in enumerate(panels):
-        run, joint = divmod(place, len(joints))
-        if run < len(shown):
-            _draw_history(axes, shown[run], joint, styles[shown[run].label])
-            axes.get_legend().set_title(_name(" ".join([shown[run].label, *joints[joint:][: len(joints) > 1]]), TICK))
-        else:
+        if place >= len(shown) * len(joints):
             axes.set_axis_off()
+            continue
+        run, joint = shown[place // len(joints)], place % len(joints)
+        _draw_history(axes, run, joint, styles[run.label])
+        where = f", {joints[joint]}" if len(joints) > 1 else ""
+        network = f" ({run.result['network']['weights']} weights not shown)" if run.result["network"] else ""
+        axes.get_legend().set_title(_name(run.label + where + network, PANEL))
     figure.suptitle(
         f"Fits to the training part of {_describe_data(comparison)}\nred: the best iteration and what it identified",
         fontsize="medium",
@@ -176,7 +179,7 @@ def _improvements(loss: Float[np.ndarray, "iterations"]) -> Int[np.ndarray, "imp
 
 def _scale_values(axes: Axes, values: Float[np.ndarray, "values"]) -> None:
     """Logarithmic, since parameters differ in size; linear where a value is not positive."""
-    positive = values[values > 0]
+    positive = values[np.isfinite(values) & (values > 0)]
     if len(positive) == 0 or (values <= 0).any():
         return
     decades = np.log10(positive.max() / positive.min())
@@ -381,13 +384,14 @@ def draw_friction(comparison: Comparison) -> Figure:
     joints, styles = comparison["joints"], choose_styles(_labels(comparison))
     figure = Figure(figsize=(_width(len(joints)), 3.8), layout="constrained")
     for joint, axes in enumerate(figure.subplots(1, len(joints), squeeze=False)[0]):
-        curves = {}
-        for label, law in comparison["friction"].items():
-            low, high, curves[label] = (_numbers(law[key][joint]) for key in ("low", "high", "torque"))
-            velocity = _numbers(law["velocity"])
+        for label in reversed(_labels(comparison)):
+            law = comparison["friction"][label]
+            velocity, low, high = (
+                _numbers(values) for values in (law["velocity"], law["low"][joint], law["high"][joint])
+            )
             if not np.array_equal(low, high, equal_nan=True):
                 axes.fill_between(velocity, low, high, color=styles[label]["color"], alpha=0.2, linewidth=0)
-            _draw_curves(axes, velocity, {label: curves[label]}, styles)
+            _draw_curves(axes, velocity, {label: law["torque"][joint]}, styles)
         axes.set_title(_name(joints[joint], TICK), fontsize="medium")
         axes.set_xlabel(f"velocity [{comparison['velocity_unit']}]")
         axes.set_ylabel(f"friction [{comparison['torque_unit']}]")

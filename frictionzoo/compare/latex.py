@@ -61,7 +61,8 @@ def escape(text: str) -> str:
     Args:
         text: Any text.
     """
-    return " ".join(text.split()).translate(SPECIAL)
+    line = " ".join(text.split())
+    return "".join(filter(str.isprintable, line)).translate(SPECIAL)
 
 
 def _choose_exponent(comparison: Comparison) -> int:
