@@ -178,9 +178,9 @@ def run_job(config: DictConfig, name: str, folder: Path) -> tuple[dict[str, Any]
         history=outcome.history,
         window=problem.evaluation.window,
     )
-    write_result(folder / "result.json", result)
     figures = sorted((folder / "figures").glob("*.png"))
     logger.finish(outcome.iterations, pick_metrics(result), figures, summarise_in_markdown(result, folder))
+    write_result(folder / "result.json", result)
     return result, outcome.message
 
 

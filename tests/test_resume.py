@@ -49,7 +49,8 @@ def steps_on_tensorboard(folder: Path) -> list[int]:
 
 
 def has_begun(folder: Path) -> bool:
-    return (folder / ".hydra" / "overrides.yaml").exists()
+    overrides = folder / ".hydra" / "overrides.yaml"
+    return overrides.exists() and overrides.stat().st_size > 0  # Hydra makes the file first and fills it then
 
 
 def is_halfway(folder: Path) -> bool:

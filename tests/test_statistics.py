@@ -103,6 +103,12 @@ def test_autocorrelation_is_that_of_numpy():
     np.testing.assert_allclose(found, whole[:51] / whole[0], atol=1e-12)
 
 
+def test_the_size_of_errors_does_not_matter_to_their_autocorrelation():
+    residual = RNG.normal(size=(3, 50))
+    scale = np.array([1.0, 1e-200, 1e200])[:, None]
+    np.testing.assert_allclose(autocorrelation(residual * scale, 0.1, 1.0)[1], autocorrelation(residual, 0.1, 1.0)[1])
+
+
 def test_white_errors_lie_within_the_band_and_waves_do_not():
     _, white = autocorrelation(RNG.normal(size=(10, 1000)), 0.001, 0.1)
     band = 1.96 / np.sqrt(10_000)

@@ -133,6 +133,8 @@ def autocorrelation(
     last = min(steps - 1, round(longest / timestep))
     lags = np.unique(np.linspace(0, last, min(LAGS, last + 1)).round().astype(int))
     kept = residual[np.isfinite(residual).all(axis=1)]
+    largest = np.abs(kept).max(axis=1, initial=0.0, keepdims=True)
+    kept = kept[largest[:, 0] > 0] / largest[largest > 0][:, None]  # the square of a runaway's error may overflow
     kept = kept - kept.mean(axis=1, keepdims=True)
     kept = kept[np.square(kept).sum(axis=1) > 0]
     if not len(kept):
