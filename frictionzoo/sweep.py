@@ -94,7 +94,7 @@ def run_in_sweep(
         else:
             if complaint:
                 _log.error("%s: %s", folder.name, complaint)
-        (folder / _RUNNING).unlink()
+    (folder / _RUNNING).unlink()
     return math.inf if result is None or complaint else objective_of(result)
 
 
@@ -136,7 +136,7 @@ def _judge(folder: Path) -> Failure | None:
     """The failure of the job in a folder, None if it did its work."""
     if (folder / _RUNNING).exists():
         with FileLock(folder / _RUNNING):
-            (folder / _RUNNING).unlink()
+            pass
     if (folder / FAILURE).exists():
         saved = json.loads((folder / FAILURE).read_text())
         return Failure(folder, saved["model"], tuple(saved["overrides"]), saved["reason"])
