@@ -7,10 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from hydra import compose, initialize_config_dir
+from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.plugins import Plugins
 from omegaconf import DictConfig, OmegaConf
 
 from frictionzoo.errors import ConfigError, closest
+from frictionzoo.threads import count_cores, jobs_at_once, threads_each
 
 _PACKAGE = Path(__file__).parent
 # A wheel ships conf/ inside the package; in a checkout it stands beside it.
@@ -19,6 +22,7 @@ _NUMBERS = (int, float)
 # Options that may be null, with an example of each kind of value that they take besides.
 _NULLABLE: dict[str, tuple[Any, ...]] = {
     "resume": ("",),
+    "threads": (0,),
     "compilation_cache": ("",),
     "segments.count": (0,),
     "loop.patience": (0,),
@@ -31,14 +35,28 @@ _NULLABLE: dict[str, tuple[Any, ...]] = {
 
 
 def register_resolvers() -> None:
-    """Make `mul`, `div` and `run_dir` (the resumed folder, else a new one) known to configuration files."""
+    """Make `mul`, `div`, `run_dir` (the resumed folder, else a new one) and counts of cores known to configurations."""
     resolvers = {
         "mul": lambda factor, other: float(factor) * float(other),
         "div": lambda dividend, divisor: float(dividend) / float(divisor),
         "run_dir": lambda resume, new: new if resume in (None, "None") else resume,
+        "cores": count_cores,
+        "threads_each": threads_each,
+        "jobs_at_once": jobs_at_once,
     }
     for name, resolver in resolvers.items():
         OmegaConf.register_new_resolver(name, resolver, replace=True)
+
+
+def forget_plugin_schemas() -> None:
+    """Let `conf/hydra/` stand alone against configurations of the same name that Hydra's plugins bring.
+
+    Hydra would merge the two, with a warning that this is deprecated, or refuse to.
+    """
+    Plugins.instance()  # imports the plugins, which store theirs
+    store = ConfigStore.instance()
+    for path in (CONF_DIR / "hydra").glob("*/*.yaml"):
+        store.repo.get("hydra", {}).get(path.parent.name, {}).pop(path.name, None)
 
 
 def compose_config(*overrides: str) -> DictConfig:
@@ -48,6 +66,7 @@ def compose_config(*overrides: str) -> DictConfig:
         overrides: `key=value`, as on the command line.
     """
     register_resolvers()
+    forget_plugin_schemas()
     if GlobalHydra.instance().is_initialized():
         return compose("config", overrides=list(overrides))
     with initialize_config_dir(str(CONF_DIR), version_base="1.3"):

@@ -6,17 +6,27 @@ import re
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import hydra
 import yaml
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from frictionzoo.config import CONF_DIR, check_overrides, compose_config, register_resolvers, suggest_option
+from frictionzoo.config import (
+    CONF_DIR,
+    check_overrides,
+    compose_config,
+    forget_plugin_schemas,
+    register_resolvers,
+    suggest_option,
+)
 from frictionzoo.errors import ConfigError, FrictionzooError, closest
+from frictionzoo.sweep import Failure, SweepFolder, conclude_sweep, describe, objective_of, run_in_sweep
+from frictionzoo.threads import limit_threads, threads_each
 
 # What a resumed run takes over from its folder: an option of the job, not a flag or a way into Hydra's own settings.
 _OVERRIDE = re.compile(r"(\+\+?|~)?\w[\w/.-]*(=|$)")
@@ -24,53 +34,88 @@ _OVERRIDE = re.compile(r"(\+\+?|~)?\w[\w/.-]*(=|$)")
 
 @hydra.main(version_base="1.3", config_path=str(CONF_DIR), config_name="config")
 def _job(config: DictConfig) -> float:
-    """One job of Hydra's; returns the training loss, which a sweeper may minimise."""
+    """One job of Hydra's; returns what a sweeper may minimise."""
+    hydra_config = HydraConfig.get()
+    model, folder = hydra_config.runtime.choices["model"], Path(hydra_config.runtime.output_dir)
+    if hydra_config.mode == RunMode.MULTIRUN:
+        options = hydra_config.overrides.task
+        return run_in_sweep(lambda: _identify(config, model, folder), folder, model, options, _explain)
     # Ended inside, because Hydra adds a line of its own to an error that passes through it.
     with _mistakes_in_one_line():
-        hydra_config = HydraConfig.get()
-        check_overrides(config, compose_config(*_choices(hydra_config.runtime.choices)))
-        # Imported here, so that --help and a typing error do not wait for torch and JAX.
-        from frictionzoo.job import run_job
-        from frictionzoo.report.terminal import summarise
-
-        model, folder = hydra_config.runtime.choices["model"], Path(hydra_config.runtime.output_dir)
-        result, complaint = run_job(config, model, folder)
-        print(summarise(result, folder))
+        result, complaint = _identify(config, model, folder)
     if complaint:
         _fail(complaint)
-    return result["fit"]["loss"]
+    return objective_of(result)
+
+
+def _identify(config: DictConfig, model: str, folder: Path) -> tuple[dict[str, Any], str | None]:
+    hydra_config = HydraConfig.get()
+    check_overrides(config, compose_config(*_choices(hydra_config.runtime.choices)))
+    alone = hydra_config.mode == RunMode.RUN or hydra_config.runtime.choices["hydra/launcher"] == "basic"
+    limit_threads(config.threads if alone else threads_each(config.threads))
+    # Imported here, so that --help and a typing error do not wait for torch and JAX, and that these meet the limit.
+    from frictionzoo.job import run_job
+    from frictionzoo.report.terminal import summarise
+
+    result, complaint = run_job(config, model, folder)
+    print(summarise(result, folder))
+    return result, complaint
 
 
 def main() -> None:
     """Entry point of `python -m frictionzoo.run` and of the console script `frictionzoo`.
 
-    A user's mistake is one line on the standard error and exit status 2.
+    A user's mistake is one line on the standard error and exit status 2. In a sweep, it is one line for each job that
+    failed, after the last one.
     """
     register_resolvers()
+    forget_plugin_schemas()
     # Hydra would print its own page; with this it raises, and the line below is printed instead.
     os.environ["HYDRA_FULL_ERROR"] = "1"
+    SweepFolder.latest = None
     with _mistakes_in_one_line():
         sys.argv[1:] = _restore_overrides(sys.argv[1:])
         _refuse_no_choice(sys.argv[1:])
+        complaint = _run_jobs()
+        if SweepFolder.latest is not None:
+            _report(conclude_sweep(SweepFolder.latest), complaint)
+
+
+def _run_jobs() -> str | None:
+    """All jobs; returns one line of complaint if a sweep ended early."""
+    try:
         _job()
+    except Exception as error:
+        refused = isinstance(error, HydraException | OmegaConfBaseException) or _missing_plugin(error)
+        if SweepFolder.latest is None or refused:
+            raise
+        return f"the sweep ended early ({describe(error)}); jobs that had not begun are not listed"
+    return None
+
+
+def _report(failures: list[Failure], complaint: str | None) -> None:
+    """End with a line for each job that failed, if one did."""
+    lines = [f"{failure.folder}: {failure.reason}" for failure in failures]
+    if complaint:
+        lines.append(complaint)
+    if lines:
+        _fail(*lines)
 
 
 @contextlib.contextmanager
 def _mistakes_in_one_line() -> Iterator[None]:
     try:
         yield
-    except FrictionzooError as error:
-        _fail(str(error))
-    except (HydraException, OmegaConfBaseException) as error:
-        _fail(_explain(error))
-    except OSError as error:
-        if not error.strerror:
+    except Exception as error:
+        line = _explain(error)
+        if line is None:
             raise
-        _fail(f"{error.filename or 'the disk'}: {error.strerror}; free space or set hydra.run.dir to another folder")
+        _fail(line)
 
 
-def _fail(line: str) -> NoReturn:
-    print(f"frictionzoo: {line}", file=sys.stderr)
+def _fail(*lines: str) -> NoReturn:
+    for line in lines:
+        print(f"frictionzoo: {line}", file=sys.stderr)
     sys.exit(2)
 
 
@@ -120,9 +165,28 @@ def _names(group: str) -> list[str]:
     return [path.stem for path in (CONF_DIR / group).glob("*.yaml")]
 
 
-def _explain(error: Exception) -> str:
+def _explain(error: Exception) -> str | None:
+    """One line for an error that a user can cause, None for any other."""
+    if isinstance(error, FrictionzooError):
+        return str(error)
+    if isinstance(error, HydraException | OmegaConfBaseException):
+        return _explain_refusal(str(error))
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename or 'the disk'}: {error.strerror}; free space or set hydra.run.dir to another folder"
+    return _missing_plugin(error)
+
+
+def _missing_plugin(error: Exception) -> str | None:
+    """One line for a launcher or sweeper whose package is not installed."""
+    missing = re.search(r"Unknown plugin class : 'hydra_plugins\.hydra_(\w+?)_(launcher|sweeper)\.", str(error))
+    if not missing:
+        return None
+    name, kind = missing.groups()
+    return f"the {kind} {name} is not installed, expected hydra-{name}-{kind}; pip install 'frictionzoo[{name}]'"
+
+
+def _explain_refusal(text: str) -> str:
     """One line for what Hydra or OmegaConf refuses, with the closest name."""
-    text = str(error)
     missing = re.search(r"(?:Could not find|In '.*?': Could not find) '(\w+)/([^']*)'", text)
     if missing and missing[1] != "hydra":
         group, name = missing.groups()
@@ -138,4 +202,7 @@ def _config_of_choices() -> DictConfig:
 
 
 if __name__ == "__main__":
-    main()
+    # By this name, processes that launchers start can import the job; what lies in __main__ would be copied to them.
+    from frictionzoo import run
+
+    run.main()

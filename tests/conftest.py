@@ -145,9 +145,9 @@ def call(
         return Finished(status, written.out, written.err)
 
     yield call
-    _configure_jax(before)
     root.handlers[:] = handlers
     root.setLevel(level)
+    _configure_jax(before)
 
 
 def _configure_jax(options: dict[str, Any]) -> None:

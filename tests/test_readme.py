@@ -49,6 +49,9 @@ def expand(argument):
     if "glob(" in argument:
         folder = CONF_DIR / override.key_or_group
         return [f"{override.key_or_group}={path.stem}" for path in sorted(folder.glob("*.yaml"))]
+    if override.is_interval_sweep():
+        interval = override.value()
+        return [f"{override.key_or_group}={value}" for value in (interval.start, interval.end)]
     if override.is_sweep_override():
         return [f"{override.key_or_group}={value}" for value in override.sweep_string_iterator()]
     return [argument]

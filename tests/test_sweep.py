@@ -1,0 +1,242 @@
+"""Sweeps: a failing job does not end the others, launchers agree, jobs share cores, a search compares jobs."""
+
+import json
+import math
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import psutil
+import pytest
+import yaml
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+
+from frictionzoo.config import CONF_DIR, forget_plugin_schemas, register_resolvers
+from frictionzoo.sweep import Failure, conclude_sweep, run_in_sweep
+from frictionzoo.threads import count_cores
+
+ROOT = Path(__file__).parent.parent
+SWEEP = ("-m", "hydra.sweep.dir=sweep")
+PAIR = ("model=baseline,coulomb_smooth", "fit.iterations=3")
+DONE = {"metrics": {"train": {"position_mae": 0.25, "diverged": 0}}}
+
+
+def complaints(err: str) -> list[str]:
+    return [line for line in err.splitlines() if line.startswith("frictionzoo: ")]
+
+
+def read_result(folder: Path) -> dict:
+    """Everything in `result.json` that a repetition has to repeat."""
+    return {key: value for key, value in json.loads((folder / "result.json").read_text()).items() if key != "timing"}
+
+
+def test_a_failing_job_does_not_end_the_others(call: Callable, tiny: tuple[str, ...], tmp_path: Path) -> None:
+    finished = call(*SWEEP, *tiny, "fit=lm", "fit.iterations=3", "model=baseline,neural_friction,coulomb_smooth")
+    assert finished.status == 2
+    jobs = ["0_baseline", "1_neural_friction", "2_coulomb_smooth"]
+    assert [(tmp_path / "sweep" / job / "result.json").exists() for job in jobs] == [True, False, True]
+    failure = json.loads((tmp_path / "sweep" / jobs[1] / "failure.json").read_text())
+    assert failure["model"] == "neural_friction"
+    assert {"fit=lm", "model=neural_friction"} <= set(failure["overrides"])
+    assert failure["reason"].startswith("fit=lm: ") and failure["reason"].endswith("use fit=adam")
+    assert complaints(finished.err) == [f"frictionzoo: {tmp_path / 'sweep' / jobs[1]}: {failure['reason']}"]
+    assert "Traceback" not in finished.err
+    assert not [path for path in tmp_path.rglob("*") if path.name == ".running"]
+
+
+def test_a_diverged_fit_counts_as_failed_and_keeps_its_result(
+    call: Callable, tiny: tuple[str, ...], tmp_path: Path
+) -> None:
+    unbounded = ("model=coulomb_smooth", "model.params.viscous_coefficient.high=1e300", "fit.iterations=4")
+    finished = call(*SWEEP, *tiny, *unbounded, "fit.learning_rate=1e3,0.01")
+    assert finished.status == 2
+    (line,) = complaints(finished.err)
+    assert "0_coulomb_smooth: fit diverged" in line
+    assert len(list(tmp_path.rglob("result.json"))) == 2
+    assert not list(tmp_path.rglob("failure.json"))
+
+
+@pytest.mark.parametrize("override", ["model=baseline,coulomb_smoth", "sed=1,2", "~segments.cuont"])
+def test_what_does_not_compose_is_refused_before_any_job(call: Callable, tmp_path: Path, override: str) -> None:
+    finished = call(*SWEEP, "seed=0,1", override)
+    assert finished.status == 2
+    assert finished.err == complaints(finished.err)[0] + "\n"
+    assert not list(tmp_path.rglob("result.json")) and not list(tmp_path.rglob("failure.json"))
+
+
+def test_a_plugin_that_is_not_installed_is_named(call: Callable) -> None:
+    target = "hydra.launcher._target_=hydra_plugins.hydra_absent_launcher.launcher.Absent"
+    finished = call(*SWEEP, "seed=0,1", target)
+    assert finished.status == 2
+    assert finished.err == complaints(finished.err)[0] + "\n"
+    assert "pip install 'frictionzoo[absent]'" in finished.err
+
+
+def fail() -> tuple[dict, None]:
+    raise ZeroDivisionError("by zero\nand more")
+
+
+def test_an_unexpected_error_is_recorded_and_its_traceback_logged(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    value = run_in_sweep(fail, tmp_path, "baseline", ["seed=3"], lambda error: None)
+    assert value == math.inf
+    assert "Traceback" in caplog.text and "test_sweep.py" in caplog.text
+    reason = "ZeroDivisionError: by zero"
+    assert conclude_sweep(tmp_path) == [Failure(tmp_path, "baseline", ("seed=3",), reason)]
+    assert json.loads((tmp_path / "failure.json").read_text())["reason"] == reason
+
+
+def test_a_failure_does_not_outlive_a_successful_repetition(tmp_path: Path) -> None:
+    def succeed() -> tuple[dict, None]:
+        (tmp_path / "result.json").write_text(json.dumps(DONE | {"model": "baseline", "fit": {"stopped": "finished"}}))
+        return DONE, None
+
+    assert run_in_sweep(fail, tmp_path, "baseline", [], str) == math.inf
+    assert run_in_sweep(succeed, tmp_path, "baseline", [], str) == 0.25
+    assert os.listdir(tmp_path) == ["result.json"]
+    assert conclude_sweep(tmp_path) == []
+    assert run_in_sweep(fail, tmp_path, "baseline", [], str) == math.inf
+    assert os.listdir(tmp_path) == ["failure.json"]
+
+
+def test_a_sweeper_is_told_infinity_where_a_rollout_diverged(tmp_path: Path) -> None:
+    result = {"metrics": {"train": {"position_mae": 0.25, "diverged": 1}}}
+    assert run_in_sweep(lambda: (result, None), tmp_path, "baseline", [], str) == math.inf
+    assert run_in_sweep(lambda: (DONE, "fit diverged"), tmp_path, "baseline", [], str) == math.inf
+
+
+def test_failures_come_in_the_order_of_jobs(tmp_path: Path) -> None:
+    for number in (10, 9, 1):
+        folder = tmp_path / f"{number}_baseline"
+        folder.mkdir()
+        run_in_sweep(fail, folder, "baseline", [], str)
+    assert [failure.folder.name[:-9] for failure in conclude_sweep(tmp_path)] == ["1", "9", "10"]
+
+
+def holder_of(path: Path, process: psutil.Process) -> psutil.Process | None:
+    """The process among these and their children that has a file open."""
+    for child in process.children(recursive=True):
+        try:
+            if str(path) in {file.path for file in child.open_files()}:
+                return child
+        except psutil.Error:  # it ended meanwhile
+            continue
+    return None
+
+
+@pytest.mark.parametrize("launcher", ["joblib", pytest.param("submitit_local", marks=pytest.mark.slow)])
+def test_a_killed_job_is_listed(start: Callable, tiny: tuple[str, ...], tmp_path: Path, launcher: str) -> None:
+    sweep = start(*SWEEP, *tiny, f"hydra/launcher={launcher}", "model=coulomb_smooth", "fit.iterations=1000000,3")
+    endless = tmp_path / "sweep" / "0_coulomb_smooth"
+    while not (endless / "checkpoints").exists():  # the fit has begun
+        assert sweep.poll() is None
+        time.sleep(0.1)
+    victim = holder_of(endless / ".running", psutil.Process(sweep.pid))
+    assert victim is not None
+    victim.kill()
+    _, err = sweep.communicate()
+    assert sweep.returncode == 2
+    assert f"frictionzoo: {endless}: no result: its process ended before it was done" in complaints(err)
+    assert "the sweep ended early" in complaints(err)[-1]
+    assert "Traceback" not in err
+    if launcher == "submitit_local":  # its other jobs go on, and the sweep waits for them
+        assert (tmp_path / "sweep" / "1_coulomb_smooth" / "result.json").exists()
+        assert len(complaints(err)) == 2
+
+
+def addresses_of(process: psutil.Process) -> set[str]:
+    """Where a process and its children listen."""
+    found = set()
+    for each in [process, *process.children(recursive=True)]:
+        try:
+            found |= {c.laddr.ip for c in each.net_connections("tcp") if c.status == psutil.CONN_LISTEN}
+        except psutil.Error:
+            continue
+    return found
+
+
+@pytest.mark.parametrize(
+    "launcher",
+    ["joblib", pytest.param("submitit_local", marks=pytest.mark.slow), pytest.param("ray", marks=pytest.mark.slow)],
+)
+def test_launchers_agree(start: Callable, call: Callable, tiny: tuple[str, ...], tmp_path: Path, launcher: str) -> None:
+    sweep = start(*SWEEP, *tiny, *PAIR, f"hydra/launcher={launcher}")
+    processes, children, addresses = psutil.Process(sweep.pid), [], set()
+    while sweep.poll() is None:
+        addresses |= addresses_of(processes)
+        children = processes.children(recursive=True) or children
+        time.sleep(0.5)
+    _, err = sweep.communicate()
+    assert sweep.returncode == 0, err
+    assert not complaints(err) and "Warning" not in err
+    assert addresses <= {"127.0.0.1", "::1", "::ffff:127.0.0.1"}
+    assert bool(addresses) == (launcher == "ray")
+    assert not psutil.wait_procs(children, timeout=30)[1]
+
+    assert call("-m", *tiny, *PAIR, "hydra.sweep.dir=basic").status == 0
+    for job in ("0_baseline", "1_coulomb_smooth"):
+        assert read_result(tmp_path / "sweep" / job) == read_result(tmp_path / "basic" / job)
+
+
+@pytest.mark.parametrize(("threads", "each"), [("null", 1), ("1", 1), (str(count_cores()), count_cores())])
+def test_jobs_at_a_time_times_threads_is_cores(threads: str, each: int) -> None:
+    register_resolvers()
+    forget_plugin_schemas()
+    configs = {}
+    with initialize_config_dir(str(CONF_DIR), version_base="1.3"):
+        for path in (CONF_DIR / "hydra" / "launcher").glob("*.yaml"):
+            overrides = [f"hydra/launcher={path.stem}", f"threads={threads}", "hydra.sweep.dir=sweep"]
+            config = compose("config", overrides=overrides, return_hydra_config=True)
+            configs[path.stem] = OmegaConf.to_container(config.hydra.launcher, resolve=True)
+    assert set(configs) == {"joblib", "ray", "submitit_local", "submitit_slurm"}
+    assert configs["joblib"]["n_jobs"] * each == count_cores()
+    assert configs["ray"]["ray"]["remote"]["num_cpus"] == each
+    assert configs["ray"]["ray"]["init"]["num_cpus"] == count_cores()
+    assert configs["submitit_local"]["cpus_per_task"] == configs["submitit_slurm"]["cpus_per_task"] == each
+
+
+COUNT = """
+from pathlib import Path
+from frictionzoo.threads import limit_threads
+limit_threads({threads})
+import jax, torch
+jax.devices()
+names = [task.joinpath("comm").read_text() for task in Path("/proc/self/task").iterdir()]
+print(sum("XLAEigen" in name for name in names), torch.get_num_threads())
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="there is no list of threads")
+@pytest.mark.parametrize("threads", [1, 3])
+def test_threads_are_limited(threads: int) -> None:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "JAX_PLATFORMS": "cpu"}
+    command = [sys.executable, "-c", COUNT.format(threads=threads)]
+    finished = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert finished.stdout.split() == [str(threads), str(min(threads, count_cores()))]  # torch takes no more than cores
+
+
+@pytest.mark.parametrize("threads", ["0", "-1", "many", "1.5"])
+def test_a_count_of_threads_that_makes_no_sense_is_refused(call: Callable, threads: str) -> None:
+    finished = call(f"threads={threads}", "hydra.run.dir=run")
+    assert finished.status == 2
+    assert f"threads={threads}; expected" in complaints(finished.err)[0]
+
+
+def test_a_search_takes_the_job_with_the_least_error_on_the_training_part(
+    start: Callable, tiny: tuple[str, ...], tmp_path: Path
+) -> None:
+    search = ("hydra/sweeper=optuna", "hydra.sweeper.n_trials=3", "fit=lm", "fit.iterations=1,4")
+    sweep = start(*SWEEP, *tiny, *search, "segments.length=choice(3,5)")
+    _, err = sweep.communicate()
+    assert sweep.returncode == 0, err
+    found = yaml.safe_load((tmp_path / "sweep" / "optimization_results.yaml").read_text())
+    results = [read_result(path.parent) for path in tmp_path.rglob("result.json")]
+    assert len(results) == 3
+    errors = [result["metrics"]["train"]["position_mae"] for result in results]
+    assert found["best_value"] == min(errors)
+    assert set(found["best_params"]) == {"segments.length", "fit.iterations"}
