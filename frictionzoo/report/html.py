@@ -95,7 +95,7 @@ def write_report(
         doubts=sum(check.state in ("caution", "bad") for check in checks),
         errors=list(_list_errors(result["metrics"])),
         evaluations=list(_list_evaluations(result)),
-        timing=_list_timing(result["timing"]),
+        timing=list_timing(result["timing"]),
         files={name: text for name, text in FILES.items() if name == "result.json" or (path.parent / name).exists()},
         sections=sections,
         version=result["versions"]["frictionzoo"],
@@ -113,12 +113,12 @@ def check_result(
         history: With the `loss` of each iteration.
     """
     yield _check_gain(result)
-    yield _check_held_out(result["data"])
+    yield check_held_out(result["data"])
     yield _check_train(result["metrics"])
     yield _check_fit(result["fit"], history["loss"])
     yield _check_bounds(result)
     yield _check_divergence(result)
-    yield _check_origin(result["data"])
+    yield check_origin(result["data"])
 
 
 def _check_gain(result: Mapping[str, Any]) -> Check:
@@ -136,7 +136,8 @@ def _check_gain(result: Mapping[str, Any]) -> Check:
     return Check("good", "Gain", text)
 
 
-def _check_held_out(data: Mapping[str, Any]) -> Check:
+def check_held_out(data: Mapping[str, Any]) -> Check:
+    """How much was tested that the fit did not see; `data` as in `result.json`."""
     seconds = {
         part: data["timestep"] * sum(log["samples"] for log in data["logs"] if log["part"] == part)
         for part in ("train", "test")
@@ -221,7 +222,8 @@ def _check_divergence(result: Mapping[str, Any]) -> Check:
     )
 
 
-def _check_origin(data: Mapping[str, Any]) -> Check:
+def check_origin(data: Mapping[str, Any]) -> Check:
+    """Whether the numbers say anything about hardware; `data` as in `result.json`."""
     if data["simulated"]:
         text = "A simulator made these data. The numbers say how well the law imitates it, and nothing about hardware."
         return Check("note", "Simulated data", text)
@@ -257,7 +259,7 @@ def _list_evaluations(result: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
             yield {"on": f"{where}, {name}", **result["paper"][key][part]}
 
 
-def _list_timing(timing: Mapping[str, float]) -> dict[str, float]:
+def list_timing(timing: Mapping[str, float]) -> dict[str, float]:
     """Seconds of every part, the rest of the total last."""
     parts = {name: seconds for name, seconds in timing.items() if name != "total"}
     return parts | {"figures and files": max(0.0, timing["total"] - sum(parts.values()))}

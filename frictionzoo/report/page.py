@@ -54,12 +54,14 @@ class Plot:
         text: Its content in one sentence, the alternative for those who do not see it.
         figure: `data` and `layout` of plotly.js.
         time: Whether its horizontal axis is the time of the rollout, which all such figures share.
+        height: In pixels, where it is not that of the others.
     """
 
     title: str
     text: str
     figure: dict[str, Any]
     time: bool = False
+    height: int | None = None
 
 
 def render_page(template: str, figures: Sequence[Mapping[str, Any]], **content: Any) -> bytes:
@@ -121,6 +123,7 @@ def draw_band(
     color: str,
     fill: str,
     unit: str,
+    points: int = POINTS,
 ) -> list[dict[str, Any]]:
     """The area within one standard deviation of a curve, and the curve.
 
@@ -132,8 +135,9 @@ def draw_band(
         color: Of the curve.
         fill: Colour of the area.
         unit: Of the curve.
+        points: At most so many of the curve.
     """
-    kept = decimate(mean)
+    kept = decimate(mean, points)
     x = round_points(time[kept])
     outline = np.concatenate([mean[kept] + std[kept], (mean[kept] - std[kept])[::-1]])
     shared = {"type": "scatter", "mode": "lines", "name": name, "legendgroup": name}
