@@ -320,11 +320,11 @@ PROBE = """<script>setTimeout(async () => {
   const wait = time => new Promise(resolve => setTimeout(resolve, time));
   const said = {};
   const seen = () => [...document.querySelectorAll("[data-figure]")].filter(canvas => canvas.clientWidth);
-  const drawn = canvas => canvas.querySelector(".main-svg path.js-line, .main-svg .point path");
+  const drawn = canvas => canvas.querySelector(".main-svg path.js-line, .main-svg .points path");
   const panel = () => document.querySelector(".panel:not([hidden])").textContent;
   said.figures = seen().length;
-  said.drawn = seen().filter(drawn).length;
   said.page = getComputedStyle(document.body).backgroundColor;
+  said.missing = seen().filter(canvas => !drawn(canvas)).map(canvas => canvas.previousElementSibling.textContent);
   said.ink = seen()[0].querySelector(".xtick text").style.fill;
   said.start = panel();
   const row = document.querySelectorAll(".ranking tbody tr")[1];
@@ -358,7 +358,7 @@ def test_a_browser_draws_every_figure_and_shows_the_run_that_is_clicked(runs, tm
     (element,) = Page(dom).with_attribute("data-said")
     said = json.loads(element["data-said"])
     labels = [entry["label"] for entry in comparison["runs"]]
-    assert said["figures"] == said["drawn"] == 13 and said["redrawn"]
+    assert said["missing"] == [] and said["figures"] == 13 and said["redrawn"]
     brightness = [sum(map(int, re.findall(r"\d+", said[name])[:3])) for name in ("page", "ink")]
     assert (brightness[0] < brightness[1]) == (scheme == "dark")
     selected = labels.index(comparison["recommendation"]["run"])

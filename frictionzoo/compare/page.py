@@ -27,6 +27,7 @@ from frictionzoo.output import write_atomically
 from frictionzoo.report.html import METHODS, check_held_out, check_origin, check_result, list_timing, plot_history
 from frictionzoo.report.page import Check, Plot, render_page
 
+NAMED = 4  # runs that a sentence names, the others are counted
 LONG = 4  # differing options above which they are folded away
 FITTED = ("fit", "segments", "loss", "bench")  # options that make fits unlike each other
 FILES = {"comparison.json": "every number of this page, for programs", "table.tex": "the ranking as a LaTeX table"}
@@ -140,8 +141,8 @@ def _list_errors(entry: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     for horizon in entry["by_horizon"]:
         yield {"on": "test", **horizon["test"]}
         yield {"on": "train", **horizon["train"]}
-    yield {"on": "test, one long", **entry["paper"]["a"]}
-    yield {"on": "test, random places", **entry["paper"]["b"]}
+    yield {"on": "one long test", **entry["paper"]["a"]}
+    yield {"on": "random places", **entry["paper"]["b"]}
 
 
 def _list_parameters(entries: Sequence[Mapping[str, Any]]) -> Iterator[dict[str, Any]]:
@@ -183,7 +184,7 @@ def check_comparison(comparison: Comparison, runs: Sequence[Run]) -> Iterator[Ch
 
 def _check_failures(comparison: Comparison) -> Check:
     failed = len(comparison["failures"])
-    text = f"{failed} of {failed + len(comparison['runs'])} jobs left no result and are not ranked; see below."
+    text = f"{failed} of {failed + len(comparison['runs'])} jobs left no result; their reasons are named."
     return Check("bad", "Failed jobs", text)
 
 
@@ -203,7 +204,7 @@ def _check_order(comparison: Comparison) -> Check:
 
 def _name(labels: Sequence[str]) -> str:
     """Names in a sentence."""
-    return ", ".join(labels[:6]) + (f" and {len(labels) - 6} more" if len(labels) > 6 else "")
+    return ", ".join(labels[:NAMED]) + (f" and {len(labels) - NAMED} more" if len(labels) > NAMED else "")
 
 
 def _check_rollouts(evaluation: Mapping[str, Any]) -> Check:

@@ -35,10 +35,11 @@ from frictionzoo.report.page import (
 # pair of both occurs once in 42 runs, and neighbours differ in both.
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
 DASHES = ("solid", "8px,3px", "2px,3px", "10px,3px,2px,3px", "6px,2px,2px,2px,2px,2px", "15px,5px", "4px,6px")
+_PALE = {"#0072B2": "#56B4E9", "#56B4E9": "#B5E0FF"}  # what two of them become on a dark page
 POINTS = 2000  # of a curve; a comparison has many of them
-ROW = 30  # px for each run of a figure with a row a run
+ROW, LINE = 28, 17  # px for each run of a figure with a row a run, and for each line of its label
 FRAME = 4.0  # times the middle one of the differences is what a frame shows; one beyond is named at its edge
-TICK = 24  # characters of a label on one line
+TICK = 28  # characters of a label on one line
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ class Style:
     @property
     def dark(self) -> str:
         """Its colour on a dark page."""
-        return DARK.get(self.color, self.color)
+        return _PALE.get(self.color, self.color)
 
     @property
     def strokes(self) -> str:
@@ -80,7 +81,7 @@ def choose_styles(labels: Iterable[str]) -> dict[str, Style]:
 
 def dark_colors() -> dict[str, str]:
     """What each colour becomes on a dark page."""
-    return DARK | {_fade(color): _fade(DARK.get(color, color)) for color in COLORS}
+    return DARK | _PALE | {_fade(color): _fade(pale) for color, pale in _PALE.items()}
 
 
 def _fade(color: str) -> str:
@@ -115,9 +116,13 @@ def plot_errors(comparison: Comparison, styles: Mapping[str, Style]) -> Plot:
     horizontal = _choose_scale([[entry["test"]["position_mae"]] for entry in entries])
     layout = _layout_rows([entry["label"] for entry in entries], f"position MAE [{unit}]", **horizontal)
     layout["barmode"] = "overlay"
-    numbers = "; ".join(f"{e['label']} {format_number(e['test']['position_mae'])}" for e in entries)
-    text = f"Bars: mean absolute position error on test data [{unit}], whiskers its sigma; diamonds: on training data."
-    return Plot("Error of each run", f"{text} {numbers}.", {"data": data, "layout": layout}, height=_height(entries))
+    labels = [entry["label"] for entry in entries]
+    text = (
+        f"Bars: mean absolute position error on test data [{unit}], whiskers its sigma; diamonds: on training data. "
+        f"From {format_number(entries[0]['test']['position_mae'])} of {labels[0]} to "
+        f"{format_number(entries[-1]['test']['position_mae'])} of {labels[-1]}."
+    )
+    return Plot("Error of each run", text, {"data": data, "layout": layout}, height=_height(labels))
 
 
 def plot_differences(comparison: Comparison, styles: Mapping[str, Style]) -> Plot:
@@ -191,7 +196,7 @@ def _frame_differences(pairs: Iterable[Mapping[str, Any]]) -> list[float] | None
 
 def _layout_rows(labels: Sequence[str], title: str, **horizontal: Any) -> dict[str, Any]:
     """A row for each run, the best on top."""
-    ticks = ["<br>".join(map(escape, textwrap.wrap(_shorten(label), TICK) or [" "])) for label in labels]
+    ticks = ["<br>".join(map(escape, _wrap(label))) for label in labels]
     vertical = {"tickvals": list(range(len(labels))), "ticktext": ticks, "range": [len(labels) - 0.4, -0.6]}
     layout = make_layout(
         xaxis=make_axis(title, **{"nticks": 5, "tickangle": 0} | horizontal),
@@ -200,12 +205,14 @@ def _layout_rows(labels: Sequence[str], title: str, **horizontal: Any) -> dict[s
     return layout | {"hovermode": "closest", "showlegend": False, "margin": {"l": 20, "r": 12, "t": 30, "b": 44}}
 
 
-def _height(rows: Sequence[Any]) -> int:
-    return 110 + ROW * max(3, len(rows))
+def _height(labels: Sequence[str]) -> int:
+    row = max(ROW, LINE * max(len(_wrap(label)) for label in labels))
+    return 110 + row * max(3, len(labels))
 
 
-def _shorten(label: str) -> str:
-    return textwrap.shorten(label, 3 * TICK, placeholder=" …") if " " in label else label[: 3 * TICK]
+def _wrap(label: str) -> list[str]:
+    """A label on at most three lines."""
+    return textwrap.wrap(label, TICK, max_lines=3, placeholder=" …") or [" "]
 
 
 def plot_trajectories(comparison: Comparison, runs: Sequence[Run], styles: Mapping[str, Style]) -> Iterator[Plot]:

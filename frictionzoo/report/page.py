@@ -163,6 +163,7 @@ def make_layout(**axes: dict[str, Any]) -> dict[str, Any]:
         "margin": {"l": 62, "r": 12, "t": 40, "b": 44},
         "legend": {"orientation": "h", "x": 0, "y": 1, "yanchor": "bottom"},
         "hovermode": "x unified",
+        "hoverlabel": {"namelength": -1},
         "uirevision": "keep",
         "modebar": {"bgcolor": "rgba(0,0,0,0)", "color": SOFT, "activecolor": MODEL},
         **axes,
