@@ -258,7 +258,7 @@ def _check_differences(differences: Sequence[Mapping[str, Any]]) -> Check:
     sections = list(dict.fromkeys(option.partition(".")[0] for option in options))
     unlike = [section for section in sections if section in FITTED]
     if unlike:
-        text = f"Runs differ in more than their law: in options of {_name(unlike)}, listed below"
+        text = f"Runs differ in more than their law: in options of {_name(unlike)}, listed on this page"
         return Check("caution", "Fitted alike?", f"{text}. Part of a difference may come from there.")
     if options:
         return Check("note", "Fitted alike", f"Besides the law, runs differ in {_name(options)} alone.")
