@@ -199,7 +199,9 @@ def test_a_run_that_diverged_entirely_has_its_place(runs, tmp_path):
 
 def test_runs_that_all_diverged_have_a_page(runs, tmp_path):
     source, _ = show(tmp_path / "comparison.html", [diverge(run) for run in runs])
-    assert "Every test rollout of every run diverged" in plain(source)
+    text = plain(source)
+    assert "Every test rollout of every run diverged" in text and "★" not in text
+    assert ">within noise<" not in source and "10 of its 10 test rollouts diverged" in text
     assert state_of(source)["selected"] == 0
 
 

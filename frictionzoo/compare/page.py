@@ -115,7 +115,7 @@ def _describe(index: int, run: Run, comparison: Comparison, style: Style, folder
         "result": run.result,
         "style": style,
         "recommended": bool(recommendation) and recommendation["run"] == run.label,
-        "verdict": VERDICTS[pair["verdict"]] if pair else "best" if recommendation else "",
+        "verdict": "" if recommendation is None else VERDICTS[pair["verdict"]] if pair else "best",
         "pair": pair,
         "several": any(isinstance(parameter["value"], list) for parameter in entry["parameters"]),
         "errors": list(_list_errors(entry)),
