@@ -13,7 +13,8 @@ import pytest
 from test_report import FIT, bench, dataset, evaluation, history, make_rollout, model, result  # noqa: F401
 
 from frictionzoo.evaluate import Prediction
-from frictionzoo.report.html import POINTS, check_result, write_report
+from frictionzoo.report.html import check_result, write_report
+from frictionzoo.report.page import POINTS
 
 HOSTILE = "</script><img src=x onerror=alert(1)>\"'&"
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)

@@ -1,0 +1,415 @@
+"""`comparison.html`: its answers, hostile names, nothing from elsewhere, and how a real browser shows it."""
+
+import copy
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import plotly.graph_objects as go
+import pytest
+from test_html import HOSTILE, Page, browse, figures_of, needs_browser
+from test_report import bench, dataset, evaluation, model, result  # noqa: F401
+
+from frictionzoo.compare import Failure, Run, compare_runs
+from frictionzoo.compare.page import check_comparison, write_page
+from frictionzoo.compare.plots import choose_styles
+from frictionzoo.report.curves import Curves
+
+LONG, SHORT, WINDOWS, TIMESTEP = 300, 100, 40, 0.001
+LABELS = ("coulomb_stribeck", "coulomb_smooth segments.length=20 seed=1", "baseline")
+LOST = {"position_mae": None, "position_mae_std": None, "position_rmse": None, "velocity_rmse": None}
+
+
+def make_curves(error, joints, rollouts, seed):
+    """A drive whose error grows to `error` over the rollout, the smaller in every other rollout."""
+    time = np.arange(LONG + 1)[None, :, None] * TIMESTEP
+    measured = np.sin(20 * time) * np.ones((2, 1, joints))
+    simulated = measured[:, 1:] + error * np.linspace(0, 1, LONG)[None, :, None]
+    varied = error * (1 + 0.3 * np.cos(np.arange(rollouts) + seed))
+    velocity = np.linspace(-3, 3, 81)
+    friction = np.tanh(velocity)[:, None] * np.ones(joints) * (1 + seed)
+    history = {
+        "iteration": np.array([1.0, 2.0, 3.0]),
+        "loss": np.array([30.0, 1.0, 2.0]) * (1 + error),
+        "grad_norm": np.ones(3),
+        "bench.armature": np.array([0.1, 0.05, 0.04])[:, None] * np.ones(joints),
+        "friction.static_torque": np.array([0.1, 0.3, 0.2])[:, None] * np.ones(joints),
+    }
+    local = np.linspace(0.1, 3, WINDOWS)
+    return Curves(
+        **{"measured_qpos": measured, "measured_qvel": 2 * measured, "qpos": simulated, "qvel": 2 * simulated},
+        **{"train_mae": varied, "test_mae": varied, "local_mae": error * local, "local_speed": local},
+        **{"local_load": local[::-1].copy(), "velocity": velocity, "friction": friction},
+        **{"friction_low": friction - 0.1 * seed, "friction_high": friction + 0.1 * seed, "history": history},
+    )
+
+
+def make_run(folder, result, label, error, joints=("knee",), rollouts=10, seed=0):  # noqa: F811
+    record = copy.deepcopy(result) | {"model": label.partition(" ")[0], "joints": list(joints)}
+    record["settings"]["evaluation"] = {"window": 0.02}
+    record["fit"]["stopped"] = "finished"
+    curves = make_curves(error, len(joints), rollouts, seed)
+    for part in ("train", "test"):
+        errors = {"position_mae": float(curves.test_mae.mean()), "position_mae_std": float(curves.test_mae.std())}
+        record["metrics"][part] |= errors | {"rollouts": rollouts}
+    for parameter in record["parameters"]:
+        parameter["value"] = [parameter["value"]] * len(joints) if len(joints) > 1 else parameter["value"]
+    return Run(label, folder / f"{seed}_{record['model']}", record, curves)
+
+
+def diverge(run):
+    """The same run with every rollout lost, from the first step on."""
+    record = copy.deepcopy(run.result)
+    for part in ("train", "test"):
+        record["metrics"][part] |= LOST | {"diverged": record["metrics"][part]["rollouts"]}
+    lost = {name: np.full_like(getattr(run.curves, name), np.nan) for name in ("qpos", "qvel", "test_mae", "local_mae")}
+    return replace(run, result=record, curves=replace(run.curves, **lost))
+
+
+@pytest.fixture
+def runs(result, tmp_path):  # noqa: F811
+    errors = zip(LABELS, (0.010, 0.0102, 0.04), strict=True)
+    return [make_run(tmp_path, result, label, error, seed=i) for i, (label, error) in enumerate(errors)]
+
+
+def show(path, runs, failures=()):
+    comparison = compare_runs(runs, failures)
+    write_page(path, comparison, runs)
+    return path.read_text(encoding="utf-8"), comparison
+
+
+def plain(source):
+    return " ".join(Page(source).text.split())
+
+
+def checks_of(runs, failures=()):
+    return {check.title: check for check in check_comparison(compare_runs(runs, failures), runs)}
+
+
+def test_the_page_answers_the_three_questions(runs, tmp_path):
+    failures = [Failure("7_neural_friction", "neural_friction", "the loss is not finite; lower fit.learning_rate")]
+    source, comparison = show(tmp_path / "comparison.html", runs, failures)
+    text = plain(source)
+    assert comparison["recommendation"]["reason"] in text
+    assert failures[0].reason in text and "1 job failed" in text and "1 of 4 jobs left no result" in text
+    for entry in comparison["runs"]:
+        assert entry["label"] in text and f"{entry['test']['position_mae']:.3g}" in text
+        assert f"{entry['test']['position_mae_std']:.2g}" in text
+        for parameter in entry["parameters"]:
+            assert parameter["name"] in text and f"{parameter['value']:.4g}" in text
+    changes = {entry["label"]: round(-100 * entry["change"]["test"]) for entry in comparison["runs"]}
+    assert changes["baseline"] == 0 and changes[LABELS[0]] > 50
+    assert f"−{changes[LABELS[0]]} %" in text and "within noise" in text and "simulated data" in text
+
+
+def test_rows_are_ranked_and_open_their_panels(runs, tmp_path):
+    source, comparison = show(tmp_path / "comparison.html", runs[::-1])
+    page = Page(source)
+    labels = [entry["label"] for entry in comparison["runs"]]
+    buttons = page.with_attribute("aria-controls")
+    panels = {element["id"] for element in page.with_attribute("id")}
+    assert [button["aria-controls"] for button in buttons] == [f"panel-{i}" for i in range(len(labels))]
+    assert {button["aria-controls"] for button in buttons} <= panels
+    assert [row["data-run"] for tag, row in page.elements if tag == "tr" and "data-run" in row] == ["0", "1", "2"]
+    assert state_of(source)["labels"] == labels
+
+
+def state_of(source):
+    return json.loads(re.search(r'id="figures">(.*?)</script>', source, re.S)[1])["state"]
+
+
+@pytest.mark.parametrize("joints", [("knee",), ("hip", "knee")], ids=len)
+def test_every_figure_is_valid_and_says_what_it_shows(result, tmp_path, joints):  # noqa: F811
+    runs = [make_run(tmp_path, result, label, 0.01 * 3**i, joints, seed=i) for i, label in enumerate(LABELS)]
+    source, _ = show(tmp_path / "comparison.html", runs)
+    figures, canvases = figures_of(source)["figures"], Page(source).with_attribute("data-figure")
+    assert [int(canvas["data-figure"]) for canvas in canvases] == list(range(len(figures)))
+    # For each run the loss and its two drawn parameters; for each joint a trajectory and a friction curve.
+    assert len(figures) == 3 * len(runs) + 2 * len(joints) + 8
+    for canvas in canvases:
+        assert canvas["role"] == "img" and len(canvas["aria-label"]) > 40
+    for figure in figures:
+        go.Figure(figure)  # raises for a property that plotly does not know
+
+
+def figure_named(source, title):
+    headings = re.findall(r"<h3>(.*?)</h3>\s*<div class=\"canvas[^>]*data-figure=\"(\d+)\"", source)
+    return figures_of(source)["figures"][next(int(number) for name, number in headings if name == title)]
+
+
+def test_figures_hold_the_numbers_of_the_comparison(runs, tmp_path):
+    source, comparison = show(tmp_path / "comparison.html", runs)
+    bars = [trace for trace in figure_named(source, "Error of each run")["data"] if trace["type"] == "bar"]
+    assert [bar["x"][0] for bar in bars] == [entry["test"]["position_mae"] for entry in comparison["runs"]]
+    best = comparison["runs"][0]["label"]
+    pairs = {pair["run"]: pair for pair in comparison["pairs"] if pair["other"] == best}
+    points = figure_named(source, "How sure is the order?")["data"]
+    assert {point["name"]: point["x"][0] for point in points} == {best: 0} | {n: p["mean"] for n, p in pairs.items()}
+    for point in points[1:]:
+        pair = pairs[point["name"]]
+        assert point["x"][0] + point["error_x"]["array"][0] == pytest.approx(pair["high"])
+        assert point["x"][0] - point["error_x"]["arrayminus"][0] == pytest.approx(pair["low"])
+    curves = {trace["name"]: trace["y"] for trace in figure_named(source, "Against the horizon")["data"]}
+    for label, curve in comparison["by_horizon"]["position_mae"].items():
+        np.testing.assert_allclose(curves[label], curve, rtol=1e-5)
+    torque = [trace for trace in figure_named(source, "Friction of knee")["data"] if "fill" not in trace]
+    for trace in torque:
+        np.testing.assert_allclose(trace["y"], comparison["friction"][trace["name"]]["torque"][0], rtol=1e-5)
+    bands = {trace["name"] for trace in figure_named(source, "Friction of knee")["data"] if "fill" in trace}
+    assert bands == set(LABELS[1:])  # the first run's law depends on the velocity alone
+
+
+def test_a_run_has_the_same_look_in_every_figure(runs, tmp_path):
+    source, comparison = show(tmp_path / "comparison.html", runs)
+    styles = choose_styles(entry["label"] for entry in comparison["runs"])
+    for title in ("Trajectory of knee", "Error over time", "Against the speed", "Structure left in the error"):
+        lines = [t for t in figure_named(source, title)["data"] if "meta" in t and "fill" not in t]
+        assert {trace["name"] for trace in lines} == set(styles)
+        for trace in lines:
+            style = styles[trace["name"]]
+            assert (trace["line"]["color"], trace["line"]["dash"]) == (style.color, style.dash)
+
+
+def test_many_runs_are_told_apart():
+    styles = choose_styles(map(str, range(42)))
+    assert len({(style.color, style.dash) for style in styles.values()}) == 42
+
+
+def test_a_far_difference_leaves_the_frame_and_is_named(runs, result, tmp_path):  # noqa: F811
+    close = [make_run(tmp_path, result, f"other{i}", 0.0105, seed=3 + i) for i in range(3)]
+    far = make_run(tmp_path, result, "far", 5.0, seed=9)
+    source, comparison = show(tmp_path / "comparison.html", [*runs[:2], *close, far])
+    layout = figure_named(source, "How sure is the order?")["layout"]
+    (mean,) = [
+        p["mean"] for p in comparison["pairs"] if p["run"] == "far" and p["other"] == comparison["runs"][0]["label"]
+    ]
+    assert layout["xaxis"]["range"][1] < mean
+    assert [note["text"] for note in layout["annotations"]] == [f"{mean:.3g} →"]
+    assert figure_named(source, "Error over time")["layout"]["yaxis"]["type"] == "log"
+
+
+def test_a_run_that_diverged_entirely_has_its_place(runs, tmp_path):
+    source, comparison = show(tmp_path / "comparison.html", [*runs[:2], diverge(runs[2])])
+    assert comparison["runs"][-1]["label"] == "baseline"
+    assert "10 of 10" in plain(source)
+    for figure in figures_of(source)["figures"]:
+        go.Figure(figure)
+
+
+def test_runs_that_all_diverged_have_a_page(runs, tmp_path):
+    source, _ = show(tmp_path / "comparison.html", [diverge(run) for run in runs])
+    text = plain(source)
+    assert "Every test rollout of every run diverged" in text and "★" not in text
+    assert ">within noise<" not in source and "10 of its 10 test rollouts diverged" in text
+    assert state_of(source)["selected"] == 0
+
+
+def test_one_run_alone_has_a_page(runs, tmp_path):
+    source, _ = show(tmp_path / "comparison.html", runs[:1])
+    assert "nothing to compare it with" in plain(source)
+
+
+def test_hostile_names_stay_text(runs, result, tmp_path):  # noqa: F811
+    hostile = make_run(tmp_path, result, HOSTILE, 0.02, joints=(HOSTILE,), seed=3)
+    hostile = replace(hostile, folder=tmp_path / "javascript:alert(1)" / "a#b?c")
+    hostile.folder.mkdir(parents=True)
+    (hostile.folder / "report.html").touch()
+    for run in (hostile, *runs):
+        run.result["data"]["name"] = run.result["data"]["logs"][0]["name"] = HOSTILE
+        run.result["joints"] = [HOSTILE]
+    hostile.result["parameters"][0]["name"] = HOSTILE
+    hostile.result["settings"]["loss"] = {HOSTILE: HOSTILE}
+    source, _ = show(tmp_path / "comparison.html", [hostile, *runs], [Failure(HOSTILE, HOSTILE, HOSTILE)])
+    page = Page(source)
+    tags = [tag for tag, _ in page.elements]
+    assert not page.with_attribute("onerror") and "img" not in tags and tags.count("script") == 3
+    assert HOSTILE in page.text
+    assert "<img" not in json.dumps(figures_of(source)["figures"])
+    links = [attributes["href"] for tag, attributes in page.elements if tag == "a"]
+    assert "javascript%3Aalert%281%29/a%23b%3Fc/report.html" in links
+
+
+def test_links_lead_to_what_is_there(runs, tmp_path):
+    for run in runs[:2]:
+        run.folder.mkdir()
+        (run.folder / "report.html").touch()
+    (tmp_path / "out" / "figures").mkdir(parents=True)
+    for name in ("table.tex", "figures/figure6_mae.pdf"):
+        (tmp_path / "out" / name).touch()
+    source, _ = show(tmp_path / "out" / "comparison.html", runs)
+    links = {attributes["href"] for tag, attributes in Page(source).elements if tag == "a"}
+    reports = {f"../{run.folder.name}/report.html" for run in runs[:2]}
+    assert links == {"comparison.json", "table.tex", "figures/figure6_mae.pdf"} | reports
+
+
+def test_nothing_comes_from_elsewhere(runs, tmp_path):
+    source, _ = show(tmp_path / "comparison.html", runs)
+    page = Page(source)
+    targets = [element[name] for name in ("src", "href", "action") for element in page.with_attribute(name)]
+    assert not [target for target in targets if re.match(r"\s*(?:https?:)?//", target)]
+    assert "default-src 'none'" in source and "@import" not in source and "showSendToCloud: false" in source
+
+
+def test_long_curves_of_many_runs_stay_small(result, tmp_path):  # noqa: F811
+    runs = [make_run(tmp_path, result, f"law{i}", 0.01, seed=i) for i in range(20)]
+    runs = [
+        replace(
+            run, curves=replace(run.curves, **{n: np.repeat(getattr(run.curves, n), 40, 1) for n in ("qpos", "qvel")})
+        )
+        for run in runs
+    ]
+    first = {f"measured_{n}": np.zeros((2, 40 * LONG + 1, 1)) for n in ("qpos", "qvel")}
+    runs = [replace(run, curves=replace(run.curves, **first)) for run in runs]
+    source, _ = show(tmp_path / "comparison.html", runs)
+    longest = max(len(trace["x"]) for trace in figure_named(source, "Trajectory of knee")["data"])
+    assert 1000 < longest <= 2000
+    assert len(source) < 9_000_000
+
+
+def test_no_doubts_about_good_runs(runs):
+    assert {check.state for check in checks_of(runs).values()} == {"good", "note"}
+
+
+def spoil_bounds(run):
+    run.result["parameters"][0]["at_bound"] = True
+
+
+def spoil_fit(run):
+    run.result["fit"]["stopped"] = "diverged"
+
+
+def spoil_segments(run):
+    run.result["settings"]["segments"] = {"count": 7, "length": 5}
+
+
+def spoil_seed(run):
+    run.result["settings"]["seed"] = 5
+
+
+def spoil_stability(run):
+    run.result["metrics"]["test"]["diverged"] = 2
+
+
+@pytest.mark.parametrize(
+    ("spoil", "title", "state", "text"),
+    [
+        (spoil_bounds, "Bounds", "caution", "baseline (armature)"),
+        (spoil_fit, "Fits", "caution", "baseline"),
+        (spoil_segments, "Fitted alike?", "caution", "segments"),
+        (spoil_seed, "Fitted alike", "note", "seed"),
+        (spoil_stability, "Stability", "caution", "baseline (2 of 10 on test"),
+    ],
+)
+def test_a_reason_for_doubt_is_said(runs, spoil, title, state, text):
+    spoil(runs[2])
+    check = checks_of(runs)[title]
+    assert check.state == state and text in check.text
+
+
+def test_a_recommended_run_that_diverged_is_a_problem(runs):
+    for run in runs:
+        spoil_stability(run)
+    assert checks_of(runs)["Stability"].state == "bad"
+
+
+def test_few_rollouts_ask_for_caution(result, tmp_path):  # noqa: F811
+    runs = [make_run(tmp_path, result, label, 0.01, rollouts=3, seed=i) for i, label in enumerate(LABELS)]
+    assert checks_of(runs)["Few rollouts"].state == "caution"
+
+
+PROBE = """<script>setTimeout(async () => {
+  const wait = time => new Promise(resolve => setTimeout(resolve, time));
+  const said = {};
+  const seen = () => [...document.querySelectorAll("[data-figure]")].filter(canvas => canvas.clientWidth);
+  const drawn = canvas => canvas.querySelector(".main-svg path.js-line, .main-svg .points path");
+  const panel = () => document.querySelector(".panel:not([hidden])").textContent;
+  said.figures = seen().length;
+  said.page = getComputedStyle(document.body).backgroundColor;
+  said.missing = seen().filter(canvas => !drawn(canvas)).map(canvas => canvas.previousElementSibling.textContent);
+  said.ink = seen()[0].querySelector(".xtick text").style.fill;
+  said.start = panel();
+  const row = document.querySelectorAll(".ranking tbody tr")[1];
+  row.querySelector("td.value").click();
+  await wait(1500);
+  said.chosen = panel();
+  said.hash = decodeURIComponent(location.hash);
+  said.expanded = [...document.querySelectorAll("[aria-expanded]")].map(item => item.getAttribute("aria-expanded"));
+  said.panels = document.querySelectorAll(".panel:not([hidden])").length;
+  said.redrawn = seen().filter(drawn).length === seen().length;
+  const trajectory = document.querySelector("[data-time]");
+  said.emphasised = trajectory.data.filter(trace => trace.line.width === 2.8).map(trace => trace.meta.run);
+  document.getElementById("only").click();
+  await wait(1500);
+  said.shown = trajectory.data.filter(trace => trace.visible !== false).map(trace => trace.meta?.run ?? "measured");
+  history.back();
+  await wait(1500);
+  said.back = panel();
+  document.body.dataset.said = JSON.stringify(said);
+}, 3000)</script></body>"""
+
+
+@needs_browser
+@pytest.mark.parametrize("scheme", ["dark", "light"])
+def test_a_browser_draws_every_figure_and_shows_the_run_that_is_clicked(runs, tmp_path, scheme):
+    path = tmp_path / "comparison.html"
+    source, comparison = show(path, runs)
+    path.write_text(source.replace("</body>", PROBE))
+    dom, console = browse(path, f"--blink-settings=preferredColorScheme={int(scheme == 'light')}")
+    assert console == []
+    (element,) = Page(dom).with_attribute("data-said")
+    said = json.loads(element["data-said"])
+    labels = [entry["label"] for entry in comparison["runs"]]
+    assert said["missing"] == [] and said["figures"] == 13 and said["redrawn"]
+    brightness = [sum(map(int, re.findall(r"\d+", said[name])[:3])) for name in ("page", "ink")]
+    assert (brightness[0] < brightness[1]) == (scheme == "dark")
+    selected = labels.index(comparison["recommendation"]["run"])
+    other = 1
+    assert selected != other
+    assert labels[selected] in said["start"] and labels[other] in said["chosen"]
+    assert said["hash"] == f"#{labels[other]}"
+    assert said["expanded"] == [str(i == other).lower() for i in range(len(labels))] and said["panels"] == 1
+    assert set(said["emphasised"]) == {other} and set(said["shown"]) == {other, "measured"}
+    assert labels[selected] in said["back"]
+
+
+@needs_browser
+def test_a_link_to_a_run_opens_it(runs, tmp_path):
+    path = tmp_path / "comparison.html"
+    source, _ = show(path, runs)
+    probe = """<script>setTimeout(() => {
+      document.body.dataset.shown = document.querySelector(".panel:not([hidden]) h2").textContent;
+    }, 2000)</script></body>"""
+    path.write_text(source.replace("</body>", probe))
+    frame = tmp_path / "frame.html"
+    frame.write_text(f'<meta http-equiv="refresh" content="0; url=comparison.html#{LABELS[2]}">')
+    dom, console = browse(frame)
+    assert console == []
+    (element,) = Page(dom).with_attribute("data-shown")
+    assert element["data-shown"].strip() == LABELS[2]
+
+
+@needs_browser
+@pytest.mark.parametrize("width", [390, 1440])
+def test_the_page_does_not_scroll_sideways(runs, result, tmp_path, width):  # noqa: F811
+    name = "law-with-a-very-long-name-that-cannot-be-broken-anywhere-at-all-in-any-table"
+    runs = [*runs, make_run(tmp_path, result, name, 0.02, seed=3)]
+    for run in runs:
+        run.result["data"]["name"] = run.result["data"]["logs"][0]["name"] = name
+    source, _ = show(tmp_path / "comparison.html", runs, [Failure(name, name, name)])
+    probe = """<script>setTimeout(() => parent.postMessage([
+      innerWidth, document.documentElement.scrollWidth,
+      ...[...document.querySelectorAll(".main-svg")].map(svg => Math.ceil(svg.getBoundingClientRect().right)),
+    ], "*"), 3000)</script></body>"""
+    (tmp_path / "comparison.html").write_text(source.replace("</body>", probe))
+    frame = tmp_path / "frame.html"
+    frame.write_text(
+        f'<iframe src="comparison.html" width="{width}" height="900" style="border:0"></iframe>'
+        '<script>onmessage = ({ data }) => { document.body.dataset.widths = data.join(" "); };</script>'
+    )
+    dom, console = browse(frame)
+    assert console == []
+    (widths,) = Page(dom).with_attribute("data-widths")
+    inner, page, *drawings = map(int, widths["data-widths"].split())
+    assert inner == width and page <= inner
+    assert drawings and max(drawings) <= inner
