@@ -6,6 +6,11 @@ from pathlib import Path
 
 from frictionzoo.errors import OutputError
 
+# Files by which the folder of a job tells how it stands.
+RESULT = "result.json"  # done
+FAILURE = "failure.json"  # it failed, and why
+RUNNING = ".running"  # locked while it runs, in whatever process; left behind unlocked by a job that was killed
+
 
 def write_atomically(path: Path, content: bytes) -> None:
     """Write a file under a temporary name in the same folder, then rename it.

@@ -25,7 +25,7 @@ from frictionzoo.config import (
     suggest_option,
 )
 from frictionzoo.errors import ConfigError, FrictionzooError, closest
-from frictionzoo.sweep import Failure, SweepFolder, conclude_sweep, describe, objective_of, run_in_sweep
+from frictionzoo.sweep import SweepFolder, conclude_sweep, describe, objective_of, run_in_sweep
 from frictionzoo.threads import limit_threads, threads_each
 
 # What a resumed run takes over from its folder: an option of the job, not a flag or a way into Hydra's own settings.
@@ -78,7 +78,12 @@ def main() -> None:
         _refuse_no_choice(sys.argv[1:])
         complaint = _run_jobs()
         if SweepFolder.latest is not None:
-            _report(conclude_sweep(SweepFolder.latest), complaint)
+            text, complaints = conclude_sweep(SweepFolder.latest)
+            print(text)
+            if complaint:
+                complaints.append(complaint)
+            if complaints:
+                _fail(*complaints)
 
 
 def _run_jobs() -> str | None:
@@ -91,15 +96,6 @@ def _run_jobs() -> str | None:
             raise
         return f"the sweep ended early ({describe(error)}); jobs that had not begun are not listed"
     return None
-
-
-def _report(failures: list[Failure], complaint: str | None) -> None:
-    """End with a line for each job that failed, if one did."""
-    lines = [f"{failure.folder}: {failure.reason}" for failure in failures]
-    if complaint:
-        lines.append(complaint)
-    if lines:
-        _fail(*lines)
 
 
 @contextlib.contextmanager

@@ -4,9 +4,7 @@ import json
 import logging
 import math
 import os
-import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,31 +12,10 @@ from filelock import FileLock
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf
 
-from frictionzoo.output import write_atomically
+from frictionzoo.errors import RunError
+from frictionzoo.output import FAILURE, RESULT, RUNNING, write_atomically
 
 _log = logging.getLogger(__name__)
-
-FAILURE = "failure.json"
-_RESULT = "result.json"
-# Locked while a job runs, in whatever process; left behind, and no longer locked, by a job that was killed.
-_RUNNING = ".running"
-
-
-@dataclass(frozen=True)
-class Failure:
-    """A job of a sweep that brought no result to build on.
-
-    Attributes:
-        folder: The job's folder.
-        model: The chosen model, as in conf/model.
-        overrides: The job's options.
-        reason: What went wrong, in one line.
-    """
-
-    folder: Path
-    model: str
-    overrides: tuple[str, ...]
-    reason: str
 
 
 class SweepFolder(Callback):
@@ -80,8 +57,8 @@ def run_in_sweep(
     Raises:
         OutputError: Not even `failure.json` can be written.
     """
-    with FileLock(folder / _RUNNING):
-        for name in (_RESULT, FAILURE):
+    with FileLock(folder / RUNNING):
+        for name in (RESULT, FAILURE):
             (folder / name).unlink(missing_ok=True)
         try:
             result, complaint = job()
@@ -94,7 +71,7 @@ def run_in_sweep(
         else:
             if complaint:
                 _log.error("%s: %s", folder.name, complaint)
-    (folder / _RUNNING).unlink()
+    (folder / RUNNING).unlink()
     return math.inf if result is None or complaint else objective_of(result)
 
 
@@ -114,53 +91,47 @@ def objective_of(result: dict[str, Any]) -> float:
     return math.inf if train["diverged"] else float(train["position_mae"])
 
 
-def conclude_sweep(folder: Path) -> list[Failure]:
-    """Look at what the jobs of a sweep left, in whatever processes and on whatever machines they ran.
+def conclude_sweep(folder: Path) -> tuple[str, list[str]]:
+    """Compare what the jobs of a sweep left, in whatever processes and on whatever machines they ran.
 
     Waits for jobs that still run, as some do when their launcher gave up on another one.
 
     Args:
-        folder: The sweep's folder.
+        folder: The sweep's folder; the comparison goes into its `comparison/`.
 
     Returns:
-        The jobs that failed, in their order: with a `failure.json`, with a fit that diverged, or with neither file
-        because their process was killed.
+        What to tell the user, and one line for each job that failed: with a `failure.json`, with a fit that diverged, or
+        with neither file because its process was killed.
+
+    Raises:
+        OutputError: The comparison cannot be written.
     """
-    names = (_RUNNING, FAILURE, _RESULT)
-    folders = {path.parent for name in names for path in folder.rglob(name)}
-    failures = [_judge(job) for job in sorted(folders, key=_natural)]
-    return [failure for failure in failures if failure is not None]
-
-
-def _judge(folder: Path) -> Failure | None:
-    """The failure of the job in a folder, None if it did its work."""
-    if (folder / _RUNNING).exists():
-        with FileLock(folder / _RUNNING):
+    for path in folder.rglob(RUNNING):
+        with FileLock(path):
             pass
-    if (folder / FAILURE).exists():
-        saved = json.loads((folder / FAILURE).read_text())
-        return Failure(folder, saved["model"], tuple(saved["overrides"]), saved["reason"])
-    if not (folder / _RESULT).exists():
-        model, overrides = _read_choices(folder)
-        return Failure(folder, model, overrides, "no result: its process ended before it was done")
-    result = json.loads((folder / _RESULT).read_text())
-    if result["fit"]["stopped"] == "diverged":
-        reason = f"fit diverged after {result['fit']['iterations']} iterations; {_RESULT} holds the best before that"
-        return Failure(folder, result["model"], _read_choices(folder)[1], reason)
+    # Imported here, so that --help and a typing error do not wait for it.
+    from frictionzoo.compare import find_runs, write_comparison
+    from frictionzoo.report.terminal import summarise_comparison
+
+    complaints: list[str] = []
+    try:
+        complaints += [f"{run}: {reason}" for run in find_runs(folder) if (reason := _complaint(run))]
+        comparison = write_comparison([folder], folder / "comparison")
+    except RunError as error:
+        return f"no comparison: {error}", complaints
+    return summarise_comparison(comparison, folder / "comparison"), complaints
+
+
+def _complaint(folder: Path) -> str | None:
+    """What is wrong with the job in a folder; None if it did its work."""
+    from frictionzoo.compare import read_failure
+
+    if failure := read_failure(folder):
+        return failure.reason
+    fit = json.loads((folder / RESULT).read_text())["fit"]
+    if fit["stopped"] == "diverged":
+        return f"fit diverged after {fit['iterations']} iterations; {RESULT} holds the best before that"
     return None
-
-
-def _read_choices(folder: Path) -> tuple[str, tuple[str, ...]]:
-    """Model and options of a job, from what Hydra wrote before it began."""
-    saved = OmegaConf.load(folder / ".hydra" / "hydra.yaml")
-    return OmegaConf.select(saved, "hydra.runtime.choices.model"), tuple(
-        OmegaConf.select(saved, "hydra.overrides.task")
-    )
-
-
-def _natural(path: Path) -> list[str | int]:
-    """Sorting key that puts job 10 after job 9."""
-    return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", str(path))]
 
 
 def describe(error: Exception) -> str:

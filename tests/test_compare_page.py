@@ -47,7 +47,6 @@ def make_curves(error, joints, rollouts, seed):
 
 def make_run(folder, result, label, error, joints=("knee",), rollouts=10, seed=0):  # noqa: F811
     record = copy.deepcopy(result) | {"model": label.partition(" ")[0], "joints": list(joints)}
-    record["settings"]["evaluation"] = {"window": 0.02}
     record["fit"]["stopped"] = "finished"
     curves = make_curves(error, len(joints), rollouts, seed)
     for part in ("train", "test"):

@@ -16,7 +16,7 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 from frictionzoo.config import CONF_DIR, forget_plugin_schemas, register_resolvers
-from frictionzoo.sweep import Failure, conclude_sweep, run_in_sweep
+from frictionzoo.sweep import conclude_sweep, run_in_sweep
 from frictionzoo.threads import count_cores
 
 ROOT = Path(__file__).parent.parent
@@ -34,6 +34,13 @@ def read_result(folder: Path) -> dict:
     return {key: value for key, value in json.loads((folder / "result.json").read_text()).items() if key != "timing"}
 
 
+def read_comparison(folder: Path) -> dict:
+    """Everything in `comparison.json` that a repetition has to repeat."""
+    comparison = json.loads((folder / "comparison" / "comparison.json").read_text())
+    assert [run.pop("timing") for run in comparison["runs"]]
+    return comparison
+
+
 def test_a_failing_job_does_not_end_the_others(call: Callable, tiny: tuple[str, ...], tmp_path: Path) -> None:
     finished = call(*SWEEP, *tiny, "fit=lm", "fit.iterations=3", "model=baseline,neural_friction,coulomb_smooth")
     assert finished.status == 2
@@ -46,6 +53,18 @@ def test_a_failing_job_does_not_end_the_others(call: Callable, tiny: tuple[str, 
     assert complaints(finished.err) == [f"frictionzoo: {tmp_path / 'sweep' / jobs[1]}: {failure['reason']}"]
     assert "Traceback" not in finished.err
     assert not [path for path in tmp_path.rglob("*") if path.name == ".running"]
+    comparison = json.loads((tmp_path / "sweep" / "comparison" / "comparison.json").read_text())
+    assert sorted(run["label"] for run in comparison["runs"]) == ["baseline", "coulomb_smooth"]
+    assert comparison["failures"] == [{"run": jobs[1], "model": "neural_friction", "reason": failure["reason"]}]
+    assert f"failed: {jobs[1]}: {failure['reason']}" in finished.out and "recommended: " in finished.out
+    assert (tmp_path / "sweep" / "comparison" / "comparison.html").exists()
+
+
+def test_jobs_that_cannot_be_compared_are_no_mistake(call: Callable, tiny: tuple[str, ...], tmp_path: Path) -> None:
+    finished = call(*SWEEP, *tiny, "model=baseline", "fit.iterations=2", "evaluation.seed=0,1")
+    assert finished.status == 0
+    assert "no comparison: " in finished.out and "evaluation.seed=1, expected 0 as in" in finished.out
+    assert not (tmp_path / "sweep" / "comparison").exists()
 
 
 def test_a_diverged_fit_counts_as_failed_and_keeps_its_result(
@@ -87,8 +106,11 @@ def test_an_unexpected_error_is_recorded_and_its_traceback_logged(
     assert value == math.inf
     assert "Traceback" in caplog.text and "test_sweep.py" in caplog.text
     reason = "ZeroDivisionError: by zero"
-    assert conclude_sweep(tmp_path) == [Failure(tmp_path, "baseline", ("seed=3",), reason)]
-    assert json.loads((tmp_path / "failure.json").read_text())["reason"] == reason
+    text, complaints = conclude_sweep(tmp_path)
+    assert complaints == [f"{tmp_path}: {reason}"]
+    assert text == f"no comparison: no run has a result to compare: {tmp_path.name}: {reason}"
+    saved = json.loads((tmp_path / "failure.json").read_text())
+    assert saved == {"model": "baseline", "overrides": ["seed=3"], "reason": reason}
 
 
 def test_a_failure_does_not_outlive_a_successful_repetition(tmp_path: Path) -> None:
@@ -99,7 +121,7 @@ def test_a_failure_does_not_outlive_a_successful_repetition(tmp_path: Path) -> N
     assert run_in_sweep(fail, tmp_path, "baseline", [], str) == math.inf
     assert run_in_sweep(succeed, tmp_path, "baseline", [], str) == 0.25
     assert os.listdir(tmp_path) == ["result.json"]
-    assert conclude_sweep(tmp_path) == []
+    assert conclude_sweep(tmp_path)[1] == []
     assert run_in_sweep(fail, tmp_path, "baseline", [], str) == math.inf
     assert os.listdir(tmp_path) == ["failure.json"]
 
@@ -115,7 +137,8 @@ def test_failures_come_in_the_order_of_jobs(tmp_path: Path) -> None:
         folder = tmp_path / f"{number}_baseline"
         folder.mkdir()
         run_in_sweep(fail, folder, "baseline", [], str)
-    assert [failure.folder.name[:-9] for failure in conclude_sweep(tmp_path)] == ["1", "9", "10"]
+    complaints = conclude_sweep(tmp_path)[1]
+    assert [line.partition(": ")[0] for line in complaints] == [f"{tmp_path}/{i}_baseline" for i in (1, 9, 10)]
 
 
 def holder_of(path: Path, process: psutil.Process) -> psutil.Process | None:
@@ -181,6 +204,8 @@ def test_launchers_agree(start: Callable, call: Callable, tiny: tuple[str, ...],
     assert call("-m", *tiny, *PAIR, "hydra.sweep.dir=basic").status == 0
     for job in ("0_baseline", "1_coulomb_smooth"):
         assert read_result(tmp_path / "sweep" / job) == read_result(tmp_path / "basic" / job)
+    first, second = (read_comparison(tmp_path / sweep) for sweep in ("sweep", "basic"))
+    assert first == second
 
 
 @pytest.mark.parametrize(("threads", "each"), [("null", 1), ("1", 1), (str(count_cores()), count_cores())])

@@ -2,6 +2,16 @@
 
 from frictionzoo.compare.comparison import Comparison, compare_runs, read_schema
 from frictionzoo.compare.files import write_comparison
-from frictionzoo.compare.runs import Failure, Run, read_runs
+from frictionzoo.compare.runs import Failure, Run, find_runs, read_failure, read_runs
 
-__all__ = ["Comparison", "Failure", "Run", "compare_runs", "read_runs", "read_schema", "write_comparison"]
+__all__ = [
+    "Comparison",
+    "Failure",
+    "Run",
+    "compare_runs",
+    "find_runs",
+    "read_failure",
+    "read_runs",
+    "read_schema",
+    "write_comparison",
+]

@@ -7,6 +7,7 @@ from pathlib import Path
 from frictionzoo.compare.comparison import Comparison, compare_runs
 from frictionzoo.compare.figures import write_figures
 from frictionzoo.compare.latex import tabulate_latex
+from frictionzoo.compare.page import write_page
 from frictionzoo.compare.runs import read_runs
 from frictionzoo.errors import RunError
 from frictionzoo.output import write_atomically
@@ -30,5 +31,6 @@ def write_comparison(folders: Sequence[Path], output: Path) -> Comparison:
     comparison = compare_runs(runs, failures)
     write_figures(output / "figures", comparison, runs)
     write_atomically(output / "table.tex", tabulate_latex(comparison).encode())
+    write_page(output / "comparison.html", comparison, runs)
     write_atomically(output / "comparison.json", (json.dumps(comparison, indent=2, allow_nan=False) + "\n").encode())
     return comparison

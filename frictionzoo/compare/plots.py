@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from frictionzoo.compare.comparison import Comparison
+from frictionzoo.compare.figures import COLORS
 from frictionzoo.compare.runs import Run
 from frictionzoo.evaluate import moving_mean_and_std
 from frictionzoo.report.figures import FLATTENED
@@ -31,9 +32,7 @@ from frictionzoo.report.page import (
     with_start,
 )
 
-# Okabe and Ito (2008) without black, which is measured, and yellow, faint on white. Seven lines for six colours: each
-# pair of both occurs once in 42 runs, and neighbours differ in both.
-COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
+# Seven lines for six colours: each pair of both occurs once in 42 runs, and neighbours differ in both.
 DASHES = ("solid", "8px,3px", "2px,3px", "10px,3px,2px,3px", "6px,2px,2px,2px,2px,2px", "15px,5px", "4px,6px")
 _PALE = {"#0072B2": "#56B4E9", "#56B4E9": "#B5E0FF"}  # what two of them become on a dark page
 POINTS = 2000  # of a curve; a comparison has many of them
@@ -286,7 +285,7 @@ def plot_error(comparison: Comparison, runs: Sequence[Run], styles: Mapping[str,
         styles: Of the runs.
     """
     timestep, unit = comparison["data"]["timestep"], comparison["unit"]
-    window = runs[0].result["settings"]["evaluation"]["window"]
+    window = runs[0].result["evaluation"]["window"]
     measured = runs[0].curves.measured_qpos[0]
     errors = [np.abs(with_start(measured, run.curves.qpos[0]) - measured).mean(axis=1) for run in runs]
     vertical = _choose_scale(errors)

@@ -8,13 +8,15 @@ from pathlib import Path
 from typing import Any
 
 import jsonschema
+import yaml
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from frictionzoo.errors import RunError
+from frictionzoo.output import FAILURE, RESULT, RUNNING
 from frictionzoo.report.curves import Curves, read_curves
 from frictionzoo.report.result import SCHEMA_VERSION, read_schema
 
-FAILURE = "failure.json"
-RESULT = "result.json"
 MOST_NAMED = 2  # options in a label
 # Options that may differ between runs that are compared, and are then named. A law's own options belong to the law, and
 # data and evaluation must not differ.
@@ -57,47 +59,67 @@ def read_runs(folders: Sequence[Path]) -> tuple[list[Run], list[Failure]]:
     """The runs in some folders, and what failed there.
 
     Args:
-        folders: Folders of runs, or of sweeps, whose subfolders are runs.
+        folders: Folders of runs, or of sweeps, in which runs lie.
 
     Raises:
         RunError: A folder holds no run, a run cannot be read, or two runs are not comparable.
     """
-    found = list(dict.fromkeys(run.resolve() for folder in folders for run in _find(folder)))
-    failures = [failure for folder in found if (failure := _read_failure(folder))]
+    found = list(dict.fromkeys(run.resolve() for folder in folders for run in find_runs(folder)))
+    failures = [failure for folder in found if (failure := read_failure(folder))]
     runs = [_read(folder) for folder in found if (folder / RESULT).exists()]
     for run in runs[1:]:
         _refuse_incomparable(run, runs[0])
     return _label(runs), failures
 
 
-def _find(folder: Path) -> Iterator[Path]:
-    if _is_run(folder):
-        yield folder
-        return
-    runs = [inner for inner in folder.iterdir() if _is_run(inner)] if folder.is_dir() else []
-    if not runs:
+def find_runs(folder: Path) -> list[Path]:
+    """Folders of the jobs in a folder, in their order, or that folder itself if it is a job's.
+
+    Args:
+        folder: Of a run or of a sweep.
+
+    Raises:
+        RunError: There is none.
+    """
+    names = (RESULT, FAILURE, RUNNING, ".hydra")
+    if any((folder / name).exists() for name in names):
+        return [folder]
+    found = {path.parent for name in names for path in folder.rglob(name)}
+    if not found:
         raise RunError(f"{folder}: no run in it, expected the folder of a run or of a sweep; name one")
-    yield from sorted(runs, key=_natural)
-
-
-def _is_run(folder: Path) -> bool:
-    return any((folder / name).exists() for name in (RESULT, FAILURE, ".hydra"))
+    return sorted(found, key=_natural)
 
 
 def _natural(folder: Path) -> list[Any]:
-    """Names in the order of the numbers in them: 2_coulomb before 10_neural."""
-    return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", folder.name)]
+    """Paths in the order of the numbers in them: 2_coulomb before 10_neural."""
+    return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", str(folder))]
 
 
-def _read_failure(folder: Path) -> Failure | None:
-    """Why a folder has no result; None if it has one."""
+def read_failure(folder: Path) -> Failure | None:
+    """Why a job has no result; None if it has one.
+
+    Args:
+        folder: The job's.
+
+    Raises:
+        RunError: What it left cannot be read.
+    """
     if (folder / RESULT).exists():
         return None
     if not (folder / FAILURE).exists():
-        return Failure(folder.name, "", "no result: its process ended before it was done")
+        return Failure(folder.name, _read_model(folder), "no result: its process ended before it was done")
     saved = _read_json(folder / FAILURE)
     model, reason = (" ".join(str(saved.get(key, "")).split()) for key in ("model", "reason"))
     return Failure(folder.name, model, reason)
+
+
+def _read_model(folder: Path) -> str:
+    """The model of a job, from what Hydra wrote before it began; empty where that was cut short."""
+    try:
+        saved = OmegaConf.load(folder / ".hydra" / "hydra.yaml")
+        return str(OmegaConf.select(saved, "hydra.runtime.choices.model") or "")
+    except (OSError, yaml.YAMLError, OmegaConfBaseException):
+        return ""
 
 
 def _read(folder: Path) -> Run:
