@@ -1,51 +1,48 @@
-"""Writes docs/result.md from the JSON schema of result.json: `python docs/write_result.py`."""
+"""Writes the pages of JSON files from their schemas, docs/result.md for one: `python docs/write_result.py`."""
 
+import json
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from frictionzoo.output import write_atomically
-from frictionzoo.report.result import read_schema
 
-PAGE = Path(__file__).with_name("result.md")
-HEAD = """# `result.json`
+DOCS = Path(__file__).parent
+SCHEMAS = DOCS.parent / "frictionzoo" / "report"
+NAMES = ("result",)  # NAME.schema.json becomes docs/NAME.md
+HEAD = """# `{name}.json`
 
-<!-- Made from frictionzoo/report/result.schema.json by `make docs`; change the schema, not this page. -->
+<!-- Made from frictionzoo/report/{name}.schema.json by `make docs`; change the schema, not this page. -->
 
 {description}
 
-A run writes this file last: where it exists, the run's other files do too. The schema that the file is validated
-against ships with the package:
-
-```python
-from frictionzoo.report.result import read_schema
-```
-
-Every key below is always present. In a path, `[]` stands for each entry of a list.
+The schema ships with the package: `frictionzoo/report/{name}.schema.json`. Every key below is always
+present. In a path, `[]` stands for each entry of a list.
 """
 TABLE = "| key | type | meaning |\n|---|---|---|\n"
 
 
-def render(schema: Mapping[str, Any]) -> str:
+def render(name: str) -> str:
     """The page as Markdown.
 
     Args:
-        schema: The JSON schema of `result.json`.
+        name: One of `NAMES`.
     """
-    definitions = schema["$defs"]
+    schema = json.loads((SCHEMAS / f"{name}.schema.json").read_text(encoding="utf-8"))
+    definitions = schema.get("$defs", {})
     single, sections = [], []
-    for name, field in schema["properties"].items():
-        rows = list(_rows(name, field, definitions))
+    for key, field in schema["properties"].items():
+        rows = list(_rows(key, field, definitions))
         if len(rows) == 1:
             single += rows
         else:
-            sections += [f"## `{name}`\n", rows[0][2] + "\n", _table(rows[1:])]
-    for name, field in definitions.items():
+            sections += [f"## `{key}`\n", rows[0][2] + "\n", _table(rows[1:])]
+    for kind, field in definitions.items():
         if "properties" in field:
-            opening = field.get("description", "One simulated drive beside another.")
             inner = (row for key, value in field["properties"].items() for row in _rows(key, value, definitions))
-            sections += [f"## Objects of the kind *{name}*\n", f"{opening}\n", _table(inner)]
-    return "\n".join([HEAD.format(description=schema["description"]), "## Single values\n", _table(single), *sections])
+            sections += [f"## Objects of the kind *{kind}*\n", field["description"] + "\n", _table(inner)]
+    head = HEAD.format(name=name, description=schema["description"])
+    return "\n".join([head, "## Single values\n", _table(single), *sections])
 
 
 def _rows(path: str, field: Mapping[str, Any], definitions: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
@@ -80,4 +77,5 @@ def _table(rows: Iterable[tuple[str, str, str]]) -> str:
 
 
 if __name__ == "__main__":
-    write_atomically(PAGE, render(read_schema()).encode())
+    for page in NAMES:
+        write_atomically(DOCS / f"{page}.md", render(page).encode())
