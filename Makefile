@@ -23,6 +23,6 @@ format: ## mend what can be mended
 	ruff format
 	ruff check --fix
 
-docs: ## the documentation in site/, and docs/result.md from its JSON schema
+docs: ## the documentation in site/, and the pages of JSON files from their schemas
 	python docs/write_result.py
 	NO_MKDOCS_2_WARNING=1 mkdocs build --strict

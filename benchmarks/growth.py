@@ -128,9 +128,11 @@ def measure_fit(samples: int, length: int) -> dict[str, Any]:
     space = Space(bench, drive.model, settings["dtype"])
     objective = Objective(space, drive.rollout, segments, **settings["loss"])
     setup = time.perf_counter() - began
+    fit, model = build(settings["fit"]), drive.model
+    recorded = {"identity": {}, "logger": build(settings["logger"]), "hyperparameters": {}}
     loop = settings["loop"] | {"progress": False}
     with tempfile.TemporaryDirectory() as folder:
-        outcome = run_fit(build(settings["fit"]), objective, drive.model, folder=Path(folder), identity={}, **loop)
+        outcome = run_fit(fit, objective, model, folder=Path(folder), **recorded, **loop)
     armature = float(outcome.values["bench"]["armature"][0])
     samples = sum(log.samples for log in logs)
     return {

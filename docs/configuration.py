@@ -95,7 +95,7 @@ def _choices(node: yaml.Node, lines: Sequence[str]) -> Iterator[Row]:
     for item in node.value:
         if isinstance(item, yaml.MappingNode):
             ((key, value),) = item.value
-            yield Row(re.sub(r"^override +/?", "", key.value), value.value, _comment(key, value, lines))
+            yield Row(re.sub(r"^(override|optional) +/?", "", key.value), value.value, _comment(key, value, lines))
         elif item.value != "_self_":
             name, _, group = item.value.partition("@")
             yield Row(group, f"as {name}", "")

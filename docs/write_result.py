@@ -5,19 +5,29 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from frictionzoo.compare import comparison
 from frictionzoo.output import write_atomically
+from frictionzoo.report import result
 
 DOCS = Path(__file__).parent
-SCHEMAS = DOCS.parent / "frictionzoo" / "report"
-NAMES = ("result",)  # NAME.schema.json becomes docs/NAME.md
+SCHEMAS = {  # docs/NAME.md is made from the schema of NAME.json
+    "result": result.read_schema,
+    "comparison": comparison.read_schema,
+}
 HEAD = """# `{name}.json`
 
-<!-- Made from frictionzoo/report/{name}.schema.json by `make docs`; change the schema, not this page. -->
+<!-- Made from its JSON schema by `make docs`; change the schema, not this page. -->
 
 {description}
 
-The schema ships with the package: `frictionzoo/report/{name}.schema.json`. Every key below is always
-present. In a path, `[]` stands for each entry of a list.
+The schema that the file is validated against ships with the package:
+
+```python
+from {module} import read_schema
+```
+
+Every key below is always present. In a path, `[]` stands for each entry of a list, `*` for each key of an object
+whose keys are names.
 """
 TABLE = "| key | type | meaning |\n|---|---|---|\n"
 
@@ -26,10 +36,11 @@ def render(name: str) -> str:
     """The page as Markdown.
 
     Args:
-        name: One of `NAMES`.
+        name: One of `SCHEMAS`.
     """
-    schema = json.loads((SCHEMAS / f"{name}.schema.json").read_text(encoding="utf-8"))
+    schema = SCHEMAS[name]()
     definitions = schema.get("$defs", {})
+    references = json.dumps(schema)
     single, sections = [], []
     for key, field in schema["properties"].items():
         rows = list(_rows(key, field, definitions))
@@ -38,10 +49,10 @@ def render(name: str) -> str:
         else:
             sections += [f"## `{key}`\n", rows[0][2] + "\n", _table(rows[1:])]
     for kind, field in definitions.items():
-        if "properties" in field:
+        if "properties" in field and f'"#/$defs/{kind}"' in references:
             inner = (row for key, value in field["properties"].items() for row in _rows(key, value, definitions))
             sections += [f"## Objects of the kind *{kind}*\n", field["description"] + "\n", _table(inner)]
-    head = HEAD.format(name=name, description=schema["description"])
+    head = HEAD.format(name=name, module=SCHEMAS[name].__module__, description=schema["description"])
     return "\n".join([head, "## Single values\n", _table(single), *sections])
 
 
@@ -49,13 +60,15 @@ def _rows(path: str, field: Mapping[str, Any], definitions: Mapping[str, Any]) -
     """Path, type and meaning of a field and of what is inside it, but for objects that have a section of their own."""
     kind = field.get("$ref", "").rpartition("/")[2]
     if "properties" in definitions.get(kind, {}):
-        yield path, f"*{kind}*", field["description"]
+        yield path, f"*{kind}*", field.get("description", definitions[kind].get("description", ""))
         return
     field = {**definitions.get(kind, {}), **field}
     yield path, _type(field), field.get("description", "")
     inside = next((variant for variant in field.get("oneOf", []) if "properties" in variant), field)
     if "properties" in inside.get("items", {}):
         inside, path = inside["items"], f"{path}[]"
+    elif "properties" in (named := inside.get("additionalProperties") or {}):
+        inside, path = named, f"{path}.*"
     for name, inner in inside.get("properties", {}).items():
         yield from _rows(f"{path}.{name}", inner, definitions)
 
@@ -77,5 +90,5 @@ def _table(rows: Iterable[tuple[str, str, str]]) -> str:
 
 
 if __name__ == "__main__":
-    for page in NAMES:
+    for page in SCHEMAS:
         write_atomically(DOCS / f"{page}.md", render(page).encode())

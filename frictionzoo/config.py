@@ -89,7 +89,7 @@ def check_overrides(config: DictConfig, plain: DictConfig) -> None:
     Raises:
         ConfigError: A key or a value is not what `plain` has in its place.
     """
-    before, after = (dict(_leaves(OmegaConf.to_container(part, resolve=True))) for part in (plain, config))
+    before, after = (dict(list_options(OmegaConf.to_container(part, resolve=True))) for part in (plain, config))
     for key in [key for key in after if key not in before]:
         inside = [name.removeprefix(f"{key}.") for name in before if name.startswith(f"{key}.")]
         if inside:
@@ -133,12 +133,17 @@ def _kind(example: Any) -> str:
     return kinds.get(type(example), type(example).__name__)
 
 
-def _leaves(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Every value with its dotted key, lists as values."""
+def list_options(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Every value with its dotted key, lists as values.
+
+    Args:
+        config: A section, resolved, as nested dictionaries.
+        prefix: What its keys begin with.
+    """
     for key, value in config.items():
         name = f"{prefix}{key}"
         if isinstance(value, dict):
-            yield from _leaves(value, f"{name}.")
+            yield from list_options(value, f"{name}.")
         else:
             yield name, value
 

@@ -36,6 +36,10 @@ class CheckpointError(FrictionzooError):
     """A checkpoint that cannot be read or belongs to another run."""
 
 
+class RunError(FrictionzooError):
+    """A run's folder that cannot be read, or runs that cannot be compared."""
+
+
 class OutputError(FrictionzooError):
     """A result that cannot be written."""
 

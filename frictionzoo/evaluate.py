@@ -1,5 +1,6 @@
 """Open-loop rollouts against the recording: how far a simulated drive drifts from the measured one."""
 
+import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -59,6 +60,11 @@ class Prediction:
     qvel: Float[np.ndarray, "batch time nv"]
 
     @property
+    def first(self) -> "Prediction":
+        """The first of them alone."""
+        return Prediction(self.qpos[:1], self.qvel[:1])
+
+    @property
     def diverged(self) -> Bool[np.ndarray, "batch"]:
         """Which rollouts hold a sample that is not finite."""
         finite = np.isfinite(self.qpos) & np.isfinite(self.qvel)
@@ -88,7 +94,7 @@ def measure(prediction: Prediction, segments: Segments, joint_type: str) -> Metr
     kept = ~prediction.diverged
     position = prediction.qpos[kept] - segments.qpos[kept, 1:]
     velocity = prediction.qvel[kept] - segments.qvel[kept, 1:]
-    mae = np.abs(position).mean(axis=(1, 2))
+    mae = rollout_mae(prediction, segments)[kept]
     return Metrics(
         position_mae=float(mae.mean()) if kept.any() else np.nan,
         position_mae_std=float(mae.std()) if kept.any() else np.nan,
@@ -102,6 +108,17 @@ def measure(prediction: Prediction, segments: Segments, joint_type: str) -> Metr
     )
 
 
+def rollout_mae(prediction: Prediction, segments: Segments) -> Float[np.ndarray, "batch"]:
+    """Absolute position error of each rollout, averaged over time and joints [rad or m]; NaN where it diverged.
+
+    Args:
+        prediction: Simulated states of `segments`.
+        segments: What was measured.
+    """
+    error = np.abs(prediction.qpos - segments.qpos[:, 1:])
+    return np.where(prediction.diverged, np.nan, error.mean(axis=(1, 2)))
+
+
 def _rms(error: Float[np.ndarray, "batch time nv"]) -> float:
     return float(np.sqrt(np.square(error).mean())) if error.size else np.nan
 
@@ -112,15 +129,19 @@ class Judgement:
 
     Attributes:
         by_horizon: Metrics of each horizon, the main one first, for the parts `train` and `test`.
+        rollout_mae: Position MAE of each rollout of the main horizon, for the parts `train` and `test` [rad or m].
         trajectory: The paper's evaluation (a): one long test rollout.
         places: The paper's evaluation (b): test rollouts at random places.
-        prediction: The simulated states of (a).
+        prediction: The simulated states of the long test rollouts, that of (a) first.
+        local_mae: Position MAE of each of the short rollouts over the whole test part [rad or m].
     """
 
     by_horizon: tuple[Mapping[str, Metrics], ...]
+    rollout_mae: Mapping[str, Float[np.ndarray, "rollouts"]]
     trajectory: Metrics
     places: Metrics
     prediction: Prediction
+    local_mae: Float[np.ndarray, "windows"]
 
     @property
     def train(self) -> Metrics:
@@ -139,7 +160,8 @@ class Evaluation:
     The windows are cut at once, so that logs too short for them are refused before a fit and not after it.
 
     Attributes:
-        trajectory: The window of the paper's evaluation (a).
+        trajectories: Long windows of the test part; the first is that of the paper's evaluation (a).
+        local: Short windows one after the other over the whole test part.
         window: Length of the moving mean over the error of (a) [s].
 
     Args:
@@ -148,9 +170,10 @@ class Evaluation:
         horizons: Lengths of the rollouts [s], the main one first.
         rollouts: Largest number of rollouts at a horizon in a part; None takes all, with `consecutive` only.
         placement: Where they start, `random` or `consecutive`, as in `cut_rollouts`.
-        trajectory: Length of the one rollout of (a) [s].
+        trajectory: Length of the long rollouts [s], of which (a) is the first.
         window: Length of the moving mean over its error [s].
-        places: How many rollouts at random places (b) has, of the main horizon.
+        places: How many rollouts at random places (b) has, of the main horizon, and how many long rollouts there are.
+        local: Length of the short rollouts [s].
         seed: Of the random places.
 
     Raises:
@@ -168,6 +191,7 @@ class Evaluation:
         trajectory: float,
         window: float,
         places: int,
+        local: float,
         seed: int,
     ) -> None:
         if not horizons:
@@ -183,8 +207,19 @@ class Evaluation:
             {part: cut_rollouts(logs, horizon, rollouts, placement, seed) for part, logs in parts.items()}
             for horizon in horizons
         ]
-        self.trajectory: Segments = cut_rollouts(dataset.test, trajectory, 1, "random", seed)
+        self.trajectories: Segments = cut_rollouts(dataset.test, trajectory, places, "random", seed)
         self._places = cut_rollouts(dataset.test, horizons[0], places, "random", seed)
+        self.local: Segments = cut_rollouts(dataset.test, local, None, "consecutive", seed)
+
+    @property
+    def sha256(self) -> str:
+        """Hash of all measured windows: drives with the same one were judged on the same rollouts."""
+        cut = [segments for parts in self._by_horizon for segments in parts.values()]
+        digest = hashlib.sha256()
+        for segments in (*cut, self.trajectories, self._places, self.local):
+            for signal in (segments.qpos, segments.qvel, segments.ctrl):
+                digest.update(str(signal.shape).encode() + np.ascontiguousarray(signal, np.float64).tobytes())
+        return digest.hexdigest()
 
     def judge(self, rollout: Rollout, values: Values) -> Judgement:
         """Simulate every window with one drive and measure its errors.
@@ -194,17 +229,21 @@ class Evaluation:
             values: Values of the bench's and the law's parameters.
         """
 
-        def metrics(segments: Segments) -> Metrics:
-            return measure(predict(rollout, values, segments), segments, self.joint_type)
+        def metrics(prediction: Prediction, segments: Segments) -> Metrics:
+            return measure(prediction, segments, self.joint_type)
 
-        prediction = predict(rollout, values, self.trajectory)
+        predicted = [
+            {part: (predict(rollout, values, segments), segments) for part, segments in parts.items()}
+            for parts in self._by_horizon
+        ]
+        long = predict(rollout, values, self.trajectories)
         return Judgement(
-            by_horizon=tuple(
-                {part: metrics(segments) for part, segments in parts.items()} for parts in self._by_horizon
-            ),
-            trajectory=measure(prediction, self.trajectory, self.joint_type),
-            places=metrics(self._places),
-            prediction=prediction,
+            by_horizon=tuple({part: metrics(*pair) for part, pair in parts.items()} for parts in predicted),
+            rollout_mae={part: rollout_mae(*pair) for part, pair in predicted[0].items()},
+            trajectory=metrics(long.first, self.trajectories.first),
+            places=metrics(predict(rollout, values, self._places), self._places),
+            prediction=long,
+            local_mae=rollout_mae(predict(rollout, values, self.local), self.local),
         )
 
 

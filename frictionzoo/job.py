@@ -12,11 +12,12 @@ from typing import Any, cast
 import jax
 import numpy as np
 import safetensors.torch
+from jaxtyping import Float
 from omegaconf import DictConfig, OmegaConf
 
 from frictionzoo import __version__
 from frictionzoo.bench import Bench
-from frictionzoo.config import build
+from frictionzoo.config import build, list_options
 from frictionzoo.engine import Engine, friction_of, make_engine
 from frictionzoo.errors import ConfigError
 from frictionzoo.evaluate import Evaluation, Judgement
@@ -25,9 +26,11 @@ from frictionzoo.fit import Fit, Objective, Outcome, Space, fit_reference, run_f
 from frictionzoo.logs.cache import cache_folder
 from frictionzoo.models import Baseline, FrictionModel
 from frictionzoo.output import write_atomically
+from frictionzoo.report.curves import Curves, sample_friction, write_curves
 from frictionzoo.report.figures import write_figures
 from frictionzoo.report.html import write_report
-from frictionzoo.report.result import build_result, describe_data, write_result
+from frictionzoo.report.result import build_result, describe_data, pick_metrics, write_result
+from frictionzoo.report.terminal import summarise_in_markdown
 from frictionzoo.rollout import Rollout, make_rollout
 from frictionzoo.segments import cut_segments
 from frictionzoo.types import Dataset, DriveState, Segments
@@ -119,6 +122,7 @@ def run_job(config: DictConfig, name: str, folder: Path) -> tuple[dict[str, Any]
     """
     began = time.perf_counter()
     settings = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
+    logger = build(settings["logger"])
     problem = Problem.pose(settings)
     timing = {"setup": time.perf_counter() - began}
     segments = problem.segments
@@ -130,7 +134,16 @@ def run_job(config: DictConfig, name: str, folder: Path) -> tuple[dict[str, Any]
 
     identity = _identify(name, problem, settings)
     model = problem.drive.model
-    outcome = run_fit(problem.fit, problem.objective, model, folder=folder, identity=identity, **settings["loop"])
+    outcome = run_fit(
+        problem.fit,
+        problem.objective,
+        model,
+        folder=folder,
+        identity=identity,
+        logger=logger,
+        hyperparameters=_list_hyperparameters(name, problem, settings),
+        **settings["loop"],
+    )
     timing |= {"compile": outcome.compile_seconds, "fit": outcome.fit_seconds}
 
     judged = time.perf_counter()
@@ -146,19 +159,19 @@ def run_job(config: DictConfig, name: str, folder: Path) -> tuple[dict[str, Any]
         model=model,
         values=outcome.values,
         dataset=problem.dataset,
+        evaluation=problem.evaluation,
         judgement=judgement,
         baseline=baseline,
         fit=_describe_fit(outcome),
         timing=timing,
-        seed=settings["seed"],
-        dtype=settings["dtype"],
+        settings=settings,
         engine=engine.name,
         device=problem.device,
     )
     write_report(
         folder / "report.html",
         result,
-        segments=problem.evaluation.trajectory,
+        segments=problem.evaluation.trajectories,
         model=judgement.prediction,
         baseline=baseline.prediction,
         joints=problem.bench.joints,
@@ -166,6 +179,8 @@ def run_job(config: DictConfig, name: str, folder: Path) -> tuple[dict[str, Any]
         window=problem.evaluation.window,
     )
     write_result(folder / "result.json", result)
+    figures = sorted((folder / "figures").glob("*.png"))
+    logger.finish(outcome.iterations, pick_metrics(result), figures, summarise_in_markdown(result, folder))
     return result, outcome.message
 
 
@@ -186,8 +201,30 @@ def _write_drive(folder: Path, problem: Problem, outcome: Outcome, judgement: Ju
     # One entry only: safetensors writes several in an order that changes from run to run.
     header = {"frictionzoo": f"{model.name}, version {__version__}"}
     write_atomically(folder / "friction.safetensors", safetensors.torch.save(model.state_dict(), header))
+    write_curves(folder, _collect_curves(problem, outcome, judgement))
     mjcf = export_mjcf(bench, outcome.values, model, problem.samples)
     write_atomically(folder / "identified.xml", mjcf.encode())
+
+
+def _collect_curves(problem: Problem, outcome: Outcome, judgement: Judgement) -> Curves:
+    measured, local = problem.evaluation.trajectories, problem.evaluation.local
+    velocity, friction, low, high = sample_friction(problem.drive.model, problem.samples)
+    return Curves(
+        measured_qpos=measured.qpos,
+        measured_qvel=measured.qvel,
+        qpos=judgement.prediction.qpos,
+        qvel=judgement.prediction.qvel,
+        train_mae=judgement.rollout_mae["train"],
+        test_mae=judgement.rollout_mae["test"],
+        local_mae=judgement.local_mae,
+        local_speed=np.abs(local.qvel).mean(axis=(1, 2)),
+        local_load=np.abs(_motor_torque(problem.drive, problem.bench, local)).mean(axis=(1, 2)),
+        velocity=velocity,
+        friction=friction,
+        friction_low=low,
+        friction_high=high,
+        history=outcome.history,
+    )
 
 
 def _configure_jax(dtype: str, device: str, compilation_cache: str | None) -> str:
@@ -221,14 +258,24 @@ def _training_samples(drive: Drive, bench: Bench, dataset: Dataset) -> DriveStat
     return DriveState(*(np.concatenate(signals) for signals in zip(*parts, strict=True)))
 
 
+def _motor_torque(drive: Drive, bench: Bench, segments: Segments) -> Float[np.ndarray, "batch time nv"]:
+    """The actuators' torque at each measured state, with the bench's initial values: the same for all laws."""
+    values = {"bench": bench.initial_values()}
+    step = jax.vmap(drive.engine.drive_state, in_axes=(None, 0, 0, 0, None))
+    state = drive.rollout.compile(jax.vmap(step, in_axes=(None, 0, 0, 0, 0)))
+    load = np.zeros((segments.count, 0)) if segments.load is None else segments.load
+    seen = state(values, segments.qpos[:, :-1], segments.qvel[:, :-1], segments.ctrl, load)
+    return np.asarray(seen.motor_torque, np.float64)
+
+
 def _judge_baseline(problem: Problem, dtype: str) -> Judgement:
     """The best that the bench does without friction, on the same segments and the same rollouts."""
     drive = Drive.assemble(problem.bench, Baseline(problem.bench.nv), problem.drive.engine.name)
-    if not any(param.identify for param in problem.bench.params.values()):
-        known = {"bench": problem.bench.initial_values(), "friction": {}}
-        return problem.evaluation.judge(drive.rollout.compiled, known)
     space = Space(problem.bench, drive.model, dtype)
-    values = fit_reference(problem.objective.for_drive(space, drive.rollout))
+    if space.names:
+        values = fit_reference(problem.objective.for_drive(space, drive.rollout))
+    else:
+        values = jax.tree.map(np.asarray, space.values(space.start))
     return problem.evaluation.judge(drive.rollout.compiled, values)
 
 
@@ -245,6 +292,16 @@ def _identify(name: str, problem: Problem, settings: Mapping[str, Any]) -> dict[
         "model settings": json.dumps(sections["model"], sort_keys=True),
         "chunk": str(settings["loop"]["chunk"]),
     }
+
+
+def _list_hyperparameters(name: str, problem: Problem, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """What tells a run from others: the choices, and options that can change the result, by their names in conf/."""
+    chosen = {"model": name, "data": problem.dataset.name, "fit": problem.fit.name}
+    options = dict(list_options(settings))
+    indifferent = ("resume", "compilation_cache", "loop.progress", "logger.")
+    # Bounds and scales come with a choice. TensorBoard shows the first few that differ: they would hide the choice.
+    implied = ("_target_", ".low", ".high", ".scale")
+    return chosen | {k: v for k, v in options.items() if not k.startswith(indifferent) and not k.endswith(implied)}
 
 
 def _describe_fit(outcome: Outcome) -> dict[str, Any]:

@@ -185,6 +185,12 @@ class Segments:
         """Steps in each segment."""
         return self.ctrl.shape[1]
 
+    @property
+    def first(self) -> "Segments":
+        """The first of them alone."""
+        load = None if self.load is None else self.load[:1]
+        return Segments(self.qpos[:1], self.qvel[:1], self.ctrl[:1], self.timestep, load)
+
 
 class DriveState(NamedTuple):
     """What a friction law may look at, each of shape (..., nv), in numpy, torch or JAX alike.

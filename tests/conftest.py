@@ -4,7 +4,7 @@ import logging
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,9 @@ from jax.experimental.compilation_cache import compilation_cache as jax_cache
 from omegaconf import DictConfig, OmegaConf
 
 from frictionzoo.bench import Bench
+from frictionzoo.compare import Run
 from frictionzoo.config import build, compose_config
+from frictionzoo.report.curves import Curves
 from frictionzoo.run import main
 
 DATA = os.environ.get("FRICTIONZOO_DATA")
@@ -152,3 +154,85 @@ def _configure_jax(options: dict[str, Any]) -> None:
     for name, value in options.items():
         jax.config.update(name, value)
     jax_cache.reset_cache()
+
+
+@pytest.fixture(scope="session")
+def make_runs() -> Callable[..., list[Run]]:
+    """Makes runs to compare: each one's error is larger than that of the one before it.
+
+    Arguments are `labels`, of which `baseline` is the model without friction; `joints`, how many; and for one label
+    each, `diverged`, whose every rollout leaves the finite numbers halfway, and `grid`, found by a grid search.
+    """
+
+    def make_runs(
+        labels: Sequence[str], joints: int = 1, diverged: str | None = None, grid: str | None = None
+    ) -> list[Run]:
+        return [_make_run(i, label, joints, label == diverged, label == grid) for i, label in enumerate(labels)]
+
+    return make_runs
+
+
+def _make_run(place: int, label: str, joints: int, diverged: bool, grid: bool) -> Run:
+    noise = np.random.default_rng(place)
+    time = 0.01 * np.arange(101)[None, :, None]
+    measured = np.sin(5 * time + np.arange(3)[:, None, None] + np.arange(joints))
+    size = 0.5 if label == "baseline" else 0.01 * (1 + place)
+    error = size * np.sin(9 * time + place)[:, 1:] + 0.002 * noise.normal(size=(3, 100, joints))
+    if diverged:
+        error[:, 50:] = np.inf
+    mae = np.full(6, np.nan) if diverged else np.abs(error).mean() * (1 + 0.1 * noise.normal(size=6))
+    velocity = np.linspace(-2, 2, 11)
+    friction = (1 + place) * np.tanh(velocity)[:, None] * np.ones(joints)
+    values = np.linspace(0.5, 1 + place, 4)[:, None] * np.ones(joints)
+    curves = Curves(
+        *(measured, 5 * measured, measured[:, 1:] + error, 5 * (measured[:, 1:] + error)),
+        *(mae, mae, *np.abs(noise.normal(size=(3, 40))), velocity),
+        *(friction, friction - 0.1 * place, friction + 0.1 * place),
+        {"iteration": np.arange(4.0), "loss": np.array([4.0, 5.0, 3.0, 1.0]), "friction.damping": values},
+    )
+    return Run(label, Path(f"{place}_{label}"), _make_result(place, label, curves, grid), curves)
+
+
+def _make_result(place: int, label: str, curves: Curves, grid: bool) -> dict[str, Any]:
+    joints, damping = curves.qpos.shape[2], curves.history["friction.damping"][-1]
+    metrics = {
+        part: _measure(curves.test_mae * share) for part, share in (("train", 0.8), ("test", 1), ("baseline", 2))
+    }
+    paper = {"model": metrics["test"], "baseline": metrics["baseline"]}
+    log = {"samples": 500, "sha256": 64 * "a", "payload": None}
+    return {
+        "model": label.split()[0],
+        "joints": [f"joint {i}" for i in range(joints)],
+        "data": {
+            **{"name": "waves", "sha256": 64 * "a", "simulated": True, "timestep": 0.01, "samples": 1000},
+            "logs": [{"name": part, "part": part, **log} for part in ("train", "test")],
+        },
+        "parameters": [
+            {
+                **{"name": "damping", "owner": "friction", "unit": "N m s/rad", "low": 0.1, "high": 100.0},
+                "value": damping.tolist() if joints > 1 else float(damping[0]),
+                **{"identified": True, "at_bound": False},
+            }
+        ],
+        "network": None,
+        "metrics": metrics,
+        "by_horizon": [{"horizon": 0.5, **metrics}],
+        "paper": {"a": paper, "b": paper},
+        "evaluation": {"sha256": 64 * "b"},
+        "fit": {
+            **{"method": "grid" if grid else "adam", "iterations": 3, "best_iteration": 3, "loss": 1.0},
+            "stopped": "finished",
+        },
+        "timing": {"setup": 1.0, "compile": 2.0, "fit": 3.25, "evaluate": 0.5, "total": 6.75},
+        **{"seed": place, "dtype": "float32", "engine": "specialised"},
+        "settings": {"seed": place, "evaluation": {"window": 0.1}},
+    }
+
+
+def _measure(mae: np.ndarray) -> dict[str, Any]:
+    lost = int(np.isnan(mae).sum())
+    errors = {"position_mae": mae.mean(), "position_mae_std": mae.std(), "position_rmse": 0.1, "velocity_rmse": 0.1}
+    return {
+        **{key: None if lost else float(error) for key, error in errors.items()},
+        **{"unit": "rad", "velocity_unit": "rad/s", "horizon": 0.5, "rollouts": len(mae), "diverged": lost},
+    }

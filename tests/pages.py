@@ -15,7 +15,7 @@ PAGES = [
     *sorted((ROOT / "experiments").glob("*/README.md")),
     ROOT / "benchmarks" / "README.md",
 ]
-PROGRAMS = "python|frictionzoo|pip|make|pytest|pre-commit|tensorboard|mkdocs|bash"
+PROGRAMS = "python|frictionzoo|pip|make|pytest|pre-commit|tensorboard|wandb|mlflow|mkdocs|bash"
 
 
 def blocks_of(page: Path) -> list[str]:

@@ -31,6 +31,7 @@ from conftest import Finished, needs_data
 from omegaconf import OmegaConf
 from pages import PAGES, ROOT, blocks_of, commands_of, expand
 from test_benchmarks import QUICKEST
+from test_experiments import MEASURED
 
 from frictionzoo.config import CONF_DIR, compose_config
 
@@ -167,13 +168,13 @@ def build_wheel(command: str, place: Place) -> None:
     assert len(list(place.folder.glob("frictionzoo-*.whl"))) == 1
 
 
-@rule(r"pip install .*-e \"\.\[\w+\]\"")
+@rule(r"pip install .*-e \"\.\[[\w,]+\]\"")
 def resolve_extra(command: str, place: Place) -> None:
     """The project itself only: what an extra brings is as large as CUDA."""
     copy_project(place)
     place.run(command, PIP_DRY_RUN="1", PIP_NO_DEPS="1")
-    extra = command.rpartition("[")[2].partition("]")[0]
-    assert extra in tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    extras = set(command.rpartition("[")[2].partition("]")[0].split(","))
+    assert extras <= tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"].keys()
 
 
 @rule(r"export FRICTIONZOO_DATA=\S+")
@@ -208,11 +209,22 @@ def do_jobs(command: str, place: Place) -> None:
     place.do(*arguments_of(command))
 
 
-@rule(r"python experiments/kovalev2026/table\.py multirun/DATE/TIME/\*/")
-def tabulate(command: str, place: Place) -> None:
-    place.do("-m", "experiment=kovalev2026", "model=baseline,coulomb_smooth", "hydra.sweep.dir=multirun/DATE/TIME")
-    rows = place.run(command).stdout.splitlines()
-    assert [row.split()[1] for row in rows[2:]] == ["`baseline`", "`coulomb_smooth`"]
+@rule(r"python -m frictionzoo\.compare .*")
+def compare(command: str, place: Place) -> None:
+    """Each folder that is named is that of a sweep."""
+    folders = [part for part in shlex.split(command)[3:] if not part.startswith("-")]
+    for folder in folders:
+        place.do("-m", "model=baseline,coulomb_smooth", f"hydra.sweep.dir={folder}")
+    place.run(command)
+    (path,) = place.folder.rglob("comparison.json")
+    assert len(json.loads(path.read_text())["runs"]) == 2 * len(folders)
+
+
+@rule(r"python experiments/reproduce\.py \w+")
+def leave_experiment_to_ci(command: str, place: Place) -> None:
+    """CI runs it at full size, in tests/test_experiments.py."""
+    run = {getattr(name, "values", (name,))[0] for name in MEASURED}
+    assert command.split()[-1] in run and "pytest -m slow\n" in CI
 
 
 @rule(r"python benchmarks/\w+\.py.*")
@@ -251,6 +263,13 @@ def serve_tensorboard(command: str, place: Place) -> None:
     folder = command.split()[-1]
     place.do("model=baseline", f"hydra.run.dir={folder}/run")
     wait_for(place, f"{command} --host 127.0.0.1", "data/runs", json.dumps(["run/tensorboard"]))
+
+
+@rule(r"(wandb|mlflow) .*FOLDER.*")
+def look_outside(command: str, place: Place) -> None:
+    """These programs need a network, or packages that are no part of the extras; what they are to read is there."""
+    place.do("model=baseline", f"logger={command.split()[0]}", "hydra.run.dir=FOLDER")
+    assert list(place.folder.glob(command[command.index("FOLDER") :]))
 
 
 @rule(r"mkdocs serve")

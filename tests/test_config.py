@@ -8,10 +8,11 @@ from typing import Any
 import pytest
 from omegaconf import OmegaConf
 
-from frictionzoo.config import _NULLABLE, CONF_DIR, _leaves, build, check_overrides, compose_config, suggest_option
+from frictionzoo.config import _NULLABLE, CONF_DIR, build, check_overrides, compose_config, list_options, suggest_option
 from frictionzoo.errors import ConfigError
 from frictionzoo.fit import Grid
 
+HOMES = {"fit": "fit", "logger": "fit", "bench": "bench", "model": "models"}  # where the classes of a group are
 CHOICES = [(path.parent.name, path.stem) for path in sorted(CONF_DIR.glob("*/*.yaml"))]
 EXPERIMENTS = sorted((CONF_DIR / "experiment").glob("*.yaml"))
 
@@ -24,10 +25,10 @@ def test_every_choice_composes_and_resolves(group: str, name: str) -> None:
     assert isinstance(config["seed"], int)
 
 
-@pytest.mark.parametrize(("group", "name"), [choice for choice in CHOICES if choice[0] in ("fit", "bench", "model")])
+@pytest.mark.parametrize(("group", "name"), [choice for choice in CHOICES if choice[0] in HOMES])
 def test_every_choice_builds(make: Callable, group: str, name: str) -> None:
     part = make(group, f"{group}={name}", **({"nv": 1} if group == "model" else {}))
-    assert type(part).__module__.startswith(f"frictionzoo.{'models' if group == 'model' else group}")
+    assert type(part).__module__.startswith(f"frictionzoo.{HOMES[group]}")
 
 
 @pytest.mark.parametrize("path", EXPERIMENTS, ids=lambda path: path.stem)
@@ -60,7 +61,7 @@ def _choices(path: Path) -> list[str]:
         "frictionzoo.fit.Newton",
         "frictionzoo.nowhere.Adam",
         "frictionzoo_evil.Adam",
-        "frictionzoo.fit.loop.TensorBoardLogger",  # a class of another package
+        "frictionzoo.fit.loggers.TensorBoardLogger",  # a class of another package
         "frictionzoo.logs.csv.Path",
     ],
 )
@@ -106,7 +107,7 @@ def test_options_that_may_be_null_exist_and_no_other_is_null() -> None:
     groups = [("data", "csv"), ("data", "emps"), ("data", "twin")]
     nulls, keys = set(), set()
     for group, name in groups:
-        plain = dict(_leaves(OmegaConf.to_container(compose_config(f"{group}={name}"), resolve=True)))
+        plain = dict(list_options(OmegaConf.to_container(compose_config(f"{group}={name}"), resolve=True)))
         keys |= set(plain)
         nulls |= {key for key, value in plain.items() if value is None}
     assert nulls <= set(_NULLABLE) <= keys

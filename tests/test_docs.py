@@ -16,7 +16,7 @@ from frictionzoo.config import CONF_DIR
 
 pytest.importorskip("mkdocs", reason="the extra docs is not installed")  # CI installs it and runs this file
 
-INNER = {"cache", "dry_friction", "linear", "specialise", "run"}  # modules that are no interface
+INNER = {"cache", "dry_friction", "linear", "specialise", "run", "__main__"}  # modules that are no interface
 FILES = sorted(CONF_DIR.rglob("*.yaml"))
 COMMENTED = """# The head.
 _target_: a.B

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from frictionzoo.errors import ConfigError, LogError
-from frictionzoo.evaluate import Evaluation, Prediction, measure, moving_mean_and_std
+from frictionzoo.evaluate import Evaluation, Prediction, measure, moving_mean_and_std, rollout_mae
 from frictionzoo.types import Dataset, Log, Segments
 
 TIMESTEP = 0.01
@@ -40,6 +40,7 @@ def evaluate(dataset, **changes):
         "trajectory": 0.5,
         "window": 0.05,
         "places": 7,
+        "local": 0.1,
         "seed": 3,
     }
     return Evaluation(dataset, "hinge", **(options | changes))
@@ -102,7 +103,22 @@ def test_judgement_covers_parts_horizons_and_paper(dataset):
     assert (judgement.trajectory.horizon, judgement.trajectory.rollouts) == (0.5, 1)
     assert judgement.trajectory.position_mae_std == 0
     assert (judgement.places.horizon, judgement.places.rollouts) == (0.2, 7)
-    assert judgement.prediction.qpos.shape == (1, 50, 1)
+    assert judgement.prediction.qpos.shape == (7, 50, 1)
+    assert judgement.rollout_mae["test"].mean() == pytest.approx(judgement.test.position_mae, rel=1e-12)
+    assert judgement.rollout_mae["train"].std() == pytest.approx(judgement.train.position_mae_std, rel=1e-12)
+    assert judgement.local_mae.shape == (11,)  # 119 steps hold eleven windows of 10
+
+
+def test_the_hash_tells_rollouts_apart(dataset):
+    first, again = evaluate(dataset).sha256, evaluate(dataset).sha256
+    others = [evaluate(dataset, **change).sha256 for change in ({"seed": 4}, {"local": 0.2}, {"trajectory": 0.4})]
+    assert first == again and len({first, *others}) == 4
+
+
+def test_a_diverged_rollout_has_no_error():
+    segments = make_segments(2, 4)
+    prediction = with_errors(segments, np.array([1.0, np.inf])[:, None, None], 0.0)
+    np.testing.assert_allclose(rollout_mae(prediction, segments), [1.0, np.nan], rtol=1e-12)
 
 
 def test_judgement_of_a_drive_that_holds(dataset):
@@ -120,7 +136,7 @@ def test_drives_meet_the_same_rollouts(dataset):
     near, again, far = (evaluation.judge(hold, {"bench": {"offset": np.full(1, x)}}) for x in (0.0, 0.0, 1e3))
     assert near.by_horizon == again.by_horizon
     # An offset far above the signal shifts the mean error of the same windows by itself, less the signed errors' mean.
-    start, signal = evaluation.trajectory.qpos[:, :1], evaluation.trajectory.qpos[:, 1:]
+    start, signal = evaluation.trajectories.first.qpos[:, :1], evaluation.trajectories.first.qpos[:, 1:]
     assert far.trajectory.position_mae == pytest.approx(1e3 + (start - signal).mean(), rel=1e-12)
 
 

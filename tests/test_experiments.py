@@ -1,45 +1,26 @@
 """The experiments at full size against their expected.yaml, and what is written about them."""
 
-import importlib.util
-import json
+import copy
 import math
-import os
-import shlex
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+import reproduce
 import safetensors.torch
 import torch
-import yaml
 from conftest import needs_data
 
 from frictionzoo.types import DriveState
 
 ROOT = Path(__file__).parent.parent
 EXPERIMENTS = ROOT / "experiments"
-MEASURED = [*(pytest.param(name, marks=needs_data) for name in ("emps", "emps_stiff")), "twin_clean"]
-
-
-def expected_of(name):
-    return yaml.safe_load((EXPERIMENTS / name / "expected.yaml").read_text())
-
-
-def lookup(result, path):
-    """A value of result.json; parameters by owner and name instead of their place in the list."""
-    if path.startswith("parameters."):
-        _, owner, name = path.split(".")
-        return next(p["value"] for p in result["parameters"] if (p["owner"], p["name"]) == (owner, name))
-    for key in path.split("."):
-        result = result[key]
-    return result
-
-
-def agrees(value, check):
-    if "at_most" in check:
-        return value <= check["at_most"]
-    return math.isclose(value, check["expected"], rel_tol=check["relative"], abs_tol=0.0)
+MEASURED = [*(pytest.param(name, marks=needs_data) for name in ("emps", "emps_stiff")), "twin_clean", "kovalev2026"]
+ENTRY = {
+    "label": "law",
+    "test": {"position_mae": 0.005, "position_mae_std": 0.001},
+    "by_horizon": [{"horizon": 1.0}, {"horizon": 0.1}],
+    "parameters": [{"owner": "bench", "name": "armature", "value": 0.04}],
+}
 
 
 def friction_at(model, velocities):
@@ -52,26 +33,24 @@ def friction_at(model, velocities):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MEASURED)
 def test_an_experiment_gives_what_its_page_says(name, tmp_path, make):
-    expected = expected_of(name)
-    program, *arguments = shlex.split(expected["command"])
-    assert program == "python"
-    command = [sys.executable, *arguments, f"hydra.run.dir={tmp_path}"]
-    subprocess.run(command, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True)
-
-    result = json.loads((tmp_path / "result.json").read_text())
-    missed = {c["path"]: (lookup(result, c["path"]), c) for c in expected["checks"]}
-    missed = {path: pair for path, pair in missed.items() if not agrees(*pair)}
-    if torques := expected["friction_torque"]:
+    expected = reproduce.read_expected(name)
+    comparison = reproduce.run(name, tmp_path)
+    missed = list(reproduce.check(comparison, expected["checks"]))
+    if torques := expected.get("friction_torque"):
         model = make("model", f"experiment={name}", nv=1)
-        model.load_state_dict(safetensors.torch.load((tmp_path / "friction.safetensors").read_bytes()))
+        model.load_state_dict(safetensors.torch.load((tmp_path / "0" / "friction.safetensors").read_bytes()))
         for torque, check in zip(friction_at(model, [c["velocity"] for c in torques]), torques, strict=True):
-            if not agrees(torque, check):
-                missed[f"friction at {check['velocity']}"] = (torque, check)
+            if not reproduce.agrees(torque, check):
+                missed.append(f"friction at {check['velocity']} is {torque}, expected {check}")
     assert not missed
+    if "table" in expected:
+        page = (EXPERIMENTS / name / "README.md").read_text()
+        rows = [row.split("|")[1] for row in reproduce.tabulate(comparison, expected).splitlines()]
+        assert all(f"|{first}|" in page for first in rows)
 
 
 def test_twin_clean_is_judged_on_the_drive_that_is_hidden_in_it(compose):
-    drive, expected = compose("experiment=twin_clean").data.drive, expected_of("twin_clean")
+    drive, expected = compose("experiment=twin_clean").data.drive, reproduce.read_expected("twin_clean")
     truth = {check["path"].rpartition(".")[2]: check["expected"] for check in expected["checks"]}
     assert (truth["armature"], truth["viscous_coefficient"]) == (drive.armature, drive.viscous_coefficient)
     for check in expected["friction_torque"]:
@@ -90,10 +69,11 @@ def test_twin_clean_is_judged_on_the_drive_that_is_hidden_in_it(compose):
         (0.0021, {"at_most": 0.0021}, True),
         (0.0022, {"at_most": 0.0021}, False),
         (math.nan, {"at_most": 0.0021}, False),
+        (None, {"at_most": 0.0021}, False),
     ],
 )
 def test_a_check_knows_what_it_allows(value, check, answer):
-    assert agrees(value, check) is answer
+    assert reproduce.agrees(value, check) is answer
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "conf" / "experiment").glob("*.yaml")), ids=lambda path: path.stem)
@@ -101,22 +81,63 @@ def test_an_experiment_starts_with_the_command_that_runs_it(path):
     header, command = path.read_text().splitlines()[:2]
     assert header == "# @package _global_"  # Hydra reads it in the first line only
     assert command.startswith(f"# python -m frictionzoo.run experiment={path.stem}")
-    assert command.removeprefix("# ") in (EXPERIMENTS / path.stem / "README.md").read_text()
+    pages = [page.read_text() for page in EXPERIMENTS.glob("*/README.md")]
+    assert any(command.removeprefix("# ") in page for page in pages)
 
 
-def test_the_table_puts_runs_beside_the_published_numbers():
-    spec = importlib.util.spec_from_file_location("table", EXPERIMENTS / "kovalev2026" / "table.py")
-    table = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(table)
-
-    def run(model, mae):
-        errors = {"position_mae": mae, "position_mae_std": 0.001}
-        pair = {"model": errors, "baseline": {**errors, "position_mae": 0.02}}
-        parameters = [{"name": "armature", "value": 0.04}]
-        return {"model": model, "parameters": parameters, "paper": {"a": pair, "b": pair}, "timing": {"fit": 12.3}}
-
-    rows = table.tabulate([run("neural_friction", 0.005), run("baseline", 0.02)]).splitlines()[2:]
-    assert rows == [
-        "| `baseline` | 0.0200 (0.0010) | +0 % | 0.0200 | 0.0400 | 12 | 0.0192 (0.0079) |",
-        "| `neural_friction` | 0.0050 (0.0010) | -75 % | 0.0050 | 0.0400 | 12 | 0.0072 (0.0040) |",
+def test_checks_find_what_is_not_as_expected():
+    comparison = {"runs": [copy.deepcopy(ENTRY), ENTRY | {"label": "other"}]}
+    right = {"run": "law", "path": "test.position_mae", "at_most": 0.005}
+    wrong = {"run": "law", "path": "parameters.bench.armature", "expected": 0.05, "relative": 0.1}
+    missing = {"run": "other", "path": "parameters.friction.damping", "at_most": 1.0}
+    lines = list(reproduce.check(comparison, [right, wrong, missing]))
+    assert [line.split(" is ")[0] for line in lines] == [
+        "law: parameters.bench.armature",
+        "other: parameters.friction.damping",
     ]
+    with pytest.raises(SystemExit, match="2 runs"):
+        list(reproduce.check(comparison, [{"path": "test.position_mae", "at_most": 1.0}]))
+
+
+def test_the_table_has_a_row_a_run():
+    expected = {
+        "table": [
+            {"head": "model", "values": ["label"], "format": "`{}`"},
+            {
+                "head": "MAE [mrad]",
+                "values": ["test.position_mae", "test.position_mae_std"],
+                "scale": 1000,
+                "format": "{:.1f} ({:.0f})",
+            },
+            {"head": "horizon", "values": ["by_horizon.1.horizon"], "format": "{}"},
+            {"head": "damping", "values": ["parameters.friction.damping"], "format": "{}"},
+            {"head": "published", "published": "paper"},
+        ],
+        "paper": {"law": "7"},
+    }
+    table = reproduce.tabulate({"runs": [ENTRY]}, expected)
+    assert table.splitlines() == [
+        "| model | MAE [mrad] | horizon | damping | published |",
+        "| --- | --- | --- | --- | --- |",
+        "| `law` | 5.0 (1) | 0.1 |  | 7 |",
+    ]
+
+
+def test_the_table_goes_between_the_marks(tmp_path, monkeypatch):
+    monkeypatch.setattr(reproduce, "EXPERIMENTS", tmp_path)
+    (tmp_path / "one").mkdir()
+    page = tmp_path / "one" / "README.md"
+    page.write_text("before\n<!-- table: how -->\nold\n\\1\n<!-- end of table -->\nafter\n")
+    reproduce.write_table("one", "new \\1")
+    assert page.read_text() == "before\n<!-- table: how -->\nnew \\1\n<!-- end of table -->\nafter\n"
+    page.write_text("none")
+    with pytest.raises(SystemExit, match="0 places"):
+        reproduce.write_table("one", "new")
+    assert page.read_text() == "none"
+
+
+@pytest.mark.parametrize("path", sorted(EXPERIMENTS.glob("*/expected.yaml")), ids=lambda path: path.parent.name)
+def test_an_experiment_has_a_page_with_its_commands(path):
+    expected, page = reproduce.read_expected(path.parent.name), (path.parent / "README.md").read_text()
+    assert f"python experiments/reproduce.py {path.parent.name}" in page
+    assert reproduce.MARKS.search(page) or "table" not in expected

@@ -15,6 +15,7 @@ from frictionzoo.bench import Bench
 from frictionzoo.engine import friction_of, make_engine
 from frictionzoo.errors import ConfigError, FitError
 from frictionzoo.fit import Adam, Grid, Objective, Space, fit_reference, run_fit
+from frictionzoo.fit.loggers import TensorBoard
 from frictionzoo.models import Baseline, FrictionModel
 from frictionzoo.rollout import make_rollout
 from frictionzoo.types import DriveState, Segments
@@ -113,9 +114,25 @@ def test_space_names_values_and_bounds(pose: Callable[..., Problem]) -> None:
     assert low["damping"] == pose("mujoco_default").model.params["damping"].init
 
 
-def test_a_space_with_nothing_to_identify_is_refused(pose: Callable[..., Problem]) -> None:
+@pytest.mark.parametrize("fit", ["adam", "grid", "lm"])
+def test_a_space_with_nothing_to_identify_is_not_searched(
+    pose: Callable[..., Problem], make: Callable[..., Any], fit: str
+) -> None:
+    objective = pose("baseline", "bench.params.armature.identify=false").objective
     with pytest.raises(ConfigError, match="no parameter is to be identified"):
-        pose("baseline", "bench.params.armature.identify=false")
+        make("fit", f"fit={fit}").total(objective)
+
+
+def test_known_values_are_judged_and_not_moved(pose: Callable[..., Problem], make: Callable[..., Any]) -> None:
+    searched, fit = pose("mujoco_default").objective, make("fit", "fit=known")
+    with pytest.raises(ConfigError, match=r"bench\.armature is to be identified"):
+        fit.total(searched)
+    known = ("bench.params.armature", "model.params.frictionloss", "model.params.damping")
+    objective = pose("mujoco_default", *(f"{name}.identify=false" for name in known)).objective
+    progress, trace = fit.chunk(objective, fit.total(objective))(fit.start(objective), 1)
+    assert (int(progress.iteration), int(progress.best_iteration)) == (1, 0)
+    expected = float(searched.loss(searched.space.start, searched.data))
+    assert float(trace.loss[0]) == float(progress.best_loss) == pytest.approx(expected, rel=1e-9)
 
 
 def test_known_truth_has_no_loss_in_our_engine(pose: Callable[..., Problem]) -> None:
@@ -128,7 +145,8 @@ def test_known_truth_has_no_loss_in_our_engine(pose: Callable[..., Problem]) -> 
 
 def run(problem: Problem, fit: Any, folder: Path, **options: Any) -> Any:
     loop = {"chunk": 100, "patience": None, "progress": False, "identity": {}} | options
-    return run_fit(fit, problem.objective, problem.model, folder=folder, **loop)
+    record = {"logger": TensorBoard(), "hyperparameters": {}}
+    return run_fit(fit, problem.objective, problem.model, folder=folder, **record, **loop)
 
 
 def test_adam_recovers_a_known_drive(pose: Callable[..., Problem], tmp_path: Path) -> None:

@@ -66,7 +66,7 @@ def test_a_named_option_exists(page, compose):
 missing = object()
 
 
-@pytest.mark.parametrize("group", ["model", "data", "experiment"])
+@pytest.mark.parametrize("group", ["model", "data", "logger", "experiment"])
 def test_the_readme_lists_every_choice(group):
     text = (ROOT / "README.md").read_text()
     for path in (CONF_DIR / group).glob("*.yaml"):
@@ -98,9 +98,9 @@ def test_a_missing_block_of_the_readme_stops_ci():
 
 def test_the_pages_of_json_files_are_made_from_their_schemas():
     script = runpy.run_path(str(ROOT / "docs" / "write_result.py"))
-    schemas = (ROOT / "frictionzoo" / "report").glob("*.schema.json")
-    assert {path.name.removesuffix(".schema.json") for path in schemas} == set(script["NAMES"])
-    for name in script["NAMES"]:
+    schemas = {path.name.removesuffix(".schema.json") for path in (ROOT / "frictionzoo").rglob("*.schema.json")}
+    assert schemas == set(script["SCHEMAS"])
+    for name in script["SCHEMAS"]:
         assert (ROOT / "docs" / f"{name}.md").read_text() == script["render"](name), "run `make docs`"
 
 

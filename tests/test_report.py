@@ -25,6 +25,7 @@ from frictionzoo.types import Dataset, Log, Segments
 
 TIMESTEP = 0.001
 FIT = {"method": "adam", "iterations": 3, "best_iteration": 2, "loss": 1e-6, "stopped": "all iterations made"}
+SETTINGS = {"seed": 0, "dtype": "float64", "segments": {"count": 20, "length": 5}}
 TIMING = {"setup": 1.0, "compile": 2.0, "fit": 3.0, "evaluate": 0.5, "total": 6.5}
 PARAMS = {
     "static_torque": {"init": 0.3, "low": 1e-3, "high": 1.0, "scale": "log", "identify": True},
@@ -73,6 +74,7 @@ def evaluation(dataset):
         trajectory=0.3,
         window=0.02,
         places=3,
+        local=0.05,
         seed=0,
     )
 
@@ -96,12 +98,12 @@ def build(bench, model, dataset, evaluation, friction, offset=0.01, **changes):
         "baseline": judge(evaluation, 0.04),
         "fit": FIT,
         "timing": TIMING,
-        "seed": 0,
-        "dtype": "float64",
+        "settings": SETTINGS,
         "engine": "mjx",
         "device": "cpu",
     }
-    return build_result(name=model.name, bench=bench, model=model, dataset=dataset, **(options | changes))
+    shared = {"bench": bench, "model": model, "dataset": dataset, "evaluation": evaluation}
+    return build_result(name=model.name, **shared, **(options | changes))
 
 
 @pytest.fixture
@@ -211,7 +213,7 @@ def breakages():
     return [
         (("model",), ...),
         (("extra",), 1),
-        (("schema_version",), 2),
+        (("schema_version",), 1),
         (("data", "sha256"), "abc"),
         (("data", "logs"), []),
         (("data", "logs", 0, "part"), "validation"),

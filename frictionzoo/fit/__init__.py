@@ -3,7 +3,9 @@
 from frictionzoo.fit.adam import Adam
 from frictionzoo.fit.base import Fit
 from frictionzoo.fit.grid import Grid
+from frictionzoo.fit.known import Known
 from frictionzoo.fit.lm import LevenbergMarquardt
+from frictionzoo.fit.loggers import RunLogger
 from frictionzoo.fit.loop import Outcome, run_fit
 from frictionzoo.fit.objective import Objective
 from frictionzoo.fit.reference import fit_reference
@@ -13,9 +15,11 @@ __all__ = [
     "Adam",
     "Fit",
     "Grid",
+    "Known",
     "LevenbergMarquardt",
     "Objective",
     "Outcome",
+    "RunLogger",
     "Space",
     "fit_reference",
     "run_fit",

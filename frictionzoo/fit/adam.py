@@ -6,7 +6,7 @@ import optax
 from jaxtyping import Array
 
 from frictionzoo.errors import ConfigError
-from frictionzoo.fit.base import Chunk, Fit, Progress, Trace, begin, compile_chunk, keep_best
+from frictionzoo.fit.base import Chunk, Fit, Progress, Trace, begin, compile_chunk, keep_best, refuse_nothing
 from frictionzoo.fit.objective import Blocks, Objective
 
 
@@ -43,7 +43,8 @@ class Adam(Fit):
         self._optimiser = optax.adam(learning_rate, b2=b2)
 
     def total(self, objective: Objective) -> int:
-        """See `Fit.total`."""
+        """See `Fit.total`; raises ConfigError where nothing is to be identified."""
+        refuse_nothing(objective)
         return self._iterations
 
     def start(self, objective: Objective) -> Progress:

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from frictionzoo.errors import ConfigError
 from frictionzoo.fit.objective import Objective
 
 
@@ -81,6 +82,21 @@ class Fit(ABC):
 
         How iterations are cut into chunks must not change a bit of the result: an interrupted fit goes on in others.
         """
+
+
+def refuse_nothing(objective: Objective) -> None:
+    """Refuse to search where nothing is to be found.
+
+    Args:
+        objective: With the space to be searched.
+
+    Raises:
+        ConfigError: Nothing is to be identified.
+    """
+    if not objective.space.names:
+        raise ConfigError(
+            "no parameter is to be identified, expected at least one; set identify: true for one, or fit=known"
+        )
 
 
 def begin(objective: Objective, vector: Float[Array, "coordinates"], method: Any) -> Progress:

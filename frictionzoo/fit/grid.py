@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from frictionzoo.errors import ConfigError
-from frictionzoo.fit.base import Chunk, Fit, Progress, Trace, begin, compile_chunk, keep_best
+from frictionzoo.fit.base import Chunk, Fit, Progress, Trace, begin, compile_chunk, keep_best, refuse_nothing
 from frictionzoo.fit.objective import Blocks, Objective
 
 
@@ -32,7 +32,8 @@ class Grid(Fit):
         self._points = points
 
     def total(self, objective: Objective) -> int:
-        """See `Fit.total`; raises ConfigError for a network, which has no bounds to search between."""
+        """See `Fit.total`; raises ConfigError for a network, which has no bounds, and for nothing at all."""
+        refuse_nothing(objective)
         if objective.space.weights:
             raise ConfigError(
                 f"fit=grid: {objective.space.weights[0]} has no bounds; expected physical parameters only, use fit=adam"

@@ -10,7 +10,7 @@ import scipy.optimize
 from jaxtyping import Float
 
 from frictionzoo.errors import ConfigError
-from frictionzoo.fit.base import Chunk, Fit, Progress, Trace, begin
+from frictionzoo.fit.base import Chunk, Fit, Progress, Trace, begin, refuse_nothing
 from frictionzoo.fit.objective import NormalEquations, Objective
 
 MOST_COORDINATES = 200  # a Jacobian has a column for each: more are a network's weights
@@ -63,7 +63,8 @@ class LevenbergMarquardt(Fit):
         self._tolerance = tolerance
 
     def total(self, objective: Objective) -> int:
-        """See `Fit.total`; raises ConfigError for a network, whose Jacobian has too many columns."""
+        """See `Fit.total`; raises ConfigError for a network, whose Jacobian has too many columns, and for nothing."""
+        refuse_nothing(objective)
         coordinates = len(objective.space.start)
         if coordinates > MOST_COORDINATES:
             raise ConfigError(

@@ -15,7 +15,6 @@ import lightning.pytorch as pl
 import numpy as np
 import torch
 from jaxtyping import Shaped
-from lightning.pytorch.loggers import TensorBoardLogger
 from lightning.pytorch.plugins import TorchCheckpointIO
 from lightning.pytorch.plugins.environments import LightningEnvironment
 from tqdm import tqdm
@@ -24,6 +23,7 @@ from frictionzoo.bridge import load_from_jax
 from frictionzoo.engine import Values
 from frictionzoo.errors import CheckpointError, ConfigError, FitError, OutputError
 from frictionzoo.fit.base import Fit, Progress, Trace
+from frictionzoo.fit.loggers import RunLogger
 from frictionzoo.fit.objective import Objective
 from frictionzoo.models import FrictionModel
 from frictionzoo.output import write_atomically
@@ -69,6 +69,8 @@ def run_fit(
     *,
     folder: Path,
     identity: Mapping[str, str],
+    logger: RunLogger,
+    hyperparameters: Mapping[str, Any],
     chunk: int,
     patience: int | None,
     progress: bool,
@@ -81,8 +83,10 @@ def run_fit(
         fit: The method.
         objective: What it minimises.
         model: The friction model; it holds the best values afterwards.
-        folder: The run's folder, for `checkpoints/` and `tensorboard/`.
+        folder: The run's folder, for `checkpoints/` and what the logger writes.
         identity: What must agree before a checkpoint is taken up: name of the thing to its value.
+        logger: What records loss, gradient norm and parameters of every iteration; the caller finishes the record.
+        hyperparameters: What the record says about the run, as in `RunLogger.start`.
         chunk: Iterations in one compiled call.
         patience: Stop after so many iterations without a better loss; None to run all.
         progress: Whether to show a progress bar where the terminal can.
@@ -90,7 +94,7 @@ def run_fit(
     Raises:
         CheckpointError: The checkpoint cannot be read, or belongs to another run.
         FitError: The first iteration already has no finite loss or gradient.
-        OutputError: A checkpoint cannot be written.
+        OutputError: A checkpoint or the logger's record cannot be written.
         ConfigError: An argument is out of range.
     """
     for name, value in (("chunk", chunk), ("patience", patience)):
@@ -100,7 +104,7 @@ def run_fit(
     began = time.perf_counter()
     module = FitModule(fit, objective, model, identity, chunk, patience)
     compile_seconds = time.perf_counter() - began
-    _train(module, folder, checkpoint, progress)
+    _train(module, folder, checkpoint, logger, hyperparameters, progress)
     outcome = module.outcome(compile_seconds, time.perf_counter() - began - compile_seconds)
     load_from_jax(model, jax.tree.map(jnp.asarray, outcome.values["friction"]))
     return outcome
@@ -156,6 +160,10 @@ class FitModule(pl.LightningModule):
             return "finished"
         waited = self.iteration - 1 - int(self.progress.best_iteration)
         return "patience" if self._patience is not None and waited >= self._patience else None
+
+    def on_train_start(self) -> None:
+        """A logger begins anew, also where the fit goes on from a checkpoint."""
+        self._log_rows(0, self._whole_history())
 
     def training_step(self, *_: Any) -> None:
         """One chunk of iterations."""
@@ -304,37 +312,36 @@ class _ProgressBar(pl.Callback):
         self._bar.close()
 
 
-def _train(module: FitModule, folder: Path, checkpoint: Path | None, progress: bool) -> None:
+def _train(
+    module: FitModule,
+    folder: Path,
+    checkpoint: Path | None,
+    logger: RunLogger,
+    hyperparameters: Mapping[str, Any],
+    progress: bool,
+) -> None:
     # Lightning's advice about data loaders and GPUs does not apply: its loader holds one item.
     logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", module="lightning")
-        trainer = pl.Trainer(
-            accelerator="cpu",
-            devices=1,
-            max_epochs=-1,
-            # What an interrupted run wrote after its last checkpoint is done again: TensorBoard is to forget it.
-            logger=TensorBoardLogger(
-                folder, name="tensorboard", version="", purge_step=_iterations_saved(checkpoint) if checkpoint else None
-            ),
-            callbacks=[_Saver(folder / "checkpoints" / CHECKPOINT), *([_ProgressBar()] if progress else [])],
-            plugins=[LightningEnvironment(), _AtomicFiles()],
-            enable_checkpointing=False,
-            enable_progress_bar=False,
-            enable_model_summary=False,
-            default_root_dir=folder,
-        )
         try:
+            trainer = pl.Trainer(
+                accelerator="cpu",
+                devices=1,
+                max_epochs=-1,
+                logger=logger.start(folder, hyperparameters),
+                callbacks=[_Saver(folder / "checkpoints" / CHECKPOINT), *([_ProgressBar()] if progress else [])],
+                plugins=[LightningEnvironment(), _AtomicFiles()],
+                enable_checkpointing=False,
+                enable_progress_bar=False,
+                enable_model_summary=False,
+                default_root_dir=folder,
+            )
             trainer.fit(module, ckpt_path=checkpoint, weights_only=True)
         except OSError as error:
             raise OutputError(
                 f"{folder}: {error.strerror or error} while writing the fit's progress; free space or set hydra.run.dir"
             ) from None
-
-
-def _iterations_saved(checkpoint: Path) -> int:
-    progress = torch.load(checkpoint, weights_only=True, map_location="cpu")["frictionzoo"]["progress"]
-    return int(progress[Progress._fields.index("iteration")])
 
 
 def _checked_checkpoint(folder: Path, identity: Mapping[str, str]) -> Path | None:

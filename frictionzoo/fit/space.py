@@ -11,7 +11,6 @@ from jaxtyping import Array, Float
 from frictionzoo.bench import Bench
 from frictionzoo.bridge import to_jax
 from frictionzoo.engine import Values
-from frictionzoo.errors import ConfigError
 from frictionzoo.models import FrictionModel
 from frictionzoo.params import Param
 
@@ -34,9 +33,6 @@ class Space:
         bench: Its parameters come first.
         model: The friction model; its present values are the initial ones.
         dtype: JAX type of the coordinates.
-
-    Raises:
-        ConfigError: Nothing is to be identified.
     """
 
     def __init__(self, bench: Bench, model: FrictionModel, dtype: Any) -> None:
@@ -48,10 +44,9 @@ class Space:
         free = [f"friction.{name}" for name, tensor in model.named_parameters() if tensor.requires_grad]
         self.weights = [name for name in free if name not in specs]
         self.names = [*self.params, *self.weights]
-        if not self.names:
-            raise ConfigError("no parameter is to be identified; set identify: true for at least one")
         coordinates = [self._to_coordinate(name, self._get(self._values, name)) for name in self.names]
-        self.start, self._unravel = ravel_pytree(coordinates)
+        start, self._unravel = ravel_pytree(coordinates)
+        self.start = jnp.asarray(start, dtype)  # of no coordinates, ravel_pytree makes float32
         self.low, self.high = (ravel_pytree(self._bounds(coordinates, side))[0] for side in ("low", "high"))
 
     def values(self, vector: Float[Array, "coordinates"]) -> Values:

@@ -1,9 +1,11 @@
 """The paper's figures 3, 4 and 5 for one model, as PNG."""
 
 import io
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
+import matplotlib
 import numpy as np
 from jaxtyping import Float, Shaped
 from matplotlib.axes import Axes
@@ -30,6 +32,8 @@ JOINTS = (
     "#F0E442",
 )  # Okabe and Ito (2008), legible to the colour-blind
 FLATTENED = 20.0  # ratio of two curves' largest errors from which a linear axis hides the smaller one
+BAND = 1.5  # times the largest of an error's moving mean is as high as a band around it is shown
+LARGEST = 1e100  # rad or m, of what is drawn
 COLUMN = 3.5  # inches for each joint of several
 INSET = 0.08  # share of the trajectory that the inset magnifies
 
@@ -70,9 +74,10 @@ def write_figures(
         for name, param in params.items()
         if param.identify
     }
-    rollouts = (evaluation.trajectory, judgement.prediction, baseline.prediction, bench.joint_type)
+    rollouts = (evaluation.trajectories, judgement.prediction, baseline.prediction, bench.joint_type)
+    moved = len(history["iteration"]) > 1  # known values have no course
     figures = {
-        "figure3_parameters.png": draw_parameters(history, best_iteration, units, fitted),
+        **({"figure3_parameters.png": draw_parameters(history, best_iteration, units, fitted)} if moved else {}),
         "figure4_trajectory.png": draw_trajectory(*rollouts, bench.joints, tested),
         "figure5_error.png": draw_error(*rollouts, evaluation.window, tested),
     }
@@ -128,7 +133,7 @@ def _draw_history(
         axes.legend(fontsize="small", ncols=3)
     else:
         axes.set_title(f"{columns[0, at]:.4g}", loc="right", color=BEST, fontsize="small")
-    _tidy(axes)
+    tidy(axes)
 
 
 def draw_trajectory(
@@ -150,11 +155,13 @@ def draw_trajectory(
     for quantity, signal, row in (("position", "qpos", panels[0]), ("velocity", "qvel", panels[1])):
         for joint, axes in enumerate(row):
             curves = [_with_start(segments, signal, prediction)[:, joint] for prediction in (model, baseline)]
-            _draw_curves(axes, time, getattr(segments, signal)[0, :, joint], *curves)
+            curves = [getattr(segments, signal)[0, :, joint], *curves]
+            _draw_curves(axes, slice(None), time, curves)
             axes.set_ylabel(f"{quantity} [{UNITS[joint_type][quantity]}]")
             if quantity == "position":
                 axes.set_title(joints[joint], fontsize="medium")
-                _magnify(axes, time, getattr(segments, signal)[0, :, joint], *curves)
+                centre = int(np.nanargmax(np.abs(curves[1] - curves[0])))  # the model's largest error
+                magnify(axes, time, centre, INSET, 0.45, partial(_draw_curves, time=time, curves=curves))
                 axes.legend(loc="upper left", fontsize="small")
             else:
                 axes.set_xlabel("time [s]")
@@ -185,88 +192,128 @@ def draw_error(
         axes.plot(centre, mean, color=color, label=label)
         axes.fill_between(centre, mean - std, mean + std, color=color, alpha=0.25, linewidth=0)
     axes.set_xlim(0, segments.length * segments.timestep)
-    _scale_errors(axes)
+    scale_errors(axes, room=0.17, widest=np.inf)
     axes.set_xlabel("time [s]")
     axes.set_ylabel(f"absolute position error [{UNITS[joint_type]['position']}]")
     axes.set_title(f"{title}\nmoving mean and standard deviation over {window:g} s", fontsize="medium")
     axes.legend(loc="upper left", ncols=2)
-    _tidy(axes)
+    tidy(axes)
     return figure
 
 
-def _scale_errors(axes: Axes) -> None:
-    """From 0 upwards with room for the legend; logarithmic where one curve would flatten the other."""
+def scale_errors(axes: Axes, room: float, widest: float) -> None:
+    """Errors from 0 upwards; logarithmic where one curve would flatten another.
+
+    Args:
+        axes: With the errors as lines.
+        room: For the legend, above the curves, as a share of the axis.
+        widest: How many times larger a curve may grow than the smallest one does; one beyond that leaves the frame.
+    """
     curves = [np.asarray(line.get_ydata(), dtype=np.float64) for line in axes.get_lines()]
-    largest = [float(np.nanmax(curve, initial=0.0)) for curve in curves]
-    if max(largest) > FLATTENED * min(largest) > 0:
+    curves = [curve[curve > 0] for curve in curves if (curve > 0).any()]
+    lowest = min((curve.max() for curve in curves), default=1.0)
+    curves = [curve for curve in curves if curve.max() <= widest * lowest] or [np.ones(1)]
+    highest = max(curve.max() for curve in curves)
+    if highest > FLATTENED * lowest:
+        bottom = min(np.percentile(np.concatenate(curves), 1), lowest / 2)
         axes.set_yscale("log")
-        positive = np.concatenate([curve[curve > 0] for curve in curves])
-        axes.set_ylim(np.percentile(positive, 1), 10 * max(largest))
+        axes.set_ylim(bottom, highest * (highest / bottom) ** (room / (1 - room)))
     else:
-        axes.set_ylim(0, 1.2 * axes.get_ylim()[1])
+        # Bands around the curves reach higher than they do.
+        axes.set_ylim(0, min(axes.get_ylim()[1], BAND * highest) / (1 - room))
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG.
+    """Write a figure as PNG, or as PDF with its fonts embedded and without a date.
 
     Args:
         figure: What to write.
-        path: The file.
+        path: The file; its suffix tells the format.
 
     Raises:
         OutputError: It cannot be written.
     """
     buffer = io.BytesIO()
-    FigureCanvasAgg(figure).print_figure(buffer, format="png", dpi=DPI)
+    metadata = {"CreationDate": None} if path.suffix == ".pdf" else None
+    with matplotlib.rc_context({"pdf.fonttype": 42}):  # TrueType: journals refuse type 3, the default
+        FigureCanvasAgg(figure).print_figure(buffer, format=path.suffix[1:], dpi=DPI, metadata=metadata)
     write_atomically(path, buffer.getvalue())
 
 
 def _with_start(segments: Segments, signal: str, prediction: Prediction) -> Float[np.ndarray, "samples nv"]:
-    """The first rollout with the measured state that it starts from, NaN from the first sample that is not finite."""
-    curve = np.concatenate([getattr(segments, signal)[0, :1], getattr(prediction, signal)[0]])
-    finite = np.isfinite(curve).all(axis=1)
+    """The first rollout with the measured state that it starts from."""
+    return cut_divergence(np.concatenate([getattr(segments, signal)[0, :1], getattr(prediction, signal)[0]]))
+
+
+def cut_divergence(curve: Float[np.ndarray, "samples nv"]) -> Float[np.ndarray, "samples nv"]:
+    """A rollout, NaN from the first sample that is not finite, or too large to be squared.
+
+    Args:
+        curve: The rollout.
+    """
+    finite = (np.abs(curve) < LARGEST).all(axis=1)
     return curve if finite.all() else np.where(np.arange(len(curve))[:, None] < np.argmin(finite), curve, np.nan)
 
 
 def _draw_curves(
-    axes: Axes,
-    time: Float[np.ndarray, "time"],
-    measured: Float[np.ndarray, "time"],
-    model: Float[np.ndarray, "time"],
-    baseline: Float[np.ndarray, "time"],
+    axes: Axes, shown: slice, time: Float[np.ndarray, "time"], curves: Sequence[Float[np.ndarray, "time"]]
 ) -> None:
+    time = time[shown]
+    measured, model, baseline = (curve[shown] for curve in curves)
     axes.plot(time, baseline, color=BASELINE, label="no friction")
     axes.plot(time, model, color=MODEL, label="this model")
     axes.plot(time, measured, color=MEASURED, linestyle=(0, (4, 3)), linewidth=1.2, label="measured")
     axes.set_xlim(time[0], time[-1])
-    # A drive without friction may run away and would flatten everything else: it may leave the frame.
-    lowest, highest = np.nanmin([measured, model]), np.nanmax([measured, model])
+    limit_frame(axes, [measured, model])
+    tidy(axes)
+
+
+def limit_frame(axes: Axes, kept: Sequence[Float[np.ndarray, "time"]]) -> None:
+    """Keep these curves in the frame, with room around: another that runs away would flatten them and may leave it.
+
+    Args:
+        axes: With all curves drawn.
+        kept: What has to be seen.
+    """
+    lowest, highest = np.nanmin(kept), np.nanmax(kept)
     room = 0.5 * float(highest - lowest) or 0.5
     low, high = axes.get_ylim()
     axes.set_ylim(max(low, lowest - room), min(high, highest + room))
-    _tidy(axes)
 
 
-def _magnify(
+def magnify(
     axes: Axes,
     time: Float[np.ndarray, "time"],
-    measured: Float[np.ndarray, "time"],
-    model: Float[np.ndarray, "time"],
-    baseline: Float[np.ndarray, "time"],
+    centre: int,
+    share: float,
+    left: float,
+    draw: Callable[[Axes, slice], None],
 ) -> None:
-    """An inset, above the curves, of the stretch around the model's largest error."""
+    """An inset, above the curves, of the stretch around one sample.
+
+    Args:
+        axes: With the curves drawn.
+        time: Of the samples [s].
+        centre: The sample.
+        share: Of the samples, that the stretch has.
+        left: Where the inset begins, as a share of the width; free space before it is for a legend.
+        draw: Draws a stretch of samples.
+    """
     low, high = axes.get_ylim()
     axes.set_ylim(low, high + 0.9 * (high - low))
-    centre = int(np.nanargmax(np.abs(model - measured)))
-    half = max(2, round(INSET * len(time) / 2))
+    half = max(2, round(share * len(time) / 2))
     start = min(max(0, centre - half), max(0, len(time) - 2 * half - 1))
-    shown = slice(start, start + 2 * half + 1)
-    inset = axes.inset_axes((0.45, 0.56, 0.53, 0.41))
-    _draw_curves(inset, time[shown], measured[shown], model[shown], baseline[shown])
+    inset = axes.inset_axes((left, 0.56, 0.98 - left, 0.41))
+    draw(inset, slice(start, start + 2 * half + 1))
     inset.tick_params(labelsize="x-small")
     axes.indicate_inset_zoom(inset, edgecolor="black")
 
 
-def _tidy(axes: Axes) -> None:
+def tidy(axes: Axes) -> None:
+    """A light grid, and hardly any margin beside the curves.
+
+    Args:
+        axes: With the curves drawn.
+    """
     axes.grid(alpha=0.3)
     axes.margins(x=0.01)

@@ -43,7 +43,10 @@ FILES = {  # what else a run leaves behind, by path beside the page
     "figures/figure3_parameters.png": "parameters over iterations, as an image",
     "figures/figure4_trajectory.png": "the trajectory, as an image",
     "figures/figure5_error.png": "its error, as an image",
-    "tensorboard/": "loss, gradient norm and parameters for TensorBoard",
+    "tensorboard/": "the course of the fit and its result, for TensorBoard",
+    "csv/": "the course of the fit and its result, as tables and text",
+    "wandb/": "the course of the fit and its result, for Weights & Biases",
+    "mlflow/": "the course of the fit and its result, for MLflow",
     "checkpoints/": "what an interrupted run goes on from",
     ".hydra/config.yaml": "the configuration of the run",
 }

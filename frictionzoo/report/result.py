@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 
 from frictionzoo.bench.base import Bench
-from frictionzoo.evaluate import Judgement, Values
+from frictionzoo.evaluate import Evaluation, Judgement, Values
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.output import write_atomically
 from frictionzoo.params import Param
 from frictionzoo.types import Dataset, Payload
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 PACKAGES = ("frictionzoo", "mujoco", "mujoco-mjx", "jax", "torch", "optax", "lightning", "numpy")
 AT_BOUND = 1e-4  # share of the bounds' distance, in the optimiser's coordinate, that counts as reaching a bound
 
@@ -36,12 +36,12 @@ def build_result(
     model: FrictionModel,
     values: Values,
     dataset: Dataset,
+    evaluation: Evaluation,
     judgement: Judgement,
     baseline: Judgement,
     fit: Mapping[str, Any],
     timing: Mapping[str, float],
-    seed: int,
-    dtype: str,
+    settings: Mapping[str, Any],
     engine: str,
     device: str,
 ) -> dict[str, Any]:
@@ -53,18 +53,19 @@ def build_result(
         model: The friction law.
         values: Identified and known values of both.
         dataset: What was fitted and judged on.
+        evaluation: The rollouts on which it was judged.
         judgement: Of the identified drive.
         baseline: Of the same bench identified without friction, on the same rollouts.
         fit: `method`, `iterations`, `best_iteration`, `loss`, `stopped`, as the schema says.
         timing: Seconds of `setup`, `compile`, `fit`, `evaluate`, `total`.
-        seed: The run's seed.
-        dtype: Number type of the simulation.
+        settings: All options of the run, among them `seed` and `dtype`.
         engine: What simulated.
         device: Where it ran.
     """
     result = {
         "schema_version": SCHEMA_VERSION,
         "model": name,
+        "joints": list(bench.joints),
         "data": describe_data(dataset),
         "parameters": [
             *_list_parameters("bench", bench.params, values["bench"], bench.joint_type),
@@ -72,15 +73,39 @@ def build_result(
         ],
         "network": _describe_network(model),
         **_describe_metrics(judgement, baseline),
+        "evaluation": {"sha256": evaluation.sha256},
         "fit": dict(fit),
         "timing": dict(timing),
-        "seed": seed,
-        "dtype": dtype,
+        "seed": settings["seed"],
+        "dtype": settings["dtype"],
         "engine": engine,
         "device": device,
         "versions": _read_versions(),
+        "settings": dict(settings),
     }
-    return _to_json(result)
+    return to_json(result)
+
+
+def pick_metrics(result: Mapping[str, Any]) -> dict[str, float]:
+    """The numbers by which runs are compared, without those that have no value because rollouts diverged.
+
+    Args:
+        result: From `build_result`.
+    """
+    picked = {
+        "test/position_mae": result["metrics"]["test"]["position_mae"],
+        "test/position_rmse": result["metrics"]["test"]["position_rmse"],
+        "train/position_mae": result["metrics"]["train"]["position_mae"],
+        "fit/loss": result["fit"]["loss"],
+        "fit/seconds": result["timing"]["fit"],
+    }
+    for parameter in result["parameters"]:
+        if parameter["identified"]:
+            name = f"identified/{parameter['owner']}.{parameter['name']}"
+            values = parameter["value"]
+            several = isinstance(values, list)
+            picked |= {f"{name}/{joint}": value for joint, value in enumerate(values)} if several else {name: values}
+    return {name: value for name, value in picked.items() if value is not None}
 
 
 def write_result(path: Path, result: Mapping[str, Any]) -> None:
@@ -193,12 +218,16 @@ def _read_versions() -> dict[str, str]:
     return versions
 
 
-def _to_json(value: Any) -> Any:
-    """The same with numpy numbers as Python's and non-finite numbers as None, which JSON calls null."""
+def to_json(value: Any) -> Any:
+    """The same with numpy numbers as Python's and non-finite numbers as None, which JSON calls null.
+
+    Args:
+        value: Mappings, lists, tuples, numbers and text.
+    """
     if isinstance(value, Mapping):
-        return {key: _to_json(item) for key, item in value.items()}
+        return {key: to_json(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_to_json(item) for item in value]
+        return [to_json(item) for item in value]
     if isinstance(value, np.generic):
         value = value.item()
     return None if isinstance(value, float) and not math.isfinite(value) else value

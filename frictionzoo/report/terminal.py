@@ -1,8 +1,10 @@
-"""The summary of a run in plain text, legible on a terminal and in a log file alike."""
+"""The summary of a run, or of several, in plain text, legible on a terminal and in a log file alike."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+Rows = Sequence[Sequence[str]]
 
 ERRORS = {  # row of the table: key of the metrics, key of its unit
     "position MAE": ("position_mae", "unit"),
@@ -19,23 +21,94 @@ def summarise(result: Mapping[str, Any], folder: Path) -> str:
         result: What `result.json` holds.
         folder: The run's folder.
     """
+    return _arrange(result, folder, _align)
+
+
+def summarise_in_markdown(result: Mapping[str, Any], folder: Path) -> str:
+    """The same as a page of Markdown, for loggers that show one.
+
+    Args:
+        result: What `result.json` holds.
+        folder: The run's folder.
+    """
+    return _arrange(result, folder, _tabulate_in_markdown)
+
+
+def _arrange(result: Mapping[str, Any], folder: Path, tabulate: Callable[[Rows], str]) -> str:
     blocks = [
         _say_origin(result),
-        _tabulate_parameters(result),
-        _tabulate_errors(result["metrics"]),
+        tabulate(_list_parameters(result)),
+        tabulate(_list_errors(result["metrics"])),
         *_warn(result),
         f"files: {folder}",
     ]
     return "\n\n".join(blocks)
 
 
+def summarise_comparison(comparison: Mapping[str, Any], folder: Path) -> str:
+    """The runs best first, what failed, the recommendation, and where the files are.
+
+    Args:
+        comparison: What `comparison.json` holds.
+        folder: Where the comparison lies.
+    """
+    count = len(comparison["runs"])
+    blocks = [
+        f"{count} run{'s' * (count != 1)} on {comparison['data']['name']}. {_say_kind(comparison['data'])}",
+        _tabulate_runs(comparison),
+        *_list_failures(comparison["failures"]),
+        _say_recommendation(comparison["recommendation"]),
+        f"files: {folder}",
+    ]
+    return "\n\n".join(blocks)
+
+
+def _tabulate_runs(comparison: Mapping[str, Any]) -> str:
+    evaluation, unit = comparison["evaluation"], comparison["unit"]
+    best = comparison["runs"][0]["label"]
+    verdicts = {pair["run"]: pair["verdict"] for pair in comparison["pairs"] if pair["other"] == best}
+    test = f"test, {evaluation['rollouts']} x {evaluation['horizon']:g} s [{unit}]"
+    rows = [
+        ("model", "identified", f"train MAE [{unit}]", test, "sigma", "change", "against best", "diverged", "fit [s]")
+    ]
+    for run in comparison["runs"]:
+        change = run["change"]["test"]
+        rows.append(
+            (
+                run["label"],
+                str(run["identified"]),
+                _format_value(run["train"]["position_mae"]),
+                _format_value(run["test"]["position_mae"]),
+                _format_value(run["test"]["position_mae_std"]),
+                "" if change is None else f"{round(100 * change):+d} %",
+                "best" if run["label"] == best else verdicts[run["label"]],
+                str(run["test"]["diverged"]),
+                f"{run['timing']['fit']:.1f}",
+            )
+        )
+    return _align(rows)
+
+
+def _list_failures(failures: Sequence[Mapping[str, str]]) -> list[str]:
+    lines = [f"failed: {failure['run']}: {failure['reason']}" for failure in failures]
+    return ["\n".join(lines)] if lines else []
+
+
+def _say_recommendation(recommendation: Mapping[str, str] | None) -> str:
+    if not recommendation:
+        return "No run has a test error: all test rollouts diverged. None can be recommended."
+    return f"recommended: {recommendation['run']}. {recommendation['reason']}"
+
+
 def _say_origin(result: Mapping[str, Any]) -> str:
-    data = result["data"]
-    origin = "The data are simulated." if data["simulated"] else "The data are real, recorded on hardware."
-    return f"{result['model']} on {data['name']}. {origin}"
+    return f"{result['model']} on {result['data']['name']}. {_say_kind(result['data'])}"
 
 
-def _tabulate_parameters(result: Mapping[str, Any]) -> str:
+def _say_kind(data: Mapping[str, Any]) -> str:
+    return "The data are simulated." if data["simulated"] else "The data are real, recorded on hardware."
+
+
+def _list_parameters(result: Mapping[str, Any]) -> Rows:
     rows = [("parameter", "value", "unit", "")]
     for parameter in result["parameters"]:
         status = "identified" if parameter["identified"] else "known"
@@ -43,17 +116,17 @@ def _tabulate_parameters(result: Mapping[str, Any]) -> str:
         rows.append((name, _format_value(parameter["value"]), parameter["unit"], status))
     if result["network"]:
         rows.append(("friction network", str(result["network"]["weights"]), "weights", "identified"))
-    return _align(rows)
+    return rows
 
 
-def _tabulate_errors(metrics: Mapping[str, Any]) -> str:
+def _list_errors(metrics: Mapping[str, Any]) -> Rows:
     test, baseline = metrics["test"], metrics["baseline"]
     rows = [(f"test, {test['rollouts']} x {test['horizon']:g} s", "this model", "no friction", "unit", "change")]
     for row, (key, unit) in ERRORS.items():
         change = _format_change(test[key], baseline[key])
         rows.append((row, _format_value(test[key]), _format_value(baseline[key]), test[unit], change))
     rows.append(("diverged", str(test["diverged"]), str(baseline["diverged"]), "rollouts", ""))
-    return _align(rows)
+    return rows
 
 
 def _warn(result: Mapping[str, Any]) -> list[str]:
@@ -78,7 +151,7 @@ def _format_change(value: float | None, reference: float | None) -> str:
     return f"{round(100 * (value / reference - 1)):+d} %" if value is not None and reference else ""
 
 
-def _align(rows: Sequence[Sequence[str]]) -> str:
+def _align(rows: Rows) -> str:
     """Columns padded to their longest entry, the first flush left and numbers flush right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     numbers = [all(_is_number(row[i]) for row in rows[1:]) for i in range(len(widths))]
@@ -90,6 +163,11 @@ def _align(rows: Sequence[Sequence[str]]) -> str:
         for row in rows
     )
     return "\n".join(line.rstrip() for line in lines)
+
+
+def _tabulate_in_markdown(rows: Rows) -> str:
+    head, *body = (f"| {' | '.join(row)} |" for row in rows)
+    return "\n".join([head, "|---" * len(rows[0]) + "|", *body])
 
 
 def _is_number(cell: str) -> bool:

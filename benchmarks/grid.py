@@ -1,0 +1,169 @@
+"""Seconds of gradient fits against the paper's grid search: `python benchmarks/grid.py`.
+
+The grid search is written as the paper runs it: each combination of armature, frictionloss and damping is one
+simulation of 1000 steps, one after the other. Twice: with `mjx.step` compiled and called from Python for each step, as
+MJX's tutorials do, which is measured for a few combinations and scaled to all; and with all steps compiled into one
+function. Beside it stand `fit=grid` of this package, which simulates many combinations at once in the specialised
+engine, and the gradient fits of the paper's recipe.
+"""
+
+import argparse
+import itertools
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, cast
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from measure import compile_time, make_parser, report
+from mujoco import mjx
+from omegaconf import OmegaConf
+
+from frictionzoo.config import compose_config
+from frictionzoo.fit import run_fit
+from frictionzoo.job import Problem
+
+COLUMNS = {
+    "way": "way",
+    "model": "model",
+    "simulations": "simulations or iterations",
+    "compile": "compile [s]",
+    "search": "search [s]",
+    "whole": "both [s]",
+    "stepwise": "mjx.step by step / this",
+    "compiled": "MJX, compiled / this",
+}
+GRID = "mujoco_grid_search"
+MODELS = ("mujoco_default", "coulomb_smooth", "coulomb_stribeck", "neural_friction")
+
+
+def pose(*overrides: str) -> tuple[Problem, dict[str, Any]]:
+    """The problem of `experiment=kovalev2026` with these overrides, and its settings.
+
+    Args:
+        overrides: As on the command line; without a cache of compiled functions.
+    """
+    config = compose_config("experiment=kovalev2026", "compilation_cache=null", "loop.progress=false", *overrides)
+    settings = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
+    return Problem.pose(settings), settings
+
+
+def search_one_by_one(points: int, sample: int, *overrides: str) -> Iterator[dict[str, Any]]:
+    """The grid search of the paper, a simulation a combination: step by step from Python, and compiled.
+
+    Args:
+        points: Values of each parameter.
+        sample: Combinations that are simulated step by step; their time is scaled to all.
+        overrides: Of the configuration.
+    """
+    problem, _ = pose(f"model={GRID}", "engine=mjx", f"fit.points={points}", *overrides)
+    objective, space = problem.objective, problem.objective.space
+    loss, compiling = compile_time(objective.compile, objective.loss, space.start, objective.data)
+    axes = [np.linspace(low, high, points) for low, high in zip(space.low, space.high, strict=True)]
+    vectors = np.array(list(itertools.product(*axes)), dtype=space.start.dtype)
+    losses, seconds = timed(lambda vector: loss(vector, objective.data), vectors)
+
+    step = jax.jit(mjx.step)
+    _, warm = timed(lambda vector: simulate(step, problem, vector), vectors[:1])
+    few = np.arange(sample) * len(vectors) // sample
+    checked, lasted = timed(lambda vector: simulate(step, problem, vector), vectors[few])
+    np.testing.assert_allclose(checked, losses[few], rtol=1e-3)  # the same simulations; float32
+    lasted *= len(vectors) / sample
+    yield row("mjx.step from Python", GRID, len(vectors), max(0.0, warm - lasted / len(vectors)), lasted)
+    yield row("MJX, compiled", GRID, len(vectors), compiling, seconds)
+
+
+def timed(function: Callable[[np.ndarray], Any], vectors: np.ndarray) -> tuple[np.ndarray, float]:
+    """A function's values and the time that they took [s].
+
+    Args:
+        function: Of a vector.
+        vectors: One a row.
+    """
+    began = time.perf_counter()
+    values = np.array([float(function(vector)) for vector in vectors])
+    return values, time.perf_counter() - began
+
+
+def simulate(step: Callable[..., Any], problem: Problem, vector: np.ndarray) -> float:
+    """The objective of one combination, simulated with stock MJX step by step.
+
+    Args:
+        step: `mjx.step`, compiled.
+        problem: With one segment.
+        vector: The combination.
+    """
+    values, segment = problem.objective.space.values(vector), problem.segments
+    friction = (np.asarray(values["friction"][name]) for name in ("frictionloss", "damping"))
+    text = problem.bench.mjcf({name: np.asarray(value) for name, value in values["bench"].items()}, *friction)
+    stock = mujoco.MjModel.from_xml_string(text)
+    model, data = mjx.put_model(stock), mjx.make_data(stock)
+    data = data.replace(qpos=jnp.asarray(segment.qpos[0, 0]), qvel=jnp.asarray(segment.qvel[0, 0]))
+    predicted = []
+    for command in segment.ctrl[0]:
+        data = step(model, data.replace(ctrl=jnp.asarray(command)))
+        predicted.append((data.qpos, data.qvel))
+    qpos, qvel = np.swapaxes(np.asarray(predicted), 0, 1)
+    return float(np.mean((qpos - segment.qpos[0, 1:]) ** 2 + (qvel - segment.qvel[0, 1:]) ** 2))
+
+
+def search_with_package(model: str, *overrides: str) -> dict[str, Any]:
+    """A fit of this package.
+
+    Args:
+        model: File of conf/model.
+        overrides: Of the configuration.
+    """
+    problem, settings = pose(f"model={model}", *overrides)
+    with tempfile.TemporaryDirectory() as folder:
+        keep = {"folder": Path(folder), "identity": {}}
+        outcome = run_fit(problem.fit, problem.objective, problem.drive.model, **keep, **settings["loop"])
+    way = "fit=grid" if model == GRID else "gradient"
+    return row(way, model, outcome.iterations, outcome.compile_seconds, outcome.fit_seconds)
+
+
+def row(way: str, model: str, simulations: int, compiling: float, search: float) -> dict[str, Any]:
+    """One line of the table.
+
+    Args:
+        way: How it was searched.
+        model: The law.
+        simulations: Combinations simulated, or iterations.
+        compiling: [s].
+        search: [s].
+    """
+    times = {"compile": compiling, "search": search, "whole": compiling + search}
+    return {"way": way, "model": model, "simulations": simulations, **times}
+
+
+def measure(options: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    """All rows, each with its ratio to the first.
+
+    Args:
+        options: From the command line.
+    """
+    stepwise, compiled = search_one_by_one(options.points, options.sample, *options.overrides)
+    ours = search_with_package(GRID, f"fit.points={options.points}", *options.overrides)
+    gradient = (search_with_package(model, *options.overrides) for model in options.models)
+    for found in itertools.chain([stepwise, compiled, ours], gradient):
+        ratios = {"stepwise": stepwise, "compiled": compiled}
+        yield found | {name: grid["whole"] / found["whole"] for name, grid in ratios.items()}
+
+
+def main() -> None:
+    """Entry point."""
+    parser = make_parser("grid", __doc__)
+    parser.add_argument("--points", type=int, default=11, help="values of each parameter in the grid of the paper")
+    parser.add_argument("--sample", type=int, default=10, help="combinations that are simulated step by step")
+    parser.add_argument("--models", nargs="*", default=MODELS, help="gradient models to fit")
+    parser.add_argument("overrides", nargs="*", help="overrides of the configuration, after --")
+    options = parser.parse_args()
+    report(options.out, list(measure(options)), COLUMNS, points=options.points)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,30 @@
+"""What a comparison leaves behind: JSON, page, figures, and a table for a paper."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from frictionzoo.compare.comparison import Comparison, compare_runs
+from frictionzoo.compare.runs import read_runs
+from frictionzoo.errors import RunError
+from frictionzoo.output import write_atomically
+
+
+def write_comparison(folders: Sequence[Path], output: Path) -> Comparison:
+    """Compare runs and write all that a comparison leaves behind, `comparison.json` last.
+
+    Args:
+        folders: Folders of runs or of sweeps.
+        output: Where to write.
+
+    Raises:
+        RunError: A folder holds no run, runs are not comparable, or no run has a result.
+        OutputError: A file cannot be written.
+    """
+    runs, failures = read_runs(folders)
+    if not runs:
+        reasons = "; ".join(f"{failure.run}: {failure.reason}" for failure in failures)
+        raise RunError(f"no run has a result to compare: {reasons}")
+    comparison = compare_runs(runs, failures)
+    write_atomically(output / "comparison.json", (json.dumps(comparison, indent=2, allow_nan=False) + "\n").encode())
+    return comparison

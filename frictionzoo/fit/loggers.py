@@ -1,0 +1,198 @@
+"""Where the course of a fit is recorded besides the run's own files: each logger has a folder in the run's folder."""
+
+import importlib.util
+import json
+import logging
+import os
+import shutil
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from lightning.pytorch.loggers import CSVLogger, Logger, MLFlowLogger, TensorBoardLogger, WandbLogger
+from matplotlib.image import imread
+from torch.utils.tensorboard.summary import hparams
+
+from frictionzoo.errors import ConfigError
+from frictionzoo.output import write_atomically
+
+
+class RunLogger(ABC):
+    """A record of one run.
+
+    It begins anew whenever the fit does, also when that goes on from a checkpoint: the loop then hands over again what
+    the checkpoint holds, and nothing of an interrupted run is there twice or missing.
+    """
+
+    def start(self, folder: Path, hyperparameters: Mapping[str, Any]) -> Logger:
+        """Begin the record, in place of one that an interrupted run left.
+
+        Args:
+            folder: The run's folder.
+            hyperparameters: What tells this run from others; numbers, text, booleans, None and lists of these.
+
+        Returns:
+            What Lightning logs to.
+
+        Raises:
+            OSError: The folder cannot be written.
+        """
+        self._logger = self._open(folder)
+        self._logger.log_hyperparams(dict(hyperparameters))
+        return self._logger
+
+    def finish(self, step: int, metrics: Mapping[str, float], figures: Sequence[Path], text: str) -> None:
+        """End the record with what came out.
+
+        Args:
+            step: Iterations done.
+            metrics: Final numbers.
+            figures: PNG files in the run's folder `figures/`.
+            text: A summary, in Markdown.
+
+        Raises:
+            OSError: A file cannot be written.
+        """
+        self._logger.log_metrics(dict(metrics), step)
+        self._hand_over(step, figures, text)
+        self._logger.finalize("success")
+
+    @abstractmethod
+    def _open(self, folder: Path) -> Logger:
+        """Lightning's logger, on an empty record."""
+
+    @abstractmethod
+    def _hand_over(self, step: int, figures: Sequence[Path], text: str) -> None:
+        """Figures and text, as the arguments of `finish`."""
+
+
+class TensorBoard(RunLogger):
+    """Event files in `tensorboard/`, for `tensorboard --logdir FOLDER` on a run, on outputs or on a whole sweep."""
+
+    def start(self, folder: Path, hyperparameters: Mapping[str, Any]) -> Logger:
+        """As for every logger; hyperparameters are a row of the HParams tab from the first iteration on."""
+        logger = super().start(folder, hyperparameters)
+        # Lightning's and torch's own way also fixes the tab's columns to those of one run. Without, TensorBoard
+        # gathers them from all runs, which in a sweep over models or fits differ.
+        plain = {k: v if type(v) in (int, float, str) else json.dumps(v) for k, v in hyperparameters.items()}
+        _, begun, self._ended = hparams(plain, {})
+        self._logger.experiment.file_writer.add_summary(begun)
+        return logger
+
+    def _open(self, folder: Path) -> Logger:
+        _empty(folder / "tensorboard")
+        # A TensorBoard that is running forgets from this step on what it has seen of an interrupted run.
+        return TensorBoardLogger(folder, name="tensorboard", version="", default_hp_metric=False, purge_step=0)
+
+    def _hand_over(self, step: int, figures: Sequence[Path], text: str) -> None:
+        writer = self._logger.experiment
+        for path in figures:
+            writer.add_image(f"figures/{path.stem}", imread(path), step, dataformats="HWC")
+        writer.add_text("summary", text, step)
+        writer.file_writer.add_summary(self._ended)
+
+
+class Csv(RunLogger):
+    """`csv/`: scalars in `metrics.csv`, hyperparameters in `hparams.yaml`, and `summary.md` with the figures."""
+
+    def _open(self, folder: Path) -> Logger:
+        _empty(folder / "csv")
+        self._folder = folder / "csv"
+        return CSVLogger(folder, name="csv", version="")
+
+    def _hand_over(self, step: int, figures: Sequence[Path], text: str) -> None:
+        shown = [f"![{path.stem}]({os.path.relpath(path, self._folder)})" for path in figures]
+        write_atomically(self._folder / "summary.md", "\n\n".join([text, *shown, ""]).encode())
+
+
+class Wandb(RunLogger):
+    """A Weights & Biases run in `wandb/`, offline: nothing reaches the network until the user types `wandb sync`.
+
+    Args:
+        project: Name of the project to which `wandb sync` adds the run.
+
+    Raises:
+        ConfigError: wandb is not installed.
+    """
+
+    def __init__(self, project: str) -> None:
+        _require("wandb", "wandb")
+        self._project = project
+
+    def _open(self, folder: Path) -> Logger:
+        os.environ["WANDB_ERROR_REPORTING"] = "false"  # it is sent from offline runs too
+        import wandb
+
+        wandb.finish(exit_code=1)  # a run that a failed job of the same sweep left open; Lightning would go on with it
+        _empty(folder / "wandb")
+        quiet = {"silent": True, "console": "off", "x_disable_stats": True, "x_disable_meta": True}
+        self._run = wandb.init(
+            project=self._project,
+            name=folder.name,
+            dir=folder,
+            mode="offline",
+            settings=wandb.Settings(**quiet, disable_git=True, disable_code=True, x_disable_machine_info=True),
+        )
+        self._run.define_metric("*", step_metric="trainer/global_step")
+        return WandbLogger(experiment=self._run)
+
+    def _hand_over(self, step: int, figures: Sequence[Path], text: str) -> None:
+        import wandb
+
+        images = {f"figures/{path.stem}": wandb.Image(str(path)) for path in figures}
+        self._run.log({**images, "trainer/global_step": step})
+        self._run.notes = text  # the run's page shows it as Markdown
+        self._run.finish()
+
+
+class Mlflow(RunLogger):
+    """An MLflow run in `mlflow/`: the database `mlflow.db`, and the figures and `summary.md` as artifacts.
+
+    Args:
+        experiment: Name of the MLflow experiment.
+
+    Raises:
+        ConfigError: mlflow is not installed, or not what it needs to write a database.
+    """
+
+    def __init__(self, experiment: str) -> None:
+        _require("mlflow", "mlflow", "sqlalchemy", "alembic")
+        self._experiment = experiment
+
+    def _open(self, folder: Path) -> Logger:
+        os.environ["MLFLOW_DISABLE_TELEMETRY"] = "true"
+        import mlflow
+
+        home = folder.absolute() / "mlflow"
+        home.mkdir(parents=True, exist_ok=True)
+        # It tells at length how it makes its tables.
+        logging.getLogger("mlflow").setLevel(logging.WARNING)
+        store = f"sqlite:///{home / 'mlflow.db'}"
+        client = mlflow.MlflowClient(store)
+        # MLflow keeps databases open: a run that is to be forgotten is marked as deleted, not removed.
+        for earlier in client.search_runs([known.experiment_id for known in client.search_experiments()]):
+            client.delete_run(earlier.info.run_id)
+        return MLFlowLogger(
+            self._experiment, folder.name, tracking_uri=store, artifact_location=(home / "artifacts").as_uri()
+        )
+
+    def _hand_over(self, step: int, figures: Sequence[Path], text: str) -> None:
+        client, run = self._logger.experiment, self._logger.run_id
+        for path in figures:
+            client.log_artifact(run, str(path), "figures")
+        client.log_text(run, text, "summary.md")
+
+
+def _require(extra: str, *packages: str) -> None:
+    missing = [package for package in packages if importlib.util.find_spec(package) is None]
+    if missing:
+        raise ConfigError(
+            f"logger={extra}: {' and '.join(missing)} not found, expected an installed package; "
+            f'pip install "frictionzoo[{extra}]"'
+        )
+
+
+def _empty(folder: Path) -> None:
+    if folder.exists():
+        shutil.rmtree(folder)

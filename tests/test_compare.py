@@ -1,0 +1,287 @@
+"""Which runs can be compared, what the comparison says, and its command."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+from test_report import VALUES, bench, build, dataset, evaluation, model  # noqa: F401
+
+from frictionzoo.compare import Failure, compare_runs, read_runs, read_schema, write_comparison
+from frictionzoo.compare.__main__ import main
+from frictionzoo.errors import RunError
+from frictionzoo.report.curves import Curves, read_curves, write_curves
+from frictionzoo.report.result import write_result
+
+ROLLOUTS = 10
+RNG = np.random.default_rng(0)
+HARD = RNG.uniform(0.005, 0.02, ROLLOUTS)  # what makes a rollout hard for every drive
+
+
+def make_curves(test_mae, nv=1, length=60):
+    position, velocity = RNG.normal(size=(2, 3, length + 1, nv))
+    drift = test_mae[0] * np.linspace(0, 1, length)[:, None]
+    return Curves(
+        measured_qpos=position,
+        measured_qvel=velocity,
+        qpos=position[:, 1:] + drift,
+        qvel=velocity[:, 1:],
+        train_mae=np.ones(4),
+        test_mae=np.asarray(test_mae),
+        local_mae=np.resize(test_mae, 40),
+        local_speed=np.linspace(0, 2, 40),
+        local_load=np.linspace(1, 0, 40),
+        velocity=np.linspace(-1, 1, 5),
+        friction=np.ones((5, nv)),
+        friction_low=np.zeros((5, nv)),
+        friction_high=np.full((5, nv), 2.0),
+        history={"iteration": np.arange(3.0), "loss": np.array([3.0, 1.0, 2.0]), "bench.armature": np.ones((3, nv))},
+    )
+
+
+@pytest.fixture
+def record(bench, model, dataset, evaluation):  # noqa: F811
+    return build(bench, model, dataset, evaluation, VALUES)
+
+
+@pytest.fixture
+def save(record, tmp_path):
+    """Writes the folder of a run of a model with these errors of its test rollouts."""
+
+    def save(name, law, errors, identified=(), **changes):
+        result = json.loads(json.dumps(record)) | {"model": law}
+        for parameter in result["parameters"]:
+            parameter["identified"] = parameter["name"] in ("armature", *identified)
+        finite = np.asarray(errors)[np.isfinite(errors)]
+        result["metrics"]["test"] |= {
+            "position_mae": float(finite.mean()) if len(finite) else None,
+            "position_mae_std": float(finite.std()) if len(finite) else None,
+            "rollouts": len(errors),
+            "diverged": len(errors) - len(finite),
+        }
+        for path, value in changes.items():
+            *sections, key = path.split("__")
+            inner = result
+            for section in sections:
+                inner = inner.setdefault(section, {})
+            inner[key] = value
+        folder = tmp_path / "sweep" / name
+        folder.mkdir(parents=True)
+        write_result(folder / "result.json", result)
+        write_curves(folder, make_curves(errors))
+        return folder
+
+    return save
+
+
+@pytest.fixture
+def zoo(save):
+    """A sweep: no friction, a simple law, one with more parameters that is better by less than noise, a clumsy one."""
+    noise = 1e-3 * np.resize([1, -1], ROLLOUTS)
+    save("0_baseline", "baseline", HARD + 0.03)
+    save("1_simple", "simple", HARD, ["static_torque"])
+    save("2_rich", "rich", HARD - 1e-5 + noise, ["static_torque", "kinetic_torque", "stribeck_velocity"])
+    return save("10_clumsy", "clumsy", HARD + 0.004, ["static_torque", "kinetic_torque"]).parent
+
+
+def compare(folder):
+    return compare_runs(*read_runs([folder]))
+
+
+def test_a_sweep_is_compared_in_the_order_of_the_errors(zoo):
+    comparison = compare(zoo)
+    assert [run["label"] for run in comparison["runs"]] == ["rich", "simple", "clumsy", "baseline"]
+    assert comparison["reference"] == "baseline"
+    for run in comparison["runs"]:
+        assert run["change"]["test"] == pytest.approx(run["test"]["position_mae"] / (HARD.mean() + 0.03) - 1, rel=1e-12)
+    assert [run["identified"] for run in comparison["runs"]] == [4, 2, 3, 1]
+    jsonschema.Draft202012Validator(read_schema()).validate(comparison)
+
+
+def test_the_simplest_within_noise_is_recommended_with_the_reason(zoo):
+    recommendation = compare(zoo)["recommendation"]
+    assert (recommendation["run"], recommendation["best"]) == ("simple", "rich")
+    assert "within noise" in recommendation["reason"] and "with 2 identified values" in recommendation["reason"]
+
+
+def test_a_clear_winner_is_recommended_however_rich(zoo, save):
+    shutil.rmtree(zoo / "2_rich")
+    save("2_rich", "rich", HARD / 2, ["static_torque", "kinetic_torque", "stribeck_velocity"])
+    recommendation = compare(zoo)["recommendation"]
+    assert recommendation["run"] == recommendation["best"] == "rich"
+    assert "all others are worse by more than noise" in recommendation["reason"]
+
+
+def test_pairs_are_judged_by_what_they_share(zoo):
+    verdicts = {(pair["run"], pair["other"]): pair["verdict"] for pair in compare(zoo)["pairs"]}
+    assert len(verdicts) == 6
+    assert verdicts["simple", "rich"] == "noise"
+    assert verdicts["clumsy", "simple"] == verdicts["baseline", "rich"] == "worse"
+
+
+def test_few_rollouts_are_said(save):
+    folder = save("0_simple", "simple", HARD[:4]).parent
+    assert "4 rollouts are few" in compare(folder)["recommendation"]["reason"]
+
+
+def test_a_run_that_diverged_comes_last_and_is_not_recommended(zoo, save):
+    save("3_wild", "wild", np.where(np.arange(ROLLOUTS) == 3, np.nan, HARD / 10))
+    comparison = compare(zoo)
+    assert comparison["runs"][-1]["label"] == "wild" and comparison["recommendation"]["run"] == "simple"
+
+
+def test_nothing_is_recommended_where_all_diverged(save):
+    folder = save("0_wild", "wild", np.full(ROLLOUTS, np.nan)).parent
+    comparison = compare(folder)
+    assert comparison["recommendation"] is None and comparison["runs"][0]["change"]["test"] is None
+    jsonschema.Draft202012Validator(read_schema()).validate(comparison)
+
+
+def test_without_a_baseline_each_run_is_measured_against_its_own(zoo):
+    shutil.rmtree(zoo / "0_baseline")
+    comparison = compare(zoo)
+    without = read_runs([zoo])[0][0].result["metrics"]["baseline"]["position_mae"]
+    assert comparison["reference"] is None
+    for run in comparison["runs"]:
+        assert run["change"]["test"] == pytest.approx(run["test"]["position_mae"] / without - 1, rel=1e-12)
+        assert run["change"]["train"] is None
+
+
+def test_curves_are_those_of_the_runs(zoo):
+    comparison = compare(zoo)
+    curves = read_curves(zoo / "1_simple")
+    np.testing.assert_allclose(comparison["friction"]["simple"]["torque"], curves.friction.T)
+    by_speed, by_load = comparison["by_speed"], comparison["by_load"]
+    assert by_speed["windows"] == by_load["windows"] == [5] * 8
+    np.testing.assert_allclose(by_speed["position_mae"]["simple"][0], curves.local_mae[:5].mean())
+    np.testing.assert_allclose(by_load["position_mae"]["simple"][0], curves.local_mae[-5:].mean())
+    # The drift grows linearly to the error of the first rollout, so its mean up to the end is half of that.
+    end = comparison["by_horizon"]["position_mae"]["simple"][-1]
+    assert end == pytest.approx(HARD[0] / 2, rel=1e-9)
+
+
+def test_options_that_differ_are_listed(zoo, save):
+    save("5_other", "other", HARD, settings__segments__length=9)
+    (entry,) = compare(zoo)["differences"]
+    assert entry["option"] == "segments.length"
+    assert entry["values"] == {"rich": 5, "simple": 5, "other": 9, "clumsy": 5, "baseline": 5}
+
+
+def test_runs_of_one_model_are_told_apart(save):
+    save("0_a", "law", HARD, settings__seed=0)
+    folder = save("1_a", "law", HARD, settings__seed=1).parent
+    assert [run.label for run in read_runs([folder])[0]] == ["law seed=0", "law seed=1"]
+    save("2_a", "law", HARD, settings__seed=1)
+    assert [run.label for run in read_runs([folder])[0]] == ["law (0_a)", "law (1_a)", "law (2_a)"]
+
+
+def test_folders_may_be_runs_and_sweeps_and_count_once(zoo):
+    runs, failures = read_runs([zoo / "1_simple", zoo, zoo / "../sweep/10_clumsy"])
+    assert [run.folder.name for run in runs] == ["1_simple", "0_baseline", "2_rich", "10_clumsy"]
+    assert not failures
+
+
+def test_failures_are_listed_with_their_reason(zoo):
+    for name in ("3_failed", "4_killed"):
+        (zoo / name / ".hydra").mkdir(parents=True)
+    (zoo / "3_failed" / "failure.json").write_text(json.dumps({"model": "bad", "reason": "no\n good"}))
+    assert read_runs([zoo])[1] == [
+        Failure("3_failed", "bad", "no good"),
+        Failure("4_killed", "", "no result: its process ended before it was done"),
+    ]
+    comparison = compare(zoo)
+    assert [failure["run"] for failure in comparison["failures"]] == ["3_failed", "4_killed"]
+    jsonschema.Draft202012Validator(read_schema()).validate(comparison)
+
+
+def test_other_data_are_refused(zoo, save, record):
+    data = record["data"] | {"name": "storm", "sha256": 64 * "f"}
+    save("5_other", "other", HARD, data=data)
+    with pytest.raises(
+        RunError, match=r"5_other: data storm \(SHA-256 ffffffffffff\), expected waves .* as in .*0_base"
+    ):
+        read_runs([zoo])
+
+
+@pytest.mark.parametrize(
+    ("settings", "text"),
+    [
+        ({"horizons": [0.5]}, r"evaluation.horizons=\[0.5\], expected \[0.1\] as in"),
+        ({"horizons": [0.1]}, "other rollouts as in"),
+    ],
+    ids=["named", "unnamed"],
+)
+def test_other_rollouts_are_refused(save, settings, text):
+    save("0_first", "first", HARD, settings__evaluation={"horizons": [0.1]})
+    folder = save("1_other", "other", HARD, settings__evaluation=settings, evaluation__sha256=64 * "f").parent
+    with pytest.raises(RunError, match=text):
+        read_runs([folder])
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "text"),
+    [
+        ("result.json", b"{", "not JSON"),
+        ("result.json", b"\xff", "not JSON"),
+        ("result.json", b"[]", "list, expected an object"),
+        ("result.json", b'{"schema_version": 1}', "schema_version 1, expected 2; run it again"),
+        ("result.json", b'{"schema_version": 2}', "is a required property"),
+        ("curves.safetensors", b"", "expected the file that this version writes"),
+        ("curves.safetensors", b"\x80\x04pickle", "expected the file that this version writes"),
+        ("failure.json", b"7", "int, expected an object"),
+    ],
+)
+def test_a_damaged_file_is_one_clear_line(zoo, name, content, text):
+    if name == "failure.json":
+        (zoo / "1_simple" / "result.json").unlink()
+    (zoo / "1_simple" / name).write_bytes(content)
+    with pytest.raises(RunError, match=text) as caught:
+        read_runs([zoo])
+    assert "\n" not in str(caught.value) and str(zoo / "1_simple" / name) in str(caught.value)
+
+
+def test_curves_of_another_shape_are_refused(zoo):
+    curves = read_curves(zoo / "1_simple")
+    write_curves(zoo / "1_simple", replace(curves, test_mae=curves.test_mae[:3]))
+    with pytest.raises(RunError, match=r"1_simple: test_mae of shape \(3,\), expected \(10,\)"):
+        read_runs([zoo])
+
+
+def test_a_missing_file_is_said(zoo):
+    (zoo / "1_simple" / "curves.safetensors").unlink()
+    with pytest.raises(RunError, match="No such file"):
+        read_runs([zoo])
+
+
+def test_the_command_writes_into_the_folder_and_prints_the_table(zoo, capsys, monkeypatch):
+    monkeypatch.chdir(zoo.parent)
+    assert main(["sweep"]) == 0
+    written = json.loads(Path("sweep/comparison/comparison.json").read_text())
+    jsonschema.Draft202012Validator(read_schema()).validate(written)
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines[3:7]] == ["rich", "simple", "clumsy", "baseline"]
+    assert "recommended: simple." in "\n".join(lines) and lines[-1] == "files: sweep/comparison"
+    # Again, with the comparison already there, and elsewhere.
+    assert main(["sweep", "sweep/1_simple", "--output", "there"]) == 0
+    assert (Path("there/comparison.json").read_bytes()) == Path("sweep/comparison/comparison.json").read_bytes()
+
+
+@pytest.mark.parametrize("folder", ["nowhere", "."], ids=["missing", "empty"])
+def test_a_folder_without_a_run_is_one_line_and_leaves_nothing(folder, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main([folder]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err.startswith(f"frictionzoo: {folder}: no run in it")
+    assert len(captured.err.splitlines()) == 1 and not list(tmp_path.iterdir())
+
+
+def test_a_sweep_without_a_result_is_refused_with_the_reasons(tmp_path):
+    folder = tmp_path / "0_failed"
+    folder.mkdir()
+    (folder / "failure.json").write_text(json.dumps({"model": "bad", "reason": "out of luck"}))
+    with pytest.raises(RunError, match="0_failed: out of luck"):
+        write_comparison([tmp_path], tmp_path / "comparison")
+    assert not (tmp_path / "comparison").exists()

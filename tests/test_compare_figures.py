@@ -1,0 +1,333 @@
+"""Figures of a comparison against the numbers they draw, for awkward runs too, and their files."""
+
+import re
+import zlib
+
+import jsonschema
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib import colors
+from matplotlib.image import imread
+
+from frictionzoo.compare import compare_runs, read_schema
+from frictionzoo.compare.figures import (
+    choose_styles,
+    draw_autocorrelation,
+    draw_differences,
+    draw_error,
+    draw_error_by_bin,
+    draw_error_by_horizon,
+    draw_friction,
+    draw_mae,
+    draw_parameters,
+    draw_trajectories,
+    write_figures,
+)
+from frictionzoo.evaluate import moving_mean_and_std
+
+LABELS = ("stribeck", "smooth", "baseline")
+AWKWARD = (
+    r"cost $1 \alpha_2 50%",
+    "_hidden",
+    "coulomb_smooth segments.length=20 seed=1 fit.schedule.learning_rate=0.001 loss.robust=huber loss.velocity=0.25",
+    *(f"model_{i} $x_{i}$" for i in range(8)),
+    "baseline",
+)
+NAMES = [
+    "autocorrelation",
+    "differences",
+    "error_by_horizon",
+    "error_by_load",
+    "error_by_speed",
+    "figure3_parameters",
+    "figure4_trajectories",
+    "figure5_error",
+    "figure6_mae",
+    "friction",
+]
+
+
+def compare(runs):
+    comparison = compare_runs(runs, [])
+    jsonschema.Draft202012Validator(read_schema()).validate(comparison)
+    return comparison
+
+
+@pytest.fixture
+def runs(make_runs):
+    return make_runs(LABELS)
+
+
+@pytest.fixture
+def comparison(runs):
+    return compare(runs)
+
+
+def drawn(axes, label, comparison):
+    """Data of the one line of this run."""
+    style = choose_styles(run["label"] for run in comparison["runs"])[label]
+    (line,) = [line for line in axes.get_lines() if line.get_color() == style["color"]]
+    return np.asarray(line.get_xdata(), float), np.asarray(line.get_ydata(), float)
+
+
+def numbers(values):
+    return np.array(values, dtype=float)
+
+
+def test_styles_are_distinct_for_many_runs():
+    styles = choose_styles(map(str, range(42))).values()
+    assert len({(style["color"], style["linestyle"]) for style in styles}) == 42
+    assert len({style["linestyle"] for style in list(styles)[:7]}) == 7  # for grey print
+
+
+def test_figure3_draws_the_parameters(runs, comparison):
+    figure = draw_parameters(comparison, runs)
+    panels = [axes for axes in figure.get_axes() if axes.axison]
+    assert [axes.get_legend().get_title().get_text() for axes in panels] == list(LABELS)
+    for axes, run in zip(panels, runs, strict=True):
+        iteration, values = drawn(axes, run.label, comparison)
+        np.testing.assert_array_equal(iteration, run.curves.history["iteration"])
+        np.testing.assert_array_equal(values, run.curves.history["friction.damping"][:, 0])
+        marker, best = axes.get_lines()[1:]
+        assert (marker.get_xdata()[0], marker.get_ydata()[0]) == (3, run.result["parameters"][0]["value"])
+        assert (set(best.get_xdata()), best.get_linestyle()) == ({3}, "--")
+        assert colors.same_color(best.get_color(), "#D00000")
+        text = axes.get_legend().get_texts()[0].get_text()
+        assert text == f"damping = {run.result['parameters'][0]['value']:.4g} N m s/rad"
+
+
+def test_figure3_of_a_grid_search_has_points_where_it_improved(make_runs):
+    runs = make_runs(["grid"], grid="grid")
+    comparison = compare(runs)
+    (axes,) = draw_parameters(comparison, runs).get_axes()
+    points = axes.get_lines()[0]
+    assert (points.get_linestyle(), points.get_marker()) == ("None", "o")
+    np.testing.assert_array_equal(points.get_xdata(), [0, 2, 3])
+    assert axes.get_xlabel() == "combination"
+
+
+def test_figure3_names_joints_and_networks(make_runs):
+    runs = make_runs(["neural"], joints=2)
+    runs[0].result["network"] = {"weights": 4545}
+    panels = draw_parameters(compare(runs), runs).get_axes()
+    titles = [axes.get_legend().get_title().get_text() for axes in panels]
+    assert titles == [f"neural, joint {i} (4545 weights not shown)" for i in range(2)]
+
+
+def test_figure3_without_parameters_is_not_drawn(runs, comparison, tmp_path):
+    for run in runs:
+        run.result["parameters"][0]["identified"] = False
+    assert draw_parameters(comparison, runs) is None
+
+
+@pytest.mark.parametrize("joints", [1, 2])
+def test_figure4_draws_the_rollouts(make_runs, joints):
+    runs = make_runs(LABELS, joints)
+    comparison = compare(runs)
+    panels = draw_trajectories(comparison, runs).get_axes()
+    assert [axes.get_ylabel() for axes in panels] == joints * ["position [rad]"] + joints * ["velocity [rad/s]"]
+    assert [axes.get_title() for axes in panels[:joints]] == comparison["joints"]
+    for place, axes in enumerate(panels):
+        signal, joint = ("qpos", "qvel")[place // joints], place % joints
+        for run in runs:
+            measured = getattr(run.curves, f"measured_{signal}")[0, :, joint]
+            time, curve = drawn(axes, run.label, comparison)
+            np.testing.assert_allclose(time, np.arange(101) * 0.01, rtol=1e-12)
+            np.testing.assert_array_equal(curve, [measured[0], *getattr(run.curves, signal)[0, :, joint]])
+            np.testing.assert_array_equal(axes.get_lines()[0].get_ydata(), measured)
+
+
+def test_figure4_magnifies_where_the_runs_differ(runs, comparison):
+    runs[1].curves.qpos[0, 70] = runs[0].curves.qpos[0, 70] + 0.3
+    position = draw_trajectories(comparison, runs).get_axes()[0]
+    (inset,) = position.child_axes
+    assert inset.get_xlim()[0] <= 0.71 <= inset.get_xlim()[1]
+    assert np.diff(inset.get_xlim()) < 0.1
+
+
+def test_figure5_draws_the_moving_error(runs, comparison):
+    (axes,) = draw_error(comparison, runs).get_axes()
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("time [s]", "absolute position error [rad]")
+    for run in runs:
+        time, mean = drawn(axes, run.label, comparison)
+        error = np.abs(run.curves.qpos - run.curves.measured_qpos[:, 1:])[0, :, 0]
+        np.testing.assert_allclose(mean, [error[i : i + 10].mean() for i in range(91)], rtol=1e-12)
+        np.testing.assert_allclose(time[[0, -1]], [0.055, 0.955], rtol=1e-12)
+    bands = [collection.get_paths()[0].vertices[:, 1] for collection in axes.collections]
+    mean, std = moving_mean_and_std(np.abs(runs[0].curves.qpos - runs[0].curves.measured_qpos[:, 1:])[0, :, 0], 10)
+    assert len(bands) == 3
+    assert bands[0].max() == pytest.approx((mean + std).max())
+    assert bands[0].min() == pytest.approx((mean - std).min())
+
+
+def test_figure6_draws_the_errors(comparison):
+    axes = draw_mae(comparison).get_axes()[0]
+    assert axes.get_xlabel() == "position MAE [rad]"
+    assert [label.get_text() for label in axes.get_yticklabels()] == list(LABELS)
+    bars, whiskers = axes.containers[::2], axes.containers[1::2]
+    for part, bar, whisker in zip(("test", "train"), bars, whiskers, strict=True):
+        mean, std = (
+            numbers([run[part][key] for run in comparison["runs"]]) for key in ("position_mae", "position_mae_std")
+        )
+        np.testing.assert_array_equal([patch.get_width() for patch in bar], mean)
+        ends = np.array([segment[:, 0] for segment in whisker.lines[2][0].get_segments()])
+        np.testing.assert_allclose(ends, np.stack([mean - std, mean + std], axis=1), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("draw", "section", "abscissa", "curves", "label"),
+    [
+        (draw_error_by_horizon, "by_horizon", "horizon", "position_mae", "horizon [s]"),
+        (
+            lambda c: draw_error_by_bin(c, "by_speed"),
+            "by_speed",
+            "centre",
+            "position_mae",
+            "mean absolute speed [rad/s]",
+        ),
+        (
+            lambda c: draw_error_by_bin(c, "by_load"),
+            "by_load",
+            "centre",
+            "position_mae",
+            "mean absolute motor torque [N m]",
+        ),
+        (draw_autocorrelation, "autocorrelation", "lag", "coefficient", "lag [s]"),
+    ],
+    ids=["horizon", "speed", "load", "autocorrelation"],
+)
+def test_curves_are_the_comparison(comparison, draw, section, abscissa, curves, label):
+    (axes,) = draw(comparison).get_axes()
+    assert axes.get_xlabel() == label
+    assert axes.get_ylabel().endswith(("[rad]", "[1]"))
+    for run in LABELS:
+        x, y = drawn(axes, run, comparison)
+        np.testing.assert_array_equal(x, comparison[section][abscissa])
+        np.testing.assert_array_equal(y, numbers(comparison[section][curves][run]))
+
+
+def test_autocorrelation_shows_white_noise(comparison):
+    (axes,) = draw_autocorrelation(comparison).get_axes()
+    (band,) = axes.patches
+    assert band.get_y() == pytest.approx(-comparison["autocorrelation"]["band"])
+    assert band.get_height() == pytest.approx(2 * comparison["autocorrelation"]["band"])
+
+
+def test_friction_has_a_panel_a_joint_and_a_band_where_it_spreads(make_runs):
+    comparison = compare(make_runs(LABELS, joints=2))
+    panels = draw_friction(comparison).get_axes()
+    assert [axes.get_title() for axes in panels] == ["joint 0", "joint 1"]
+    for joint, axes in enumerate(panels):
+        for run, law in comparison["friction"].items():
+            velocity, torque = drawn(axes, run, comparison)
+            np.testing.assert_array_equal(velocity, law["velocity"])
+            np.testing.assert_array_equal(torque, law["torque"][joint])
+        assert len(axes.collections) == 2  # the first run's low and high quantiles are its median
+        assert (axes.get_xlabel(), axes.get_ylabel()) == ("velocity [rad/s]", "friction [N m]")
+
+
+def test_differences_are_those_to_the_best(comparison):
+    (axes,) = draw_differences(comparison).get_axes()
+    pairs = [pair for pair in comparison["pairs"] if pair["other"] == "stribeck"]
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["smooth", "baseline"]
+    for container, pair in zip(axes.containers, pairs, strict=True):
+        point, _, (bar,) = container.lines
+        assert point.get_xdata()[0] == pair["mean"]
+        np.testing.assert_allclose(bar.get_segments()[0][:, 0], [pair["low"], pair["high"]], rtol=1e-9)
+    assert axes.get_xlabel() == "position MAE above that of stribeck [rad]"
+
+
+def test_a_single_run_has_no_differences(make_runs, monkeypatch, tmp_path):
+    monkeypatch.setattr("frictionzoo.compare.figures.FORMATS", ("png",))
+    runs = make_runs(["smooth"])
+    assert draw_differences(compare(runs)) is None
+    (tmp_path / "differences.png").write_bytes(b"of an older comparison")
+    write_figures(tmp_path, compare(runs), runs)
+    assert "differences.png" not in [path.name for path in tmp_path.iterdir()]
+
+
+def test_errors_of_different_sizes_are_logarithmic(comparison):
+    (axes,) = draw_error_by_horizon(comparison).get_axes()
+    low, high = axes.get_ylim()
+    assert axes.get_yscale() == "log" and low < 0.01 and high > max(numbers(drawn(axes, "baseline", comparison)[1]))
+
+
+def test_a_run_without_friction_does_not_hide_the_others(make_runs):
+    runs = make_runs(["a", "b", "c", "baseline"])
+    runs[-1].curves.qpos[:] += 1e6 * np.arange(100)[:, None]
+    for metrics in runs[-1].result["metrics"].values():
+        metrics["position_mae"] = metrics["position_mae_std"] = 1e6
+    comparison = compare(runs)
+    position, velocity = draw_trajectories(comparison, runs).get_axes()
+    assert np.abs(position.get_ylim()).max() < 10 and np.abs(velocity.get_ylim()).max() < 50
+    for figure in (draw_error(comparison, runs), draw_error_by_horizon(comparison)):
+        (axes,) = figure.get_axes()
+        assert axes.get_ylim()[1] < 0.1 and axes.get_title("right") == "above the frame: baseline"
+    bars = draw_mae(comparison).get_axes()[0]
+    assert bars.get_xlim()[1] < 0.1
+    assert "1.00e+06 ± 1.0e+06" in [text.get_text() for text in bars.texts]
+
+
+@pytest.mark.parametrize(
+    ("labels", "lost", "joints"),
+    [(("only",), "only", 2), (("good", "baseline"), "baseline", 1), (AWKWARD, AWKWARD[4], 2)],
+    ids=["one", "baseline", "many"],
+)
+def test_awkward_runs_are_drawn(make_runs, monkeypatch, tmp_path, labels, lost, joints):
+    monkeypatch.setattr("frictionzoo.compare.figures.FORMATS", ("png",))
+    runs = make_runs(labels, joints, diverged=lost)
+    write_figures(tmp_path, compare(runs), runs)
+    assert len(list(tmp_path.iterdir())) == len(NAMES) - (len(labels) == 1)
+
+
+def test_a_diverged_rollout_is_drawn_as_far_as_it_goes(make_runs):
+    runs = make_runs(["good", "lost"], diverged="lost")
+    runs[1].curves.qpos[:, 40:50] = 1e300  # on its way out
+    comparison = compare(runs)
+    figure = draw_trajectories(comparison, runs)
+    assert np.isfinite(drawn(figure.get_axes()[0], "lost", comparison)[1]).sum() == 41
+    figure.draw_without_rendering()
+    (axes,) = draw_error(comparison, runs).get_axes()
+    assert np.isfinite(drawn(axes, "lost", comparison)[1]).sum() == 31  # windows of 10 samples
+    texts = [text.get_text() for text in draw_mae(comparison).get_axes()[0].texts]
+    assert texts[1] == "all diverged"
+
+
+def test_labels_stand_as_they_are(make_runs, tmp_path):
+    runs = make_runs(AWKWARD)
+    comparison = compare(runs)
+    figure = draw_error(comparison, runs)
+    figure.draw_without_rendering()
+    (legend,) = figure.legends
+    shown = [text.get_text().replace(r"\$", "$").replace("\n", " ") for text in legend.get_texts()]
+    assert shown == [run["label"] for run in comparison["runs"]]
+    assert not any(matplotlib.cbook.is_math_text(text.get_text()) for text in legend.get_texts())
+    width = figure.get_figwidth() * figure.dpi
+    box = legend.get_window_extent()
+    assert box.x0 >= 0 and box.x1 <= width and box.y0 >= 0
+    assert box.y1 <= figure.get_axes()[0].get_tightbbox().y0
+
+
+def test_files_are_whole_and_the_same_each_time(runs, comparison, tmp_path):
+    before = dict(matplotlib.rcParams)
+    for folder in ("first", "second"):
+        write_figures(tmp_path / folder, comparison, runs)
+    assert dict(matplotlib.rcParams) == before
+    paths = sorted((tmp_path / "first").iterdir())
+    assert [path.name for path in paths] == [f"{name}.{suffix}" for name in NAMES for suffix in ("pdf", "png")]
+    for path in paths:
+        assert path.read_bytes() == (tmp_path / "second" / path.name).read_bytes()
+        if path.suffix == ".png":
+            assert imread(path, format="png").std() > 0.05  # more than an empty canvas
+        else:
+            _judge_pdf(path.read_bytes())
+
+
+def _judge_pdf(content):
+    assert content.startswith(b"%PDF") and content.rstrip().endswith(b"%%EOF")
+    assert b"CreationDate" not in content
+    assert b"/FontFile2" in content and b"/Type3" not in content
+    streams = re.findall(rb"stream\r?\n(.*?)\r?\nendstream", content, re.DOTALL)
+    assert not re.search(rb"/Subtype\s*/Image", content)  # drawn as lines
+    assert any(zlib.decompress(stream).count(b" l\n") > 10 for stream in streams if stream.startswith(b"x"))

@@ -1,0 +1,283 @@
+"""What each logger has in its files after a real job, and after one that was interrupted and resumed."""
+
+import csv
+import errno
+import importlib.util
+import json
+import sqlite3
+import struct
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import yaml
+from matplotlib.image import imread
+from tensorboard.backend.event_processing.plugin_event_multiplexer import EventMultiplexer
+from tensorboard.plugins.hparams import metadata
+from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
+from tensorboard.util import tensor_util
+
+from frictionzoo.config import CONF_DIR
+from frictionzoo.fit import loop
+from frictionzoo.output import write_atomically
+
+ITERATIONS = 4
+JOB = ("model=coulomb_smooth", f"fit.iterations={ITERATIONS}", "segments.length=5")
+FIGURES = {"figure3_parameters", "figure4_trajectory", "figure5_error"}
+SCALARS = {"loss", "grad_norm", "bench.armature", "friction.static_torque", "friction.viscous_coefficient"}
+
+
+@dataclass(frozen=True)
+class Record:
+    """What a logger's files hold, read by other code than what wrote them.
+
+    Attributes:
+        scalars: Steps and values of each scalar.
+        hyperparameters: As text; numbers as the logger keeps them.
+        figures: Size of each image, height and width.
+        text: The summary.
+        ended: Whether the record says that the run ended well.
+    """
+
+    scalars: dict[str, dict[int, float]]
+    hyperparameters: dict[str, str]
+    figures: dict[str, tuple[int, ...]]
+    text: str
+    ended: bool
+
+
+def read_tensorboard(run: Path) -> Record:
+    events = EventMultiplexer(size_guidance={"tensors": 0}).AddRunsFromDirectory(str(run)).Reload()
+    (name,) = events.Runs()  # one row of the HParams tab
+    log = events.GetAccumulator(name)
+    tags = log.Tags()["tensors"]
+    kinds = {tag: log.SummaryMetadata(tag).plugin_data.plugin_name for tag in tags}
+    begun, ended = (
+        HParamsPluginData.FromString(log.SummaryMetadata(tag).plugin_data.content)
+        for tag in (metadata.SESSION_START_INFO_TAG, metadata.SESSION_END_INFO_TAG)
+    )
+    assert metadata.EXPERIMENT_TAG not in tags  # would fix the columns to those of this run
+    values = {tag: log.Tensors(tag) for tag in tags}
+    images = {tag: values[tag] for tag in tags if kinds[tag] == "images"}
+    (text,) = next(values[tag] for tag in tags if kinds[tag] == "text")
+    return Record(
+        scalars={
+            tag: unique((event.step, tensor_util.make_ndarray(event.tensor_proto).item()) for event in values[tag])
+            for tag in tags
+            if kinds[tag] == "scalars"
+        },
+        hyperparameters={
+            key: str(getattr(value, value.WhichOneof("kind")))
+            for key, value in begun.session_start_info.hparams.items()
+        },
+        figures={
+            tag.removeprefix("figures/"): tuple(int(side) for side in image.tensor_proto.string_val[1::-1])
+            for tag, (image,) in images.items()
+        },
+        text=text.tensor_proto.string_val[0].decode(),
+        ended=ended.session_end_info.status == 1,
+    )
+
+
+def read_csv(run: Path) -> Record:
+    with open(run / "csv" / "metrics.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    text = (run / "csv" / "summary.md").read_text()
+    links = [line.partition("](")[2].rstrip(")") for line in text.splitlines() if line.startswith("![")]
+    hyperparameters = yaml.safe_load((run / "csv" / "hparams.yaml").read_text())
+    return Record(
+        scalars={
+            name: unique((int(row["step"]), float(row[name])) for row in rows if row[name])
+            for name in rows[0]
+            if name != "step"
+        },
+        hyperparameters={key: str(value) for key, value in hyperparameters.items()},
+        figures={Path(link).stem: imread(run / "csv" / link).shape[:2] for link in links},
+        text=text,
+        ended=True,
+    )
+
+
+def read_wandb(run: Path) -> Record:
+    import wandb
+    from wandb.proto.wandb_internal_pb2 import Record as Entry
+
+    wandb.teardown()  # as at the end of a process: what writes the file ends, and has written all of it
+    (path,) = (run / "wandb").glob("offline-run-*/run-*.wandb")
+    entries = [Entry.FromString(content) for content in read_leveldb_log(path.read_bytes())]
+    rows = [
+        {tuple(item.nested_key): json.loads(item.value_json) for item in entry.history.item}
+        for entry in entries
+        if entry.HasField("history")
+    ]
+    configs = [update for entry in entries for update in entry.config.update if update.key]
+    names = {key[0] for row in rows for key in row if len(key) == 1 and not key[0].startswith("_")}
+    images = {key[0]: path for row in rows for key, path in row.items() if key[1:] == ("path",)}
+    return Record(
+        scalars={
+            name: unique((row["trainer/global_step",], row[name,]) for row in rows if (name,) in row)
+            for name in names - {"trainer/global_step"}
+        },
+        hyperparameters={item.key: str(json.loads(item.value_json)) for item in configs},
+        figures={
+            name.removeprefix("figures/"): imread(path.parent / "files" / image).shape[:2]
+            for name, image in images.items()
+        },
+        text=[entry.run.notes for entry in entries if entry.run.notes][-1],
+        ended=[entry.exit.exit_code for entry in entries if entry.HasField("exit")] == [0],
+    )
+
+
+def read_leveldb_log(content: bytes) -> Iterator[bytes]:
+    """Records of wandb's file: LevelDB's log format, in blocks of 32 KiB, after a header of 7 bytes."""
+    whole, position = b"", 7
+    while position + 7 <= len(content):
+        left = 32768 - position % 32768
+        if left < 7:
+            position += left
+            continue
+        _, size, kind = struct.unpack_from("<IHB", content, position)
+        whole += content[position + 7 : position + 7 + size]
+        position += 7 + size
+        if kind in (1, 4):  # whole, or the last part
+            yield whole
+            whole = b""
+
+
+def read_mlflow(run: Path) -> Record:
+    with closing(sqlite3.connect(run / "mlflow" / "mlflow.db")) as database:
+        runs = database.execute("SELECT run_uuid, status FROM runs WHERE lifecycle_stage = 'active'").fetchall()
+        ((identity, status),) = runs
+        metrics = database.execute("SELECT key, step, value FROM metrics WHERE run_uuid = ?", (identity,)).fetchall()
+        params = database.execute("SELECT key, value FROM params WHERE run_uuid = ?", (identity,)).fetchall()
+    artifacts = run / "mlflow" / "artifacts" / identity / "artifacts"
+    return Record(
+        scalars={name: unique((step, value) for key, step, value in metrics if key == name) for name, _, _ in metrics},
+        hyperparameters=dict(params),
+        figures={path.stem: imread(path).shape[:2] for path in (artifacts / "figures").glob("*.png")},
+        text=(artifacts / "summary.md").read_text(),
+        ended=status == "FINISHED",
+    )
+
+
+def unique(pairs: Iterator[tuple[int, float]]) -> dict[int, float]:
+    """A value for each step, refused where there are two."""
+    listed = list(pairs)
+    assert len(dict(listed)) == len(listed)
+    return dict(sorted(listed))
+
+
+READERS = {"tensorboard": read_tensorboard, "csv": read_csv, "wandb": read_wandb, "mlflow": read_mlflow}
+FINAL = {
+    "test/position_mae": ("metrics", "test", "position_mae"),
+    "test/position_rmse": ("metrics", "test", "position_rmse"),
+    "train/position_mae": ("metrics", "train", "position_mae"),
+    "fit/loss": ("fit", "loss"),
+    "fit/seconds": ("timing", "fit"),
+}
+
+
+def check(run: Path, record: Record) -> None:
+    """The record agrees with the run's own files."""
+    result = json.loads((run / "result.json").read_text())
+    saved = torch.load(run / "checkpoints" / "last.ckpt", weights_only=True)["frictionzoo"]["history"]
+    assert set(record.scalars) >= SCALARS
+    for name in SCALARS:
+        assert list(record.scalars[name]) == list(range(ITERATIONS))
+    np.testing.assert_allclose(list(record.scalars["loss"].values()), saved[0].numpy(), rtol=1e-6)
+    for name, path in FINAL.items():
+        value = result
+        for key in path:
+            value = value[key]
+        assert record.scalars[name] == {ITERATIONS: pytest.approx(value, rel=1e-6)}, name
+    for parameter in result["parameters"]:
+        name = f"identified/{parameter['owner']}.{parameter['name']}"
+        assert (name in record.scalars) == parameter["identified"]
+        if parameter["identified"]:
+            assert record.scalars[name] == {ITERATIONS: pytest.approx(parameter["value"], rel=1e-6)}
+            assert f"| {name.partition('/')[2]} | {parameter['value']:.4g} |" in record.text
+
+    told = record.hyperparameters
+    for name, text in {"model": "coulomb_smooth", "data": "csv", "fit": "adam", "dtype": "float64"}.items():
+        assert told[name] == text
+    for name, number in {"seed": 0, "segments.length": 5, "fit.learning_rate": 0.01, "fit.iterations": 4}.items():
+        assert float(told[name]) == number
+    assert not {name for name in told if name.endswith("_target_") or name.startswith(("logger", "resume"))}
+    assert record.figures == {path.stem: imread(path).shape[:2] for path in (run / "figures").glob("*.png")}
+    assert set(record.figures) == FIGURES
+    assert record.ended
+
+
+@pytest.fixture(scope="module")
+def homes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where each logger's run is made, once."""
+    return tmp_path_factory.mktemp("loggers")
+
+
+def run_with(call: Callable, homes: Path, tiny: tuple[str, ...], logger: str) -> Path:
+    run = homes / logger
+    if not run.exists():
+        finished = call(*tiny, *JOB, f"logger={logger}", f"hydra.run.dir={run}")
+        assert finished.status == 0, finished.err
+        assert str(run) in finished.out
+        assert len(finished.err.splitlines()) == 2, finished.err  # our own; loggers are told to be silent
+    return run
+
+
+@pytest.mark.parametrize("logger", READERS)
+def test_a_job_is_recorded(call: Callable, tiny: tuple[str, ...], homes: Path, logger: str) -> None:
+    run = run_with(call, homes, tiny, logger)
+    check(run, READERS[logger](run))
+    others = [name for name in READERS if name != logger and (run / name).exists()]
+    assert not others
+    assert f'href="{logger}/"' in (run / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("logger", READERS)
+def test_an_interrupted_and_resumed_run_is_recorded_once(
+    call: Callable, tiny: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, logger: str
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(loop, "write_atomically", fill_the_disk_after(1))
+        assert call(*tiny, *JOB, f"logger={logger}", "hydra.run.dir=run").status == 2
+    # The logger knows all iterations and the checkpoint the first two: the others are done, and logged, again.
+    run = tmp_path / "run"
+    assert int(torch.load(run / "checkpoints" / "last.ckpt", weights_only=True)["frictionzoo"]["progress"][0]) == 2
+    finished = call(f"resume={run}")
+    assert finished.status == 0, finished.err
+    assert len(finished.err.splitlines()) == 3
+    check(run, READERS[logger](run))
+
+
+def fill_the_disk_after(files: int) -> Callable[[Path, bytes], None]:
+    """A way of writing that has room for so many files."""
+    written: list[Path] = []
+
+    def write(path: Path, content: bytes) -> None:
+        if len(written) == files:
+            raise OSError(errno.ENOSPC, "No space left on device", str(path))
+        written.append(path)
+        write_atomically(path, content)
+
+    return write
+
+
+def test_every_logger_of_the_configuration_is_tested() -> None:
+    assert {path.stem for path in (CONF_DIR / "logger").glob("*.yaml")} == set(READERS)
+
+
+@pytest.mark.parametrize(("logger", "lost"), [("wandb", "wandb"), ("mlflow", "mlflow"), ("mlflow", "sqlalchemy")])
+def test_a_missing_package_is_told_in_one_line(
+    call: Callable, tiny: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, logger: str, lost: str
+) -> None:
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *more: None if name == lost else find(name, *more))
+    finished = call(*tiny, *JOB, f"logger={logger}", "hydra.run.dir=run")
+    assert finished.status == 2
+    (line,) = [line for line in finished.err.splitlines() if line.startswith("frictionzoo: ")]
+    assert line.startswith(f"frictionzoo: logger={logger}: {lost} not found") and f'"frictionzoo[{logger}]"' in line
+    assert not (tmp_path / "run" / "result.json").exists()
