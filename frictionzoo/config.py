@@ -57,8 +57,8 @@ def compose_config(*overrides: str) -> DictConfig:
 def build(section: Mapping[str, Any], **more: Any) -> Any:
     """Construct what a section's `_target_` names, with the section's other keys as arguments.
 
-    Nested sections with a `_target_` are built first. Only classes of frictionzoo and of packages that registered a
-    friction model are built, so that a configuration from elsewhere cannot run arbitrary code.
+    Nested sections with a `_target_` are built first. Only classes of frictionzoo, of packages that bring friction
+    models, and registered friction models are built, so that a configuration from elsewhere cannot run arbitrary code.
 
     Args:
         section: `_target_` and constructor arguments.
@@ -149,6 +149,11 @@ def list_options(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _find(target: str) -> Any:
+    # Imported here, so that --help and a typing error do not wait for torch.
+    from frictionzoo.models.registry import registered_models
+
+    if target in (registered := registered_models()):  # also laws of the program that runs, of a notebook say
+        return registered[target]
     packages = {"frictionzoo", *(point.module.partition(".")[0] for point in entry_points(group="frictionzoo.models"))}
     module, _, name = target.rpartition(".")
     if module.partition(".")[0] not in packages:

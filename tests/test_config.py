@@ -11,6 +11,7 @@ from omegaconf import OmegaConf
 from frictionzoo.config import _NULLABLE, CONF_DIR, build, check_overrides, compose_config, list_options, suggest_option
 from frictionzoo.errors import ConfigError
 from frictionzoo.fit import Grid
+from frictionzoo.models import Baseline, registry
 
 HOMES = {"fit": "fit", "logger": "fit", "bench": "bench", "model": "models"}  # where the classes of a group are
 CHOICES = [(path.parent.name, path.stem) for path in sorted(CONF_DIR.glob("*/*.yaml"))]
@@ -68,6 +69,19 @@ def _choices(path: Path) -> list[str]:
 def test_build_refuses_foreign_targets(target: str) -> None:
     with pytest.raises(ConfigError, match="_target_="):
         build({"_target_": target})
+
+
+def test_a_registered_law_is_built_wherever_it_is_defined(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("frictionzoo.models.registry._models", dict(registry._models))
+
+    @registry.register_model("linear_friction")
+    class Linear(Baseline):
+        pass
+
+    target = f"{Linear.__module__}.{Linear.__qualname__}"
+    assert isinstance(build({"_target_": target}, nv=2), Linear)
+    with pytest.raises(ConfigError, match="_target_="):
+        build({"_target_": target.replace("Linear", "Cubic")}, nv=2)
 
 
 def test_build_refuses_a_foreign_target_inside_a_section() -> None:

@@ -60,7 +60,7 @@ def compare_runs(runs: Sequence[Run], failures: Sequence[Failure]) -> Comparison
         "velocity_unit": first["metrics"]["test"]["velocity_unit"],
         "torque_unit": "N m" if first["metrics"]["test"]["unit"] == "rad" else "N",
         "evaluation": {
-            **first["evaluation"],
+            "sha256": first["evaluation"]["sha256"],
             "horizon": first["metrics"]["test"]["horizon"],
             "rollouts": first["metrics"]["test"]["rollouts"],
             "long_rollouts": len(ranked[0].curves.qpos),

@@ -286,7 +286,7 @@ def draw_error(comparison: Comparison, runs: Sequence[Run]) -> Figure:
     figure = Figure(figsize=(WIDTH, 4.0), layout="constrained")
     axes = figure.subplots()
     styles, timestep = choose_styles(_labels(comparison)), comparison["data"]["timestep"]
-    window = runs[0].result["settings"]["evaluation"]["window"]
+    window = runs[0].result["evaluation"]["window"]
     means = {}
     for run in _rank(comparison, runs):
         error = cut_divergence(position_error(run)[0][:, None])[:, 0]

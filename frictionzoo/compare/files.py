@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from frictionzoo.compare.comparison import Comparison, compare_runs
+from frictionzoo.compare.figures import write_figures
+from frictionzoo.compare.latex import tabulate_latex
 from frictionzoo.compare.runs import read_runs
 from frictionzoo.errors import RunError
 from frictionzoo.output import write_atomically
@@ -26,5 +28,7 @@ def write_comparison(folders: Sequence[Path], output: Path) -> Comparison:
         reasons = "; ".join(f"{failure.run}: {failure.reason}" for failure in failures)
         raise RunError(f"no run has a result to compare: {reasons}")
     comparison = compare_runs(runs, failures)
+    write_figures(output / "figures", comparison, runs)
+    write_atomically(output / "table.tex", tabulate_latex(comparison).encode())
     write_atomically(output / "comparison.json", (json.dumps(comparison, indent=2, allow_nan=False) + "\n").encode())
     return comparison

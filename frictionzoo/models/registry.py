@@ -63,6 +63,11 @@ def model_names() -> list[str]:
     return sorted({*_outside(), *_models})
 
 
+def registered_models() -> dict[str, type[FrictionModel]]:
+    """The laws that were registered in this process, by the dotted name of their class, as `_target_` has it."""
+    return {f"{cls.__module__}.{cls.__qualname__}": cls for cls in _models.values()}
+
+
 def _outside() -> dict[str, EntryPoint]:
     points: dict[str, EntryPoint] = {}
     for point in entry_points(group=GROUP):

@@ -73,7 +73,7 @@ def build_result(
         ],
         "network": _describe_network(model),
         **_describe_metrics(judgement, baseline),
-        "evaluation": {"sha256": evaluation.sha256},
+        "evaluation": {"sha256": evaluation.sha256, "window": evaluation.window},
         "fit": dict(fit),
         "timing": dict(timing),
         "seed": settings["seed"],
