@@ -23,5 +23,6 @@ format: ## mend what can be mended
 	ruff format
 	ruff check --fix
 
-docs: ## docs/result.md from the JSON schema
+docs: ## the documentation in site/, and the pages of JSON files from their schemas
 	python docs/write_result.py
+	NO_MKDOCS_2_WARNING=1 mkdocs build --strict

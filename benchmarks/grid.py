@@ -154,14 +154,19 @@ def measure(options: argparse.Namespace) -> Iterator[dict[str, Any]]:
         yield found | {name: grid["whole"] / found["whole"] for name, grid in ratios.items()}
 
 
-def main() -> None:
-    """Entry point."""
+def parse() -> argparse.Namespace:
+    """The command line."""
     parser = make_parser("grid", __doc__)
     parser.add_argument("--points", type=int, default=11, help="values of each parameter in the grid of the paper")
     parser.add_argument("--sample", type=int, default=10, help="combinations that are simulated step by step")
     parser.add_argument("--models", nargs="*", default=MODELS, help="gradient models to fit")
     parser.add_argument("overrides", nargs="*", help="overrides of the configuration, after --")
-    options = parser.parse_args()
+    return parser.parse_args()
+
+
+def main() -> None:
+    """Entry point."""
+    options = parse()
     report(options.out, list(measure(options)), COLUMNS, points=options.points)
 
 

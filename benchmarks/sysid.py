@@ -8,6 +8,7 @@ rollouts. Both optima are judged by the same MuJoCo C rollouts. sysid is compare
 one step late.
 """
 
+import argparse
 import time
 from typing import Any
 
@@ -46,10 +47,7 @@ COLUMNS = {
 
 def main() -> None:
     """Both identifications, one after the other, and their table."""
-    parser = make_parser("sysid", __doc__)
-    parser.add_argument("--samples", type=int, default=119_981, help="samples of the recording")
-    parser.add_argument("--repeats", type=int, default=3, help="runs of each; the median counts")
-    options = parser.parse_args()
+    options = parse()
     absl.logging.set_verbosity(absl.logging.ERROR)  # states are not among the model's sensors, and it says so
     settings: Any = OmegaConf.to_container(compose_config("model=mujoco_default", "data=twin"), resolve=True)
     bench, model = build(settings["bench"]), build(settings["model"], nv=1)
@@ -67,6 +65,14 @@ def main() -> None:
         row["fit"] = row["seconds"] - row["compile"]
         row["fastest/fit"] = fastest / row["fit"]
     report(options.out, rows, COLUMNS, samples=log.samples, sequences=SEQUENCES, repeats=options.repeats)
+
+
+def parse() -> argparse.Namespace:
+    """The command line."""
+    parser = make_parser("sysid", __doc__)
+    parser.add_argument("--samples", type=int, default=119_981, help="samples of the recording")
+    parser.add_argument("--repeats", type=int, default=3, help="runs of each; the median counts")
+    return parser.parse_args()
 
 
 def read_whole(settings: Any, samples: int) -> Log:

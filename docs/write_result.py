@@ -1,64 +1,74 @@
-"""Writes docs/result.md from the JSON schema of result.json: `python docs/write_result.py`."""
+"""Writes the pages of JSON files from their schemas, docs/result.md for one: `python docs/write_result.py`."""
 
+import json
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from frictionzoo.compare import comparison
 from frictionzoo.output import write_atomically
-from frictionzoo.report.result import read_schema
+from frictionzoo.report import result
 
-PAGE = Path(__file__).with_name("result.md")
-HEAD = """# `result.json`
+DOCS = Path(__file__).parent
+SCHEMAS = {  # docs/NAME.md is made from the schema of NAME.json
+    "result": result.read_schema,
+    "comparison": comparison.read_schema,
+}
+HEAD = """# `{name}.json`
 
-<!-- Made from frictionzoo/report/result.schema.json by `make docs`; change the schema, not this page. -->
+<!-- Made from its JSON schema by `make docs`; change the schema, not this page. -->
 
 {description}
 
-A run writes this file last: where it exists, the run's other files do too. The schema that the file is validated
-against ships with the package:
+The schema that the file is validated against ships with the package:
 
 ```python
-from frictionzoo.report.result import read_schema
+from {module} import read_schema
 ```
 
-Every key below is always present. In a path, `[]` stands for each entry of a list.
+Every key below is always present. In a path, `[]` stands for each entry of a list, `*` for each key of an object
+whose keys are names.
 """
 TABLE = "| key | type | meaning |\n|---|---|---|\n"
 
 
-def render(schema: Mapping[str, Any]) -> str:
+def render(name: str) -> str:
     """The page as Markdown.
 
     Args:
-        schema: The JSON schema of `result.json`.
+        name: One of `SCHEMAS`.
     """
-    definitions = schema["$defs"]
+    schema = SCHEMAS[name]()
+    definitions = schema.get("$defs", {})
+    references = json.dumps(schema)
     single, sections = [], []
-    for name, field in schema["properties"].items():
-        rows = list(_rows(name, field, definitions))
+    for key, field in schema["properties"].items():
+        rows = list(_rows(key, field, definitions))
         if len(rows) == 1:
             single += rows
         else:
-            sections += [f"## `{name}`\n", rows[0][2] + "\n", _table(rows[1:])]
-    for name, field in definitions.items():
-        if "properties" in field:
-            opening = field.get("description", "One simulated drive beside another.")
+            sections += [f"## `{key}`\n", rows[0][2] + "\n", _table(rows[1:])]
+    for kind, field in definitions.items():
+        if "properties" in field and f'"#/$defs/{kind}"' in references:
             inner = (row for key, value in field["properties"].items() for row in _rows(key, value, definitions))
-            sections += [f"## Objects of the kind *{name}*\n", f"{opening}\n", _table(inner)]
-    return "\n".join([HEAD.format(description=schema["description"]), "## Single values\n", _table(single), *sections])
+            sections += [f"## Objects of the kind *{kind}*\n", field["description"] + "\n", _table(inner)]
+    head = HEAD.format(name=name, module=SCHEMAS[name].__module__, description=schema["description"])
+    return "\n".join([head, "## Single values\n", _table(single), *sections])
 
 
 def _rows(path: str, field: Mapping[str, Any], definitions: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     """Path, type and meaning of a field and of what is inside it, but for objects that have a section of their own."""
     kind = field.get("$ref", "").rpartition("/")[2]
     if "properties" in definitions.get(kind, {}):
-        yield path, f"*{kind}*", field["description"]
+        yield path, f"*{kind}*", field.get("description", definitions[kind].get("description", ""))
         return
     field = {**definitions.get(kind, {}), **field}
     yield path, _type(field), field.get("description", "")
     inside = next((variant for variant in field.get("oneOf", []) if "properties" in variant), field)
     if "properties" in inside.get("items", {}):
         inside, path = inside["items"], f"{path}[]"
+    elif "properties" in (named := inside.get("additionalProperties") or {}):
+        inside, path = named, f"{path}.*"
     for name, inner in inside.get("properties", {}).items():
         yield from _rows(f"{path}.{name}", inner, definitions)
 
@@ -80,4 +90,5 @@ def _table(rows: Iterable[tuple[str, str, str]]) -> str:
 
 
 if __name__ == "__main__":
-    write_atomically(PAGE, render(read_schema()).encode())
+    for page in SCHEMAS:
+        write_atomically(DOCS / f"{page}.md", render(page).encode())

@@ -7,31 +7,20 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
+from pages import PAGES, ROOT, blocks_of, expand, inline_of
 
 from frictionzoo.config import CONF_DIR, check_overrides
-from frictionzoo.report.result import read_schema
 
-ROOT = Path(__file__).parent.parent
-PAGES = [
-    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md")),
-    *sorted((ROOT / "docs").glob("*.md")),
-    *sorted((ROOT / "experiments").glob("*/README.md")),
-]
 FLAGS = {"-m", "--cfg", "job"}
 PLACEHOLDER = re.compile(r"[A-Z]{3}")  # FOLDER, NAME, DATE: what a reader has to fill in
 
 
-def blocks_of(page):
-    """The commands of each bash block."""
-    return [block.strip() for block in re.findall(r"^```bash\n(.*?)^```$", page.read_text(), re.M | re.S)]
-
-
 def jobs_of(page):
     """The arguments of each command that starts a job, from bash blocks and from inline code."""
-    inline = re.findall(r"(?<!`)`(?!`)([^`]+)`(?!`)", page.read_text())
-    commands = [part for text in [*blocks_of(page), *inline] for line in text.splitlines() for part in line.split("&&")]
+    commands = [
+        part for text in [*blocks_of(page), *inline_of(page)] for line in text.splitlines() for part in line.split("&&")
+    ]
     starts = ("python -m frictionzoo.run ", "frictionzoo ")
     for command in map(str.strip, commands):
         if start := next((start for start in starts if command.startswith(start)), None):
@@ -41,20 +30,6 @@ def jobs_of(page):
 def options_of(page):
     """Dotted names in inline code that are followed by a value: `segments.length=5`."""
     return set(re.findall(r"`([a-z_]+(?:\.[a-z_]+)+)=[^`]*`", page.read_text()))
-
-
-def expand(argument):
-    """One override for each value of a sweep."""
-    override = OverridesParser.create().parse_override(argument)
-    if "glob(" in argument:
-        folder = CONF_DIR / override.key_or_group
-        return [f"{override.key_or_group}={path.stem}" for path in sorted(folder.glob("*.yaml"))]
-    if override.is_interval_sweep():
-        interval = override.value()
-        return [f"{override.key_or_group}={value}" for value in (interval.start, interval.end)]
-    if override.is_sweep_override():
-        return [f"{override.key_or_group}={value}" for value in override.sweep_string_iterator()]
-    return [argument]
 
 
 JOBS = [(page, job) for page in PAGES for job in jobs_of(page) if not any(map(PLACEHOLDER.search, job))]
@@ -104,13 +79,15 @@ def test_a_link_inside_the_project_leads_somewhere(page):
         assert (page.parent / target).exists(), target
 
 
-def test_ci_runs_the_second_block_of_the_readme_as_it_stands():
+@pytest.mark.parametrize("number", [1, 2])
+def test_ci_runs_the_first_blocks_of_the_readme_as_they_stand(number):
     first, second = blocks_of(ROOT / "README.md")[:2]
     assert first.endswith("python -m frictionzoo.run model=coulomb_stribeck")
     assert '".[test]"' in second and "pytest" in second
-    shown = subprocess.run([ROOT / ".ci" / "readme_command", "2"], capture_output=True, text=True, check=True)
-    assert shown.stdout.strip() == second
-    assert ".ci/readme_command 2" in (ROOT / ".ci" / "run").read_text()
+    shown = subprocess.run([ROOT / ".ci" / "readme_command", str(number)], capture_output=True, text=True, check=True)
+    assert shown.stdout.strip() == (first, second)[number - 1]
+    ci = (ROOT / ".ci" / "run").read_text()
+    assert '.ci/readme_command "$1"' in ci and f"\nrun_readme_command {number}\n" in ci
 
 
 def test_a_missing_block_of_the_readme_stops_ci():
@@ -119,9 +96,12 @@ def test_a_missing_block_of_the_readme_stops_ci():
     assert "no bash block number 99" in shown.stderr
 
 
-def test_the_page_of_result_json_is_made_from_the_schema():
-    render = runpy.run_path(str(ROOT / "docs" / "write_result.py"))["render"]
-    assert (ROOT / "docs" / "result.md").read_text() == render(read_schema()), "run `make docs`"
+def test_the_pages_of_json_files_are_made_from_their_schemas():
+    script = runpy.run_path(str(ROOT / "docs" / "write_result.py"))
+    schemas = {path.name.removesuffix(".schema.json") for path in (ROOT / "frictionzoo").rglob("*.schema.json")}
+    assert schemas == set(script["SCHEMAS"])
+    for name in script["SCHEMAS"]:
+        assert (ROOT / "docs" / f"{name}.md").read_text() == script["render"](name), "run `make docs`"
 
 
 def test_the_page_of_models_has_a_row_and_a_section_for_each():

@@ -134,7 +134,8 @@ class MjxEngine(Engine):
         fixed = jnp.asarray(self._model.dof_invweight0, armature.dtype)
         ignored = jnp.asarray(self._ignores_armature)
         if self._bench.payload is not None:  # with a payload the body's centre lies elsewhere, and it is simple no more
-            ignored = ignored & (inertial[0] == self._model.body_mass[self._bench.payload])
+            mass = jnp.asarray(self._model.body_mass[self._bench.payload], inertial.dtype)
+            ignored = ignored & (inertial[0] == mass)
         invweight0 = jnp.where(ignored, fixed, jnp.stack(inverse))
         return ModelInputs(armature, invweight0, jnp.stack(list(affine), axis=-1), inertial)
 
