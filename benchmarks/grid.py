@@ -165,7 +165,7 @@ def parse() -> argparse.Namespace:
 
 
 def main() -> None:
-    """Entry point."""
+    """Measure, print, write."""
     options = parse()
     report(options.out, list(measure(options)), COLUMNS, points=options.points)
 

@@ -100,8 +100,8 @@ def conclude_sweep(folder: Path) -> tuple[str, list[str]]:
         folder: The sweep's folder; the comparison goes into its `comparison/`.
 
     Returns:
-        What to tell the user, and one line for each job that failed: with a `failure.json`, with a fit that diverged, or
-        with neither file because its process was killed.
+        What to tell the user, and one line for each job that failed: with a `failure.json`, with a fit that diverged,
+        or with neither file because its process was killed.
 
     Raises:
         OutputError: The comparison cannot be written.
