@@ -152,11 +152,15 @@ def leave_to_ci(command: str, place: Place) -> None:
 def install_for_development(command: str, place: Place) -> None:
     """In a copy of the project whose new environment sees the packages of this one, so that few are installed."""
     copy_project(place)
-    packages = place.folder / ".venv" / "lib" / f"python{sys.version_info[0]}.{sys.version_info[1]}" / "site-packages"
-    packages.mkdir(parents=True)
+    # Made before it sees other packages: with a pip among these it would get none, and theirs would install into them.
+    place.run("python3.11 -m venv .venv")
+    (packages,) = place.folder.glob(".venv/lib/python*/site-packages")
     (packages / "borrowed.pth").write_text("\n".join(path for path in sys.path if path.endswith("site-packages")))
+    pip = place.run("python3.11 -m venv .venv && . .venv/bin/activate && command -v pip").stdout
+    assert Path(pip.strip()) == place.folder / ".venv" / "bin" / "pip"
     place.run("git init --quiet")
     place.run(command)
+    assert list(packages.glob("frictionzoo-*.dist-info"))
     assert (place.folder / ".git" / "hooks" / "pre-commit").exists()
     place.run(". .venv/bin/activate && frictionzoo --cfg job && ruff --version")
 
