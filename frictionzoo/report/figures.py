@@ -1,6 +1,7 @@
 """The paper's figures 3, 4 and 5 for one model, as PNG."""
 
 import io
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -18,6 +19,9 @@ from frictionzoo.models.base import FrictionModel
 from frictionzoo.output import write_atomically
 from frictionzoo.params import UNITS
 from frictionzoo.types import Dataset, Segments
+
+# Under PDF, it tells how it takes each glyph out of a font.
+logging.getLogger("fontTools").setLevel(logging.WARNING)
 
 DPI = 150
 WIDTH = 8.0  # inch; 1200 px
