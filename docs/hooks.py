@@ -40,7 +40,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Put README's sections in their places, and turn the repository's links into the site's."""
     here = page.file.src_uri
-    source = here if (ROOT / here).exists() else f"docs/{here}"
+    notebook = f"{here.removesuffix('.md')}.ipynb"
+    source = next((path for path in (here, notebook) if (ROOT / path).exists()), f"docs/{here}")
 
     def include(match: re.Match[str]) -> str:
         return LINK.sub(lambda link: _as_link(*_target(link, "README.md"), source), read_section(match[1] or ""))

@@ -1,5 +1,8 @@
 """Every notebook runs from top to bottom, in a short mode, and is stored without outputs."""
 
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import nbformat
@@ -7,13 +10,76 @@ import pytest
 from nbclient import NotebookClient
 
 NOTEBOOKS = sorted((Path(__file__).parent.parent / "notebooks").glob("*.ipynb"))
-SHORT = {"quickstart": 'FOLDER = "quickstart"\nSECONDS = 10.0\nITERATIONS = 250'}
 
 # Jupyter's own: it warns of a change in where it will keep files, and of sockets that the kernel leaves open.
 pytestmark = [
     pytest.mark.filterwarnings("ignore::DeprecationWarning:jupyter_core"),
     pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
 ]
+
+
+@dataclass(frozen=True)
+class Short:
+    """A notebook's short mode and what it leaves.
+
+    Attributes:
+        parameters: Stands for the cell of this tag.
+        images: Figures that it shows.
+        hold: Asserts what its folder and what it printed have to be.
+    """
+
+    parameters: str
+    images: int
+    hold: Callable[[Path, list[str]], None]
+
+
+def hold_parameters(printed: list[str], count: int) -> None:
+    """The hidden parameters come out within 5 %: what 10 s of this noise allow."""
+    errors = [float(line.split()[-2]) for line in printed if " hidden " in line]
+    assert len(errors) == count and all(abs(error) < 5.0 for error in errors), printed
+
+
+def hold_quickstart(folder: Path, printed: list[str]) -> None:
+    assert (folder / "run" / "result.json").exists()
+    hold_parameters(printed, 3)
+
+
+def hold_a_law(folder: Path, printed: list[str]) -> None:
+    """The new law is found again and recommended: the others are worse by more than noise."""
+    hold_parameters(printed, 5)
+    comparison = json.loads((folder / "comparison" / "comparison.json").read_text())
+    assert {run["label"] for run in comparison["runs"]} == {"asymmetric_coulomb", "coulomb_smooth", "mujoco_default"}
+    assert comparison["recommendation"]["run"] == "asymmetric_coulomb"
+    verdicts = [pair["verdict"] for pair in comparison["pairs"] if pair["other"] == "asymmetric_coulomb"]
+    assert verdicts == ["worse", "worse"]
+
+
+def hold_paper(folder: Path, printed: list[str]) -> None:
+    """The order of the paper: the model without friction is last, and the two laws are worth their parameters."""
+    comparison = json.loads((folder / "sweep" / "comparison" / "comparison.json").read_text())
+    errors = {run["label"]: run["test"]["position_mae"] for run in comparison["runs"]}
+    assert set(errors) == {"baseline", "coulomb_smooth", "mujoco_default"} and not comparison["failures"]
+    assert all(errors[name] < 0.5 * errors["baseline"] for name in ("coulomb_smooth", "mujoco_default")), errors
+    assert comparison["recommendation"]["run"] != "baseline"
+    # MuJoCo's law and the smooth one agree on the armature, and not with the model that has to do without friction.
+    armature = {line.split()[0]: float(line.split()[2]) for line in printed if " armature " in line}
+    assert armature["mujoco_default"] == pytest.approx(armature["coulomb_smooth"], rel=0.1)
+    assert armature["baseline"] > 1.5 * armature["mujoco_default"]
+
+
+SHORT = {
+    "quickstart": Short('FOLDER = "quickstart"\nSECONDS = 10.0\nITERATIONS = 250', 3, hold_quickstart),
+    "add_a_law": Short(
+        'FOLDER = "add_a_law"\nSECONDS = 10.0\nOTHERS = ("mujoco_default", "coulomb_smooth")', 3, hold_a_law
+    ),
+    "paper": Short(
+        'FOLDER = "paper"\nMODELS = "baseline,coulomb_smooth,mujoco_default"\n'
+        'OPTIONS = ["data.samples=40000", "data.cache_dir=null", "segments.count=2000", "fit.iterations=300", '
+        '"evaluation.trajectory=1.0"]',
+        5,
+        hold_paper,
+    ),
+}
 
 
 def outputs_of(notebook):
@@ -28,14 +94,12 @@ def test_a_notebook_is_stored_without_outputs(path):
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs(path, tmp_path):
+    short = SHORT[path.stem]
     notebook = nbformat.read(path, as_version=4)
     (parameters,) = (cell for cell in notebook.cells if "parameters" in cell.metadata.get("tags", []))
-    parameters.source = SHORT[path.stem]
+    parameters.source = short.parameters
     NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}}).execute()
-    assert (tmp_path / "quickstart" / "run" / "result.json").exists()
     outputs = outputs_of(notebook)
-    assert sum("image/png" in output.get("data", {}) for output in outputs) == 3
+    assert sum("image/png" in output.get("data", {}) for output in outputs) == short.images
     printed = "".join(output.text for output in outputs if output.output_type == "stream").splitlines()
-    # The hidden parameters come out within 5 %: what 10 s of this noise allow.
-    errors = [float(line.split()[-2]) for line in printed if " hidden " in line]
-    assert len(errors) == 3 and all(abs(error) < 5.0 for error in errors), printed
+    short.hold(tmp_path / path.stem, printed)

@@ -71,6 +71,13 @@ def test_registering_the_same_class_again_changes_nothing():
     assert register_model("rusty")(register_model("rusty")(cls)) is cls
 
 
+def test_a_class_that_is_defined_again_replaces_its_older_self():
+    register_model("rusty")(sound("Rusty"))
+    newer = register_model("rusty")(sound("Rusty"))
+    assert get_model("rusty") is newer
+    assert newer in registry.registered_models().values()
+
+
 def test_a_second_name_for_a_class_raises():
     cls = register_model("rusty")(sound("Rusty"))
     with pytest.raises(ModelError, match=r"^rustier: Rusty is already registered as rusty"):

@@ -28,7 +28,8 @@ def register_model(name: str) -> Callable[[type[FrictionModel]], type[FrictionMo
             raise ModelError(f"{name}: {cls!r} is registered, expected a FrictionModel class with a `terms` method")
         if not name.isidentifier() or name != name.lower():
             raise ModelError(f"{name}: expected a name in lower case with underscores; rename the model")
-        if _models.get(name, cls) is not cls:
+        # A class that is defined again, as when a notebook's cell is run again, replaces its older self.
+        if _place(_models.get(name, cls)) != _place(cls):
             raise ModelError(f"{name}: already registered by {_models[name].__qualname__}; choose another name")
         # A subclass inherits its parent's name, which is not its own.
         if vars(cls).get("name", name) != name:
@@ -65,7 +66,12 @@ def model_names() -> list[str]:
 
 def registered_models() -> dict[str, type[FrictionModel]]:
     """The laws that were registered in this process, by the dotted name of their class, as `_target_` has it."""
-    return {f"{cls.__module__}.{cls.__qualname__}": cls for cls in _models.values()}
+    return {_place(cls): cls for cls in _models.values()}
+
+
+def _place(cls: type[FrictionModel]) -> str:
+    """Dotted name of a class."""
+    return f"{cls.__module__}.{cls.__qualname__}"
 
 
 def _outside() -> dict[str, EntryPoint]:
