@@ -23,7 +23,7 @@ from measure import compile_time, make_parser, report
 from mujoco import mjx
 from omegaconf import OmegaConf
 
-from frictionzoo.config import compose_config
+from frictionzoo.config import build, compose_config
 from frictionzoo.fit import run_fit
 from frictionzoo.job import Problem
 
@@ -120,7 +120,7 @@ def search_with_package(model: str, *overrides: str) -> dict[str, Any]:
     """
     problem, settings = pose(f"model={model}", *overrides)
     with tempfile.TemporaryDirectory() as folder:
-        keep = {"folder": Path(folder), "identity": {}}
+        keep = {"folder": Path(folder), "identity": {}, "logger": build(settings["logger"]), "hyperparameters": {}}
         outcome = run_fit(problem.fit, problem.objective, problem.drive.model, **keep, **settings["loop"])
     way = "fit=grid" if model == GRID else "gradient"
     return row(way, model, outcome.iterations, outcome.compile_seconds, outcome.fit_seconds)
