@@ -115,6 +115,13 @@ def test_a_clear_winner_is_recommended_however_rich(zoo, save):
     assert "all others are worse by more than noise" in recommendation["reason"]
 
 
+def test_a_recommended_network_is_said_to_predict_and_not_to_identify(zoo, save):
+    save("3_net", "net", HARD / 2, network={"weights": 9})
+    recommendation = compare(zoo)["recommendation"]
+    assert recommendation["run"] == "net" and "with 10 identified values" in recommendation["reason"]
+    assert "its physical parameters need not be the drive's" in recommendation["reason"]
+
+
 def test_pairs_are_judged_by_what_they_share(zoo):
     verdicts = {(pair["run"], pair["other"]): pair["verdict"] for pair in compare(zoo)["pairs"]}
     assert len(verdicts) == 6

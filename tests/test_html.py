@@ -154,6 +154,7 @@ def test_no_doubts_about_a_good_run(record):
         ({"fit.stopped": "diverged"}, "Fit", "bad", "diverged after 3"),
         ({"fit.stopped": "finished", "fit.method": "lm"}, "Fit", "caution", "without converging"),
         ({"fit.stopped": "finished", "fit.method": "grid"}, "Fit", "good", "3 combinations"),
+        ({"fit.stopped": "finished", "fit.method": "known"}, "Fit", "note", "Nothing was identified"),
         ({"parameters.0.at_bound": True}, "Bounds", "caution", "bench.armature ended at a bound of [0.001, 1] kg m²"),
         ({"metrics.train.position_mae": 1e-3}, "Test against train", "caution", "learnt its own data"),
         ({"metrics.train.position_mae": None}, "Test against train", "caution", "cannot be compared"),

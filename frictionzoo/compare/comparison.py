@@ -145,8 +145,13 @@ def _explain(chosen: Run, best: Run, close: Sequence[Run], pairs: Mapping[tuple[
         )
     else:
         text = f"{error}, the lowest, and all others are worse by more than noise over {rollouts} paired rollouts"
+    network = (
+        " It is a network: it predicts, and its physical parameters need not be the drive's."
+        if chosen.result["network"]
+        else ""
+    )
     caution = f" {rollouts} rollouts are few: raise evaluation.rollouts to be sure." if rollouts < FEW else ""
-    return f"{text}.{caution}"
+    return f"{text}.{network}{caution}"
 
 
 def _describe(run: Run, reference: Run | None) -> dict[str, Any]:

@@ -36,7 +36,7 @@ from frictionzoo.types import Segments
 OVERFIT = 1.5  # ratio of test to train error from which the page asks for caution
 FALLING = 0.01  # share of the loss that the last tenth of the iterations may still take off
 TRAIN = "#009E73"
-METHODS = {"adam": "Adam", "lm": "Levenberg-Marquardt", "grid": "The grid search"}
+METHODS = {"adam": "Adam", "lm": "Levenberg-Marquardt", "grid": "The grid search", "known": "Known values"}
 FILES = {  # what else a run leaves behind, by path beside the page
     "result.json": "every number of this page, for programs",
     "identified.xml": "the test stand with the identified drive, for MuJoCo",
@@ -170,6 +170,8 @@ def _check_fit(fit: Mapping[str, Any], loss: Shaped[np.ndarray, "iterations"]) -
     match fit["stopped"]:
         case "converged":
             return Check("good", "Fit", f"{method} converged after {count} iterations; {kept}.")
+        case "finished" if fit["method"] == "known":
+            return Check("note", "Fit", "Nothing was identified: the given values are judged as they are.")
         case "finished" if fit["method"] == "grid":
             return Check("good", "Fit", f"The grid search tried all of its {count} combinations; the best is reported.")
         case "finished" if fit["method"] == "lm":
