@@ -14,6 +14,7 @@ from mujoco import mjx
 from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.engine import MjxEngine, SpecialisedEngine, make_engine
 from frictionzoo.engine.specialise import CannotSpecialiseError, specialise
+from frictionzoo.engine.specialised import can_collide
 from frictionzoo.errors import ConfigError
 from frictionzoo.types import FrictionTerms
 
@@ -240,7 +241,7 @@ def test_what_the_model_fixes_is_gone(tmp_path: Path) -> None:
     ("inside", "reason"),
     [
         ('<joint name="j0" range="-1 1" limited="true"/>', "joint limits"),
-        ('<joint name="j0"/><geom size="0.1"/><geom size="0.1"/>', "geoms that can touch"),
+        ('<joint name="j0"/><geom size="0.1"/></body><body><geom size="0.1"/>', "geoms that can touch"),
     ],
 )
 def test_a_bench_with_other_constraints_goes_to_mjx(tmp_path: Path, inside: str, reason: str) -> None:
@@ -250,6 +251,36 @@ def test_a_bench_with_other_constraints_goes_to_mjx(tmp_path: Path, inside: str,
     assert engine.note == f"specialised does not apply: {bench.source} has {reason}"
     with pytest.raises(ConfigError, match=f"engine=specialised: .* has {reason}; set engine=auto"):
         make_engine("specialised", bench, law(False), False)
+
+
+BALL, JOINT = '<geom size="0.1" {}/>', '<joint type="hinge"/>'
+TWO = f"<body>{JOINT}{BALL}<body>{JOINT}{BALL}</body></body>"
+THREE = f"<body>{JOINT}{BALL}<body>{JOINT}{BALL}<body>{JOINT}{BALL}</body></body></body>"
+
+
+@pytest.mark.parametrize(
+    ("world", "geom", "flag"),
+    [
+        (f"<body>{JOINT}{BALL}{BALL}</body>", "", ""),
+        (f"{BALL}<body>{JOINT}{BALL}</body>", "", ""),
+        (f"<body>{BALL}</body><body>{JOINT}{BALL}</body>", "", ""),
+        (f"<body>{JOINT}{BALL}<body>{BALL}</body></body>", "", ""),
+        (f"<body>{BALL}<body>{JOINT}{BALL}</body></body>", "", ""),
+        (TWO, "", ""),
+        (TWO, "", '<flag filterparent="disable"/>'),
+        (THREE, "", ""),
+        (f"<body>{JOINT}{BALL}</body><body>{JOINT}{BALL}</body>", "", ""),
+        (f"<body>{JOINT}{BALL}</body><body>{JOINT}{BALL}</body>", 'contype="0"', ""),
+        (f"<body>{JOINT}{BALL}</body><body>{JOINT}{BALL}</body>", 'contype="2" conaffinity="4"', ""),
+    ],
+)
+def test_geoms_can_touch_where_mujoco_c_finds_contacts(world: str, geom: str, flag: str) -> None:
+    """All of them lie in the same place, so that those which may touch do."""
+    body = world.replace("{}", geom)
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><option>{flag}</option><worldbody>{body}</worldbody></mujoco>")
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert can_collide(model) == (data.ncon > 0)
 
 
 def test_auto_says_what_it_chose(tmp_path: Path) -> None:

@@ -118,7 +118,7 @@ def _specialised(bench: Bench, constraint: bool) -> tuple[Callable[[Values, Arra
 
 def _refuse_other_constraints(model: mujoco.MjModel) -> None:
     flags = model.opt.disableflags
-    can_touch = not flags & mujoco.mjtDisableBit.mjDSBL_CONTACT and bool(model.npair or _collides(model))
+    can_touch = not flags & mujoco.mjtDisableBit.mjDSBL_CONTACT and bool(model.npair or can_collide(model))
     limits = not flags & mujoco.mjtDisableBit.mjDSBL_LIMIT and bool(model.jnt_limited.any())
     reasons = {
         "geoms that can touch": can_touch,
@@ -132,5 +132,20 @@ def _refuse_other_constraints(model: mujoco.MjModel) -> None:
             raise CannotSpecialiseError(reason)
 
 
-def _collides(model: mujoco.MjModel) -> bool:
-    return bool((model.geom_contype[:, None] & model.geom_conaffinity[None, :]).any())
+def can_collide(model: mujoco.MjModel) -> bool:
+    """Whether there are geoms between which MuJoCo looks for contacts.
+
+    Not between those of one body or of bodies welded together, nor, unless that is disabled, between a moving body and
+    its parent. Pairs that the MJCF excludes count as if it did not.
+
+    Source: MuJoCo documentation, "Computation", "Collision detection", selection.
+
+    Args:
+        model: The compiled bench.
+    """
+    wanted = (model.geom_contype[:, None] & model.geom_conaffinity[None, :]) != 0
+    body = model.body_weldid[model.geom_bodyid]
+    parent = model.body_weldid[model.body_parentid[body]]
+    child = (parent[:, None] == body[None, :]) & (body[None, :] != 0)  # of one that stands still, all may touch it
+    filtered = (child | child.T) & (not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
+    return bool(((wanted | wanted.T) & (body[:, None] != body[None, :]) & ~filtered).any())
