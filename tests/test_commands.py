@@ -216,9 +216,10 @@ def do_jobs(command: str, place: Place) -> None:
 @rule(r"python -m frictionzoo\.compare .*")
 def compare(command: str, place: Place) -> None:
     """Each folder that is named is that of a sweep."""
-    folders = [part for part in shlex.split(command)[3:] if not part.startswith("-")]
+    folders = shlex.split(command.partition(" --output ")[0])[3:]
     for folder in folders:
         place.do("-m", "model=baseline,coulomb_smooth", f"hydra.sweep.dir={folder}")
+        shutil.rmtree(place.folder / folder / "comparison")  # the sweep's own
     place.run(command)
     (path,) = place.folder.rglob("comparison.json")
     assert len(json.loads(path.read_text())["runs"]) == 2 * len(folders)

@@ -117,6 +117,12 @@ def test_a_model_of_another_package_is_found(install):
     assert get_model("rusty") is cls
 
 
+def test_the_backport_of_entry_points_is_understood(install):
+    pytest.importorskip("importlib_metadata")  # which takes discovery over once it is imported
+    install("rustworks", "rusty", "rusty")
+    assert get_model("rusty").name == "rusty"
+
+
 def test_the_closest_name_may_be_another_packages(install):
     install("rustworks", "rusty", "rusty")
     with pytest.raises(UnknownModelError, match=r"did you mean rusty\?"):

@@ -76,7 +76,9 @@ def _place(cls: type[FrictionModel]) -> str:
 
 def _outside() -> dict[str, EntryPoint]:
     points: dict[str, EntryPoint] = {}
-    for point in entry_points(group=GROUP):
+    for found in entry_points(group=GROUP):
+        # The backport importlib_metadata takes discovery over where it is imported, with a class of its own.
+        point = EntryPoint(found.name, found.value, found.group)
         if points.setdefault(point.name, point).value != point.value:
             raise ModelError(
                 f"{point.name}: entry points {points[point.name].value} and {point.value} both bring it; "
