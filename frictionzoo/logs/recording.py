@@ -1,0 +1,51 @@
+"""Recordings as they come, before cleaning: a file's columns, and the signals that they stand for."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+SIGNALS = ("time", "qpos", "qvel", "ctrl", "supply", "enable", "temperature")
+"""What a column may stand for. Needed: time, qpos, ctrl; the others where the file has them."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """What a file holds, in its own names and units.
+
+    Attributes:
+        name: Where it came from, for messages; `ARCHIVE!MEMBER` for a member of an archive.
+        columns: Samples by the file's own header; of several lengths where signals were recorded apart, each then with
+            its own time.
+        fields: What the file says of the whole recording: gains, payload, trajectory.
+        sha256: Hash of the bytes that were read.
+    """
+
+    name: str
+    columns: Mapping[str, Float[np.ndarray, "rows"]]
+    fields: Mapping[str, str | float] = field(default_factory=dict)
+    sha256: str = ""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One recording in SI units, with the jitter, gaps and spikes that it came with.
+
+    Attributes:
+        name: Where it came from, for messages.
+        time: Sample times [s].
+        signals: Samples of each of `SIGNALS` that there is besides time, of shape (time, columns): qpos [rad or m],
+            qvel [rad/s or m/s], ctrl in the actuator law's unit, supply [V], enable (0 or 1), temperature [degC].
+        fields: What the source says of the whole recording.
+        sha256: Hash of what was read.
+        simulated: Whether a simulator made it.
+    """
+
+    name: str
+    time: Float[np.ndarray, "time"]
+    signals: Mapping[str, Float[np.ndarray, "time columns"]]
+    fields: Mapping[str, Any] = field(default_factory=dict)
+    sha256: str = ""
+    simulated: bool = False
