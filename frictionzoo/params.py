@@ -1,6 +1,6 @@
 """Parameters: value, unit, bounds, and the coordinate in which an optimiser moves them."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +15,10 @@ UNITS: dict[str, dict[str, str]] = {
         "damping": "N m s/rad",
         "stiffness": "N m/rad",
         "1/velocity": "s/rad",
+        "1/position": "1/rad",
         "torque/command": "N m/(unit of ctrl)",
+        "torque/voltage": "N m/V",
+        "time": "s",
         "1": "1",
     },
     "slide": {
@@ -26,7 +29,10 @@ UNITS: dict[str, dict[str, str]] = {
         "damping": "N s/m",
         "stiffness": "N/m",
         "1/velocity": "s/m",
+        "1/position": "1/m",
         "torque/command": "N/(unit of ctrl)",
+        "torque/voltage": "N/V",
+        "time": "s",
         "1": "1",
     },
 }
@@ -113,19 +119,27 @@ class Param:
         return UNITS[joint_type][self.dimension]
 
 
-def read_params(owner: str, dimensions: Mapping[str, str], config: Mapping[str, Mapping[str, Any]]) -> dict[str, Param]:
+def read_params(
+    owner: str,
+    dimensions: Mapping[str, str],
+    config: Mapping[str, Mapping[str, Any]],
+    optional: Collection[str] = (),
+) -> dict[str, Param]:
     """The parameters that `owner` declares, from the configuration's section of the same names.
 
     Args:
         owner: Whose they are, for messages.
         dimensions: Dimension of each declared parameter.
         config: Section of each parameter.
+        optional: Those among them that need no section, and that are left out where they are known to be 0: what they
+            stand for is not there.
 
     Raises:
         ConfigError: A parameter is missing or unknown.
     """
     for name in set(config) - set(dimensions):
         raise ConfigError(f"{owner}: unknown parameter {name}; {closest(name, dimensions)}")
-    for name in set(dimensions) - set(config):
+    for name in set(dimensions) - set(config) - set(optional):
         raise ConfigError(f"{owner}: no section for parameter {name}; add params.{name} with init, low, high")
-    return {name: Param.from_config(name, dimension, config[name]) for name, dimension in dimensions.items()}
+    params = {name: Param.from_config(name, dimensions[name], config[name]) for name in dimensions if name in config}
+    return {name: param for name, param in params.items() if param.identify or param.init or name not in optional}

@@ -15,7 +15,7 @@ SAME_TIMESTEP = 1e-3  # largest relative difference between the timesteps of log
 PLACEMENTS = ("random", "consecutive")
 
 
-def cut_segments(logs: Sequence[Log], count: int | None, length: int) -> Segments:
+def cut_segments(logs: Sequence[Log], count: int | None, length: int, history: int = 0) -> Segments:
     """Windows for a fit: they share no step, and are spread evenly if there are more of them than asked for.
 
     Neighbours share the sample on their border: it ends one and starts the other.
@@ -23,7 +23,8 @@ def cut_segments(logs: Sequence[Log], count: int | None, length: int) -> Segment
     Args:
         logs: Recordings with the same columns and timestep.
         count: Largest number of segments; None takes all.
-        length: Steps in a segment; it spans one sample more.
+        length: Sample intervals in a segment; it spans one sample more.
+        history: Samples of the command before the first state. Before a log begins, its first one counts.
 
     Raises:
         LogError: The logs do not belong together, or none is long enough for one segment.
@@ -41,10 +42,12 @@ def cut_segments(logs: Sequence[Log], count: int | None, length: int) -> Segment
     for log, starts in zip(logs, available, strict=True):
         if not len(starts):
             logger.warning("%s: %d samples, too short for %d steps; left out", log.name, log.samples, length)
-    return _windows(logs, _spread(_places(available), count, "segments.count"), length)
+    return _windows(logs, _spread(_places(available), count, "segments.count"), length, history)
 
 
-def cut_rollouts(logs: Sequence[Log], horizon_s: float, count: int | None, placement: str, seed: int) -> Segments:
+def cut_rollouts(
+    logs: Sequence[Log], horizon_s: float, count: int | None, placement: str, seed: int, history: int = 0
+) -> Segments:
     """Windows for an evaluation.
 
     Args:
@@ -54,6 +57,7 @@ def cut_rollouts(logs: Sequence[Log], horizon_s: float, count: int | None, place
         placement: `random`: distinct starts drawn from `seed`, which may overlap; `consecutive`: a restart every
             horizon, spread evenly if there are more of them than asked for.
         seed: Seed of the random starts.
+        history: As in `cut_segments`.
 
     Raises:
         LogError: The logs do not belong together, or one is shorter than the horizon.
@@ -73,7 +77,7 @@ def cut_rollouts(logs: Sequence[Log], horizon_s: float, count: int | None, place
         places = _draw(_places([np.arange(log.samples - length) for log in logs]), count, seed)
     else:
         raise ConfigError(f"evaluation.placement={placement}: unknown; {closest(placement, PLACEMENTS)}")
-    return _windows(logs, places, length)
+    return _windows(logs, places, length, history)
 
 
 def split_by_time(log: Log, test_share: float, gap: float) -> tuple[Log, Log]:
@@ -163,10 +167,15 @@ def _draw(places: Int[np.ndarray, "available 2"], count: int | None, seed: int) 
     return places[chosen]
 
 
-def _windows(logs: Sequence[Log], places: Int[np.ndarray, "segments 2"], length: int) -> Segments:
+def _windows(logs: Sequence[Log], places: Int[np.ndarray, "segments 2"], length: int, history: int) -> Segments:
     """The windows that start at these places (index of the log, first sample)."""
     offset = np.cumsum([0] + [log.samples for log in logs[:-1]])
-    index = (offset[places[:, 0]] + places[:, 1])[:, None] + np.arange(length + 1)
+    start = offset[places[:, 0]]
+    index = (start + places[:, 1])[:, None] + np.arange(length + 1)
+    before = np.maximum(start[:, None], index[:, :1] + np.arange(-history, 0))
     qpos, qvel, ctrl = (np.concatenate([getattr(log, signal) for log in logs]) for signal in ("qpos", "qvel", "ctrl"))
+    if any(log.inputs is not None for log in logs):
+        ctrl = np.concatenate([ctrl, np.concatenate([log.inputs for log in logs])], axis=1)
     load = np.stack([log.load for log in logs])[places[:, 0]]
-    return Segments(qpos[index], qvel[index], ctrl[index[:, :-1]], logs[0].timestep, load)
+    commands = ctrl[np.concatenate([before, index[:, :-1]], axis=1)]
+    return Segments(qpos[index], qvel[index], commands, logs[0].timestep, load, history)

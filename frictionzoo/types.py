@@ -1,7 +1,7 @@
 """What flows between the parts: logs, segments, the state a friction law sees, and the terms it answers with."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,6 +40,10 @@ class Log:
         simulated: Whether a simulator made it.
         payload: What the drive carried; None for nothing.
         load: What that changes in the bench's model, of shape (load,); `Bench.accept` computes it.
+        extras: Other signals that were recorded with it, by name: supply [V], enable (0 or 1), temperature [degC], each
+            of shape (time, columns).
+        inputs: Those that the bench's actuator law needs besides the command; `Bench.accept` picks them.
+        repairs: What cleaning changed, a sentence each.
         metadata: What else the source says about it (gains, notes).
 
     Raises:
@@ -55,6 +59,9 @@ class Log:
     simulated: bool
     payload: Payload | None = None
     load: Float[np.ndarray, "load"] = field(default_factory=lambda: np.zeros(0))
+    extras: Mapping[str, Float[np.ndarray, "time _"]] = field(default_factory=dict)
+    inputs: Float[np.ndarray, "time inputs"] | None = None
+    repairs: tuple[str, ...] = ()
     metadata: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -116,17 +123,15 @@ class Log:
     def between(self, start: int, stop: int, part: str) -> "Log":
         """The samples from start up to, not including, stop, under the name `NAME[part]`."""
         cut = slice(start, stop)
-        return Log(
-            f"{self.name}[{part}]",
-            self.time[cut],
-            self.qpos[cut],
-            self.qvel[cut],
-            self.ctrl[cut],
-            self.sha256,
-            self.simulated,
-            self.payload,
-            self.load,
-            self.metadata,
+        return replace(
+            self,
+            name=f"{self.name}[{part}]",
+            time=self.time[cut],
+            qpos=self.qpos[cut],
+            qvel=self.qvel[cut],
+            ctrl=self.ctrl[cut],
+            extras={name: values[cut] for name, values in self.extras.items()},
+            inputs=None if self.inputs is None else self.inputs[cut],
         )
 
 
@@ -159,21 +164,29 @@ class Dataset:
 class Segments:
     """Windows cut from logs: each starts at a measured state and is driven by the recorded commands.
 
-    Sample i of `ctrl` acts between samples i and i + 1 of `qpos` and `qvel`, so the states have one more.
+    Sample i of `commands` acts between samples i and i + 1 of `qpos` and `qvel`, so the states have one more.
 
     Attributes:
         qpos: Measured position [rad or m].
         qvel: Measured velocity [rad/s or m/s].
-        ctrl: Command.
+        ctrl: Command, one column an actuator, then the other inputs of the actuator law; `history` samples before the
+            first state, and the samples from there on.
         timestep: Sample interval [s].
         load: What each one's payload changes in the bench's model; None where there is none.
+        history: Samples of `ctrl` before the first state.
     """
 
     qpos: Float[np.ndarray, "batch states nv"]
     qvel: Float[np.ndarray, "batch states nv"]
-    ctrl: Float[np.ndarray, "batch time nu"]
+    ctrl: Float[np.ndarray, "batch samples channels"]
     timestep: float
     load: Float[np.ndarray, "batch load"] | None = None
+    history: int = 0
+
+    @property
+    def commands(self) -> Float[np.ndarray, "batch time channels"]:
+        """The samples of `ctrl` from the first state on."""
+        return self.ctrl[:, self.history :]
 
     @property
     def count(self) -> int:
@@ -182,14 +195,26 @@ class Segments:
 
     @property
     def length(self) -> int:
-        """Steps in each segment."""
-        return self.ctrl.shape[1]
+        """Sample intervals in each segment."""
+        return self.ctrl.shape[1] - self.history
 
     @property
     def first(self) -> "Segments":
         """The first of them alone."""
         load = None if self.load is None else self.load[:1]
-        return Segments(self.qpos[:1], self.qvel[:1], self.ctrl[:1], self.timestep, load)
+        return replace(self, qpos=self.qpos[:1], qvel=self.qvel[:1], ctrl=self.ctrl[:1], load=load)
+
+
+class Sampling(NamedTuple):
+    """How the samples of recordings relate to steps of the simulation.
+
+    Attributes:
+        substeps: Simulation steps in a sample interval.
+        history: Samples of the command before a segment's first state that may still act in it.
+    """
+
+    substeps: int = 1
+    history: int = 0
 
 
 class DriveState(NamedTuple):
