@@ -29,6 +29,7 @@ _NULLABLE: dict[str, tuple[Any, ...]] = {
     "evaluation.rollouts": (0,),
     "bench.joint": ("", []),
     "bench.payload": ("",),
+    "bench.timestep": (0.1,),
     "data.folder": ("",),
     "data.cache_dir": ("",),
 }

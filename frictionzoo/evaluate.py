@@ -175,6 +175,7 @@ class Evaluation:
         places: How many rollouts at random places (b) has, of the main horizon, and how many long rollouts there are.
         local: Length of the short rollouts [s].
         seed: Of the random places.
+        history: Samples of the command before each rollout that may still act in it.
 
     Raises:
         ConfigError: An option is impossible.
@@ -193,6 +194,7 @@ class Evaluation:
         places: int,
         local: float,
         seed: int,
+        history: int = 0,
     ) -> None:
         if not horizons:
             raise ConfigError("evaluation.horizons is empty, expected at least one length in seconds")
@@ -204,12 +206,12 @@ class Evaluation:
         self.joint_type = joint_type
         self.window = window
         self._by_horizon = [
-            {part: cut_rollouts(logs, horizon, rollouts, placement, seed) for part, logs in parts.items()}
+            {part: cut_rollouts(logs, horizon, rollouts, placement, seed, history) for part, logs in parts.items()}
             for horizon in horizons
         ]
-        self.trajectories: Segments = cut_rollouts(dataset.test, trajectory, places, "random", seed)
-        self._places = cut_rollouts(dataset.test, horizons[0], places, "random", seed)
-        self.local: Segments = cut_rollouts(dataset.test, local, None, "consecutive", seed)
+        self.trajectories: Segments = cut_rollouts(dataset.test, trajectory, places, "random", seed, history)
+        self._places = cut_rollouts(dataset.test, horizons[0], places, "random", seed, history)
+        self.local: Segments = cut_rollouts(dataset.test, local, None, "consecutive", seed, history)
 
     @property
     def sha256(self) -> str:
@@ -217,7 +219,7 @@ class Evaluation:
         cut = [segments for parts in self._by_horizon for segments in parts.values()]
         digest = hashlib.sha256()
         for segments in (*cut, self.trajectories, self._places, self.local):
-            for signal in (segments.qpos, segments.qvel, segments.ctrl):
+            for signal in (segments.qpos, segments.qvel, segments.commands):
                 digest.update(str(signal.shape).encode() + np.ascontiguousarray(signal, np.float64).tobytes())
         return digest.hexdigest()
 

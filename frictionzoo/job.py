@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import safetensors.torch
 from jaxtyping import Float
@@ -31,9 +32,9 @@ from frictionzoo.report.figures import write_figures
 from frictionzoo.report.html import write_report
 from frictionzoo.report.result import build_result, describe_data, pick_metrics, write_result
 from frictionzoo.report.terminal import summarise_in_markdown
-from frictionzoo.rollout import Rollout, make_rollout
+from frictionzoo.rollout import Rollout, applied, make_rollout
 from frictionzoo.segments import cut_segments
-from frictionzoo.types import Dataset, DriveState, Segments
+from frictionzoo.types import Dataset, DriveState, Sampling, Segments
 
 _log = logging.getLogger(__name__)
 
@@ -53,10 +54,10 @@ class Drive:
     rollout: Rollout
 
     @classmethod
-    def assemble(cls, bench: Bench, model: FrictionModel, engine: str) -> "Drive":
+    def assemble(cls, bench: Bench, model: FrictionModel, engine: str, sampling: Sampling | None = None) -> "Drive":
         """The drive of this bench and this law, simulated by the engine of this name."""
         simulated = make_engine(engine, bench, friction_of(model), model.constraint)
-        return cls(model, simulated, make_rollout(simulated))
+        return cls(model, simulated, make_rollout(simulated, sampling))
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,7 @@ class Problem:
     Attributes:
         bench: The test stand.
         dataset: Recordings, train and test.
+        sampling: From their samples to simulation steps.
         segments: What the fit compares.
         evaluation: The rollouts that judge.
         drive: The bench with the chosen law.
@@ -77,6 +79,7 @@ class Problem:
 
     bench: Bench
     dataset: Dataset
+    sampling: Sampling
     segments: Segments
     evaluation: Evaluation
     drive: Drive
@@ -96,14 +99,16 @@ class Problem:
         bench, dataset = build(settings["bench"]), build(settings["data"]).load()
         train, test = (tuple(map(bench.accept, logs)) for logs in (dataset.train, dataset.test))
         dataset = Dataset(dataset.name, train, test)
-        segments = cut_segments(dataset.train, **settings["segments"])
-        evaluation = Evaluation(dataset, bench.joint_type, **settings["evaluation"])
-        drive = Drive.assemble(bench, build(settings["model"], nv=bench.nv), settings["engine"])
+        sampling = bench.sampling(dataset.logs[0].timestep)
+        segments = cut_segments(dataset.train, **settings["segments"], history=sampling.history)
+        evaluation = Evaluation(dataset, bench.joint_type, **settings["evaluation"], history=sampling.history)
+        drive = Drive.assemble(bench, build(settings["model"], nv=bench.nv), settings["engine"], sampling)
         samples = _training_samples(drive, bench, dataset)
         drive.model.prepare(samples)
         space = Space(bench, drive.model, settings["dtype"])
         objective = Objective(space, drive.rollout, segments, **settings["loss"])
-        return cls(bench, dataset, segments, evaluation, drive, samples, objective, build(settings["fit"]), device)
+        fit = build(settings["fit"])
+        return cls(bench, dataset, sampling, segments, evaluation, drive, samples, objective, fit, device)
 
 
 def run_job(config: DictConfig, name: str, folder: Path) -> tuple[dict[str, Any], str | None]:
@@ -218,7 +223,7 @@ def _collect_curves(problem: Problem, outcome: Outcome, judgement: Judgement) ->
         test_mae=judgement.rollout_mae["test"],
         local_mae=judgement.local_mae,
         local_speed=np.abs(local.qvel).mean(axis=(1, 2)),
-        local_load=np.abs(_motor_torque(problem.drive, problem.bench, local)).mean(axis=(1, 2)),
+        local_load=np.abs(_motor_torque(problem, local)).mean(axis=(1, 2)),
         velocity=velocity,
         friction=friction,
         friction_low=low,
@@ -254,23 +259,25 @@ def _training_samples(drive: Drive, bench: Bench, dataset: Dataset) -> DriveStat
     """What the friction law sees in every training sample, with the bench's initial values, as numpy arrays."""
     values = {"bench": bench.initial_values()}
     state = drive.rollout.compile(jax.vmap(drive.engine.drive_state, in_axes=(None, 0, 0, 0, None)))
-    parts = [jax.tree.map(np.asarray, state(values, log.qpos, log.qvel, log.ctrl, log.load)) for log in dataset.train]
+    signals = [(log.qpos, log.qvel, log.channels, log.load) for log in dataset.train]
+    parts = [jax.tree.map(np.asarray, state(values, *of_log)) for of_log in signals]
     return DriveState(*(np.concatenate(signals) for signals in zip(*parts, strict=True)))
 
 
-def _motor_torque(drive: Drive, bench: Bench, segments: Segments) -> Float[np.ndarray, "batch time nv"]:
+def _motor_torque(problem: Problem, segments: Segments) -> Float[np.ndarray, "batch time nv"]:
     """The actuators' torque at each measured state, with the bench's initial values: the same for all laws."""
-    values = {"bench": bench.initial_values()}
-    step = jax.vmap(drive.engine.drive_state, in_axes=(None, 0, 0, 0, None))
-    state = drive.rollout.compile(jax.vmap(step, in_axes=(None, 0, 0, 0, 0)))
+    values = {"bench": problem.bench.initial_values()}
+    step = jax.vmap(problem.drive.engine.drive_state, in_axes=(None, 0, 0, 0, None))
+    state = problem.drive.rollout.compile(jax.vmap(step, in_axes=(None, 0, 0, 0, 0)))
     load = np.zeros((segments.count, 0)) if segments.load is None else segments.load
-    seen = state(values, segments.qpos[:, :-1], segments.qvel[:, :-1], segments.ctrl, load)
+    ctrl = applied(values, jnp.asarray(segments.ctrl), problem.sampling)[:, :, 0]
+    seen = state(values, segments.qpos[:, :-1], segments.qvel[:, :-1], ctrl, load)
     return np.asarray(seen.motor_torque, np.float64)
 
 
 def _judge_baseline(problem: Problem, dtype: str) -> Judgement:
     """The best that the bench does without friction, on the same segments and the same rollouts."""
-    drive = Drive.assemble(problem.bench, Baseline(problem.bench.nv), problem.drive.engine.name)
+    drive = Drive.assemble(problem.bench, Baseline(problem.bench.nv), problem.drive.engine.name, problem.sampling)
     space = Space(problem.bench, drive.model, dtype)
     if space.names:
         values = fit_reference(problem.objective.for_drive(space, drive.rollout))

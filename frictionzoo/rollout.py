@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from frictionzoo.engine import Engine, Values
+from frictionzoo.types import Sampling
 
 
 @dataclass(frozen=True)
@@ -17,9 +18,9 @@ class Rollout:
     """Many open-loop rollouts at once: initial states and commands to predicted states.
 
     Call it, or `compiled` where nothing else around it is compiled, with the values, initial qpos and qvel of shape
-    (batch, nv), ctrl of shape (batch, time, nu) and, for a bench with payloads, loads of shape (batch, load). The
-    answer is qpos and qvel after each step, of shape (batch, time, nv). A rollout that diverges contains non-finite
-    values.
+    (batch, nv), ctrl of shape (batch, samples, channels) as `Segments` has it and, for a bench with payloads, loads of
+    shape (batch, load). The answer is qpos and qvel after each sample interval, of shape (batch, time, nv). A rollout
+    that diverges contains non-finite values.
 
     Attributes:
         function: The rollout, not compiled.
@@ -47,30 +48,68 @@ class Rollout:
         return jax.jit(function, compiler_options=dict(self.compiler_options))
 
 
-def make_rollout(engine: Engine) -> Rollout:
+def make_rollout(engine: Engine, sampling: Sampling | None = None) -> Rollout:
     """The rollouts of an engine.
 
     Only position and velocity are carried from step to step, so that reverse mode stores little.
 
     Args:
         engine: The simulated drive.
+        sampling: From samples to simulation steps; None for one step a sample, and commands that act at once.
     """
+    sampling = Sampling(0.0, 1, 0) if sampling is None else sampling
     batched = jax.vmap(engine.step, in_axes=(None, 0, 0, 0, 0))
 
     def rollout(
         values: Values,
         qpos: Float[Array, "batch nv"],
         qvel: Float[Array, "batch nv"],
-        ctrl: Float[Array, "batch time nu"],
+        ctrl: Float[Array, "batch samples channels"],
         load: Float[Array, "batch load"] | None = None,
     ) -> tuple[Float[Array, "batch time nv"], Float[Array, "batch time nv"]]:
         load = jnp.zeros((len(qpos), 0), jnp.result_type(float)) if load is None else load
 
-        def advance(state: tuple[Array, Array], command: Array) -> tuple:
-            state = batched(values, state[0], state[1], command, load)
+        def step(state: tuple[Array, Array], command: Array) -> tuple:
+            return batched(values, *state, command, load), None
+
+        def advance(state: tuple[Array, Array], commands: Array) -> tuple:
+            state = jax.lax.scan(step, state, commands)[0] if len(commands) > 1 else step(state, commands[0])[0]
             return state, state
 
-        _, (positions, velocities) = jax.lax.scan(advance, (qpos, qvel), jnp.swapaxes(ctrl, 0, 1))
+        commands = jnp.moveaxis(applied(values, ctrl, sampling), 0, 2)
+        _, (positions, velocities) = jax.lax.scan(advance, (qpos, qvel), commands)
         return jnp.swapaxes(positions, 0, 1), jnp.swapaxes(velocities, 0, 1)
 
     return Rollout(rollout, engine.compiler_options, engine.forward_limit, engine.reverse)
+
+
+def applied(
+    values: Values, ctrl: Float[Array, "batch samples channels"], sampling: Sampling
+) -> Float[Array, "batch time substeps channels"]:
+    """What acts in each simulation step: the commands, late by the bench's delay, and the other inputs.
+
+    A command is held until the next one. Within the step in which a late command takes over, the mean of both acts, so
+    that the rollout depends continuously on the delay, by fractions of a sample and of a step.
+
+    Args:
+        values: With `bench.delay` [s], of shape (nv,), where commands act late.
+        ctrl: Samples of the command and the other inputs, as `Segments` has them.
+        sampling: From samples to simulation steps.
+    """
+    interval, substeps, history = sampling
+    now = ctrl[:, history:]
+    held = jnp.broadcast_to(now[:, :, None], (*now.shape[:2], substeps, now.shape[2]))
+    delay = values["bench"].get("delay")
+    if delay is None:
+        return held
+    # A late step begins at a share `later` between two of the steps in which commands are held.
+    early = -delay * substeps / interval
+    whole = jax.lax.stop_gradient(jnp.floor(early))
+    later = early - whole
+    step = jnp.arange(substeps)[:, None] + whole.astype(int)
+    sample = history + jnp.arange(now.shape[1])[:, None, None]
+    joint = jnp.arange(len(delay))
+    late = (1 - later) * ctrl[:, sample + step // substeps, joint]
+    known = jnp.concatenate([ctrl, ctrl[:, -1:]], axis=1)  # without delay, the last step has no part in a later one
+    late += later * known[:, sample + (step + 1) // substeps, joint]
+    return jnp.concatenate([late, held[..., len(delay) :]], axis=-1)

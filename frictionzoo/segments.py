@@ -173,9 +173,8 @@ def _windows(logs: Sequence[Log], places: Int[np.ndarray, "segments 2"], length:
     start = offset[places[:, 0]]
     index = (start + places[:, 1])[:, None] + np.arange(length + 1)
     before = np.maximum(start[:, None], index[:, :1] + np.arange(-history, 0))
-    qpos, qvel, ctrl = (np.concatenate([getattr(log, signal) for log in logs]) for signal in ("qpos", "qvel", "ctrl"))
-    if any(log.inputs is not None for log in logs):
-        ctrl = np.concatenate([ctrl, np.concatenate([log.inputs for log in logs])], axis=1)
+    signals = ("qpos", "qvel", "channels")
+    qpos, qvel, channels = (np.concatenate([getattr(log, signal) for log in logs]) for signal in signals)
     load = np.stack([log.load for log in logs])[places[:, 0]]
-    commands = ctrl[np.concatenate([before, index[:, :-1]], axis=1)]
-    return Segments(qpos[index], qvel[index], commands, logs[0].timestep, load, history)
+    ctrl = channels[np.concatenate([before, index[:, :-1]], axis=1)]
+    return Segments(qpos[index], qvel[index], ctrl, logs[0].timestep, load, history)

@@ -120,6 +120,11 @@ class Log:
         """Number of samples."""
         return len(self.time)
 
+    @property
+    def channels(self) -> Float[np.ndarray, "time channels"]:
+        """What drives a simulation: the command, then the actuator law's other inputs."""
+        return self.ctrl if self.inputs is None else np.concatenate([self.ctrl, self.inputs], axis=1)
+
     def between(self, start: int, stop: int, part: str) -> "Log":
         """The samples from start up to, not including, stop, under the name `NAME[part]`."""
         cut = slice(start, stop)
@@ -209,12 +214,15 @@ class Sampling(NamedTuple):
     """How the samples of recordings relate to steps of the simulation.
 
     Attributes:
-        substeps: Simulation steps in a sample interval.
-        history: Samples of the command before a segment's first state that may still act in it.
+        interval: Of the samples [s].
+        substeps: Simulation steps in it.
+        history: Samples of the command before a segment's first state that may still act in it, however late commands
+            act.
     """
 
-    substeps: int = 1
-    history: int = 0
+    interval: float
+    substeps: int
+    history: int
 
 
 class DriveState(NamedTuple):

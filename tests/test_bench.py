@@ -28,7 +28,7 @@ def pd() -> PositionPD:
 def bench(tmp_path: Path, text: str, joint: Any = None) -> Bench:
     path = tmp_path / "bench.xml"
     path.write_text(text)
-    return Bench(str(path), joint, pd(), ARMATURE, [0.02, 1.0], None)
+    return Bench(str(path), joint, pd(), ARMATURE, [0.02, 1.0], None, None)
 
 
 def test_values_reach_the_compiled_model_unrounded(knee: Bench) -> None:
@@ -123,12 +123,12 @@ def test_a_template_that_disables_friction_does_not_serve_a_law_that_needs_it(tm
 
 def test_a_template_that_is_missing_is_refused() -> None:
     with pytest.raises(BenchError, match=r"nowhere\.xml: cannot be read"):
-        Bench("nowhere.xml", None, pd(), ARMATURE, [0.02, 1.0], None)
+        Bench("nowhere.xml", None, pd(), ARMATURE, [0.02, 1.0], None, None)
 
 
 @pytest.mark.parametrize(
     ("timestep", "columns", "line"),
-    [(0.002, 1, "0.002 s per sample, expected 0.001 s"), (0.001, 2, "qpos has 2 columns, expected 1")],
+    [(0.0015, 1, "0.0015 s per sample, expected 0.001 s"), (0.001, 2, "qpos has 2 columns, expected 1")],
 )
 def test_a_log_of_another_bench_is_refused(knee: Bench, timestep: float, columns: int, line: str) -> None:
     zeros = np.zeros((10, columns))

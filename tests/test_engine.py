@@ -50,7 +50,7 @@ def make_bench(tmp_path: Path, body: str, integrator: str) -> Bench:
     )
     joints = ["a", "b"] if body == "two" else ["a"]
     actuator = PositionPD({"kp": {"init": 20.0, **KNOWN}, "kd": {"init": 1.0, **KNOWN}})
-    return Bench(str(path), joints, actuator, ARMATURE, [0.02, 1.0], None)
+    return Bench(str(path), joints, actuator, ARMATURE, [0.02, 1.0], None, None)
 
 
 def step_in_c(bench: Bench, case: dict[str, np.ndarray], constraint: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -39,7 +39,7 @@ def make_bench(tmp_path: Path, body: str, joints: int, payload: str | None = "ca
     )
     actuator = PositionPD({"kp": {"init": 20.0, **KNOWN}, "kd": {"init": 1.0, **KNOWN}})
     names = [f"j{index}" for index in range(joints)]
-    return Bench(str(path), names, actuator, {"armature": {"init": 0.02, **KNOWN}}, [0.02, 1.0], payload)
+    return Bench(str(path), names, actuator, {"armature": {"init": 0.02, **KNOWN}}, [0.02, 1.0], payload, None)
 
 
 def welded(bench: Bench, payload: Payload, constraint: bool, case: dict[str, np.ndarray]) -> mujoco.MjModel:

@@ -12,14 +12,16 @@ import numpy as np
 from jaxtyping import Float
 
 from frictionzoo.bench.actuators import Actuator, Affine
-from frictionzoo.errors import BenchError, closest
+from frictionzoo.errors import BenchError, ConfigError, closest
 from frictionzoo.params import Param, read_params
-from frictionzoo.types import Log, Payload
+from frictionzoo.types import Log, Payload, Sampling
 
 _JOINT_TYPES = {mujoco.mjtJoint.mjJNT_HINGE: "hinge", mujoco.mjtJoint.mjJNT_SLIDE: "slide"}
 _INTEGRATORS = {mujoco.mjtIntegrator.mjINT_EULER: "Euler", mujoco.mjtIntegrator.mjINT_IMPLICITFAST: "implicitfast"}
 NO_PAYLOAD = Payload(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-_TIMESTEP_TOLERANCE = 0.01  # share by which the log's interval may differ from the MJCF's
+_TIMESTEP_TOLERANCE = 0.01  # share by which the log's interval may differ from a whole number of simulation steps
+_PARAMS = {"armature": "inertia", "delay": "time", "position_offset": "position"}
+_OPTIONAL = ("delay", "position_offset")
 
 
 class Bench:
@@ -31,7 +33,7 @@ class Bench:
     Attributes:
         joints: Names of the identified joints, in MuJoCo's order.
         joint_type: `hinge` or `slide`.
-        params: The armature and the actuator's parameters.
+        params: The armature, the delay and the position offset where there are any, and the actuator's parameters.
         timestep: Simulation step [s].
         payload: Index of the body that carries payloads, or None.
 
@@ -39,10 +41,12 @@ class Bench:
         mjcf: Path of the template, or the name of one that the package ships (`knee_rod.xml`, `emps.xml`).
         joint: Name or names of the identified joints; None where the template has one joint only.
         actuator: The law that turns a command into torque.
-        params: Section of `armature`.
+        params: Sections of `armature`, and where wanted of `delay`, by which commands act late [s], and of
+            `position_offset`, which the measured position lacks [rad or m]. Known to be 0, these two are left out.
         solreffriction: Time constant [s] and damping ratio of MuJoCo's friction constraint. MuJoCo's default is
             (0.02, 1); a shorter time constant makes sticking stiffer.
         payload: Name of the body that carries the payloads of recordings; None for recordings without.
+        timestep: Simulation step [s]; None for the template's.
 
     Raises:
         BenchError: The template cannot be read or compiled, or does not have these joints.
@@ -57,12 +61,19 @@ class Bench:
         params: Mapping[str, Mapping[str, Any]],
         solreffriction: Sequence[float],
         payload: str | None,
+        timestep: float | None,
     ) -> None:
         self.source = mjcf
         self.actuator = actuator
-        self.params: dict[str, Param] = {**read_params("bench", {"armature": "inertia"}, params), **actuator.params}
+        self.params: dict[str, Param] = {**read_params("bench", _PARAMS, params, _OPTIONAL), **actuator.params}
+        if "delay" in self.params and self.params["delay"].low < 0:
+            raise ConfigError(f"bench.params.delay.low={self.params['delay'].low:g}; expected 0 s or more")
         self._solreffriction = [float(number) for number in solreffriction]
         self._template = _read_template(mjcf)
+        if timestep is not None:
+            if not timestep > 0:
+                raise ConfigError(f"bench.timestep={timestep}; expected a positive number of seconds, or null")
+            _section(self._template, "option").set("timestep", _number(timestep))
         self.joints = self._choose_joints(joint)
         self._refuse_clashes()
         model = self.compile(constraint=False)
@@ -75,6 +86,12 @@ class Bench:
     def nv(self) -> int:
         """Number of identified joints."""
         return len(self.joints)
+
+    def sampling(self, interval: float) -> Sampling:
+        """How samples of this interval [s] relate to simulation steps and to late commands."""
+        delay = self.params.get("delay")
+        latest = 0.0 if delay is None else delay.high if delay.identify else delay.init
+        return Sampling(interval, self._substeps(interval), int(np.ceil(latest / interval - 1e-9)))
 
     def initial_values(self) -> dict[str, np.ndarray]:
         """Initial value of each parameter, of shape (nv,)."""
@@ -102,12 +119,14 @@ class Bench:
         for index, name in enumerate(self.joints):
             joint = joints[name]
             joint.set("armature", _number(values["armature"][index]))
+            if "position_offset" in values:
+                joint.set("ref", _number(-values["position_offset"][index] / self._angle_unit()))
             joint.set("solreffriction", " ".join(map(_number, self._solreffriction)))
             if frictionloss is not None:
                 joint.set("frictionloss", _number(frictionloss[index]))
             if damping is not None:
                 joint.set("damping", _number(damping[index]))
-            actuators.append(_affine_actuator(name, index, affine))
+            actuators.append(_affine_actuator(name, index, affine, self._delayed(values, index)))
         for position, comment in enumerate(comments):
             root.insert(position, ET.Comment(f" {comment.replace('--', '- -')} "))
         ET.indent(root)
@@ -124,8 +143,10 @@ class Bench:
             BenchError: MuJoCo refuses the template, or an option of it is not supported.
         """
         frictionloss = np.ones(self.nv) if constraint else None
+        # Rollouts delay the command themselves, and the engine sets the reference position.
+        values = {name: value for name, value in self.initial_values().items() if name not in _OPTIONAL}
         try:
-            model = mujoco.MjModel.from_xml_string(self.mjcf(self.initial_values(), frictionloss))
+            model = mujoco.MjModel.from_xml_string(self.mjcf(values, frictionloss))
         except ValueError as error:
             reason = " ".join(str(error).split())
             raise BenchError(f"{self.source}: MuJoCo does not compile it ({reason}); mend the MJCF") from None
@@ -148,13 +169,14 @@ class Bench:
         return model
 
     def accept(self, log: Log) -> Log:
-        """The same log with what its payload changes in the model.
+        """The same log with what its payload changes in the model, and what the actuator law needs to know of it.
 
         Raises:
             BenchError: This bench cannot have produced it: it has another number of joints or actuators, another time
-                step, or a payload that no body carries.
+                step, a payload that no body carries, or lacks an input of the actuator law.
         """
         self._check_log(log)
+        log = replace(log, inputs=self._pick_inputs(log))
         if self.payload is None and log.payload is not None:
             raise BenchError(
                 f"{log.name}: a payload of {log.payload.mass:g} kg, but bench.payload=null; name the body of "
@@ -182,6 +204,7 @@ class Bench:
         # Shortcuts that MuJoCo's compiler allowed itself for the body without the payload.
         model.body_sameframe[body] = model.body_simple[body] = 0
         model.dof_simplenum[:] = 0
+        mujoco.mj_setConst(model, mujoco.MjData(model))  # the mass of subtrees, where the origin of inertias lies
         return np.concatenate([inertial, rigid_inertia(model).ravel()])
 
     def _check_log(self, log: Log) -> None:
@@ -192,11 +215,42 @@ class Bench:
                     f"{log.name}: {signal} has {columns} columns, expected {self.nv} for the joints "
                     f"{', '.join(self.joints)} of {self.source}; choose other columns or another bench.joint"
                 )
-        if abs(log.timestep - self.timestep) > _TIMESTEP_TOLERANCE * self.timestep:
+        if abs(log.timestep / (self._substeps(log.timestep) * self.timestep) - 1) > _TIMESTEP_TOLERANCE:
             raise BenchError(
-                f"{log.name}: {log.timestep:.6g} s per sample, expected {self.timestep:.6g} s as in {self.source}; "
-                "set the MJCF's timestep to the log's or resample the log"
+                f"{log.name}: {log.timestep:.6g} s per sample, expected {self.timestep:.6g} s as in {self.source}, or "
+                "a whole number of them; set bench.timestep to the log's interval or a part of it, or resample the log"
             )
+
+    def _substeps(self, interval: float) -> int:
+        return max(1, round(interval / self.timestep))
+
+    def _pick_inputs(self, log: Log) -> Float[np.ndarray, "time inputs"] | None:
+        if not self.actuator.inputs:
+            return None
+        columns = []
+        for name in self.actuator.inputs:
+            if name not in log.extras:
+                raise BenchError(
+                    f"{log.name}: no {name}, which {type(self.actuator).__name__} needs; map a column "
+                    f"(data.columns.{name}), or give a field or a number (data.inputs.{name})"
+                )
+            columns.append(np.broadcast_to(log.extras[name], log.qpos.shape))
+        return np.concatenate(columns, axis=1)
+
+    def _angle_unit(self) -> float:
+        """What the template's joint positions are in [rad or m]: MuJoCo's default for hinges is degrees."""
+        compiler = self._template.find("compiler")
+        radian = compiler is not None and compiler.get("angle") == "radian"
+        return np.pi / 180 if self.joint_type == "hinge" and not radian else 1.0
+
+    def _delayed(self, values: Mapping[str, np.ndarray], index: int) -> dict[str, str]:
+        """Attributes of MuJoCo's actuator that make it act late."""
+        if "delay" not in values:
+            return {}
+        delay = float(values["delay"][index])
+        # Between two steps MuJoCo interpolates: of a command that is held, that is the mean over the step.
+        samples = str(int(np.ceil(delay / self.timestep)) + 2)
+        return {"delay": _number(delay), "nsample": samples, "interp": "linear"} if delay else {}
 
     def _choose_joints(self, joint: str | Sequence[str] | None) -> tuple[str, ...]:
         found = [element.get("name", "") for element in self._template.findall("./worldbody//joint")]
@@ -303,10 +357,10 @@ def _section(root: ET.Element, tag: str) -> ET.Element:
     return ET.SubElement(root, tag) if found is None else found
 
 
-def _affine_actuator(joint: str, index: int, affine: Affine) -> ET.Element:
+def _affine_actuator(joint: str, index: int, affine: Affine, delayed: Mapping[str, str]) -> ET.Element:
     gain, *bias = (_number(coefficient[index]) for coefficient in affine)
     attributes = {"name": joint, "joint": joint, "gainprm": gain, "biastype": "affine", "biasprm": " ".join(bias)}
-    return ET.Element("general", attributes)
+    return ET.Element("general", {**attributes, **delayed})
 
 
 def _number(value: float | np.floating) -> str:

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from frictionzoo.bench import Bench
 from frictionzoo.types import DriveState, FrictionTerms
 
 Values = Mapping[str, Mapping[str, Any]]
@@ -39,7 +40,7 @@ class Engine(ABC):
         values: Values,
         qpos: Float[Array, "nv"],
         qvel: Float[Array, "nv"],
-        ctrl: Float[Array, "nu"],
+        ctrl: Float[Array, "channels"],
         load: Float[Array, "load"],
     ) -> tuple[Float[Array, "nv"], Float[Array, "nv"]]:
         """Position and velocity one time step later.
@@ -48,7 +49,7 @@ class Engine(ABC):
             values: Bench and friction parameters.
             qpos: Position [rad or m].
             qvel: Velocity [rad/s or m/s].
-            ctrl: Command.
+            ctrl: The command of each joint's actuator, then each other input of the actuator law, one a joint.
             load: What the recording's payload changes in the model, from `Bench.load`.
         """
 
@@ -58,10 +59,17 @@ class Engine(ABC):
         values: Values,
         qpos: Float[Array, "nv"],
         qvel: Float[Array, "nv"],
-        ctrl: Float[Array, "nu"],
+        ctrl: Float[Array, "channels"],
         load: Float[Array, "load"],
     ) -> DriveState:
         """What a friction law would see in this state; arguments as in `step`."""
+
+
+def control(bench: Bench, values: Values, qpos: Array, qvel: Array, ctrl: Array) -> tuple[Array, Array]:
+    """The commands alone, and what the actuator law's controller makes of them; arguments as in `Engine.step`."""
+    command, *rest = jnp.split(ctrl, 1 + len(bench.actuator.inputs), axis=-1)
+    inputs = dict(zip(bench.actuator.inputs, rest, strict=True))
+    return command, bench.actuator.control(jnp, values["bench"], qpos, qvel, command, inputs)
 
 
 def friction_of(module: Any) -> Friction:

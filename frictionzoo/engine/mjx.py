@@ -6,11 +6,12 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import mujoco
+import numpy as np
 from jaxtyping import Array, Float
 
 from frictionzoo.bench import Bench
 from frictionzoo.bench.base import rigid_inertia
-from frictionzoo.engine.base import Engine, Friction, Values
+from frictionzoo.engine.base import Engine, Friction, Values, control
 from frictionzoo.engine.linear import solve_spd
 from frictionzoo.types import DriveState, FrictionTerms
 
@@ -33,12 +34,14 @@ class ModelInputs(NamedTuple):
         actuator: `gainprm[0]` and `biasprm[:3]` of each actuator, of shape (nv, 4).
         inertial: `body_mass`, `body_ipos`, `body_iquat` and `body_inertia` of the body that carries payloads, of shape
             (11,); empty without.
+        reference: `qpos0` [rad or m]; empty where the bench has no `position_offset`.
     """
 
     armature: Any
     invweight0: Any
     actuator: Any
     inertial: Any
+    reference: Any
 
 
 class Dynamics(NamedTuple):
@@ -98,12 +101,13 @@ class MjxEngine(Engine):
         values: Values,
         qpos: Float[Array, "nv"],
         qvel: Float[Array, "nv"],
-        ctrl: Float[Array, "nu"],
+        ctrl: Float[Array, "channels"],
         load: Float[Array, "load"],
     ) -> tuple[Float[Array, "nv"], Float[Array, "nv"]]:
         """See `Engine.step`."""
-        model, data = self._drive(self.model_inputs(values, load), qpos, qvel, ctrl)
-        terms = self._friction(values["friction"], _drive_state(data))
+        command, effective = control(self._bench, values, qpos, qvel, ctrl)
+        model, data = self._drive(self.model_inputs(values, load), qpos, qvel, effective)
+        terms = self._friction(values["friction"], _drive_state(data, command))
         model, data = self._apply(terms, model, data)
         data = mjx.fwd_acceleration(model, data)
         data = mjx.solve(model, data) if self._constraint else data.replace(qacc=data.qacc_smooth)
@@ -116,11 +120,12 @@ class MjxEngine(Engine):
         values: Values,
         qpos: Float[Array, "nv"],
         qvel: Float[Array, "nv"],
-        ctrl: Float[Array, "nu"],
+        ctrl: Float[Array, "channels"],
         load: Float[Array, "load"],
     ) -> DriveState:
         """See `Engine.drive_state`."""
-        return _drive_state(self._drive(self.model_inputs(values, load), qpos, qvel, ctrl)[1])
+        command, effective = control(self._bench, values, qpos, qvel, ctrl)
+        return _drive_state(self._drive(self.model_inputs(values, load), qpos, qvel, effective)[1], command)
 
     def model_inputs(self, values: Values, load: Float[Array, "load"]) -> ModelInputs:
         """What these values and this load change in the model."""
@@ -137,14 +142,15 @@ class MjxEngine(Engine):
             mass = jnp.asarray(self._model.body_mass[self._bench.payload], inertial.dtype)
             ignored = ignored & (inertial[0] == mass)
         invweight0 = jnp.where(ignored, fixed, jnp.stack(inverse))
-        return ModelInputs(armature, invweight0, jnp.stack(list(affine), axis=-1), inertial)
+        reference = -jnp.asarray(values["bench"].get("position_offset", np.zeros(0)), armature.dtype)
+        return ModelInputs(armature, invweight0, jnp.stack(list(affine), axis=-1), inertial, reference)
 
     def dynamics(
         self, inputs: ModelInputs, qpos: Float[Array, "nv"], qvel: Float[Array, "nv"], ctrl: Float[Array, "nu"]
     ) -> Dynamics:
-        """What a step needs to know of this state, friction left out; further arguments as in `step`."""
+        """What a step needs to know of this state, friction left out; arguments as in `step`, but ctrl is MuJoCo's."""
         model, data = self._drive(inputs, qpos, qvel, ctrl)
-        state = _drive_state(data)
+        state = _drive_state(data, ctrl)
         if model.opt.integrator != mujoco.mjtIntegrator.mjINT_EULER:
             slope = derivative.deriv_smooth_vel(model, data)
             implicit = jnp.zeros((model.nv, model.nv)) if slope is None else -model.opt.timestep * slope
@@ -178,6 +184,8 @@ class MjxEngine(Engine):
                 body_iquat=model.body_iquat.at[body].set(orientation),
                 body_inertia=model.body_inertia.at[body].set(inertia),
             )
+        if len(inputs.reference):
+            model = model.replace(qpos0=inputs.reference)
         data = self._data.replace(qpos=qpos, qvel=qvel, ctrl=ctrl)
         data = mjx.fwd_position(model, data)
         data = mjx.fwd_velocity(model, data)
@@ -195,6 +203,6 @@ class MjxEngine(Engine):
         return model, data
 
 
-def _drive_state(data: mjx.Data) -> DriveState:
+def _drive_state(data: mjx.Data, command: Array) -> DriveState:
     external = data.qfrc_passive + data.qfrc_applied - data.qfrc_bias
-    return DriveState(data.qpos, data.qvel, data.ctrl, data.qfrc_actuator, external)
+    return DriveState(data.qpos, data.qvel, command, data.qfrc_actuator, external)

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from frictionzoo.bench import Bench
 from frictionzoo.bench.base import NO_PAYLOAD
-from frictionzoo.engine.base import Engine, Friction, Values
+from frictionzoo.engine.base import Engine, Friction, Values, control
 from frictionzoo.engine.dry_friction import dry_friction
 from frictionzoo.engine.linear import solve_spd
 from frictionzoo.engine.mjx import Dynamics, MjxEngine, ModelInputs
@@ -44,6 +44,7 @@ class SpecialisedEngine(Engine):
         _refuse_other_constraints(model)
         self._model_inputs, self._dynamics = _specialised(bench, constraint)
         self.note = f"the dynamics come down to {self._dynamics.operations} scalar operations"
+        self._bench = bench
         self._friction = friction
         self._constraint = constraint
         self._timestep = float(model.opt.timestep)
@@ -59,13 +60,13 @@ class SpecialisedEngine(Engine):
         values: Values,
         qpos: Float[Array, "nv"],
         qvel: Float[Array, "nv"],
-        ctrl: Float[Array, "nu"],
+        ctrl: Float[Array, "channels"],
         load: Float[Array, "load"],
     ) -> tuple[Float[Array, "nv"], Float[Array, "nv"]]:
         """See `Engine.step`."""
-        here = self._at(values, qpos, qvel, ctrl, load)
+        command, here = self._at(values, qpos, qvel, ctrl, load)
         terms = self._friction(
-            values["friction"], DriveState(qpos, qvel, ctrl, here.motor_torque, here.external_torque)
+            values["friction"], DriveState(qpos, qvel, command, here.motor_torque, here.external_torque)
         )
         force = here.motor_torque + here.external_torque
         implicit = here.inertia + here.implicit
@@ -88,15 +89,16 @@ class SpecialisedEngine(Engine):
         values: Values,
         qpos: Float[Array, "nv"],
         qvel: Float[Array, "nv"],
-        ctrl: Float[Array, "nu"],
+        ctrl: Float[Array, "channels"],
         load: Float[Array, "load"],
     ) -> DriveState:
         """See `Engine.drive_state`."""
-        here = self._at(values, qpos, qvel, ctrl, load)
-        return DriveState(qpos, qvel, ctrl, here.motor_torque, here.external_torque)
+        command, here = self._at(values, qpos, qvel, ctrl, load)
+        return DriveState(qpos, qvel, command, here.motor_torque, here.external_torque)
 
-    def _at(self, values: Values, qpos: Array, qvel: Array, ctrl: Array, load: Array) -> Dynamics:
-        return self._dynamics(self._model_inputs(values, load), qpos, qvel, ctrl)
+    def _at(self, values: Values, qpos: Array, qvel: Array, ctrl: Array, load: Array) -> tuple[Array, Dynamics]:
+        command, effective = control(self._bench, values, qpos, qvel, ctrl)
+        return command, self._dynamics(self._model_inputs(values, load), qpos, qvel, effective)
 
 
 _known: dict[tuple[str, bool], tuple[Callable[[Values, Array], ModelInputs], Specialised]] = {}
