@@ -31,7 +31,14 @@ _NULLABLE: dict[str, tuple[Any, ...]] = {
     "bench.payload": ("",),
     "data.folder": ("",),
     "data.cache_dir": ("",),
+    "data.source": ("",),
+    "data.fields_from_name": ("",),
+    "data.train": ("", []),
+    "data.test": ("", []),
+    "data.split.test": ([], 0.0),
 }
+# Sections whose keys a user chooses: names of fields and signals.
+_OPEN = ("data.columns", "data.units", "data.fields", "data.where", "data.exclude", "data.inputs")
 
 
 def register_resolvers() -> None:
@@ -108,7 +115,10 @@ def check_overrides(config: DictConfig, plain: DictConfig) -> None:
     Raises:
         ConfigError: A key or a value is not what `plain` has in its place.
     """
-    before, after = (dict(list_options(OmegaConf.to_container(part, resolve=True))) for part in (plain, config))
+    before, after = (
+        {key: value for key, value in list_options(OmegaConf.to_container(part, resolve=True)) if not _is_open(key)}
+        for part in (plain, config)
+    )
     for key in [key for key in after if key not in before]:
         inside = [name.removeprefix(f"{key}.") for name in before if name.startswith(f"{key}.")]
         if inside:
@@ -118,6 +128,10 @@ def check_overrides(config: DictConfig, plain: DictConfig) -> None:
         raise ConfigError(f"{key}: missing; expected a value such as {before[key]}; do not delete it")
     for key, value in after.items():
         _check_value(key, value, before[key])
+
+
+def _is_open(key: str) -> bool:
+    return any(key == section or key.startswith(f"{section}.") for section in _OPEN)
 
 
 def _check_value(key: str, value: Any, example: Any) -> None:

@@ -81,7 +81,7 @@ def test_a_recording_that_makes_no_sense_is_refused(
     refuse: Callable, tmp_path: Path, signals: dict, fragments: tuple[str, ...]
 ) -> None:
     write_log(tmp_path / "a.csv", **signals)
-    line = refuse("data=csv", "data.train=[a.csv]", "data.split.gap=0.05", "evaluation.horizons=[0.01]")
+    line = refuse("data=files", "data.train=[a.csv]", "data.split.gap=0.05", "evaluation.horizons=[0.01]")
     assert all(fragment in line for fragment in ("a.csv", *fragments))
 
 
@@ -106,7 +106,7 @@ def test_a_recording_that_does_not_serve_is_refused(
 ) -> None:
     write_log(tmp_path / "a.csv")
     (tmp_path / "garbage").write_bytes(bytes(range(256)))
-    line = refuse("data=csv", "data.train=[a.csv]", "data.split.gap=0.05", "evaluation.horizons=[0.01]", *overrides)
+    line = refuse("data=files", "data.train=[a.csv]", "data.split.gap=0.05", "evaluation.horizons=[0.01]", *overrides)
     assert all(fragment in line for fragment in fragments)
 
 
