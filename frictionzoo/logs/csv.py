@@ -1,17 +1,15 @@
 """A user's own recordings: CSV files with a header row, in SI units."""
 
-import csv
-import hashlib
-import io
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from frictionzoo.errors import ConfigError, LogError, closest
+from frictionzoo.logs.columns import pick
+from frictionzoo.logs.formats import Csv
 from frictionzoo.segments import split_by_time
 from frictionzoo.types import Dataset, Log, Payload
 
@@ -81,36 +79,10 @@ class CsvLogs:
         return Dataset(self.name, tuple(first for first, _ in parts), tuple(last for _, last in parts))
 
     def _log(self, name: str, payload: Payload | None) -> Log:
-        content = _read(name)
-        table = read_table(name, _decode(name, content), [h for headers in self.columns.values() for h in headers])
-        qpos, qvel, ctrl = (np.stack([table[header] for header in self.columns[key]], axis=1) for key in SIGNALS)
-        sha256 = hashlib.sha256(content).hexdigest()
-        return Log(name, table[self.columns["time"][0]], qpos, qvel, ctrl, sha256, self.simulated, payload)
-
-
-def read_table(name: str, text: str, headers: Sequence[str]) -> dict[str, Float[np.ndarray, "rows"]]:
-    """Columns of numbers from the text of a CSV file; columns that nobody asked for may hold anything.
-
-    Args:
-        name: The file's name, for messages.
-        text: Its text; the first row is the header.
-        headers: The wanted columns.
-
-    Raises:
-        LogError: It is no CSV table, lacks a column, or a cell is not a number.
-    """
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-    try:
-        came = [header.strip() for header in next(reader, [])]
-        places = [_place(name, header, came) for header in headers]
-        rows = [_numbers(name, reader.line_num, row, came, places) for row in reader if row]
-    except csv.Error as error:
-        raise LogError(
-            f"{name}, line {reader.line_num}: not a CSV table ({error}); expected comma-separated rows"
-        ) from None
-    if not rows:
-        raise LogError(f"{name}: a header and no samples, expected at least 2; record a longer log")
-    return dict(zip(headers, np.array(rows).T, strict=True))
+        (table,) = Csv().read(Path(name).expanduser())
+        time = pick(table, self.columns["time"][0])
+        qpos, qvel, ctrl = (np.stack([pick(table, header) for header in self.columns[key]], axis=1) for key in SIGNALS)
+        return Log(name, time, qpos, qvel, ctrl, table.sha256, self.simulated, payload)
 
 
 def _read_payloads(given: Sequence[Any], names: Sequence[str]) -> list[Payload | None]:
@@ -146,56 +118,3 @@ def _names(option: str, given: Any) -> list[str]:
     if not isinstance(given, Sequence):
         raise ConfigError(f"data.{option}={given}: expected a list of names, as in [a, b]")
     return [str(name) for name in given]
-
-
-def _read(name: str) -> bytes:
-    """The file's bytes; LogError where there are none."""
-    try:
-        return Path(name).expanduser().read_bytes()
-    except FileNotFoundError:
-        raise LogError(f"{name}: no such file (looked from {Path.cwd()}); check data.train and data.test") from None
-    except OSError as error:
-        raise LogError(f"{name}: cannot be read ({error.strerror}); expected a CSV file") from None
-
-
-def _decode(name: str, content: bytes) -> str:
-    """The file's text, without the byte-order mark that spreadsheets write."""
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise LogError(
-            f"{name}: byte {error.start} is not UTF-8 text; expected a CSV file, export it as UTF-8"
-        ) from None
-    if "\0" in text:
-        raise LogError(f"{name}: holds a zero byte; expected a CSV file as UTF-8 text")
-    return text
-
-
-def _place(name: str, header: str, came: Sequence[str]) -> int:
-    """Index of a column; LogError where it is missing or ambiguous."""
-    if header not in came:
-        raise LogError(
-            f"{name}: no column {header}; {closest(header, [c for c in came if c])}; rename it or set data.columns"
-        )
-    if came.count(header) > 1:
-        raise LogError(f"{name}: {came.count(header)} columns {header}, expected one; rename the others")
-    return came.index(header)
-
-
-def _numbers(name: str, line: int, row: Sequence[str], came: Sequence[str], places: Sequence[int]) -> list[float]:
-    """The wanted cells of one row as numbers."""
-    if len(row) != len(came):
-        raise LogError(f"{name}, line {line}: {len(row)} cells, expected {len(came)} as in the header")
-    try:
-        return [float(row[place]) for place in places]
-    except ValueError:
-        bad = next(place for place in places if not _is_number(row[place]))
-        raise LogError(f"{name}, line {line}: {came[bad]} is {row[bad]!r}, expected a number") from None
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
