@@ -8,7 +8,7 @@ import pytest
 
 PACKAGE = Path(__file__).parent.parent / "frictionzoo"
 LEVELS = {
-    **dict.fromkeys(("types", "errors", "params", "output", "threads"), 0),
+    **dict.fromkeys(("types", "errors", "params", "output", "registry", "threads"), 0),
     **dict.fromkeys(("logs", "segments"), 1),
     **dict.fromkeys(("models",), 2),
     **dict.fromkeys(("bench", "engine", "rollout"), 3),
