@@ -1,6 +1,7 @@
 """Files as a data set: which are read, what they are told apart by, what they carried, and what tests."""
 
 import hashlib
+import json
 import re
 import zipfile
 from collections.abc import Callable
@@ -28,21 +29,29 @@ def table(samples: int = 20, offset: float = 0.0) -> str:
     return "\n".join(["time,qpos,qvel,ctrl", *rows]) + "\n"
 
 
+@pytest.fixture(scope="module")
+def plain() -> DictConfig:
+    """The configuration of a user's own files."""
+    config = compose_config("data=files")
+    OmegaConf.set_struct(config, False)
+    return config
+
+
 @pytest.fixture
-def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Files]:
+def files(plain: DictConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Files]:
     """The data set of these overrides, in a folder that holds a.csv, b.csv and c.csv."""
     monkeypatch.chdir(tmp_path)
     for place, name in enumerate(NAMES):
         (tmp_path / name).write_text(table(100, 5.0 * place))
 
-    def files(*overrides: str, **more: Any) -> Files:
-        config = compose_config("data=files", "data.split.gap=0", COLUMNS, UNITS, *overrides)
+    def files(*options: str, **more: Any) -> Files:
+        config = OmegaConf.merge(plain, OmegaConf.from_dotlist([COLUMNS, UNITS, "data.split.gap=0", *options]))
         return build({**section_of(config), **more})
 
     return files
 
 
-def section_of(config: DictConfig) -> dict[str, Any]:
+def section_of(config: Any) -> dict[str, Any]:
     return cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))["data"]
 
 
@@ -82,12 +91,13 @@ def test_one_file_is_split_by_time(files: Callable[..., Files]) -> None:
 def test_globs_folders_and_archives_name_many(files: Callable[..., Files], tmp_path: Path) -> None:
     (tmp_path / "more").mkdir()
     (tmp_path / "more" / "d.csv").write_text(table(100, 15.0))
+    entries = [{"timestamp": 0.01 * i, "position": 0.1 * i, "goal_position": 1.0} for i in range(100)]
     with zipfile.ZipFile(tmp_path / "e.zip", "w") as archive:
-        for name in ("x.csv", "y.csv"):
-            archive.writestr(name, table(100))
-    found = {given: names(files(f"data.train={given}").recordings()) for given in ("'[ab].csv'", "more", "e.zip")}
-    expected = {"'[ab].csv'": ["a.csv", "b.csv"], "more": ["more/d.csv"], "e.zip": ["e.zip!x.csv", "e.zip!y.csv"]}
-    assert found == expected
+        for name in ("y.json", "x.json"):
+            archive.writestr(name, json.dumps({"kp": 16, "entries": entries}))
+    found = {given: names(files(f"data.train={given}").recordings()) for given in ("'[ab].csv'", "more")}
+    assert found == {"'[ab].csv'": ["a.csv", "b.csv"], "more": ["more/d.csv"]}
+    assert names(files("data.train=e.zip", columns={}, units={}).recordings()) == ["e.zip!x.json", "e.zip!y.json"]
     assert names(files("data.train='**/*.csv'").recordings()) == [*NAMES, "more/d.csv"]
     # A file that two paths lead to is read once.
     assert names(files("data.train=['*.csv',a.csv]").recordings()) == list(NAMES)
@@ -108,9 +118,9 @@ def test_fields_come_from_names_and_options(files: Callable[..., Files], tmp_pat
 @pytest.mark.parametrize(
     ("options", "kept"),
     [
-        (["data.where={letter:[a,c]}"], ["a.csv", "c.csv"]),
-        (["data.exclude={letter:[a]}"], ["b.csv", "c.csv"]),
-        (["data.where={letter:[a,b]}", "data.exclude={letter:[b]}"], ["a.csv"]),
+        (["data.where={letter: [a,c]}"], ["a.csv", "c.csv"]),
+        (["data.exclude={letter: [a]}"], ["b.csv", "c.csv"]),
+        (["data.where={letter: [a,b]}", "data.exclude={letter: [b]}"], ["a.csv"]),
     ],
 )
 def test_recordings_are_chosen_by_their_fields(
@@ -156,12 +166,12 @@ REFUSED = {
     "no file": (["data.split.by=file", "data.split.test=[d.csv]"], r"test=d\.csv: none of 3 recordings is called so"),
     "share": (["data.split.by=file", "data.split.test=1.5"], r"data\.split\.test=1\.5 with by=file"),
     "nothing trains": (["data.split.by=letter", "data.split.test=[a,b,c]"], r"all 3 recordings test, none is left"),
-    "where": (["data.where={letter:[d]}"], r"data\.where\.letter=d: no recording has it; expected one of a, b, c"),
-    "where field": (["data.where={lettre:[a]}"], r"data\.where: no recording has a field lettre; did you mean letter"),
-    "nothing kept": (["data.exclude={letter:[a,b,c]}"], r"leave none of 3 recordings"),
-    "input": (["data.inputs={gain:kp}"], r"a\.csv: data\.inputs\.gain=kp: no such field"),
+    "where": (["data.where={letter: [d]}"], r"data\.where\.letter=d: no recording has it; expected one of a, b, c"),
+    "where field": (["data.where={lettre: [a]}"], r"data\.where: no recording has a field lettre; did you mean letter"),
+    "nothing kept": (["data.exclude={letter: [a,b,c]}"], r"leave none of 3 recordings"),
+    "input": (["data.inputs={gain: kp}"], r"a\.csv: data\.inputs\.gain=kp: no such field"),
     "text input": (
-        ["data.inputs={gain:letter}"],
+        ["data.inputs={gain: letter}"],
         r"a\.csv: data\.inputs\.gain: its field letter is a, expected a number",
     ),
 }
@@ -187,8 +197,8 @@ def test_a_mistake_gets_one_line(files: Callable[..., Files], options: list[str]
         ({"fields_from_name": "kp"}, r"data\.fields_from_name=kp: no named group"),
     ],
 )
-def test_options_that_make_no_sense(options: dict[str, Any], line: str) -> None:
-    section = section_of(compose_config("data=files"))
+def test_options_that_make_no_sense(plain: DictConfig, options: dict[str, Any], line: str) -> None:
+    section = section_of(plain)
     with pytest.raises(ConfigError, match=line):
         build({**section, **options})
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from frictionzoo.errors import ConfigError, LogError, closest
 from frictionzoo.logs.clean import Cleaning, clean
-from frictionzoo.logs.columns import propose, to_recording
+from frictionzoo.logs.columns import Proposal, propose, to_recording
 from frictionzoo.logs.formats import read_tables
 from frictionzoo.logs.paths import find_files
 from frictionzoo.logs.payloads import choose_payloads
@@ -114,14 +114,12 @@ class Files:
         """The recordings that may train, and those that only test."""
         if not self.train:
             raise LogError("data.train=[]: no recording; name files, as in data.train=[a.csv] data.test=[b.csv]")
-        train, test = (find_files(names, self.folder, self.source) for names in (self.train, self.test))
-        twice = [path for path in test if path in train]
+        train, test = (self._tables(names) for names in (self.train, self.test))
+        held_out = {table.name for table in test}
+        twice = [table.name for table in train if table.name in held_out]
         if twice:
             raise LogError(f"{twice[0]}: in data.train and in data.test; expected recordings that no fit has seen")
-        tables = {path: read_tables(path, self.format) for path in (*train, *test)}
-        held_out = {table.name for path in test for table in tables[path]}
-        kept = self.selection.keep([table for path in tables for table in tables[path]])
-        recordings = self._interpret(kept)
+        recordings = self._interpret(self.selection.keep(train + test))
         first = [recording for recording in recordings if recording.name not in held_out]
         last = [recording for recording in recordings if recording.name in held_out]
         if not first or (held_out and not last):
@@ -129,6 +127,12 @@ class Files:
                 f"{self.name}: data.where and data.exclude leave no recording to {'test' if first else 'train'}"
             )
         return first, last
+
+    def _tables(self, names: Sequence[str]) -> list[Table]:
+        """What the files that are meant hold, each recording once."""
+        paths = find_files(names, self.folder, self.source) if names else []
+        tables = [table for path in paths for table in read_tables(path, self.format)]
+        return list({table.name: table for table in tables}.values())
 
     def _interpret(self, tables: Sequence[Table]) -> list[Recording]:
         """Tables in SI units; what the options do not say is proposed once for all tables with the same headers."""
@@ -142,10 +146,14 @@ class Files:
     def _complete(self, table: Table) -> tuple[dict[str, Any], dict[str, str]]:
         """Columns and units, with what is proposed where the options say nothing."""
         proposal = propose(table)
-        columns = {**proposal.columns, **self.columns}
-        units = {**{signal: unit for signal, unit in proposal.units.items() if signal in columns}, **self.units}
-        logger.info("%s: %s", self.name, proposal)
-        return columns, units
+        columns = {signal: headers for signal, headers in proposal.columns.items() if signal not in self.columns}
+        units = {signal: unit for signal, unit in proposal.units.items() if signal not in self.units}
+        proposed = Proposal(columns, {signal: unit for signal, unit in units.items() if signal in columns})
+        if columns:
+            level = logging.INFO if proposal.certain else logging.WARNING
+            taken = " ".join(proposed.overrides())
+            logger.log(level, "%s: taken from names and numbers in %s: %s", self.name, table.name, taken)
+        return {**columns, **self.columns}, {**proposed.units, **self.units}
 
     def _clean(self, recording: Recording, payload: Payload | None) -> list[Log]:
         """The logs of a recording, with its payload and the inputs of the actuator law."""

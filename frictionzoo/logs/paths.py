@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from frictionzoo.errors import LogError
+from frictionzoo.logs.formats import format_names, get_format
 
 
 def find_files(names: Sequence[str], folder: str | None, source: str | None) -> list[str]:
@@ -30,7 +31,9 @@ def find_files(names: Sequence[str], folder: str | None, source: str | None) -> 
 
 def _expand(name: str, path: Path, source: str | None) -> list[Path]:
     """The files of one path; LogError where there is none."""
-    if path.is_dir():
+    if path.is_dir() and any(get_format(name).claims(path) for name in format_names()):
+        found = [path]
+    elif path.is_dir():
         found = [inner for inner in path.iterdir() if inner.is_file() and not inner.name.startswith(".")]
     elif path.exists():
         found = [path]
