@@ -142,7 +142,7 @@ class _Clock:
 
     def _ratio(self, signal: str, header: str) -> tuple[float, float]:
         given = self.units.get(signal) or self.table.units.get(header)
-        return ratio(signal, str(given)) if given else (1, 1)
+        return ratio(signal, str(given)) if given else (1.0, 1.0)
 
 
 def _hold(

@@ -2,6 +2,7 @@
 
 import math
 import re
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -264,7 +265,7 @@ def _si(signal: str, unit: str) -> float:
 
 def _quote(name: str) -> str:
     """A value of an option, in quotes where Hydra would read more into it."""
-    return name if re.fullmatch(r"[A-Za-z_][\w/ -]*", name) else "'" + name.replace("'", "\\'") + "'"
+    return name if re.fullmatch(r"[A-Za-z_][\w/ -]*", name) else '"' + name.replace('"', '\\"') + '"'
 
 
 def _list(headers: tuple[str, ...]) -> str:
@@ -272,7 +273,5 @@ def _list(headers: tuple[str, ...]) -> str:
 
 
 def _shell(option: str) -> str:
-    """An option as one word of a shell."""
-    if not re.search(r"[\s'\"$&()*;<>?`|\\!#~]", option):
-        return option
-    return '"' + re.sub(r'(["$`\\])', r"\\\1", option) + '"'
+    """An option as one word of a shell, which leaves brackets of words alone."""
+    return option if re.fullmatch(r"[\w.=/,\[\]-]*", option) else shlex.quote(option)

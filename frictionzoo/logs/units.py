@@ -11,27 +11,35 @@ from frictionzoo.errors import ConfigError, closest
 Ratio = tuple[float, float]
 """SI units in one unit, as a fraction: a division by 1000 is exact to the last bit, a factor of 0.001 is not."""
 
-TIME: Mapping[str, Ratio] = {"s": (1, 1), "ms": (1, 1e3), "us": (1, 1e6), "ns": (1, 1e9)}
+TIME: Mapping[str, Ratio] = {"s": (1.0, 1.0), "ms": (1.0, 1e3), "us": (1.0, 1e6), "ns": (1.0, 1e9)}
 POSITION: Mapping[str, Ratio] = {
-    **{"rad": (1, 1), "mrad": (1, 1e3), "deg": (math.pi, 180), "rev": (math.tau, 1)},
-    **{"m": (1, 1), "mm": (1, 1e3), "um": (1, 1e6)},
+    **{"rad": (1.0, 1.0), "mrad": (1.0, 1e3), "deg": (math.pi, 180.0), "rev": (math.tau, 1.0)},
+    **{"m": (1.0, 1.0), "mm": (1.0, 1e3), "um": (1.0, 1e6)},
 }
 VELOCITY: Mapping[str, Ratio] = {
-    **{"rad/s": (1, 1), "deg/s": (math.pi, 180), "rev/s": (math.tau, 1), "rpm": (math.tau, 60)},
-    **{"m/s": (1, 1), "mm/s": (1, 1e3)},
+    **{"rad/s": (1.0, 1.0), "deg/s": (math.pi, 180.0), "rev/s": (math.tau, 1.0), "rpm": (math.tau, 60.0)},
+    **{"m/s": (1.0, 1.0), "mm/s": (1.0, 1e3)},
 }
 EFFORT: Mapping[str, Ratio] = {
-    **{"N m": (1, 1), "mN m": (1, 1e3), "N": (1, 1), "A": (1, 1), "mA": (1, 1e3), "V": (1, 1), "mV": (1, 1e3)},
-    **{"%": (1, 100), "1": (1, 1)},
+    **{
+        "N m": (1.0, 1.0),
+        "mN m": (1.0, 1e3),
+        "N": (1.0, 1.0),
+        "A": (1.0, 1.0),
+        "mA": (1.0, 1e3),
+        "V": (1.0, 1.0),
+        "mV": (1.0, 1e3),
+    },
+    **{"%": (1.0, 100.0), "1": (1.0, 1.0)},
 }
 UNITS: Mapping[str, Mapping[str, Ratio]] = {
     "time": TIME,
     "qpos": POSITION,
     "qvel": VELOCITY,
     "ctrl": {**POSITION, **VELOCITY, **EFFORT},
-    "supply": {"V": (1, 1), "mV": (1, 1e3)},
-    "enable": {"1": (1, 1)},
-    "temperature": {"degC": (1, 1)},
+    "supply": {"V": (1.0, 1.0), "mV": (1.0, 1e3)},
+    "enable": {"1": (1.0, 1.0)},
+    "temperature": {"degC": (1.0, 1.0)},
 }
 """Units of each signal by name; the first is what a recording is in unless something says otherwise."""
 
@@ -56,7 +64,7 @@ def ratio(signal: str, unit: str) -> Ratio:
         factor = math.nan
     if not math.isfinite(factor) or factor == 0:
         raise ConfigError(f"data.units.{signal}={unit}: unknown unit; {closest(unit, known)}, or a number of SI units")
-    return factor, 1
+    return factor, 1.0
 
 
 def to_si(values: Real[np.ndarray, "rows"], fraction: Ratio) -> Float[np.ndarray, "rows"]:

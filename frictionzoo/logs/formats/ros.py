@@ -64,7 +64,6 @@ class Mcap(Ros):
     """A single MCAP file."""
 
     suffixes = (".mcap",)
-    magic = (MAGIC,)
 
 
 @register_format("ros2bag")
@@ -189,7 +188,7 @@ def _check(file: Path) -> None:
 
 
 def _check_mcap(name: str, stream: BinaryIO, size: int) -> None:
-    """See that records of an MCAP file have the bytes that they declare, and that its chunks unpack to what they say."""
+    """See that an MCAP file has the bytes that its records declare, and that chunks unpack to what they say."""
     place, total, indices = len(MAGIC), 0, 0
     while place < size - len(MAGIC):
         stream.seek(place)
