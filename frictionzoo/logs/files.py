@@ -1,8 +1,6 @@
 """Recordings in a user's files, of whatever format, as a data set."""
 
 import logging
-import re
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -10,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from frictionzoo.errors import ConfigError, LogError, closest
-from frictionzoo.logs.clean import Cleaning, clean
+from frictionzoo.logs.clean import Cleaning, clean, summarise_repairs
 from frictionzoo.logs.columns import Proposal, propose, to_recording
 from frictionzoo.logs.formats import read_tables
 from frictionzoo.logs.paths import find_files
@@ -169,10 +167,12 @@ class Files:
 
 def _report(name: str, recordings: Sequence[Recording], logs: Sequence[Sequence[Log]]) -> None:
     """One line on what cleaning did to a data set."""
-    repairs = Counter(re.sub(r"[\d.]+", "N", repair) for log in logs for piece in log for repair in piece.repairs)
-    lost = sum(not cleaned for cleaned in logs)
-    kept = sum(map(len, logs))
-    logger.info("%s: %d recordings, %d logs, %d left out %s", name, len(recordings), kept, lost, dict(repairs))
+    kept = [log for cleaned in logs for log in cleaned]
+    lost = [recording.name for recording, cleaned in zip(recordings, logs, strict=True) if not cleaned]
+    counts = [f"{len(recordings)} recordings give {len(kept)} logs"]
+    if lost:
+        counts.append(f"{len(lost)} left out as data.clean asks, such as {lost[0]}")
+    logger.info("%s: %s", name, "; ".join([*counts, *summarise_repairs(kept)]))
 
 
 def _constant(recording: Recording, name: str, given: str | float) -> float:
