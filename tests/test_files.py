@@ -241,12 +241,43 @@ def test_a_table_that_does_not_fit_is_refused(files: Callable[..., Files], paylo
 
 
 def test_headers_and_units_are_proposed_once(
-    files: Callable[..., Files], make: Callable[..., Any], caplog: pytest.LogCaptureFixture
+    files: Callable[..., Files], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
+    for name in NAMES:
+        (tmp_path / name).write_text(table(100).replace("time,qpos,qvel,ctrl", "t [ms],angle,speed,command"))
+    nothing = {"columns": {}, "units": {}}
     with caplog.at_level("INFO", "frictionzoo.logs.files"):
-        recordings = make("data", "data=files", "data.train='*.csv'").recordings()
-    assert len(recordings) == 3
-    assert caplog.text.count("qpos") >= 1 and len(caplog.records) == 1
+        recordings = files("data.train='*.csv'", **nothing).recordings()
+    (line,) = (record.getMessage() for record in caplog.records)
+    assert "in a.csv: " in line and "data.columns.qpos=[angle]" in line and "data.units.time=ms" in line
+    assert recordings[0].time[-1] == pytest.approx(0.99e-3, rel=1e-9)
+    caplog.clear()
+    # What the options say goes before what is proposed.
+    told = {"columns": {"qpos": "speed"}, "units": {"time": "s"}}
+    assert files("data.train=a.csv", **told).recordings()[0].signals["qpos"][1, 0] == -0.25
+    # Signals that are called by their own names need no line.
+    (tmp_path / "plain.csv").write_text(table(100))
+    caplog.clear()
+    files("data.train=plain.csv", **nothing).recordings()
+    assert not caplog.records
+
+
+def test_what_cleaning_changed_is_said_once(
+    files: Callable[..., Files], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    for name in NAMES[:2]:
+        (tmp_path / name).write_text(table(100).replace("\n0.05,", "\n0.055,"))
+    with caplog.at_level("INFO", "frictionzoo.logs.files"):
+        dataset = files("data.train='*.csv'").load()
+    (line,) = (record.getMessage() for record in caplog.records)
+    assert "2 of 3 logs: resampled" in line
+    assert [len(log.repairs) for log in dataset.train] == [1, 1, 0]
+    np.testing.assert_allclose(np.diff(dataset.train[0].time), 0.01, rtol=1e-9)
+
+
+def test_a_recording_of_which_nothing_is_left_is_refused(files: Callable[..., Files]) -> None:
+    with pytest.raises(LogError, match=r"a\.csv: cleaning leaves nothing of it.*; .* or change data\.clean"):
+        files("data.train=a.csv", "data.clean.shortest=5.0").load()
 
 
 @pytest.mark.parametrize("name", ["sts3215", "xl330"])

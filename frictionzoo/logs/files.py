@@ -100,7 +100,7 @@ class Files:
         recordings = train + test
         payloads = choose_payloads(self.payload, recordings)
         logs = [self._clean(*pair) for pair in zip(recordings, payloads, strict=True)]
-        _report(self.name, recordings, logs)
+        self._report(recordings, logs)
         if test:
             parts = logs[: len(train)], logs[len(train) :]
             first, last = ([log for cleaned in part for log in cleaned] for part in parts)
@@ -147,7 +147,8 @@ class Files:
         columns = {signal: headers for signal, headers in proposal.columns.items() if signal not in self.columns}
         units = {signal: unit for signal, unit in proposal.units.items() if signal not in self.units}
         proposed = Proposal(columns, {signal: unit for signal, unit in units.items() if signal in columns})
-        if columns:
+        own = all(headers == (signal,) for signal, headers in columns.items())
+        if not own or proposed.units:
             level = logging.INFO if proposal.certain else logging.WARNING
             taken = " ".join(proposed.overrides())
             logger.log(level, "%s: taken from names and numbers in %s: %s", self.name, table.name, taken)
@@ -164,15 +165,21 @@ class Files:
             logs.append(replace(log, payload=payload, extras={**log.extras, **constants}, metadata=recording.fields))
         return logs
 
-
-def _report(name: str, recordings: Sequence[Recording], logs: Sequence[Sequence[Log]]) -> None:
-    """One line on what cleaning did to a data set."""
-    kept = [log for cleaned in logs for log in cleaned]
-    lost = [recording.name for recording, cleaned in zip(recordings, logs, strict=True) if not cleaned]
-    counts = [f"{len(recordings)} recordings give {len(kept)} logs"]
-    if lost:
-        counts.append(f"{len(lost)} left out as data.clean asks, such as {lost[0]}")
-    logger.info("%s: %s", name, "; ".join([*counts, *summarise_repairs(kept)]))
+    def _report(self, recordings: Sequence[Recording], logs: Sequence[Sequence[Log]]) -> None:
+        """One line on what cleaning did to the data set; LogError where it left nothing."""
+        kept = [log for cleaned in logs for log in cleaned]
+        lost = [recording.name for recording, cleaned in zip(recordings, logs, strict=True) if not cleaned]
+        if not kept:
+            raise LogError(
+                f"{lost[0]}: cleaning leaves nothing of it, and of {len(lost) - 1} others; expected "
+                f"{self.clean.shortest:g} s without gaps and NaN, and with data.clean.spikes=drop no spikes; look "
+                "at the file or change data.clean"
+            )
+        told = [f"{len(lost)} left out as data.clean asks, such as {lost[0]}"] if lost else []
+        told += summarise_repairs(kept)
+        if told:
+            counts = len(recordings), len(kept)
+            logger.info("%s: of %d recordings came %d logs; %s", self.name, *counts, "; ".join(told))
 
 
 def _constant(recording: Recording, name: str, given: str | float) -> float:
