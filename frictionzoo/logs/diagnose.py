@@ -236,7 +236,10 @@ def find_spikes(position: Float[np.ndarray, "time"]) -> Int[np.ndarray, "spikes"
     before, after = position[1:-1] - position[:-2], position[1:-1] - position[2:]
     steps = np.abs(np.diff(position))
     step = float(steps[steps > 0].min(initial=np.inf))
-    usual = max(float(np.nanmedian(np.abs(before + after))), step if np.isfinite(step) else 0.0)
+    second = np.abs(before + after)
+    if not np.isfinite(second).any():
+        return np.zeros(0, int)
+    usual = max(float(np.nanmedian(second)), step if np.isfinite(step) else 0.0)
     leaves = np.where(before * after > 0, np.minimum(np.abs(before), np.abs(after)), 0.0)
     return np.flatnonzero((leaves > SPIKE * usual) & (np.abs(before - after) < RETURN * leaves)) + 1
 
@@ -335,8 +338,7 @@ def _diagnose_joint(
     if len(finite) < 2:
         raise LogError(f"{recording.name}: qpos holds {len(finite)} finite samples; check data.columns.qpos")
     smooth = repair_spikes(position)
-    grid, positions = regular_stretch(recording.time, smooth)
-    velocity = _derive(positions, float(grid[1] - grid[0])) if len(grid) > 20 else np.zeros(1)
+    velocity = derive_velocity(recording.time, smooth)
     lag = None if measured is None else find_velocity_lag(recording.time, smooth, measured)
     low, high = _range(velocity)
     top = max(-low, high)
@@ -385,6 +387,20 @@ def _diagnose_supply(supply: Float[np.ndarray, "time columns"] | None, fields: M
 def _range(values: Float[np.ndarray, "samples"]) -> tuple[float, float]:
     low, high = np.quantile(values, [TOP, 1 - TOP])
     return float(low), float(high)
+
+
+def derive_velocity(time: Float[np.ndarray, "time"], position: Float[np.ndarray, "time"]) -> Float[np.ndarray, "grid"]:
+    """Velocity over the longest stretch without a gap, estimated from the position, on a uniform grid [rad/s or m/s].
+
+    Args:
+        time: Sample times [s].
+        position: Measured position without spikes [rad or m].
+
+    Returns:
+        One zero for a recording that is too short.
+    """
+    grid, positions = regular_stretch(time, position)
+    return _derive(positions, float(grid[1] - grid[0])) if len(grid) > 20 else np.zeros(1)
 
 
 def _derive(position: Float[np.ndarray, "time"], timestep: float) -> Float[np.ndarray, "time"]:
