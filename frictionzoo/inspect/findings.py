@@ -53,7 +53,7 @@ def list_findings(survey: Mapping[str, Any]) -> Iterator[Finding]:
             yield Finding(finding.state, title, finding.text, finding.option)
     for command in survey["commands"]:
         yield from _find_saturation(command)
-    yield from _find_supply(survey["supply"])
+    yield from _find_supply(survey["supply"], survey["data"]["recordings"])
     yield from _find_off(survey["enabled"])
 
 
@@ -111,7 +111,7 @@ def _find_breaks(timing: Mapping[str, Any]) -> Finding:
 def _find_spikes(joint: Mapping[str, Any], recordings: int) -> Finding:
     if not joint["spikes"]:
         return Finding("good", "Spikes", "No isolated spike of the position.")
-    text = f"{joint['spiky']} of {recordings} recordings hold an isolated one-sample spike of the position, "
+    text = f"{joint['spiky']} of {recordings} recordings hold an isolated spike of the position, "
     text += f"{joint['spikes']} in all. Repair them, or leave these recordings out with data.clean.spikes=drop."
     return Finding("caution", "Spikes", text, "data.clean.spikes=repair")
 
@@ -198,12 +198,16 @@ def _find_saturation(command: Mapping[str, Any]) -> Iterator[Finding]:
         yield Finding("note", "Saturation", text)
 
 
-def _find_supply(supply: Mapping[str, Any] | None) -> Iterator[Finding]:
+def _find_supply(supply: Mapping[str, Any] | None, recordings: int) -> Iterator[Finding]:
     if supply is None:
         return
     measured, stated = supply["measured"], supply["stated"]
-    text = f"The supply was measured at {measured['median']:.3g} V ({supply['range'][0]:.3g} to "
-    text += f"{supply['range'][1]:.3g} V)"
+    if supply["outliers"]:
+        text = f"{supply['outlying']} of {recordings} recordings hold supply voltages far from their median, "
+        text += f"{supply['outliers']} samples in all. Repair takes out spikes; leave recordings with longer runs out."
+        yield Finding("caution", "Supply readings", text, "data.clean.spikes=repair")
+    text = f"The supply was measured at {measured['median']:.3g} V ({measured['low']:.3g} to "
+    text += f"{measured['high']:.3g} V over the recordings)"
     if stated is None or abs(stated["median"] / measured["median"] - 1) <= VOLTS:
         yield Finding("good", "Supply", f"{text}.")
     else:

@@ -141,6 +141,8 @@ def _pool_supply(diagnoses: Sequence[Diagnosis]) -> dict[str, Any] | None:
     return {
         "measured": _spread(supply.median for supply in supplies),
         "range": _envelop(supply.range for supply in supplies),
+        "outliers": sum(supply.outliers for supply in supplies),
+        "outlying": sum(supply.outliers > 0 for supply in supplies),
         "field": fields[0] if fields else None,
         "stated": _spread(stated),
     }
