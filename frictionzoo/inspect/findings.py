@@ -124,9 +124,9 @@ def _find_resolution(joint: Mapping[str, Any], interval: float) -> Finding:
     top = max(map(abs, joint["velocity"]))
     text = f"The position moves in steps of {quantum['median']:.3g} rad or m: one step in a sample is {speed:.2g} a "
     text += f"second, {100 * speed / max(top, 1e-12):.2g} % of the top speed."
-    if quantum["median"] > 0 and speed > 0.1 * top:
+    if speed > 0.1 * top:
         return Finding("note", "Resolution", f"{text} Fit segments of many samples.")
-    return Finding("note", "Resolution", text)
+    return Finding("note" if speed > 0.01 * top else "good", "Resolution", text)
 
 
 def _find_degrees(joint: Mapping[str, Any]) -> Iterator[Finding]:
