@@ -182,11 +182,12 @@ def list_options(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _find(target: str) -> Any:
-    # Imported here, so that --help and a typing error do not wait for torch.
-    from frictionzoo.models.registry import registered_models
+    if not target.startswith("frictionzoo."):
+        # Imported here, so that what needs no law does not wait for torch.
+        from frictionzoo.models.registry import registered_models
 
-    if target in (registered := registered_models()):  # also laws of the program that runs, of a notebook say
-        return registered[target]
+        if target in (registered := registered_models()):  # also laws of the program that runs, of a notebook say
+            return registered[target]
     packages = {"frictionzoo", *(point.module.partition(".")[0] for point in entry_points(group="frictionzoo.models"))}
     module, _, name = target.rpartition(".")
     if module.partition(".")[0] not in packages:

@@ -15,7 +15,7 @@ LEVELS = {
     **dict.fromkeys(("bridge", "check"), 4),
     **dict.fromkeys(("fit",), 5),
     **dict.fromkeys(("evaluate", "compare", "report", "export"), 6),
-    **dict.fromkeys(("config", "job", "sweep", "run"), 7),
+    **dict.fromkeys(("config", "job", "sweep", "run", "inspect"), 7),
 }
 FORBIDDEN = {0: {"torch", "jax", "mujoco"}, 1: {"torch", "jax"}, 2: {"jax"}, 3: {"torch"}}
 FILES = [path for path in sorted(PACKAGE.rglob("*.py")) if path != PACKAGE / "__init__.py"]

@@ -15,7 +15,7 @@ import scipy.interpolate
 from jaxtyping import Bool, Float
 
 from frictionzoo.errors import ConfigError, LogError, closest
-from frictionzoo.logs.diagnose import find_breaks, find_spikes, find_velocity_lag, refuse_incomplete, repair_spikes
+from frictionzoo.logs.diagnose import count_spikes, find_breaks, find_velocity_lag, refuse_incomplete, repair_spikes
 from frictionzoo.logs.recording import Recording
 from frictionzoo.logs.velocity import estimate_velocity
 from frictionzoo.types import JITTER, Log
@@ -42,8 +42,8 @@ class Cleaning:
             Commands and the drive's enable signal are held.
         gap: An interval longer than this many medians splits a recording, and so does a longer run of NaN; shorter ones
             are interpolated.
-        spikes: What becomes of isolated one-sample spikes of the position: `repair` interpolates, `drop` leaves the
-            whole recording out, `keep` keeps them.
+        spikes: What becomes of isolated spikes of one sample or two: `repair` interpolates them in all signals that
+            are not held; `drop` leaves a recording out whose position has one; `keep` keeps them.
         velocity: `measured`; `estimated` from the position without phase lag; `auto`: measured where there is one.
         cutoff: Cut-off frequency of that estimate [Hz].
         order: Order of its filter, which runs forwards and backwards.
@@ -120,13 +120,13 @@ def clean(recording: Recording, cleaning: Cleaning) -> list[Log]:
     """
     refuse_incomplete(recording)
     whole = _drop_repeated(Piece(recording.time, recording.signals))
-    if cleaning.spikes == "drop" and _count_spikes(whole):
+    if cleaning.spikes == "drop" and any(map(count_spikes, whole.signals["qpos"].T)):
         return []
     pieces = _split(whole, cleaning.gap)
     long = [piece for piece in pieces if len(piece.time) > 1 and piece.time[-1] - piece.time[0] >= cleaning.shortest]
     if len(long) < len(pieces):
         short = len(pieces) - len(long)
-        long = [piece.say(f"{short} pieces shorter than {cleaning.shortest:g} s left out") for piece in long]
+        long = [piece.say(f"pieces shorter than {cleaning.shortest:g} s left out: {short}") for piece in long]
     names = [f"{recording.name}[{i + 1}]" for i in range(len(long))] if len(pieces) > 1 else [recording.name]
     return [_finish(piece, name, recording, cleaning) for piece, name in zip(long, names, strict=False)]
 
@@ -170,7 +170,7 @@ def _drop_repeated(piece: Piece) -> Piece:
     new = np.diff(piece.time, prepend=-np.inf) != 0
     if new.all():
         return piece
-    return piece.keep(new).say(f"{(~new).sum()} samples with the time of the one before dropped")
+    return piece.keep(new).say(f"samples with the time of the one before dropped: {(~new).sum()}")
 
 
 def _split(piece: Piece, gap: float) -> list[Piece]:
@@ -217,20 +217,19 @@ def _fill_nan(piece: Piece) -> Piece:
                 for k, column in zip(known, values.T, strict=True)
             ]
             filled[name] = np.where(bad, np.stack(columns, axis=1), values)
-            sentences.append(f"{bad.any(axis=1).sum()} samples of {name} that are NaN interpolated")
+            sentences.append(f"samples of {name} that are NaN interpolated: {bad.any(axis=1).sum()}")
     return replace(piece, signals=filled).say(*sentences) if sentences else piece
 
 
-def _count_spikes(piece: Piece) -> int:
-    return sum(len(find_spikes(column)) for column in piece.signals["qpos"].T)
-
-
 def _repair_spikes(piece: Piece) -> Piece:
-    count = _count_spikes(piece)
-    if not count:
-        return piece
-    qpos = np.stack([repair_spikes(column) for column in piece.signals["qpos"].T], axis=1)
-    return replace(piece, signals={**piece.signals, "qpos": qpos}).say(f"{count} spikes of qpos interpolated")
+    """Without the spikes of all signals that cannot jump and come back."""
+    repaired, sentences = dict(piece.signals), []
+    for name, values in piece.signals.items():
+        count = 0 if name in HELD else sum(map(count_spikes, values.T))
+        if count:
+            repaired[name] = np.stack([repair_spikes(column) for column in values.T], axis=1)
+            sentences.append(f"spikes of {name} interpolated: {count}")
+    return replace(piece, signals=repaired).say(*sentences) if sentences else piece
 
 
 def _shift_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
@@ -284,7 +283,7 @@ def _resample(piece: Piece, cleaning: Cleaning) -> Piece:
     missing = int((np.round(steps[steps > 1.5 * interval] / interval) - 1).sum())
     sentence = f"resampled from about {1 / interval:.4g} to {1 / step:.4g} samples/s, {cleaning.resample}, ctrl held"
     if missing:
-        sentence += f"; {missing} missing samples interpolated"
+        sentence += f"; missing samples interpolated: {missing}"
     return Piece(grid, signals, (*piece.repairs, sentence))
 
 

@@ -13,8 +13,10 @@ from frictionzoo.logs.velocity import estimate_velocity
 from frictionzoo.types import JITTER
 
 GAP = 5.0  # median intervals; a longer one is a gap, not a few missing samples
-SPIKE = 10.0  # a spike leaves both neighbours by this many times the usual second difference
+SPIKE = 20.0  # a spike leaves both neighbours by this many times the usual second difference
 RETURN = 0.5  # and its neighbours differ by less than this share of what it leaves them by
+WIDEST = 2  # samples; a longer excursion may be a motion
+OUTLIER = 0.2  # share of the median by which a supply does not change in earnest
 QUANTISED = 0.9  # share of the steps between samples that are multiples of a quantum, if there is one
 SLOWEST = 0.05  # share of the top speed under which a sample counts as slow
 RESTING = 0.005  # and under which it counts as standing still
@@ -58,7 +60,7 @@ class Joint:
     Attributes:
         position: Lowest and highest position, outliers left out [rad or m].
         position_quantum: Step of the encoder [rad or m]; None where the values are not quantised.
-        spikes: Isolated one-sample spikes of the position.
+        spikes: Isolated spikes of the position, of one sample or two.
         velocity: Lowest and highest velocity, estimated from the position, outliers left out [rad/s or m/s].
         velocity_quantum: Step of the measured velocity [rad/s or m/s].
         velocity_lag: Time by which the measured velocity lags the position's derivative [s].
@@ -100,12 +102,14 @@ class Supply:
     Attributes:
         median: [V].
         range: Lowest and highest [V].
+        outliers: Samples that differ from the median by more than a supply does in earnest.
         field: Header field that names a supply; None where there is none.
         stated: Its value [V].
     """
 
     median: float
     range: tuple[float, float]
+    outliers: int
     field: str | None
     stated: float | None
 
@@ -223,22 +227,54 @@ def find_breaks(time: Float[np.ndarray, "time"], gap: float) -> Int[np.ndarray, 
     return np.flatnonzero((steps < 0) | (steps > gap * np.median(steps[steps > 0]))) + 1
 
 
-def find_spikes(position: Float[np.ndarray, "time"]) -> Int[np.ndarray, "spikes"]:
-    """Samples that leave both neighbours the same way, while these are close to each other.
+def find_spikes(signal: Float[np.ndarray, "time"]) -> Int[np.ndarray, "spikes"]:
+    """Samples that leave their neighbours on both sides the same way, while these are close to each other.
 
-    The usual second difference, and the encoder's step, say what is usual; so a fast but smooth motion holds no spike.
+    The usual second difference and the signal's own step say what is usual, so a fast but smooth motion is no spike.
 
     Args:
-        position: Measured position [rad or m].
+        signal: Position, or another signal that cannot jump and come back.
+
+    Returns:
+        Every sample of every spike; a spike has one sample or two.
     """
-    if len(position) < 3:
+    second = np.abs(np.diff(signal, 2))
+    steps = np.abs(np.diff(signal))
+    if not np.isfinite(second).any() or not (steps > 0).any():
         return np.zeros(0, int)
-    before, after = position[1:-1] - position[:-2], position[1:-1] - position[2:]
-    steps = np.abs(np.diff(position))
-    step = float(steps[steps > 0].min(initial=np.inf))
-    usual = max(float(np.nanmedian(np.abs(before + after))), step if np.isfinite(step) else 0.0)
-    leaves = np.where(before * after > 0, np.minimum(np.abs(before), np.abs(after)), 0.0)
-    return np.flatnonzero((leaves > SPIKE * usual) & (np.abs(before - after) < RETURN * leaves)) + 1
+    usual = max(float(np.nanmedian(second)), float(steps[steps > 0].min()))
+    found = [_find_spikes_of(signal, usual, width) for width in range(1, WIDEST + 1)]
+    return np.unique(np.concatenate(found))
+
+
+def _find_spikes_of(signal: Float[np.ndarray, "time"], usual: float, width: int) -> Int[np.ndarray, "spikes"]:
+    before, after = signal[: -width - 1], signal[width + 1 :]
+    leaves, returns = signal[1:-width] - before, signal[width:-1] - after
+    size = np.where(leaves * returns > 0, np.minimum(np.abs(leaves), np.abs(returns)), 0.0)
+    first = np.flatnonzero((size > SPIKE * usual) & (np.abs(before - after) < RETURN * size)) + 1
+    return np.concatenate([first + i for i in range(width)])
+
+
+def count_spikes(signal: Float[np.ndarray, "time"]) -> int:
+    """Spikes of a signal, one for neighbouring samples.
+
+    Args:
+        signal: As `find_spikes` takes it.
+    """
+    found = find_spikes(signal)
+    return len(found) and 1 + int((np.diff(found) > 1).sum())
+
+
+def repair_spikes(signal: Float[np.ndarray, "time"]) -> Float[np.ndarray, "time"]:
+    """The signal with a straight line in place of each spike.
+
+    Args:
+        signal: As `find_spikes` takes it.
+    """
+    repaired, found = signal.copy(), find_spikes(signal)
+    others = np.delete(np.arange(len(signal)), found)
+    repaired[found] = np.interp(found, others, signal[others])
+    return repaired
 
 
 def find_quantum(signal: Float[np.ndarray, "time"]) -> float | None:
@@ -335,15 +371,14 @@ def _diagnose_joint(
     if len(finite) < 2:
         raise LogError(f"{recording.name}: qpos holds {len(finite)} finite samples; check data.columns.qpos")
     smooth = repair_spikes(position)
-    grid, positions = regular_stretch(recording.time, smooth)
-    velocity = _derive(positions, float(grid[1] - grid[0])) if len(grid) > 20 else np.zeros(1)
+    velocity = derive_velocity(recording.time, smooth)
     lag = None if measured is None else find_velocity_lag(recording.time, smooth, measured)
     low, high = _range(velocity)
     top = max(-low, high)
     return Joint(
         position=_range(finite),
         position_quantum=find_quantum(position),
-        spikes=len(find_spikes(position)),
+        spikes=count_spikes(position),
         velocity=(low, high),
         velocity_quantum=None if measured is None else find_quantum(measured),
         velocity_lag=None if lag is None else lag[0],
@@ -352,18 +387,6 @@ def _diagnose_joint(
         slow=float((np.abs(velocity) <= SLOWEST * top).mean()),
         rest=float((np.abs(velocity) <= RESTING * top).mean()),
     )
-
-
-def repair_spikes(position: Float[np.ndarray, "time"]) -> Float[np.ndarray, "time"]:
-    """The position with the mean of the neighbours in place of each isolated one-sample spike.
-
-    Args:
-        position: Measured position [rad or m].
-    """
-    at = find_spikes(position)
-    repaired = position.copy()
-    repaired[at] = 0.5 * (position[at - 1] + position[at + 1])
-    return repaired
 
 
 def _diagnose_command(command: Float[np.ndarray, "time"]) -> Command:
@@ -379,12 +402,28 @@ def _diagnose_supply(supply: Float[np.ndarray, "time columns"] | None, fields: M
         return None
     field = next((name for name in VOLTAGES if isinstance(fields.get(name), int | float)), None)
     stated = None if field is None else float(fields[field])
-    return Supply(float(np.nanmedian(supply)), (float(np.nanmin(supply)), float(np.nanmax(supply))), field, stated)
+    median, known = float(np.nanmedian(supply)), supply[np.isfinite(supply)]
+    outliers = int((np.abs(known - median) > OUTLIER * abs(median)).sum())
+    return Supply(median, (float(known.min()), float(known.max())), outliers, field, stated)
 
 
 def _range(values: Float[np.ndarray, "samples"]) -> tuple[float, float]:
     low, high = np.quantile(values, [TOP, 1 - TOP])
     return float(low), float(high)
+
+
+def derive_velocity(time: Float[np.ndarray, "time"], position: Float[np.ndarray, "time"]) -> Float[np.ndarray, "grid"]:
+    """Velocity over the longest stretch without a gap, estimated from the position, on a uniform grid [rad/s or m/s].
+
+    Args:
+        time: Sample times [s].
+        position: Measured position without spikes [rad or m].
+
+    Returns:
+        One zero for a recording that is too short.
+    """
+    grid, positions = regular_stretch(time, position)
+    return _derive(positions, float(grid[1] - grid[0])) if len(grid) > 20 else np.zeros(1)
 
 
 def _derive(position: Float[np.ndarray, "time"], timestep: float) -> Float[np.ndarray, "time"]:
