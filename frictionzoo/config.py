@@ -36,6 +36,8 @@ _NULLABLE: dict[str, tuple[Any, ...]] = {
     "data.train": ("", []),
     "data.test": ("", []),
     "data.split.test": ([], 0.0),
+    "data.clean.step": (0.0,),
+    "data.clean.velocity_lag": (0.0, ""),
 }
 # Sections whose keys a user chooses: names of fields and signals.
 _OPEN = ("data.columns", "data.units", "data.fields", "data.where", "data.exclude", "data.inputs")

@@ -119,6 +119,7 @@ def test_build_refuses_other_arguments(arguments: dict[str, Any]) -> None:
         ["model.params.static_torque.scale=2.0", "resume=outputs/yesterday", "seed=7", "loop.progress=false"],
         ["data=emps", "segments.count=3", "data.folder=somewhere"],
         ["data=files", "data.where={kp:[4,8]}", "data.inputs={gain:kp}", "data.train=a.csv", "data.split.test=0.2"],
+        ["data=files", "data.clean.velocity_lag=auto", "data.clean.step=0.01", "data.split.gap=0"],
     ],
     ids=str,
 )
