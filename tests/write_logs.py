@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
 import scipy.io
-from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 Columns = Mapping[str, np.ndarray]
@@ -62,9 +62,10 @@ def write_bam(path: Path, columns: Columns) -> Path:
 
 def write_bag(folder: Path, columns: Columns, plugin: StoragePlugin, compress: bool = False) -> Path:
     """A rosbag2 folder: joint states stamped by their headers, received later; commands without a header."""
-    with Writer(folder, version=9, storage_plugin=plugin) as bag:
-        if compress:
-            bag.set_compression(CompressionMode.STORAGE, bag.CompressionFormat.ZSTD)
+    bag = Writer(folder, version=9, storage_plugin=plugin)
+    if compress:
+        bag.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    with bag:
         states = bag.add_connection("/joint_states", JOINT_STATE, typestore=STORE)
         commands = bag.add_connection("/command", COMMAND, typestore=STORE)
         for time, qpos, qvel, ctrl in zip(*columns.values(), strict=True):
