@@ -134,6 +134,12 @@ def write_lerobot(folder: Path, columns: Columns) -> Path:
     return folder
 
 
+def write_degrees(path: Path, columns: Columns) -> Path:
+    """The recording as a CSV file in the units of a workshop."""
+    scales = {"time_ms": 1e3, "angle": 180 / np.pi, "speed": 30 / np.pi, "goal": 180 / np.pi}
+    return write_csv(path, {h: f * v for (h, f), v in zip(scales.items(), columns.values(), strict=True)})
+
+
 WRITERS: dict[str, tuple[str, Callable[[Path, Columns], Path]]] = {
     "csv": ("log.csv", write_csv),
     "parquet": ("log.parquet", write_parquet),
