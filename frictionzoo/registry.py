@@ -1,6 +1,8 @@
 """Plug-ins by name: classes of this package, and those that other packages bring by entry points."""
 
+import functools
 import inspect
+import sys
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, TypeVar
@@ -81,9 +83,7 @@ class Registry:
     def outside(self) -> dict[str, EntryPoint]:
         """What other packages bring, by name."""
         points: dict[str, EntryPoint] = {}
-        for found in entry_points(group=self.group):
-            # The backport importlib_metadata takes discovery over where it is imported, with a class of its own.
-            point = EntryPoint(found.name, found.value, found.group)
+        for point in _entry_points(self.group, tuple(sys.path)):
             if points.setdefault(point.name, point).value != point.value:
                 raise self.error(
                     f"{point.name}: entry points {points[point.name].value} and {point.value} both bring it; "
@@ -107,6 +107,13 @@ class Registry:
             raise self.error(
                 f"{point.name}: brought by both {owner} and {point.value}; uninstall one or rename its {self.noun}"
             )
+
+
+@functools.cache
+def _entry_points(group: str, path: tuple[str, ...]) -> list[EntryPoint]:
+    """What the packages on this path bring; looking through all of them takes as long as reading a small file."""
+    # The backport importlib_metadata takes discovery over where it is imported, with a class of its own.
+    return [EntryPoint(found.name, found.value, found.group) for found in entry_points(group=group)]
 
 
 def dotted_name(cls: type) -> str:

@@ -28,6 +28,7 @@ from write_logs import (
     write_bag,
     write_bam,
     write_csv,
+    write_degrees,
     write_log,
 )
 
@@ -452,3 +453,14 @@ def test_a_lerobot_folder_without_data(tmp_path):
     (folder / "meta" / "info.json").write_text(json.dumps({"fps": 30}))
     with pytest.raises(LogError, match=r"info\.json: not readable as the description of a LeRobot data set"):
         read_tables(str(folder), "auto")
+
+
+def test_a_workshop_s_units_come_back_in_si(tmp_path):
+    columns = signals()
+    (came,) = read_tables(str(write_degrees(tmp_path / "degrees.csv", columns)), "auto")
+    names = {"time": "time_ms", "qpos": ["angle"], "qvel": ["speed"], "ctrl": ["goal"]}
+    units = {"time": "ms", "qpos": "deg", "qvel": "rpm", "ctrl": "deg"}
+    recording = to_recording(came, names, units, simulated=False)
+    np.testing.assert_allclose(recording.time, columns["time"], rtol=1e-15)  # one rounding there and one back
+    for signal, values in recording.signals.items():
+        np.testing.assert_allclose(values[:, 0], columns[signal], rtol=1e-15)

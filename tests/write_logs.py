@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
 import scipy.io
-from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 Columns = Mapping[str, np.ndarray]
@@ -62,9 +62,10 @@ def write_bam(path: Path, columns: Columns) -> Path:
 
 def write_bag(folder: Path, columns: Columns, plugin: StoragePlugin, compress: bool = False) -> Path:
     """A rosbag2 folder: joint states stamped by their headers, received later; commands without a header."""
-    with Writer(folder, version=9, storage_plugin=plugin) as bag:
-        if compress:
-            bag.set_compression(CompressionMode.STORAGE, bag.CompressionFormat.ZSTD)
+    bag = Writer(folder, version=9, storage_plugin=plugin)
+    if compress:
+        bag.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    with bag:
         states = bag.add_connection("/joint_states", JOINT_STATE, typestore=STORE)
         commands = bag.add_connection("/command", COMMAND, typestore=STORE)
         for time, qpos, qvel, ctrl in zip(*columns.values(), strict=True):
@@ -131,6 +132,12 @@ def write_lerobot(folder: Path, columns: Columns) -> Path:
     (folder / "meta").mkdir()
     (folder / "meta" / "info.json").write_text(json.dumps(info))
     return folder
+
+
+def write_degrees(path: Path, columns: Columns) -> Path:
+    """The recording as a CSV file in the units of a workshop."""
+    scales = {"time_ms": 1e3, "angle": 180 / np.pi, "speed": 30 / np.pi, "goal": 180 / np.pi}
+    return write_csv(path, {h: f * v for (h, f), v in zip(scales.items(), columns.values(), strict=True)})
 
 
 WRITERS: dict[str, tuple[str, Callable[[Path, Columns], Path]]] = {

@@ -32,17 +32,13 @@ def read_columns(name: str, content: bytes) -> dict[str, np.ndarray]:
     parquet = optional("pyarrow.parquet", "pyarrow", name)
     with parsing(name, "a Parquet file"):
         file = parquet.ParquetFile(io.BytesIO(content), page_checksum_verification=True)
-        rows, row_groups = file.metadata.num_rows, range(file.metadata.num_row_groups)
-        wanted = [field.name for field in file.schema_arrow if _is_numeric(field.type)]
-        sizes = [
-            file.metadata.row_group(group).column(column).total_uncompressed_size
-            for group in row_groups
-            for column in range(file.metadata.num_columns)
-        ]
+        groups = [file.metadata.row_group(place) for place in range(file.metadata.num_row_groups)]
+        rows, sizes = file.metadata.num_rows, [group.total_byte_size for group in groups]
         # A column of one value packs into a few bytes however long it is, so that the rows are counted as well.
-        check_size(name, max(sum(sizes), 8 * rows * file.metadata.num_columns), None)
-        if min([rows, *sizes]) < 0 or rows != sum(file.metadata.row_group(group).num_rows for group in row_groups):
+        check_size(name, max(sum(sizes), 8 * rows * file.metadata.num_columns))
+        if min([rows, *sizes]) < 0 or rows != sum(group.num_rows for group in groups):
             raise LogError(f"{name}: its sizes contradict each other, expected a Parquet file; export it again")
+        wanted = [field.name for field in file.schema_arrow if _is_numeric(field.type)]
         return {header: _array(column) for header, column in _read(file, wanted) if len(column) == rows}
 
 

@@ -7,6 +7,7 @@ makes program code of them and runs it, which no recording may ask for.
 import hashlib
 import sqlite3
 import struct
+import sys
 from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import closing
@@ -24,6 +25,7 @@ from frictionzoo.logs.recording import Table
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK, CHUNK_INDEX = 6, 8  # kinds of MCAP records
 JOINT_UNITS = {"position": "rad", "velocity": "rad/s", "effort": "N m"}  # what sensor_msgs/JointState lays down
+ZSTD = "compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd"  # as rosbags has it
 LONGEST = 2**20  # entries of one array in one message
 
 
@@ -212,7 +214,7 @@ def _check_chunk(name: str, chunk: bytes) -> int:
     packed = chunk[40 + letters :]
     check_size(name, size, len(packed))
     if compression == "zstd":
-        decompressor = optional("backports.zstd", "rosbags", name).ZstdDecompressor()
+        decompressor = optional(ZSTD, "rosbags", name).ZstdDecompressor()
     elif compression == "lz4":
         decompressor = optional("lz4.frame", "rosbags", name).LZ4FrameDecompressor()
     else:
