@@ -164,7 +164,7 @@ def _find_delay(joint: Mapping[str, Any]) -> Finding:
         text = f"No delay of the {delay['command']} command can be told from none (estimate {middle:.2g} ms)."
         return Finding("good", "Command", text)
     text = f"The {delay['command']} command acts about {middle:.0f} ms late (half of {delay['estimates']} estimates "
-    text += f"between {low:.0f} and {high:.0f} ms). Let the fit find it: give the bench a parameter `delay`."
+    text += f"between {low:.0f} and {high:.0f} ms). Let the fit find it: give the bench a parameter delay."
     return Finding("caution", "Command", text, "bench.params.delay=...")
 
 
@@ -220,4 +220,4 @@ def _find_off(enabled: Mapping[str, Any] | None) -> Iterator[Finding]:
         text = (
             f"The drive is off for up to {100 * (1 - enabled['low']):.0f} % of a recording: the bench's actuator law "
         )
-        yield Finding("note", "Drive off", f"{text}must know it, as an input `enable`.")
+        yield Finding("note", "Drive off", f"{text}must know it, as an input named enable.")

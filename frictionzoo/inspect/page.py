@@ -85,15 +85,10 @@ def _plot_velocities(recordings: Sequence[Recording], joint: int, survey: Mappin
     shares, edges = _count(velocity, low, high)
     bars = _draw_bars(shares, edges, "share of the samples", "rad/s or m/s")
     band = {"type": "rect", "yref": "paper", "y0": 0, "y1": 1, "x0": -slow["speed"], "x1": slow["speed"]}
-    layout = make_layout(xaxis=make_axis("velocity [rad/s or m/s]"), yaxis=make_axis("share of the samples [%]")) | {
-        "showlegend": False,
-        "shapes": [band | {"fillcolor": BASELINE, "opacity": 0.18, "line": {"width": 0}}],
-        "bargap": 0.04,
-    }
-    text = (
-        f"Velocities of all samples, estimated from the position. {100 * slow['share']:.0f} % lie in the band, under "
-    )
-    text += f"{slow['speed']:.2g} rad/s or m/s."
+    layout = _lay_out("velocity [rad/s or m/s]", "share of the samples [%]")
+    layout["shapes"] = [band | {"fillcolor": BASELINE, "opacity": 0.18, "line": {"width": 0}}]
+    text = f"Velocities of all samples, estimated from the position. {100 * slow['share']:.0f} % lie in the band, "
+    text += f"under {slow['speed']:.2g} rad/s or m/s."
     return Plot(_name("Velocities", joint, survey), text, {"data": [bars], "layout": layout})
 
 
@@ -155,11 +150,8 @@ def _plot_spread(title: str, unit: str, values: Sequence[float]) -> Iterator[Plo
     known = np.array(values, float)
     shares, edges = _count(known, float(known.min()), float(known.max()), bins=31, share=False)
     bars = _draw_bars(shares, edges, "recordings", unit)
-    layout = make_layout(
-        xaxis=make_axis(f"{title.lower()} [{unit}]", nticks=5),
-        yaxis=make_axis("recordings", nticks=5),
-        showlegend=False,
-    ) | {"margin": {"l": 44, "r": 8, "t": 8, "b": 40}, "bargap": 0.04}
+    layout = _lay_out(f"{title.lower()} [{unit}]", "recordings", nticks=5)
+    layout["margin"] = {"l": 44, "r": 8, "t": 8, "b": 40}
     text = f"{np.min(known):.4g} to {np.max(known):.4g} {unit}, median {np.median(known):.4g}."
     yield Plot(title, text, {"data": [bars], "layout": layout}, height=SMALL)
 
@@ -183,6 +175,12 @@ def _draw_bars(
         "hovertemplate": f"%{{y:.3g}} at %{{x:.4g}} {unit}<extra></extra>",
     }
     return {"type": "bar", "x": middles, "y": round_points(heights), **shown}
+
+
+def _lay_out(x: str, y: str, **options: Any) -> dict[str, Any]:
+    """Of a histogram; `options` are those of its axes."""
+    axes = make_layout(xaxis=make_axis(x, **options), yaxis=make_axis(y, **options))
+    return axes | {"showlegend": False, "bargap": 0.04}
 
 
 def _name(quantity: str, joint: int, survey: Mapping[str, Any]) -> str:
