@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from frictionzoo.compare import comparison
+from frictionzoo.inspect import survey
 from frictionzoo.output import write_atomically
 from frictionzoo.report import result
 
@@ -13,6 +14,7 @@ DOCS = Path(__file__).parent
 SCHEMAS = {  # docs/NAME.md is made from the schema of NAME.json
     "result": result.read_schema,
     "comparison": comparison.read_schema,
+    "inspect": survey.read_schema,
 }
 HEAD = """# `{name}.json`
 

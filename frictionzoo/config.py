@@ -32,7 +32,16 @@ _NULLABLE: dict[str, tuple[Any, ...]] = {
     "bench.timestep": (0.1,),
     "data.folder": ("",),
     "data.cache_dir": ("",),
+    "data.source": ("",),
+    "data.fields_from_name": ("",),
+    "data.train": ("", []),
+    "data.test": ("", []),
+    "data.split.test": ([], 0.0),
+    "data.clean.step": (0.0,),
+    "data.clean.velocity_lag": (0.0, ""),
 }
+# Sections whose keys a user chooses: names of fields and signals.
+_OPEN = ("data.columns", "data.units", "data.fields", "data.where", "data.exclude", "data.inputs")
 
 
 def register_resolvers() -> None:
@@ -109,7 +118,10 @@ def check_overrides(config: DictConfig, plain: DictConfig) -> None:
     Raises:
         ConfigError: A key or a value is not what `plain` has in its place.
     """
-    before, after = (dict(list_options(OmegaConf.to_container(part, resolve=True))) for part in (plain, config))
+    before, after = (
+        {key: value for key, value in list_options(OmegaConf.to_container(part, resolve=True)) if not _is_open(key)}
+        for part in (plain, config)
+    )
     for key in [key for key in after if key not in before]:
         inside = [name.removeprefix(f"{key}.") for name in before if name.startswith(f"{key}.")]
         if inside:
@@ -119,6 +131,10 @@ def check_overrides(config: DictConfig, plain: DictConfig) -> None:
         raise ConfigError(f"{key}: missing; expected a value such as {before[key]}; do not delete it")
     for key, value in after.items():
         _check_value(key, value, before[key])
+
+
+def _is_open(key: str) -> bool:
+    return any(key == section or key.startswith(f"{section}.") for section in _OPEN)
 
 
 def _check_value(key: str, value: Any, example: Any) -> None:
@@ -169,11 +185,12 @@ def list_options(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _find(target: str) -> Any:
-    # Imported here, so that --help and a typing error do not wait for torch.
-    from frictionzoo.models.registry import registered_models
+    if not target.startswith("frictionzoo."):
+        # Imported here, so that what needs no law does not wait for torch.
+        from frictionzoo.models.registry import registered_models
 
-    if target in (registered := registered_models()):  # also laws of the program that runs, of a notebook say
-        return registered[target]
+        if target in (registered := registered_models()):  # also laws of the program that runs, of a notebook say
+            return registered[target]
     packages = {"frictionzoo", *(point.module.partition(".")[0] for point in entry_points(group="frictionzoo.models"))}
     module, _, name = target.rpartition(".")
     if module.partition(".")[0] not in packages:

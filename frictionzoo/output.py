@@ -1,8 +1,13 @@
 """Writing of results: a file is there whole, or not at all."""
 
 import contextlib
+import math
 import os
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from frictionzoo.errors import OutputError
 
@@ -38,3 +43,18 @@ def write_atomically(path: Path, content: bytes) -> None:
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink()
+
+
+def to_json(value: Any) -> Any:
+    """The same with numpy numbers as Python's and non-finite numbers as None, which JSON calls null.
+
+    Args:
+        value: Mappings, lists, tuples, numbers and text.
+    """
+    if isinstance(value, Mapping):
+        return {key: to_json(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [to_json(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value

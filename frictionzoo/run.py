@@ -41,7 +41,7 @@ def _job(config: DictConfig) -> float:
         options = hydra_config.overrides.task
         return run_in_sweep(lambda: _identify(config, model, folder), folder, model, options, _explain)
     # Ended inside, because Hydra adds a line of its own to an error that passes through it.
-    with _mistakes_in_one_line():
+    with mistakes_in_one_line():
         result, complaint = _identify(config, model, folder)
     if complaint:
         _fail(complaint)
@@ -50,7 +50,7 @@ def _job(config: DictConfig) -> float:
 
 def _identify(config: DictConfig, model: str, folder: Path) -> tuple[dict[str, Any], str | None]:
     hydra_config = HydraConfig.get()
-    check_overrides(config, compose_config(*_choices(hydra_config.runtime.choices)))
+    check_overrides(config, compose_config(*choices_of(hydra_config.runtime.choices)))
     alone = hydra_config.mode == RunMode.RUN or hydra_config.runtime.choices["hydra/launcher"] == "basic"
     limit_threads(config.threads if alone else threads_each(config.threads))
     # Imported here, so that --help and a typing error do not wait for torch and JAX, and that these meet the limit.
@@ -73,9 +73,9 @@ def main() -> None:
     # Hydra would print its own page; with this it raises, and the line below is printed instead.
     os.environ["HYDRA_FULL_ERROR"] = "1"
     SweepFolder.latest = None
-    with _mistakes_in_one_line():
+    with mistakes_in_one_line():
         sys.argv[1:] = _restore_overrides(sys.argv[1:])
-        _refuse_no_choice(sys.argv[1:])
+        refuse_no_choice(sys.argv[1:])
         complaint = _run_jobs()
         if SweepFolder.latest is not None:
             text, complaints = conclude_sweep(SweepFolder.latest)
@@ -99,7 +99,8 @@ def _run_jobs() -> str | None:
 
 
 @contextlib.contextmanager
-def _mistakes_in_one_line() -> Iterator[None]:
+def mistakes_in_one_line() -> Iterator[None]:
+    """Turn an error that a user can cause into one line and exit status 2."""
     try:
         yield
     except Exception as error:
@@ -137,8 +138,15 @@ def _restore_overrides(arguments: list[str]) -> list[str]:
     return [*kept, *arguments, "hydra.output_subdir=null"]
 
 
-def _refuse_no_choice(arguments: list[str]) -> None:
-    """Refuse to go without a file of a group that a job needs, or to take several."""
+def refuse_no_choice(arguments: list[str]) -> None:
+    """Refuse to go without a file of a group that a job needs, or to take several.
+
+    Args:
+        arguments: Those of the command line.
+
+    Raises:
+        ConfigError: One chooses none or several.
+    """
     for argument in arguments:
         group, _, name = argument.lstrip("+~").partition("=")
         needed = group != "experiment" and _is_group(group)
@@ -146,8 +154,12 @@ def _refuse_no_choice(arguments: list[str]) -> None:
             raise ConfigError(f"{argument}: a job needs one {group}; {closest(name, _names(group))}")
 
 
-def _choices(chosen: Mapping[str, str | None]) -> Iterator[str]:
-    """Overrides that choose the same files of the configuration groups, and nothing else."""
+def choices_of(chosen: Mapping[str, str | None]) -> Iterator[str]:
+    """Overrides that choose the same files of the configuration groups, and nothing else.
+
+    Args:
+        chosen: File by group, as Hydra tells it.
+    """
     for group, name in chosen.items():
         if name is not None and group != "experiment" and not group.startswith("hydra/"):
             yield f"{group}={name}"

@@ -92,7 +92,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def tiny(recording: Path) -> tuple[str, ...]:
     """Overrides of a job of seconds. Its rollouts have one shape, so that little is compiled."""
     return (
-        *("data=csv", f"data.train=[{recording}]", "data.split.gap=0.05", "dtype=float64"),
+        *("data=files", f"data.train=[{recording}]", "data.split.gap=0.05", "dtype=float64"),
         *("segments.count=20", "loop.chunk=2", "loop.progress=false"),
         *("evaluation.horizons=[0.1]", "evaluation.rollouts=1", "evaluation.places=1"),
         *("evaluation.trajectory=0.1", "evaluation.window=0.02"),

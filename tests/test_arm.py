@@ -79,7 +79,7 @@ def test_twenty_one_parameters_of_an_arm_in_one_run(call: Callable, tmp_path: Pa
     record(tmp_path / "arm.csv")
     headers = {signal: [f"{letter}{index}" for index in range(1, 8)] for signal, letter in SIGNALS.items()}
     finished = call(
-        *("model=mujoco_default", "fit=lm", "data=csv", "data.train=[arm.csv]", "data.simulated=true"),
+        *("model=mujoco_default", "fit=lm", "data=files", "data.train=[arm.csv]", "data.simulated=true"),
         *("bench.mjcf=arm.xml", f"bench.joint=[{','.join(JOINTS)}]"),
         *(f"bench.actuator.params.{name}.init={value}" for name, value in GAINS.items()),
         *(f"data.columns.{signal}=[{','.join(names)}]" for signal, names in headers.items()),

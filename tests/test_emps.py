@@ -11,7 +11,8 @@ import scipy.io
 from omegaconf import OmegaConf
 
 from frictionzoo.errors import ConfigError, LogError
-from frictionzoo.logs.emps import Emps, estimate_velocity
+from frictionzoo.logs.emps import Emps
+from frictionzoo.logs.velocity import estimate_velocity
 
 OPTIONS = {"name": "emps", "train": "DATA_EMPS.mat", "test": "DATA_EMPS_PULSES.mat", "cutoff": 100.0, "order": 4}
 TIME = np.arange(500) * 1e-3

@@ -54,10 +54,10 @@ def test_a_job_leaves_a_whole_record(
     checkpoint = torch.load(run / "checkpoints" / "last.ckpt", weights_only=True)["frictionzoo"]
     assert checkpoint["identity"]["model"] == name
     page = (run / "report.html").read_text(encoding="utf-8")
-    assert f"<title>{name} on csv" in page and 'href="friction.safetensors"' in page
+    assert f"<title>{name} on files" in page and 'href="friction.safetensors"' in page
     assert not [path for path in run.rglob("*") if path.suffix == ".part"]
 
-    assert f"{name} on csv. The data are real" in finished.out
+    assert f"{name} on files. The data are real" in finished.out
     assert all(f"{entry['owner']}.{entry['name']}" in finished.out for entry in result["parameters"])
     assert "no friction" in finished.out and str(run) in finished.out
 

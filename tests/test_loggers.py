@@ -202,7 +202,7 @@ def check(run: Path, record: Record) -> None:
             assert f"| {name.partition('/')[2]} | {parameter['value']:.4g} |" in record.text
 
     told = record.hyperparameters
-    for name, text in {"model": "coulomb_smooth", "data": "csv", "fit": "adam", "dtype": "float64"}.items():
+    for name, text in {"model": "coulomb_smooth", "data": "files", "fit": "adam", "dtype": "float64"}.items():
         assert told[name] == text
     for name, number in {"seed": 0, "segments.length": 5, "fit.learning_rate": 0.01, "fit.iterations": 4}.items():
         assert float(told[name]) == number

@@ -14,7 +14,8 @@ from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.bench.base import NO_PAYLOAD
 from frictionzoo.engine import MjxEngine, SpecialisedEngine
 from frictionzoo.errors import BenchError, ConfigError
-from frictionzoo.logs.csv import CsvLogs
+from frictionzoo.logs.payloads import choose_payloads
+from frictionzoo.logs.recording import Recording
 from frictionzoo.types import Log, Payload
 
 PAYLOADS = [
@@ -116,7 +117,7 @@ def test_one_drive_is_found_from_recordings_with_different_payloads(call: Callab
     numbers = [[payload.mass, *payload.position, *payload.inertia] for payload in PAYLOADS]
     listed = ",".join(f"[{','.join(map(str, row))}]" for row in numbers)
     finished = call(
-        *("model=mujoco_default", "fit=lm", "data=csv", "dtype=float64", "loop.progress=false"),
+        *("model=mujoco_default", "fit=lm", "data=files", "dtype=float64", "loop.progress=false"),
         *("data.train=[0.csv,1.csv]", "data.test=[2.csv]", f"data.payload=[{listed}]", "segments.length=10"),
         *("bench.mjcf=bench.xml", "bench.joint=j0", "bench.payload=carrier", "evaluation.horizons=[0.5]"),
         *("evaluation.trajectory=1.0", "hydra.run.dir=run"),
@@ -166,7 +167,6 @@ def test_a_body_that_no_joint_moves_carries_none(tmp_path: Path) -> None:
     ],
 )
 def test_a_payload_that_makes_no_sense_is_refused(payload: list, line: str) -> None:
-    columns = {"time": "time", "qpos": ["qpos"], "qvel": ["qvel"], "ctrl": ["ctrl"]}
-    logs = CsvLogs("mine", ["a.csv"], ["b.csv"], columns, {"test_share": 0.2, "gap": 0.0}, payload, False)
+    recordings = [Recording(name, np.zeros(1), {}) for name in ("a.csv", "b.csv")]
     with pytest.raises(ConfigError, match=line):
-        logs.load()
+        choose_payloads(payload, recordings)

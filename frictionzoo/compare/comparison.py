@@ -20,8 +20,8 @@ from frictionzoo.compare.statistics import (
     mean_of_finite,
     resample,
 )
+from frictionzoo.output import to_json
 from frictionzoo.report.result import read_schema as result_schema
-from frictionzoo.report.result import to_json
 
 SCHEMA_VERSION = 1
 SHARED = ("data", "joints", "parameters", "network", "fit", "timing")  # sections taken over from result.json

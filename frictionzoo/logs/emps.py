@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 import scipy.io
-import scipy.signal
 from jaxtyping import Float
 
 from frictionzoo.errors import ConfigError, LogError, closest
+from frictionzoo.logs.velocity import estimate_velocity
 from frictionzoo.types import Dataset, Log
 
 CITATION = (
@@ -80,31 +80,6 @@ class Emps:
             simulated=False,
             metadata={"citation": CITATION, "file": file_name},
         )
-
-
-def estimate_velocity(
-    position: Float[np.ndarray, "time"], timestep: float, cutoff: float, order: int, name: str
-) -> Float[np.ndarray, "time"]:
-    """Velocity without phase lag: a zero-phase Butterworth low-pass, then central differences.
-
-    Args:
-        position: Measured position [rad or m].
-        timestep: Sample interval [s].
-        cutoff: Cut-off frequency [Hz]; the filter runs forwards and backwards, so the gain there is 1/2.
-        order: Order of the filter, which running it twice doubles.
-        name: The log's name, for messages.
-
-    Raises:
-        LogError: The log is too short to filter.
-        ConfigError: The cut-off is not below half the sample rate.
-    """
-    if not cutoff < 0.5 / timestep:
-        raise ConfigError(f"data.cutoff={cutoff:g}: expected less than half the sample rate, {0.5 / timestep:g} Hz")
-    sections = np.asarray(scipy.signal.butter(order, cutoff, fs=1 / timestep, output="sos"))
-    padding = 3 * (2 * len(sections) + 1)  # scipy's default, which it refuses to use on a log that is not longer
-    if len(position) <= padding:
-        raise LogError(f"{name}: {len(position)} samples, expected more than {padding} to estimate the velocity")
-    return np.gradient(scipy.signal.sosfiltfilt(sections, position, padlen=padding), timestep)
 
 
 def _read(path: Path) -> bytes:

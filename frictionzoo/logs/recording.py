@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Real
 
 SIGNALS = ("time", "qpos", "qvel", "ctrl", "supply", "enable", "temperature")
 """What a column may stand for. Needed: time, qpos, ctrl; the others where the file has them."""
@@ -18,15 +18,22 @@ class Table:
     Attributes:
         name: Where it came from, for messages; `ARCHIVE!MEMBER` for a member of an archive.
         columns: Samples by the file's own header; of several lengths where signals were recorded apart, each then with
-            its own time.
+            its own time. float64, or int64 where that would round (nanoseconds since 1970).
         fields: What the file says of the whole recording: gains, payload, trajectory.
         sha256: Hash of the bytes that were read.
+        refused: Why a column of the file is none of `columns`, by its header: the line that the user gets who asks
+            for it.
+        times: Header of a column's own time, for signals that were recorded apart.
+        units: Units that the format itself lays down, by header.
     """
 
     name: str
-    columns: Mapping[str, Float[np.ndarray, "rows"]]
+    columns: Mapping[str, Real[np.ndarray, "_"]]
     fields: Mapping[str, str | float] = field(default_factory=dict)
     sha256: str = ""
+    refused: Mapping[str, str] = field(default_factory=dict)
+    times: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -35,12 +42,13 @@ class Recording:
 
     Attributes:
         name: Where it came from, for messages.
-        time: Sample times [s].
+        time: Sample times since the first [s].
         signals: Samples of each of `SIGNALS` that there is besides time, of shape (time, columns): qpos [rad or m],
             qvel [rad/s or m/s], ctrl in the actuator law's unit, supply [V], enable (0 or 1), temperature [degC].
         fields: What the source says of the whole recording.
         sha256: Hash of what was read.
         simulated: Whether a simulator made it.
+        notes: What was done to bring its signals together, a sentence each.
     """
 
     name: str
@@ -49,3 +57,4 @@ class Recording:
     fields: Mapping[str, Any] = field(default_factory=dict)
     sha256: str = ""
     simulated: bool = False
+    notes: tuple[str, ...] = ()

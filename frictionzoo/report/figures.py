@@ -18,6 +18,7 @@ from frictionzoo.evaluate import Evaluation, Judgement, Prediction, moving_mean_
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.output import write_atomically
 from frictionzoo.params import UNITS
+from frictionzoo.report.colors import BASELINE, BEST, JOINTS, MODEL
 from frictionzoo.types import Dataset, Segments
 
 # Under PDF, it tells how it takes each glyph out of a font.
@@ -25,16 +26,7 @@ logging.getLogger("fontTools").setLevel(logging.WARNING)
 
 DPI = 150
 WIDTH = 8.0  # inch; 1200 px
-MEASURED, MODEL, BASELINE, BEST = "black", "#0072B2", "#E69F00", "#D00000"
-JOINTS = (
-    MODEL,
-    "#009E73",
-    "#CC79A7",
-    "#56B4E9",
-    "#E69F00",
-    "#000000",
-    "#F0E442",
-)  # Okabe and Ito (2008), legible to the colour-blind
+MEASURED = "black"
 FLATTENED = 20.0  # ratio of two curves' largest errors from which a linear axis hides the smaller one
 BAND = 1.5  # times the largest of an error's moving mean is as high as a band around it is shown
 LARGEST = 1e100  # rad or m, of what is drawn

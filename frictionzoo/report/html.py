@@ -9,7 +9,8 @@ from jaxtyping import Float, Shaped
 
 from frictionzoo.evaluate import Prediction, moving_mean_and_std
 from frictionzoo.output import write_atomically
-from frictionzoo.report.figures import BASELINE, BEST, FLATTENED, JOINTS, MODEL
+from frictionzoo.report.colors import BASELINE, BEST, JOINTS, MODEL
+from frictionzoo.report.figures import FLATTENED
 from frictionzoo.report.page import (
     BANDS,
     MEASURED,

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from plotly.offline import get_plotlyjs
 
-from frictionzoo.report.figures import BASELINE, BEST, MODEL
+from frictionzoo.report.colors import BASELINE, BEST, MODEL
 
 POINTS = 4000  # largest number of points of a curve; a screen has fewer columns of pixels
 DIGITS = 6  # significant digits of a point, about what float32 holds

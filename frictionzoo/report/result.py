@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import math
 import platform
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -15,7 +14,7 @@ import numpy as np
 from frictionzoo.bench.base import Bench
 from frictionzoo.evaluate import Evaluation, Judgement, Values
 from frictionzoo.models.base import FrictionModel
-from frictionzoo.output import write_atomically
+from frictionzoo.output import to_json, write_atomically
 from frictionzoo.params import Param
 from frictionzoo.types import Dataset, Payload
 
@@ -216,18 +215,3 @@ def _read_versions() -> dict[str, str]:
         except metadata.PackageNotFoundError:
             versions[package] = "not installed"
     return versions
-
-
-def to_json(value: Any) -> Any:
-    """The same with numpy numbers as Python's and non-finite numbers as None, which JSON calls null.
-
-    Args:
-        value: Mappings, lists, tuples, numbers and text.
-    """
-    if isinstance(value, Mapping):
-        return {key: to_json(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [to_json(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -21,7 +21,7 @@ def summarise(result: Mapping[str, Any], folder: Path) -> str:
         result: What `result.json` holds.
         folder: The run's folder.
     """
-    return _arrange(result, folder, _align)
+    return _arrange(result, folder, align)
 
 
 def summarise_in_markdown(result: Mapping[str, Any], folder: Path) -> str:
@@ -86,7 +86,7 @@ def _tabulate_runs(comparison: Mapping[str, Any]) -> str:
                 f"{run['timing']['fit']:.1f}",
             )
         )
-    return _align(rows)
+    return align(rows)
 
 
 def _list_failures(failures: Sequence[Mapping[str, str]]) -> list[str]:
@@ -151,7 +151,7 @@ def _format_change(value: float | None, reference: float | None) -> str:
     return f"{round(100 * (value / reference - 1)):+d} %" if value is not None and reference else ""
 
 
-def _align(rows: Rows) -> str:
+def align(rows: Rows) -> str:
     """Columns padded to their longest entry, the first flush left and numbers flush right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     numbers = [all(_is_number(row[i]) for row in rows[1:]) for i in range(len(widths))]

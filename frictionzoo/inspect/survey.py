@@ -1,0 +1,177 @@
+"""`inspect.json`: what is in the recordings of a data set, described by `inspect.schema.json` beside this file."""
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
+from importlib import resources
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from frictionzoo import __version__
+from frictionzoo.inspect.findings import list_findings
+from frictionzoo.logs.delay import estimate_delay
+from frictionzoo.logs.diagnose import SLOWEST, TOP, Diagnosis, derive_velocity, diagnose, repair_spikes
+from frictionzoo.logs.recording import Recording
+from frictionzoo.output import to_json
+from frictionzoo.types import Log
+
+SCHEMA_VERSION = 1
+
+Survey = dict[str, Any]
+"""What `inspect.json` holds."""
+
+
+def read_schema() -> dict[str, Any]:
+    """The JSON schema of `inspect.json`; its descriptions are the documentation of every field."""
+    return json.loads(resources.files("frictionzoo.inspect").joinpath("inspect.schema.json").read_text("utf-8"))
+
+
+def list_recordings(source: Any) -> list[Recording]:
+    """The recordings of a data set as they come, or where it has none, its logs.
+
+    Args:
+        source: What the section `data` builds.
+
+    Raises:
+        LogError: They cannot be read.
+    """
+    return source.recordings() if hasattr(source, "recordings") else [_as_recording(log) for log in source.load().logs]
+
+
+def survey_recordings(name: str, recordings: Sequence[Recording]) -> Survey:
+    """What is in the recordings, each and together, and what should be looked at.
+
+    Args:
+        name: The data set's.
+        recordings: At least one, all of one drive.
+
+    Raises:
+        LogError: A recording holds next to nothing, or another number of joints than the first.
+    """
+    diagnoses = [diagnose(recording) for recording in recordings]
+    joints = min(len(diagnosis.joints) for diagnosis in diagnoses)
+    survey = {
+        "schema_version": SCHEMA_VERSION,
+        "version": __version__,
+        "data": _describe_data(name, recordings),
+        "timing": _pool_timing(diagnoses),
+        "joints": [_pool_joint(recordings, diagnoses, joint) for joint in range(joints)],
+        "commands": _pool_commands(diagnoses),
+        "supply": _pool_supply(diagnoses),
+        "enabled": _spread(diagnosis.enabled for diagnosis in diagnoses),
+        "recordings": [
+            asdict(diagnosis) | {"timing": diagnosis.timing._asdict(), "sha256": recording.sha256}
+            for diagnosis, recording in zip(diagnoses, recordings, strict=True)
+        ],
+    }
+    survey = to_json(survey)
+    return survey | {"findings": [asdict(finding) for finding in list_findings(survey)]}
+
+
+def pool_velocities(recordings: Sequence[Recording], joint: int) -> Float[np.ndarray, "samples"]:
+    """The velocities of all recordings, estimated from the position [rad/s or m/s].
+
+    Args:
+        recordings: As they come.
+        joint: Column of qpos.
+    """
+    return np.concatenate([derive_velocity(r.time, repair_spikes(r.signals["qpos"][:, joint])) for r in recordings])
+
+
+def _as_recording(log: Log) -> Recording:
+    signals = {"qpos": log.qpos, "qvel": log.qvel, "ctrl": log.ctrl, **log.extras}
+    return Recording(log.name, log.time, signals, log.metadata, log.sha256, log.simulated)
+
+
+def _describe_data(name: str, recordings: Sequence[Recording]) -> dict[str, Any]:
+    return {
+        "name": name,
+        "simulated": any(recording.simulated for recording in recordings),
+        "recordings": len(recordings),
+        "samples": sum(len(recording.time) for recording in recordings),
+        "duration": sum(float(np.maximum(np.diff(recording.time), 0).sum()) for recording in recordings),
+    }
+
+
+def _pool_timing(diagnoses: Sequence[Diagnosis]) -> dict[str, Any]:
+    timings = [diagnosis.timing for diagnosis in diagnoses]
+    spreads = {name: _spread(getattr(timing, name) for timing in timings) for name in ("interval", "jitter", "worst")}
+    totals = {name: sum(getattr(t, name) for t in timings) for name in ("duplicates", "missing", "gaps", "resets")}
+    return spreads | totals | {"lost": sum(diagnosis.lost for diagnosis in diagnoses)}
+
+
+def _pool_joint(recordings: Sequence[Recording], diagnoses: Sequence[Diagnosis], joint: int) -> dict[str, Any]:
+    joints = [diagnosis.joints[joint] for diagnosis in diagnoses]
+    velocity = pool_velocities(recordings, joint)
+    low, high = np.quantile(velocity, [TOP, 1 - TOP])
+    top = max(-low, high)
+    delay = estimate_delay(recordings, joint)
+    names = ("position_quantum", "velocity_quantum", "velocity_lag", "velocity_scale", "top_speed", "rest")
+    return {
+        "position": _envelop(entry.position for entry in joints),
+        "velocity": [low, high],
+        **{name: _spread(getattr(entry, name) for entry in joints) for name in names},
+        "measured": all("qvel" in recording.signals for recording in recordings),
+        "spikes": sum(entry.spikes for entry in joints),
+        "spiky": sum(entry.spikes > 0 for entry in joints),
+        "slow": {"speed": SLOWEST * top, "share": float((np.abs(velocity) <= SLOWEST * top).mean())},
+        "forward": float((velocity > SLOWEST * top).mean()),
+        "backward": float((velocity < -SLOWEST * top).mean()),
+        "delay": None if delay is None else delay._asdict(),
+    }
+
+
+def _pool_commands(diagnoses: Sequence[Diagnosis]) -> list[dict[str, Any]]:
+    count = min(len(diagnosis.commands) for diagnosis in diagnoses)
+    columns = [[diagnosis.commands[column] for diagnosis in diagnoses] for column in range(count)]
+    return [
+        {"range": _envelop(c.range for c in commands), "saturated": _spread(c.saturated for c in commands)}
+        for commands in columns
+    ]
+
+
+def _pool_supply(diagnoses: Sequence[Diagnosis]) -> dict[str, Any] | None:
+    supplies = [diagnosis.supply for diagnosis in diagnoses if diagnosis.supply is not None]
+    if not supplies:
+        return None
+    stated = [supply.stated for supply in supplies]
+    fields = [supply.field for supply in supplies if supply.field is not None]
+    return {
+        "measured": _spread(supply.median for supply in supplies),
+        "range": _envelop(supply.range for supply in supplies),
+        "outliers": sum(supply.outliers for supply in supplies),
+        "outlying": sum(supply.outliers > 0 for supply in supplies),
+        "field": fields[0] if fields else None,
+        "stated": _spread(stated),
+    }
+
+
+def _spread(values: Iterable[float | None]) -> dict[str, float] | None:
+    """Lowest, median and highest over the recordings; None where none has a value."""
+    known = [float(value) for value in values if value is not None]
+    if not known:
+        return None
+    low, median, high = np.quantile(known, [0, 0.5, 1])
+    return {"low": low, "median": median, "high": high, "known": len(known)}
+
+
+def _envelop(ranges: Iterable[Sequence[float]]) -> list[float]:
+    lows, highs = zip(*ranges, strict=True)
+    return [float(np.nanmin(lows)), float(np.nanmax(highs))]
+
+
+def find_worst(survey: Mapping[str, Any]) -> int:
+    """The recording with the most spikes, lost or missing samples and breaks, or else the most jitter.
+
+    Args:
+        survey: What `inspect.json` holds.
+    """
+
+    def rank(entry: Mapping[str, Any]) -> tuple[float, ...]:
+        timing = entry["timing"]
+        broken = timing["gaps"] + timing["resets"] + timing["missing"] + timing["duplicates"] + entry["lost"]
+        return sum(joint["spikes"] for joint in entry["joints"]), broken, timing["worst"]
+
+    return max(range(len(survey["recordings"])), key=lambda i: rank(survey["recordings"][i]))

@@ -1,0 +1,82 @@
+"""The summary of a data set in plain text."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from textwrap import fill
+from typing import Any
+
+from frictionzoo.report.terminal import align
+
+WIDTH = 110  # characters of a line
+MARKS = {"good": "ok", "note": "note", "caution": "caution", "bad": "problem"}
+
+Row = tuple[str, str, str, str, str]
+
+
+def summarise(survey: Mapping[str, Any], folder: Path) -> str:
+    """Quantities over the recordings, findings in words, and where the files are.
+
+    Args:
+        survey: What `inspect.json` holds.
+        folder: Where it lies.
+    """
+    data = survey["data"]
+    count = data["recordings"]
+    title = (
+        f"{data['name']}: {count} recording{'s' * (count != 1)}, {data['samples']} samples, {data['duration']:.4g} s"
+    )
+    options = [finding["option"] for finding in survey["findings"] if finding["option"]]
+    blocks = [
+        title,
+        align([("over the recordings", "lowest", "median", "highest", "unit"), *list_quantities(survey)]),
+        "\n".join(_tell(survey["findings"])),
+        *([f"options to think about: {' '.join(dict.fromkeys(options))}"] if options else []),
+        f"files: {folder}",
+    ]
+    return "\n\n".join(blocks)
+
+
+def list_quantities(survey: Mapping[str, Any]) -> Iterator[Row]:
+    """Rows of the table of quantities: name, lowest, median and highest over the recordings, unit.
+
+    Args:
+        survey: What `inspect.json` holds.
+    """
+    timing = survey["timing"]
+    yield from _row("sample interval", timing["interval"], "ms", 1e3)
+    yield from _row("intervals off by over 5 %", timing["jitter"], "%", 100)
+    several = len(survey["joints"]) > 1
+    for i, joint in enumerate(survey["joints"]):
+        which = f" {i + 1}" if several else ""
+        yield _bounds(f"position{which}", joint["position"], "rad or m")
+        yield _bounds(f"velocity{which}", joint["velocity"], "rad/s or m/s")
+        yield from _row(f"position quantum{which}", joint["position_quantum"], "mrad or mm", 1e3)
+        yield from _row(f"velocity lag{which}", joint["velocity_lag"], "ms", 1e3)
+        yield from _row(f"at rest{which}", joint["rest"], "%", 100)
+        if delay := joint["delay"]:
+            values = {"low": delay["low"], "median": delay["seconds"], "high": delay["high"]}
+            yield from _row(f"command delay{which}, quartiles", values, "ms", 1e3)
+    for i, command in enumerate(survey["commands"]):
+        which = f" {i + 1}" if len(survey["commands"]) > 1 else ""
+        yield _bounds(f"command{which}", command["range"], "")
+        yield from _row(f"command at an end{which}", command["saturated"], "%", 100)
+    if survey["supply"]:
+        yield from _row("supply, measured", survey["supply"]["measured"], "V", 1)
+
+
+def _row(name: str, spread: Mapping[str, float] | None, unit: str, factor: float) -> Iterator[Row]:
+    if spread is not None:
+        low, median, high = (f"{factor * spread[key]:.4g}" for key in ("low", "median", "high"))
+        yield name, low, median, high, unit
+
+
+def _bounds(name: str, bounds: Sequence[float], unit: str) -> Row:
+    return name, f"{bounds[0]:.4g}", "", f"{bounds[1]:.4g}", unit
+
+
+def _tell(findings: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """The findings that ask for something first."""
+    order = list(MARKS)[::-1]
+    for finding in sorted(findings, key=lambda finding: order.index(finding["state"])):
+        text = f"{finding['title']}: {finding['text']}"
+        yield fill(text, WIDTH, initial_indent=f"{MARKS[finding['state']]:<9}", subsequent_indent=" " * 9)

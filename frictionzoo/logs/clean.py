@@ -1,0 +1,318 @@
+"""From recordings as they come to logs: uniform in time, without gaps and, where asked for, without spikes.
+
+Nothing is changed in silence: each change is a sentence in `Log.repairs`. What is clean already passes bit for bit. The
+delay of the command stays: it is a parameter of the fit.
+"""
+
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+import scipy.interpolate
+from jaxtyping import Bool, Float
+
+from frictionzoo.errors import ConfigError, LogError, closest
+from frictionzoo.logs.diagnose import count_spikes, find_breaks, find_velocity_lag, refuse_incomplete, repair_spikes
+from frictionzoo.logs.recording import Recording
+from frictionzoo.logs.velocity import estimate_velocity
+from frictionzoo.types import JITTER, Log
+
+CHOICES = {
+    "resample": ("linear", "cubic"),
+    "spikes": ("repair", "drop", "keep"),
+    "velocity": ("measured", "estimated", "auto"),
+}
+HELD = ("ctrl", "enable")  # signals that keep their value until the next sample; the others go on in between
+EXTRAS = ("supply", "enable", "temperature")
+FOLLOWED = 1e-6  # share of the median interval by which the same instant may differ in two clocks
+NUMBER = re.compile(r"-?\d+(\.\d+)?(e-?\d+)?")
+
+
+@dataclass(frozen=True)
+class Cleaning:
+    """How recordings become logs.
+
+    Attributes:
+        step: Sample interval of the logs [s]; None for a recording's own, which is the median interval where it varies
+            by more than a log tolerates. Recordings that a fit takes together need the same.
+        resample: How positions, velocities and extra signals are found between samples: `linear`, or `cubic` splines.
+            Commands and the drive's enable signal are held.
+        gap: An interval longer than this many medians splits a recording, and so does a longer run of NaN; shorter ones
+            are interpolated.
+        spikes: What becomes of isolated spikes of one sample or two: `repair` interpolates them in all signals that
+            are not held; `drop` leaves a recording out whose position has one; `keep` keeps them.
+        velocity: `measured`; `estimated` from the position without phase lag; `auto`: measured where there is one.
+        cutoff: Cut-off frequency of that estimate [Hz].
+        order: Order of its filter, which runs forwards and backwards.
+        velocity_lag: Time by which the measured velocity lags the position, which is taken out [s]; `auto` finds it;
+            None leaves it.
+        shortest: Shorter pieces are left out [s].
+
+    Raises:
+        ConfigError: A value is impossible.
+    """
+
+    step: float | None
+    resample: str
+    gap: float
+    spikes: str
+    velocity: str
+    cutoff: float
+    order: int
+    velocity_lag: float | str | None
+    shortest: float
+
+    def __post_init__(self) -> None:
+        for option, choices in CHOICES.items():
+            if getattr(self, option) not in choices:
+                value = getattr(self, option)
+                raise ConfigError(f"data.clean.{option}={value}: unknown; {closest(str(value), choices)}")
+        if self.step is not None and not self.step > 0:
+            raise ConfigError(f"data.clean.step={self.step}: expected a positive time in s, or null")
+        if not self.gap >= 1.5:
+            raise ConfigError(f"data.clean.gap={self.gap}: expected at least 1.5 median intervals")
+        if not self.cutoff > 0:
+            raise ConfigError(f"data.clean.cutoff={self.cutoff}: expected a positive frequency in Hz")
+        if self.order < 1:
+            raise ConfigError(f"data.clean.order={self.order}: expected 1 or more")
+        if not self.shortest >= 0:
+            raise ConfigError(f"data.clean.shortest={self.shortest}: expected a time in s from 0 on")
+        if isinstance(self.velocity_lag, str) and self.velocity_lag != "auto":
+            raise ConfigError(f"data.clean.velocity_lag={self.velocity_lag}: expected a time in s, auto or null")
+
+
+Signals = Mapping[str, Float[np.ndarray, "time columns"]]
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A stretch of a recording on its way to a log: its samples, and what was changed in them."""
+
+    time: Float[np.ndarray, "time"]
+    signals: Signals
+    repairs: tuple[str, ...] = ()
+
+    def say(self, *sentences: str) -> "Piece":
+        """The same with more said about it."""
+        return replace(self, repairs=self.repairs + sentences)
+
+    def keep(self, kept: Bool[np.ndarray, "time"] | slice) -> "Piece":
+        """Some of its samples."""
+        return replace(self, time=self.time[kept], signals={name: v[kept] for name, v in self.signals.items()})
+
+
+def clean(recording: Recording, cleaning: Cleaning) -> list[Log]:
+    """The logs in a recording, one for each stretch without a gap.
+
+    Args:
+        recording: As it comes.
+        cleaning: What to do with it.
+
+    Returns:
+        In the order of time; none where all of it is left out.
+
+    Raises:
+        LogError: It lacks a signal or cannot be repaired.
+        ConfigError: The cut-off is not below half the sample rate.
+    """
+    refuse_incomplete(recording)
+    whole = _drop_repeated(Piece(recording.time, recording.signals))
+    if cleaning.spikes == "drop" and any(map(count_spikes, whole.signals["qpos"].T)):
+        return []
+    pieces = _split(whole, cleaning.gap)
+    long = [piece for piece in pieces if len(piece.time) > 1 and piece.time[-1] - piece.time[0] >= cleaning.shortest]
+    if len(long) < len(pieces):
+        short = len(pieces) - len(long)
+        long = [piece.say(f"pieces shorter than {cleaning.shortest:g} s left out: {short}") for piece in long]
+    names = [f"{recording.name}[{i + 1}]" for i in range(len(long))] if len(pieces) > 1 else [recording.name]
+    return [_finish(piece, name, recording, cleaning) for piece, name in zip(long, names, strict=False)]
+
+
+def summarise_repairs(logs: Sequence[Log]) -> list[str]:
+    """What cleaning changed in many logs, a line for each kind of repair, the most frequent first.
+
+    Args:
+        logs: Cleaned logs.
+    """
+    kinds = Counter(NUMBER.sub("#", sentence) for log in logs for sentence in log.repairs)
+    examples = {NUMBER.sub("#", sentence): sentence for log in reversed(logs) for sentence in log.repairs}
+    return [f"{count} of {len(logs)} logs: {examples[kind]}" for kind, count in kinds.most_common()]
+
+
+def _finish(piece: Piece, name: str, recording: Recording, cleaning: Cleaning) -> Log:
+    """A stretch without gaps as a log."""
+    piece = _fill_nan(piece)
+    piece = _repair_spikes(piece) if cleaning.spikes == "repair" else piece
+    piece = _shift_velocity(piece, name, cleaning)
+    piece = _resample(piece, cleaning)
+    piece = _choose_velocity(piece, name, cleaning)
+    if piece.time[0] != 0:
+        start = piece.time[0]
+        piece = replace(piece, time=piece.time - start).say(f"time counted from its first sample, at {start:.6g} s")
+    return Log(
+        name,
+        piece.time,
+        piece.signals["qpos"],
+        piece.signals["qvel"],
+        piece.signals["ctrl"],
+        recording.sha256,
+        recording.simulated,
+        extras={extra: piece.signals[extra] for extra in EXTRAS if extra in piece.signals},
+        repairs=piece.repairs,
+        metadata=recording.fields,
+    )
+
+
+def _drop_repeated(piece: Piece) -> Piece:
+    new = np.diff(piece.time, prepend=-np.inf) != 0
+    if new.all():
+        return piece
+    return piece.keep(new).say(f"samples with the time of the one before dropped: {(~new).sum()}")
+
+
+def _split(piece: Piece, gap: float) -> list[Piece]:
+    """The stretches between gaps, resets of the clock and long runs of NaN."""
+    pieces = _split_at(piece, find_breaks(piece.time, gap), f"split where time jumps by over {gap:g} intervals or back")
+    return [part for stretch in pieces for part in _split_at_nan(stretch, gap)]
+
+
+def _split_at(piece: Piece, breaks: Sequence[int] | np.ndarray, sentence: str) -> list[Piece]:
+    if not len(breaks):
+        return [piece]
+    edges = [0, *breaks, len(piece.time)]
+    return [piece.keep(slice(first, last)).say(sentence) for first, last in pairwise(edges)]
+
+
+def _split_at_nan(piece: Piece, gap: float) -> list[Piece]:
+    """The stretches between runs of NaN that are longer than a gap, or touch an end, where nothing is on one side."""
+    lost = ~np.all([np.isfinite(values).all(axis=1) for values in piece.signals.values()], axis=0)
+    if not lost.any():
+        return [piece]
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], lost, [False]]).astype(int)))
+    for first, last in zip(edges[::2], edges[1::2], strict=True):
+        ends = first == 0 or last == len(lost)
+        # So many samples missing make an interval of one more.
+        lost[first:last] = ends or last - first + 1 > gap
+    if not lost.any():
+        return [piece]
+    breaks = np.flatnonzero(np.diff(lost.astype(int))) + 1
+    sentence = f"cut where a signal is NaN for over {gap:g} intervals or at an end"
+    parts = _split_at(piece, breaks, sentence)
+    kept = [not lost[start] for start in (0, *breaks)]
+    return [part for part, keep in zip(parts, kept, strict=True) if keep]
+
+
+def _fill_nan(piece: Piece) -> Piece:
+    """Short runs of NaN between samples interpolated, each signal in its own way."""
+    filled, sentences = dict(piece.signals), []
+    for name, values in piece.signals.items():
+        bad = ~np.isfinite(values)
+        if bad.any():
+            known = [~column for column in bad.T]
+            columns = [
+                _sample(piece.time[k], column[k], piece.time, "held" if name in HELD else "linear")
+                for k, column in zip(known, values.T, strict=True)
+            ]
+            filled[name] = np.where(bad, np.stack(columns, axis=1), values)
+            sentences.append(f"samples of {name} that are NaN interpolated: {bad.any(axis=1).sum()}")
+    return replace(piece, signals=filled).say(*sentences) if sentences else piece
+
+
+def _repair_spikes(piece: Piece) -> Piece:
+    """Without the spikes of all signals that cannot jump and come back."""
+    repaired, sentences = dict(piece.signals), []
+    for name, values in piece.signals.items():
+        count = 0 if name in HELD else sum(map(count_spikes, values.T))
+        if count:
+            repaired[name] = np.stack([repair_spikes(column) for column in values.T], axis=1)
+            sentences.append(f"spikes of {name} interpolated: {count}")
+    return replace(piece, signals=repaired).say(*sentences) if sentences else piece
+
+
+def _shift_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
+    """The measured velocity moved to where it was measured; the end, where there is none then, is cut."""
+    uses_measured = cleaning.velocity != "estimated" and "qvel" in piece.signals
+    if cleaning.velocity_lag is None or not uses_measured:
+        return piece
+    lag = _find_lag(piece, name) if isinstance(cleaning.velocity_lag, str) else float(cleaning.velocity_lag)
+    later = piece.time + lag
+    kept = (later >= piece.time[0]) & (later <= piece.time[-1])
+    if kept.sum() < 2:
+        raise LogError(f"{name}: shorter than data.clean.velocity_lag={lag:g} s; set a smaller one")
+    velocity = piece.signals["qvel"]
+    moved = np.stack([_sample(piece.time, column, later[kept], cleaning.resample) for column in velocity.T], axis=1)
+    cut = piece.keep(kept)
+    sentence = f"qvel moved {lag:.4g} s earlier, {cleaning.resample} between samples"
+    return replace(cut, signals={**cut.signals, "qvel": moved}).say(sentence)
+
+
+def _find_lag(piece: Piece, name: str) -> float:
+    """Median over the joints of the lag of the measured velocity [s]."""
+    qpos, qvel = piece.signals["qpos"], piece.signals["qvel"]
+    found = [find_velocity_lag(piece.time, repair_spikes(q), v) for q, v in zip(qpos.T, qvel.T, strict=True)]
+    lags = [lag[0] for lag in found if lag is not None]
+    if not lags:
+        raise LogError(
+            f"{name}: qvel is no delayed copy of the position's derivative, expected one for "
+            "data.clean.velocity_lag=auto; give the lag in s or set data.clean.velocity=estimated"
+        )
+    return float(np.median(lags))
+
+
+def _resample(piece: Piece, cleaning: Cleaning) -> Piece:
+    """On a uniform grid: that of `step`, or of the median interval where the clock varies too much."""
+    steps = np.diff(piece.time)
+    interval = float(np.median(steps))
+    uniform = bool((np.abs(steps / interval - 1) <= JITTER).all())
+    mean = float(piece.time[-1] - piece.time[0]) / len(steps)
+    if uniform and (cleaning.step is None or abs(cleaning.step / mean - 1) <= FOLLOWED):
+        return piece
+    step = interval if cleaning.step is None else cleaning.step
+    samples = int((piece.time[-1] - piece.time[0]) / step + FOLLOWED) + 1
+    grid = piece.time[0] + step * np.arange(samples)
+    signals = {
+        name: np.stack(
+            [_sample(piece.time, column, grid, "held" if name in HELD else cleaning.resample) for column in values.T],
+            axis=1,
+        )
+        for name, values in piece.signals.items()
+    }
+    missing = int((np.round(steps[steps > 1.5 * interval] / interval) - 1).sum())
+    sentence = f"resampled from about {1 / interval:.4g} to {1 / step:.4g} samples/s, {cleaning.resample}, ctrl held"
+    if missing:
+        sentence += f"; missing samples interpolated: {missing}"
+    return Piece(grid, signals, (*piece.repairs, sentence))
+
+
+def _sample(
+    time: Float[np.ndarray, "time"], values: Float[np.ndarray, "time"], at: Float[np.ndarray, "grid"], method: str
+) -> Float[np.ndarray, "grid"]:
+    """A signal at other times."""
+    if method == "held":
+        close = FOLLOWED * float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+        return values[np.maximum(np.searchsorted(time, at + close, side="right") - 1, 0)]
+    if method == "cubic" and len(time) > 3:
+        return scipy.interpolate.CubicSpline(time, values)(np.clip(at, time[0], time[-1]))
+    return np.interp(at, time, values)
+
+
+def _choose_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
+    measured = "qvel" in piece.signals
+    if cleaning.velocity == "measured" and not measured:
+        raise LogError(f"{name}: no qvel; name its column in data.columns.qvel or set data.clean.velocity=estimated")
+    if measured and cleaning.velocity != "estimated":
+        return piece
+    timestep = float(piece.time[-1] - piece.time[0]) / (len(piece.time) - 1)
+    qvel = np.stack(
+        [
+            estimate_velocity(column, timestep, cleaning.cutoff, cleaning.order, name, "data.clean.cutoff")
+            for column in piece.signals["qpos"].T
+        ],
+        axis=1,
+    )
+    sentence = f"qvel estimated from qpos: zero-phase Butterworth low-pass of order {cleaning.order} at "
+    sentence += f"{cleaning.cutoff:g} Hz, central differences"
+    return replace(piece, signals={**piece.signals, "qvel": qvel}).say(sentence)

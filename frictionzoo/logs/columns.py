@@ -1,0 +1,161 @@
+"""A file's columns as signals: which they are, in which unit, and at which times."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Real
+
+from frictionzoo.errors import ConfigError, LogError, closest
+from frictionzoo.logs.propose import Proposal, propose
+from frictionzoo.logs.recording import SIGNALS, Recording, Table
+from frictionzoo.logs.units import ratio, to_si
+
+__all__ = ["Proposal", "pick", "propose", "to_recording"]
+
+NEEDED = ("time", "qpos", "ctrl")
+HELD = ("ctrl", "enable")  # what stays as it is until something new is said
+Headers = dict[str, tuple[str, ...]]
+
+
+def to_recording(table: Table, columns: Mapping[str, Any], units: Mapping[str, str], simulated: bool) -> Recording:
+    """The signals of a recording, in SI units and at the times of `qpos`.
+
+    Time starts at 0. Signals that were recorded at times of their own are brought to those of `qpos`: commands and
+    `enable` are held until the next one, and the first acts before itself; measurements are interpolated. Samples that
+    are missing, repeated or out of order are left to cleaning.
+
+    Args:
+        table: What a file holds.
+        columns: Header, or list of headers, of each signal. Without those of `qpos` and `ctrl`, and of `time` where
+            the table does not know it, the columns are taken by their names if these leave no doubt.
+        units: Unit of each signal; SI, or what the format lays down, where there is none.
+        simulated: Whether a simulator made it.
+
+    Raises:
+        ConfigError: A signal or a unit is unknown, or headers are no list of names.
+        LogError: A column is missing, holds no numbers or has another length than its time, or the names leave doubt.
+    """
+    headers = _complete(table, _check(columns))
+    clock = _Clock(table, headers["time"][0], units)
+    signals = {
+        signal: np.stack([clock.bring(signal, header) for header in headers[signal]], axis=1)
+        for signal in SIGNALS
+        if signal != "time" and signal in headers
+    }
+    notes = tuple(dict.fromkeys(clock.notes))
+    return Recording(table.name, clock.time, signals, table.fields, table.sha256, simulated, notes)
+
+
+def pick(table: Table, header: str) -> Real[np.ndarray, "rows"]:
+    """A column.
+
+    Raises:
+        LogError: It is missing or holds no numbers.
+    """
+    if header in table.refused:
+        raise LogError(table.refused[header])
+    if header not in table.columns:
+        came = [name for name in (*table.columns, *table.refused) if name]
+        raise LogError(f"{table.name}: no column {header}; {closest(header, came)}; rename it or set data.columns")
+    return table.columns[header]
+
+
+def _check(columns: Mapping[str, Any]) -> Headers:
+    """Headers of the signals that are named."""
+    for key in set(columns) - set(SIGNALS):
+        raise ConfigError(f"data.columns.{key}: unknown signal; {closest(str(key), SIGNALS)}")
+    headers = {key: _names(key, given) for key, given in columns.items() if given is not None}
+    if len(headers.get("time", ())) > 1:
+        raise ConfigError(f"data.columns.time={list(headers['time'])}: expected one header")
+    return {key: names for key, names in headers.items() if names}
+
+
+def _names(signal: str, given: Any) -> tuple[str, ...]:
+    """A header or a list of headers as a tuple."""
+    if isinstance(given, str):
+        return (given,)
+    if not isinstance(given, Sequence):
+        raise ConfigError(f"data.columns.{signal}={given}: expected a list of names, as in [a, b]")
+    return tuple(str(name) for name in given)
+
+
+def _complete(table: Table, headers: Headers) -> Headers:
+    """The headers with what the table itself tells of those that are missing."""
+    if "time" not in headers and headers.get("qpos", ("",))[0] in table.times:
+        headers = {**headers, "time": (table.times[headers["qpos"][0]],)}
+    missing = [signal for signal in NEEDED if signal not in headers]
+    if not missing:
+        return headers
+    proposal = propose(table)
+    if proposal.certain:
+        return {**proposal.columns, **headers}
+    found = " ".join(proposal.overrides())
+    came = ", ".join(list(table.columns)[:20]) or "none"
+    raise LogError(
+        f"{table.name}: data.columns.{missing[0]} is missing; "
+        + (f"perhaps {found}; " if found else "")
+        + f"its columns are {came}"
+    )
+
+
+class _Clock:
+    """The times of `qpos`, and the way there from those of other signals.
+
+    Args:
+        table: What a file holds.
+        header: Header of the time of `qpos`.
+        units: Unit of each signal.
+    """
+
+    def __init__(self, table: Table, header: str, units: Mapping[str, str]) -> None:
+        self.table, self.header, self.units = table, header, units
+        self.notes: list[str] = []
+        ticks = pick(table, header)
+        known = ticks[np.isfinite(ticks)]
+        self.start = known[0] if len(known) else 0.0
+        self.time = self._seconds(header)
+
+    def bring(self, signal: str, header: str) -> Float[np.ndarray, "time"]:
+        """A signal in SI units at the times of `qpos`."""
+        values = to_si(pick(self.table, header), self._ratio(signal, header))
+        own = self.table.times.get(header, self.header)
+        times = self._seconds(own)
+        if len(values) != len(times):
+            raise LogError(
+                f"{self.table.name}: {header} has {len(values)} samples and {own} {len(times)}, expected as many"
+            )
+        if own == self.header or np.array_equal(times, self.time):
+            return values
+        if not len(times):
+            raise LogError(f"{self.table.name}: {header} has no samples; record it, or name another column")
+        held = signal in HELD
+        self.notes.append(
+            f"{signal} {'held' if held else 'interpolated linearly'} from {len(times)} samples of its own on the "
+            f"{len(self.time)} times of qpos"
+        )
+        return (_hold if held else _interpolate)(self.time, times, values)
+
+    def _seconds(self, header: str) -> Float[np.ndarray, "rows"]:
+        """A time column in seconds since the first sample of `qpos`; whole numbers are subtracted exactly."""
+        return to_si(pick(self.table, header) - self.start, self._ratio("time", header))
+
+    def _ratio(self, signal: str, header: str) -> tuple[float, float]:
+        given = self.units.get(signal) or self.table.units.get(header)
+        return ratio(signal, str(given)) if given else (1.0, 1.0)
+
+
+def _hold(
+    at: Float[np.ndarray, "time"], times: Float[np.ndarray, "rows"], values: Float[np.ndarray, "rows"]
+) -> Float[np.ndarray, "time"]:
+    """The last value at or before each time; the first one before all of them."""
+    order = np.argsort(times, kind="stable")
+    return values[order][np.maximum(np.searchsorted(times[order], at, side="right") - 1, 0)]
+
+
+def _interpolate(
+    at: Float[np.ndarray, "time"], times: Float[np.ndarray, "rows"], values: Float[np.ndarray, "rows"]
+) -> Float[np.ndarray, "time"]:
+    """Values between their neighbours in time; the outermost beyond them."""
+    order = np.argsort(times, kind="stable")
+    return np.interp(at, times[order], values[order])

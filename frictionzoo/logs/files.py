@@ -1,0 +1,219 @@
+"""Recordings in a user's files, of whatever format, as a data set."""
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from frictionzoo.errors import ConfigError, LogError, closest
+from frictionzoo.logs.clean import Cleaning, clean, summarise_repairs
+from frictionzoo.logs.columns import Proposal, propose, to_recording
+from frictionzoo.logs.formats import read_tables
+from frictionzoo.logs.paths import find_files
+from frictionzoo.logs.payloads import choose_payloads
+from frictionzoo.logs.recording import SIGNALS, Recording, Table
+from frictionzoo.logs.select import Selection
+from frictionzoo.logs.split import Split
+from frictionzoo.types import Dataset, Log, Payload
+
+logger = logging.getLogger(__name__)
+
+
+class Files:
+    """Files as a data set: train and test named apart, or divided by time, by file or by a field.
+
+    Args:
+        name: The data set's name.
+        train: Paths of recordings: files, globs, folders, archives; one or several.
+        test: Paths of recordings that only test; empty to divide those of `train` by `split`.
+        folder: What relative paths begin at; None for the working directory.
+        source: Where a user obtains files that the package does not bring; None for a user's own.
+        format: Name of the files' format, `auto` to go by the file.
+        columns: Header or headers of each signal; None for those that the headers suggest.
+        units: Unit of each signal in the files; None for what headers and numbers suggest.
+        fields: Fields of all recordings, over the files' own.
+        fields_from_name: Regular expression with named groups, which become fields, for the files' names.
+        where: Values of fields that are kept, by field.
+        exclude: Values of fields that are left out, by field.
+        clean: How recordings become logs.
+        payload: What the drive carried, as in `choose_payloads`; empty for none.
+        inputs: Signals that the actuator law needs besides the command, by name: a number, or the field that holds it.
+        split: Options of `Split`, for an empty `test`.
+        simulated: Whether a simulator made the files; results and the terminal say so.
+
+    Raises:
+        ConfigError: An option is unknown or impossible.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        train: Any,
+        test: Any,
+        folder: str | None,
+        source: str | None,
+        format: str,
+        columns: Mapping[str, Any],
+        units: Mapping[str, str | None],
+        fields: Any,
+        fields_from_name: str | None,
+        where: Any,
+        exclude: Any,
+        clean: Cleaning,
+        payload: Sequence[Any],
+        inputs: Any,
+        split: Mapping[str, Any],
+        simulated: bool,
+    ) -> None:
+        self.name, self.folder, self.source, self.format = name, folder, source, format
+        self.train, self.test = _names("train", train), _names("test", test)
+        self.columns, self.units = _signals("columns", columns), _signals("units", units)
+        fields, where, exclude = (
+            _mapping(option, given) for option, given in (("fields", fields), ("where", where), ("exclude", exclude))
+        )
+        self.selection = Selection(fields, fields_from_name, where, exclude)
+        self.inputs = _mapping("inputs", inputs)
+        self.clean, self.payload, self.simulated = clean, payload, simulated
+        self.split = Split(split["by"], split["test"], float(split["test_share"]), float(split["gap"]))
+        if self.test and self.split.by != "time":
+            raise ConfigError(f"data.split.by={self.split.by} and data.test={self.test}; expected one of them")
+
+    def recordings(self) -> list[Recording]:
+        """All recordings as they come, those that only test last.
+
+        Raises:
+            LogError: A file cannot be read, does not hold what `columns` names, or none is kept.
+        """
+        train, test = self._read()
+        return train + test
+
+    def load(self) -> Dataset:
+        """The cleaned recordings, in the order in which they are named.
+
+        Raises:
+            LogError: A file cannot be read, does not hold what `columns` names, or a part has no recording.
+            ConfigError: A payload is none, or no one fits a recording.
+        """
+        train, test = self._read()
+        recordings = train + test
+        payloads = choose_payloads(self.payload, recordings)
+        logs = [self._clean(*pair) for pair in zip(recordings, payloads, strict=True)]
+        self._report(recordings, logs)
+        if test:
+            parts = logs[: len(train)], logs[len(train) :]
+            first, last = ([log for cleaned in part for log in cleaned] for part in parts)
+        else:
+            first, last = self.split.divide(recordings, logs)
+        return Dataset(self.name, tuple(first), tuple(last))
+
+    def _read(self) -> tuple[list[Recording], list[Recording]]:
+        """The recordings that may train, and those that only test."""
+        if not self.train:
+            raise LogError("data.train=[]: no recording; name files, as in data.train=[a.csv] data.test=[b.csv]")
+        train, test = (self._tables(names) for names in (self.train, self.test))
+        held_out = {table.name for table in test}
+        twice = [table.name for table in train if table.name in held_out]
+        if twice:
+            raise LogError(f"{twice[0]}: in data.train and in data.test; expected recordings that no fit has seen")
+        recordings = self._interpret(self.selection.keep(train + test))
+        first = [recording for recording in recordings if recording.name not in held_out]
+        last = [recording for recording in recordings if recording.name in held_out]
+        if not first or (held_out and not last):
+            raise LogError(
+                f"{self.name}: data.where and data.exclude leave no recording to {'test' if first else 'train'}"
+            )
+        return first, last
+
+    def _tables(self, names: Sequence[str]) -> list[Table]:
+        """What the files that are meant hold, each recording once."""
+        paths = find_files(names, self.folder, self.source) if names else []
+        tables = [table for path in paths for table in read_tables(path, self.format)]
+        return list({table.name: table for table in tables}.values())
+
+    def _interpret(self, tables: Sequence[Table]) -> list[Recording]:
+        """Tables in SI units; what the options do not say is proposed once for all tables with the same headers."""
+        said: dict[frozenset[str], tuple[dict[str, Any], dict[str, str]]] = {}
+        for table in tables:
+            headers = frozenset(table.columns)
+            if headers not in said:
+                said[headers] = self._complete(table)
+        return [to_recording(table, *said[frozenset(table.columns)], self.simulated) for table in tables]
+
+    def _complete(self, table: Table) -> tuple[dict[str, Any], dict[str, str]]:
+        """Columns and units, with what is proposed where the options say nothing."""
+        proposal = propose(table)
+        columns = {signal: headers for signal, headers in proposal.columns.items() if signal not in self.columns}
+        units = {signal: unit for signal, unit in proposal.units.items() if signal not in self.units}
+        proposed = Proposal(columns, {signal: unit for signal, unit in units.items() if signal in columns})
+        own = all(headers == (signal,) for signal, headers in columns.items())
+        if not own or proposed.units:
+            level = logging.INFO if proposal.certain else logging.WARNING
+            taken = " ".join(proposed.overrides())
+            logger.log(level, "%s: taken from names and numbers in %s: %s", self.name, table.name, taken)
+        return {**columns, **self.columns}, {**proposed.units, **self.units}
+
+    def _clean(self, recording: Recording, payload: Payload | None) -> list[Log]:
+        """The logs of a recording, with its payload and the inputs of the actuator law."""
+        logs = []
+        for log in clean(recording, self.clean):
+            constants = {
+                name: np.full((log.samples, 1), _constant(recording, name, given))
+                for name, given in self.inputs.items()
+            }
+            logs.append(replace(log, payload=payload, extras={**log.extras, **constants}, metadata=recording.fields))
+        return logs
+
+    def _report(self, recordings: Sequence[Recording], logs: Sequence[Sequence[Log]]) -> None:
+        """One line on what cleaning did to the data set; LogError where it left nothing."""
+        kept = [log for cleaned in logs for log in cleaned]
+        lost = [recording.name for recording, cleaned in zip(recordings, logs, strict=True) if not cleaned]
+        if not kept:
+            raise LogError(
+                f"{lost[0]}: cleaning leaves nothing of it, and of {len(lost) - 1} others; expected "
+                f"{self.clean.shortest:g} s without gaps and NaN, and with data.clean.spikes=drop no spikes; look "
+                "at the file or change data.clean"
+            )
+        told = [f"{len(lost)} left out as data.clean asks, such as {lost[0]}"] if lost else []
+        told += summarise_repairs(kept)
+        if told:
+            counts = len(recordings), len(kept)
+            logger.info("%s: of %d recordings came %d logs; %s", self.name, *counts, "; ".join(told))
+
+
+def _constant(recording: Recording, name: str, given: str | float) -> float:
+    """The value of an input: a number, or that of a field."""
+    if not isinstance(given, str):
+        return float(given)
+    if given not in recording.fields:
+        raise LogError(
+            f"{recording.name}: data.inputs.{name}={given}: no such field; {closest(given, map(str, recording.fields))}"
+        )
+    value = recording.fields[given]
+    if isinstance(value, str) or not np.isfinite(value):
+        raise LogError(f"{recording.name}: data.inputs.{name}: its field {given} is {value}, expected a number")
+    return float(value)
+
+
+def _names(option: str, given: Any) -> list[str]:
+    """A name or a list of names as a list."""
+    if given is None or isinstance(given, str):
+        return [given] if given else []
+    if not isinstance(given, Sequence):
+        raise ConfigError(f"data.{option}={given}: expected a list of names, as in [a, b]")
+    return [str(name) for name in given]
+
+
+def _mapping(option: str, given: Any) -> dict[str, Any]:
+    if given is not None and not isinstance(given, Mapping):
+        raise ConfigError(f"data.{option}={given}: expected names with values, as in {{kp: 16}}")
+    return dict(given or {})
+
+
+def _signals(option: str, given: Mapping[str, Any]) -> dict[str, Any]:
+    """What is said of signals, without those of which nothing is."""
+    for signal in given:
+        if signal not in SIGNALS:
+            raise ConfigError(f"data.{option}.{signal}: unknown signal; {closest(str(signal), SIGNALS)}")
+    return {signal: value for signal, value in given.items() if value is not None}

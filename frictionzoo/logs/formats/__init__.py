@@ -1,0 +1,70 @@
+"""Log formats, one a file; importing this package registers all of them."""
+
+from pathlib import Path
+
+from frictionzoo.errors import LogError
+from frictionzoo.logs.formats.bam import Bam
+from frictionzoo.logs.formats.base import Format, parsing
+from frictionzoo.logs.formats.csv import Csv
+from frictionzoo.logs.formats.lerobot import LeRobot
+from frictionzoo.logs.formats.mat import Mat
+from frictionzoo.logs.formats.npz import Npz
+from frictionzoo.logs.formats.parquet import Parquet
+from frictionzoo.logs.formats.registry import format_names, get_format, register_format
+from frictionzoo.logs.formats.ros import Mcap, Ros2Bag
+from frictionzoo.logs.recording import Table
+
+__all__ = [
+    "Bam",
+    "Csv",
+    "Format",
+    "LeRobot",
+    "Mat",
+    "Mcap",
+    "Npz",
+    "Parquet",
+    "Ros2Bag",
+    "format_names",
+    "get_format",
+    "read_tables",
+    "register_format",
+]
+
+
+def read_tables(path: str, format: str) -> list[Table]:
+    """The recordings at a path.
+
+    Args:
+        path: A file, a folder or an archive.
+        format: A registered name, or `auto` to go by the name and the contents.
+
+    Raises:
+        LogError: It cannot be read, holds nothing, or no format is known for it.
+        ConfigError: No such format.
+    """
+    place = Path(path).expanduser()
+    with parsing(path, "a recording"):
+        if not place.exists():
+            raise LogError(f"{path}: no such file (looked from {Path.cwd()}); check data.train and data.test")
+        reader = _recognise(place) if format == "auto" else get_format(format)
+        tables = reader.read(place)
+        if not any(table.columns or table.refused for table in tables):
+            raise LogError(f"{path}: no columns, expected a recording as {reader.name}")
+        return tables
+
+
+def _recognise(path: Path) -> Format:
+    """The format of a path, by its name or a folder's contents, else by a file's first bytes."""
+    formats = [get_format(name) for name in format_names()]
+    head = b""
+    if path.is_file():
+        with path.open("rb") as file:
+            head = file.read(128)
+    for found in (
+        [each for each in formats if each.claims(path)],
+        [each for each in formats if each.magic and head.startswith(each.magic)],
+    ):
+        if found:
+            return found[0]
+    what = "a folder" if path.is_dir() else f"suffix {path.suffix or 'none'}"
+    raise LogError(f"{path}: {what} of no known format; set data.format to one of {', '.join(format_names())}")

@@ -1,0 +1,106 @@
+"""CSV files: comma-separated text with one header row."""
+
+import csv
+import io
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Real
+
+from frictionzoo.errors import LogError
+from frictionzoo.logs.formats.base import EXACT, Format
+from frictionzoo.logs.formats.registry import register_format
+from frictionzoo.logs.recording import Table
+
+
+@register_format("csv")
+class Csv(Format):
+    """Columns of numbers; an empty cell is a sample that is missing, and columns of text are left out."""
+
+    suffixes = (".csv",)
+
+    def parse(self, name: str, content: bytes) -> Table:
+        """The columns in a file's text."""
+        return read_table(name, _decode(name, content))
+
+
+def read_table(name: str, text: str) -> Table:
+    """Columns of numbers from the text of a CSV file.
+
+    Args:
+        name: The file's name, for messages.
+        text: Its text; the first row is the header.
+
+    Raises:
+        LogError: It is no CSV table.
+    """
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    lines, rows = [], []
+    try:
+        headers = [header.strip() for header in next(reader, [])]
+        for row in reader:
+            if row:
+                _check_width(name, reader.line_num, row, headers)
+                lines.append(reader.line_num)
+                rows.append(row)
+    except csv.Error as error:
+        raise LogError(
+            f"{name}, line {reader.line_num}: not a CSV table ({error}); expected comma-separated rows"
+        ) from None
+    if headers and not rows:
+        raise LogError(f"{name}: a header and no samples, expected at least 2; record a longer log")
+    return _sort_out(name, headers, lines, list(zip(*rows, strict=True)))
+
+
+def _sort_out(name: str, headers: Sequence[str], lines: Sequence[int], cells: Sequence[Sequence[str]]) -> Table:
+    """Columns that are numbers, and why the others are none."""
+    columns, refused = {}, {}
+    for header, column in zip(headers, cells, strict=True):
+        count = headers.count(header)
+        if count > 1:
+            refused[header] = f"{name}: {count} columns {header}, expected one; rename the others"
+            continue
+        try:
+            columns[header] = _numbers(column)
+        except ValueError:
+            bad = next(place for place, cell in enumerate(column) if not _is_number(cell))
+            refused[header] = f"{name}, line {lines[bad]}: {header} is {column[bad]!r}, expected a number"
+    return Table(name, columns, refused=refused)
+
+
+def _decode(name: str, content: bytes) -> str:
+    """The file's text, without the byte-order mark that spreadsheets write."""
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise LogError(
+            f"{name}: byte {error.start} is not UTF-8 text; expected a CSV file, export it as UTF-8"
+        ) from None
+    if "\0" in text:
+        raise LogError(f"{name}: holds a zero byte; expected a CSV file as UTF-8 text")
+    return text
+
+
+def _check_width(name: str, line: int, row: Sequence[str], headers: Sequence[str]) -> None:
+    if len(row) != len(headers):
+        raise LogError(f"{name}, line {line}: {len(row)} cells, expected {len(headers)} as in the header")
+
+
+def _numbers(cells: Sequence[str]) -> Real[np.ndarray, "rows"]:
+    """Cells as numbers; ValueError where one is none."""
+    values = np.array([float(cell or "nan") for cell in cells])
+    # Whole numbers that a float would round: nanoseconds since 1970.
+    if (np.abs(values) > EXACT).all() and (np.abs(values) < 2**63).all():
+        try:
+            return np.array([int(cell) for cell in cells])
+        except ValueError:
+            pass
+    return values
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell or "nan")
+    except ValueError:
+        return False
+    return True

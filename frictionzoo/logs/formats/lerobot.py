@@ -1,0 +1,84 @@
+"""LeRobot data sets: a folder of Parquet files with one episode after the other."""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from frictionzoo.errors import LogError
+from frictionzoo.logs.formats.base import Format, parsing, read_bytes, tabulate
+from frictionzoo.logs.formats.parquet import read_columns
+from frictionzoo.logs.formats.registry import register_format
+from frictionzoo.logs.recording import Table
+
+INFO = Path("meta") / "info.json"
+
+
+@register_format("lerobot")
+class LeRobot(Format):
+    """One table an episode; entries of `observation.state` and `action` carry the names that `meta/info.json` gives.
+
+    Versions 2 and 3, which differ in how many episodes a file holds.
+    """
+
+    def claims(self, path: Path) -> bool:
+        """A folder with `meta/info.json`."""
+        return (path / INFO).is_file()
+
+    def read(self, path: Path) -> list[Table]:
+        """The episodes of a folder, in the order of their files."""
+        names, fields = _info(path)
+        files = sorted(path.glob("data/chunk-*/*.parquet"))
+        if not files:
+            raise LogError(f"{path}: no data/chunk-*/*.parquet, expected a LeRobot data set; download its data as well")
+        return [table for file in files for table in _episodes(path, file, names, fields)]
+
+    def parse(self, name: str, content: bytes) -> Table:
+        """The frames of one file, whatever their episodes."""
+        return tabulate(name, read_columns(name, content))
+
+
+def _info(path: Path) -> tuple[dict[str, list[str]], dict[str, str | float]]:
+    """Names of each feature's entries, and what the data set says of all its episodes."""
+    file = path / INFO
+    with parsing(str(file), "the description of a LeRobot data set"):
+        info = json.loads(read_bytes(file))
+        names = {feature: _names(about.get("names")) for feature, about in info["features"].items()}
+        fields = {key: value for key, value in info.items() if isinstance(value, str)}
+        return names, fields | {"fps": float(info["fps"])}
+
+
+def _names(given: Any) -> list[str]:
+    """A list of names, which older data sets put under the name of an axis."""
+    if isinstance(given, dict):
+        given = next(iter(given.values()), None)
+    return [str(name) for name in given] if isinstance(given, list) else []
+
+
+def _episodes(
+    path: Path, file: Path, names: Mapping[str, Sequence[str]], fields: Mapping[str, str | float]
+) -> Iterator[Table]:
+    """One table for each episode of a file."""
+    content = read_bytes(file)
+    with parsing(str(file), "episodes of a LeRobot data set"):
+        columns = dict(_named(read_columns(str(file), content), names))
+        episode = columns.pop("episode_index", np.zeros(len(next(iter(columns.values()), ()))))
+        for number in np.unique(episode):
+            table = tabulate(f"{path}!episode_{int(number):06d}", {k: v[episode == number] for k, v in columns.items()})
+            yield replace(table, fields={**fields, **table.fields}, sha256=hashlib.sha256(content).hexdigest())
+
+
+def _named(columns: Mapping[str, np.ndarray], names: Mapping[str, Sequence[str]]) -> Iterator[tuple[str, np.ndarray]]:
+    """Matrices as one column an entry, under their names."""
+    for header, values in columns.items():
+        known = names.get(header, ())
+        if values.ndim != 2:
+            yield header, values
+            continue
+        for place, entry in enumerate(values.T):
+            name = known[place] if len(known) == values.shape[1] else place
+            yield f"{header}[{name}]", entry

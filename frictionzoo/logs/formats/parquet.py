@@ -1,0 +1,77 @@
+"""Parquet files, through Arrow."""
+
+import io
+from typing import Any
+
+import numpy as np
+
+from frictionzoo.errors import LogError
+from frictionzoo.logs.formats.base import Format, check_size, optional, parsing, tabulate
+from frictionzoo.logs.formats.registry import register_format
+from frictionzoo.logs.recording import Table
+
+
+@register_format("parquet")
+class Parquet(Format):
+    """Each numeric column is a column, each column of lists of one length one column an entry."""
+
+    suffixes = (".parquet", ".pq")
+    magic = (b"PAR1",)
+
+    def parse(self, name: str, content: bytes) -> Table:
+        """The columns in a file's bytes."""
+        return tabulate(name, read_columns(name, content))
+
+
+def read_columns(name: str, content: bytes) -> dict[str, np.ndarray]:
+    """Arrays of a Parquet file by column, lists as matrices; what is neither number, time nor list is left out.
+
+    Raises:
+        LogError: It is damaged, or pyarrow is not installed.
+    """
+    parquet = optional("pyarrow.parquet", "pyarrow", name)
+    with parsing(name, "a Parquet file"):
+        file = parquet.ParquetFile(io.BytesIO(content), page_checksum_verification=True)
+        groups = [file.metadata.row_group(place) for place in range(file.metadata.num_row_groups)]
+        rows, sizes = file.metadata.num_rows, [group.total_byte_size for group in groups]
+        # A column of one value packs into a few bytes however long it is, so that the rows are counted as well.
+        check_size(name, max(sum(sizes), 8 * rows * file.metadata.num_columns))
+        if min([rows, *sizes]) < 0 or rows != sum(group.num_rows for group in groups):
+            raise LogError(f"{name}: its sizes contradict each other, expected a Parquet file; export it again")
+        wanted = [field.name for field in file.schema_arrow if _is_numeric(field.type)]
+        return {header: _array(column) for header, column in _read(file, wanted) if len(column) == rows}
+
+
+def _read(file: Any, wanted: list[str]) -> list[tuple[str, Any]]:
+    table = file.read(columns=wanted)
+    return [(header, table.column(header).combine_chunks()) for header in table.column_names]
+
+
+def _is_numeric(kind: Any) -> bool:
+    """Whether an Arrow type is a number, a time, or a list of numbers."""
+    types = optional("pyarrow.types", "pyarrow", "parquet")
+    if types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind):
+        kind = kind.value_type
+    tests = (types.is_integer, types.is_floating, types.is_boolean, types.is_timestamp)
+    return any(test(kind) for test in tests)
+
+
+def _array(column: Any) -> np.ndarray:
+    """A column as a vector, or lists of one length as a matrix; missing numbers as NaN."""
+    types = optional("pyarrow.types", "pyarrow", "parquet")
+    kind = column.type
+    if not (types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind)):
+        return _vector(column)
+    entries = _vector(column.flatten())
+    width, rest = divmod(len(entries), max(len(column), 1))
+    same = column.null_count == 0 and all(n == width for n in column.value_lengths().to_pylist())
+    return entries.reshape(len(column), width) if same and not rest else np.array(column.to_pylist(), dtype=object)
+
+
+def _vector(column: Any) -> np.ndarray:
+    types = optional("pyarrow.types", "pyarrow", "parquet")
+    if column.null_count and not types.is_timestamp(column.type):
+        column = column.cast("float64")
+    elif types.is_boolean(column.type):
+        column = column.cast("uint8")
+    return column.to_numpy(zero_copy_only=False)

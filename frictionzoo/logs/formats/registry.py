@@ -1,0 +1,39 @@
+"""Log formats by name: those of this package, and those that other packages bring."""
+
+from collections.abc import Callable
+
+from frictionzoo.errors import ConfigError
+from frictionzoo.logs.formats.base import Format
+from frictionzoo.registry import Registry
+
+REGISTRY = Registry(
+    *("log format", Format, "parse", "register_format", "frictionzoo.formats"), *(ConfigError, ConfigError)
+)
+_formats: dict[str, type[Format]] = {}
+
+
+def register_format(name: str) -> Callable[[type[Format]], type[Format]]:
+    """Class decorator that makes a format available as `data.format=NAME`.
+
+    Args:
+        name: Lower case with underscores.
+
+    Raises:
+        ConfigError: The name is taken or not lower case with underscores, or the class is not a complete `Format` or
+            has a name already.
+    """
+    return lambda cls: REGISTRY.add(_formats, name, cls)
+
+
+def get_format(name: str) -> Format:
+    """The format of that name.
+
+    Raises:
+        ConfigError: No such name, two packages bring it, or the one that does is broken.
+    """
+    return REGISTRY.get(_formats, name)()
+
+
+def format_names() -> list[str]:
+    """Names of all formats, sorted."""
+    return REGISTRY.names(_formats)

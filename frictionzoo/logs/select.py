@@ -1,0 +1,124 @@
+"""What files say of whole recordings (gains, payload, trajectory), and the choice of recordings by it."""
+
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from frictionzoo.errors import ConfigError, LogError, closest
+from frictionzoo.logs.recording import Table
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Fields that a user adds to those of the files, and the recordings that are kept by them.
+
+    Args:
+        fields: Values of fields, the same for all files; before the file's own.
+        from_name: Regular expression with named groups, which are fields, searched in the file's name; None for none.
+        where: Values of fields that are kept.
+        exclude: Values of fields that are left out.
+
+    Raises:
+        ConfigError: An option is of another form.
+    """
+
+    fields: Mapping[str, Any]
+    from_name: str | None
+    where: Mapping[str, Any]
+    exclude: Mapping[str, Any]
+
+    def __post_init__(self) -> None:
+        for option in ("where", "exclude"):
+            for name, values in getattr(self, option).items():
+                if isinstance(values, str) or not isinstance(values, Sequence):
+                    raise ConfigError(f"data.{option}.{name}={values}: expected a list of values, as in [{values}]")
+        for name, value in self.fields.items():
+            if not isinstance(value, str | int | float):
+                raise ConfigError(f"data.fields.{name}={value}: expected a number or text")
+        if self.from_name is not None and not _compile(self.from_name).groupindex:
+            raise ConfigError(
+                f"data.fields_from_name={self.from_name}: no named group, expected one, as in (?P<kp>\\d+)"
+            )
+
+    def keep(self, tables: Sequence[Table]) -> list[Table]:
+        """The tables that are kept, with all their fields.
+
+        Raises:
+            LogError: A name does not match, none has a field or value that is asked for, or none is kept.
+        """
+        tables = [replace(table, fields=self._all_fields(table)) for table in tables]
+        for option, asked in (("where", self.where), ("exclude", self.exclude)):
+            for name, values in asked.items():
+                present = field_values(tables, name, f"data.{option}")
+                refuse_absent(f"data.{option}.{name}", values, present)
+        kept = [table for table in tables if self._is_kept(table.fields)]
+        if not kept:
+            raise LogError(f"data.where and data.exclude leave none of {len(tables)} recordings; ask for less")
+        return kept
+
+    def _all_fields(self, table: Table) -> dict[str, Any]:
+        named = {}
+        if self.from_name is not None:
+            match = _compile(self.from_name).search(table.name)
+            if match is None:
+                raise LogError(f"{table.name}: data.fields_from_name={self.from_name} does not match; mend the pattern")
+            named = {name: _number_or_text(text) for name, text in match.groupdict().items() if text is not None}
+        added = {name: value if isinstance(value, str) else float(value) for name, value in self.fields.items()}
+        return {**table.fields, **named, **added}
+
+    def _is_kept(self, fields: Mapping[str, Any]) -> bool:
+        wanted = all(is_among(fields.get(name), values) for name, values in self.where.items())
+        return wanted and not any(is_among(fields.get(name), values) for name, values in self.exclude.items())
+
+
+def equal(one: Any, other: Any) -> bool:
+    """Whether two values of a field are the same, numbers up to rounding."""
+    if isinstance(one, int | float) and isinstance(other, int | float):
+        return math.isclose(one, other, rel_tol=1e-9)
+    return one == other
+
+
+def is_among(value: Any, values: Iterable[Any]) -> bool:
+    """Whether a field's value is one of these."""
+    return any(equal(value, other) for other in values)
+
+
+def describe(fields: Mapping[str, Any]) -> str:
+    """Fields in words."""
+    return ", ".join(f"{name}={value}" for name, value in fields.items())
+
+
+def field_values(carriers: Sequence[Any], name: str, option: str) -> list[Any]:
+    """The values of a field, each once, of what has `fields`.
+
+    Raises:
+        LogError: None has the field.
+    """
+    values = list(dict.fromkeys(carrier.fields[name] for carrier in carriers if name in carrier.fields))
+    if not values:
+        known = {known for carrier in carriers for known in carrier.fields}
+        raise LogError(f"{option}: no recording has a field {name}; {closest(name, known)}")
+    return sorted(values, key=lambda value: (isinstance(value, str), value))
+
+
+def refuse_absent(option: str, values: Iterable[Any], present: Sequence[Any]) -> None:
+    """LogError for the first value that no recording has."""
+    for value in values:
+        if not is_among(value, present):
+            raise LogError(f"{option}={value}: no recording has it; expected one of {', '.join(map(str, present))}")
+
+
+def _compile(pattern: str) -> re.Pattern[str]:
+    try:
+        return re.compile(pattern)
+    except re.error as error:
+        raise ConfigError(f"data.fields_from_name={pattern}: {error}; expected a regular expression") from None
+
+
+def _number_or_text(text: str) -> str | float:
+    try:
+        return float(text)
+    except ValueError:
+        return text

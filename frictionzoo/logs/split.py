@@ -1,0 +1,119 @@
+"""Which recordings train and which test: by time, by file, or by what the files say of themselves."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatch
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool
+
+from frictionzoo.errors import ConfigError, LogError
+from frictionzoo.logs.recording import Recording
+from frictionzoo.logs.select import field_values, is_among, refuse_absent
+from frictionzoo.segments import split_by_time
+from frictionzoo.types import Log
+
+
+@dataclass(frozen=True)
+class Split:
+    """A rule that divides recordings into a training and a test part.
+
+    Args:
+        by: `time`: the first block of every log trains, its last one tests; `file`: whole recordings; or a field.
+        test: By file, names or patterns of those that test, or one share of the recordings, which are then spread
+            evenly; by a field, its values that test; empty by time.
+        test_share: By time, the share of each log's samples that tests.
+        gap: By time, what lies between the parts and is in neither [s].
+
+    Raises:
+        ConfigError: `test` does not fit `by`.
+    """
+
+    by: str
+    test: Sequence[Any] | float
+    test_share: float
+    gap: float
+
+    def __post_init__(self) -> None:
+        if self.by == "time" and self._tested:
+            raise ConfigError(
+                f"data.split.test={self.test} with by=time; expected by=file or a field, as in by=kp test=[16]"
+            )
+        if self.by != "time" and not self._tested:
+            raise ConfigError(f"data.split.test=[] with by={self.by}; expected what tests")
+
+    @property
+    def _tested(self) -> list[Any]:
+        return list(self.test) if isinstance(self.test, Sequence) and not isinstance(self.test, str) else [self.test]
+
+    def divide(self, recordings: Sequence[Recording], logs: Sequence[Sequence[Log]]) -> tuple[list[Log], list[Log]]:
+        """The logs that train and those that test.
+
+        Args:
+            recordings: What was read.
+            logs: The logs of each recording.
+
+        Raises:
+            LogError: No recording has what is to test, or nothing is left to train.
+            ConfigError: An option is impossible.
+        """
+        if self.by == "time":
+            parts = [split_by_time(log, self.test_share, self.gap) for cleaned in logs for log in cleaned]
+            return [first for first, _ in parts], [last for _, last in parts]
+        tests = self._choose_files(recordings) if self.by == "file" else self._choose_by_field(recordings)
+        if tests.all():
+            raise LogError(
+                f"data.split.by={self.by} test={self.test}: all {len(tests)} recordings test, none is left to train; "
+                "let fewer test"
+            )
+        train, test = (
+            [log for chosen, cleaned in zip(tests, logs, strict=True) if chosen == part for log in cleaned]
+            for part in (False, True)
+        )
+        return train, test
+
+    def _choose_by_field(self, recordings: Sequence[Recording]) -> Bool[np.ndarray, "recordings"]:
+        present = field_values(recordings, self.by, "data.split.by")
+        refuse_absent(f"data.split.by={self.by} test", self._tested, present)
+        for recording in recordings:
+            if self.by not in recording.fields:
+                raise LogError(
+                    f"{recording.name}: no field {self.by}, by which data.split divides; add it with data.fields or "
+                    "leave the recording out"
+                )
+        return np.array([is_among(recording.fields[self.by], self._tested) for recording in recordings])
+
+    def _choose_files(self, recordings: Sequence[Recording]) -> Bool[np.ndarray, "recordings"]:
+        share = self._tested[0]
+        if isinstance(share, int | float) and len(self._tested) == 1:
+            return _spread(float(share), len(recordings))
+        tests = np.zeros(len(recordings), dtype=bool)
+        for pattern in map(str, self._tested):
+            fits = np.array([_is_called(recording.name, pattern) for recording in recordings])
+            if not fits.any():
+                raise LogError(
+                    f"data.split.test={pattern}: none of {len(fits)} recordings is called so; expected a name or a "
+                    f"pattern such as {_last_part(recordings[0].name)}"
+                )
+            tests |= fits
+        return tests
+
+
+def _spread(share: float, count: int) -> Bool[np.ndarray, "recordings"]:
+    """A share of the recordings, evenly spread, at least one."""
+    if not 0 < share < 1:
+        raise ConfigError(f"data.split.test={share:g} with by=file; expected names or a share between 0 and 1")
+    chosen = np.zeros(count, dtype=bool)
+    number = max(1, round(share * count))
+    chosen[(2 * np.arange(number) + 1) * count // (2 * number)] = True
+    return chosen
+
+
+def _is_called(name: str, pattern: str) -> bool:
+    return name == pattern or fnmatch(name, pattern) or fnmatch(_last_part(name), pattern)
+
+
+def _last_part(name: str) -> str:
+    """A file's name without its folders, or a member's name without its archive."""
+    return name.rpartition("!")[2].replace("\\", "/").rpartition("/")[2]

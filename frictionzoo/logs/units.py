@@ -1,0 +1,76 @@
+"""Units that recordings come in, and what they are in SI."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Float, Real
+
+from frictionzoo.errors import ConfigError, closest
+
+Ratio = tuple[float, float]
+"""SI units in one unit, as a fraction: a division by 1000 is exact to the last bit, a factor of 0.001 is not."""
+
+TIME: Mapping[str, Ratio] = {"s": (1.0, 1.0), "ms": (1.0, 1e3), "us": (1.0, 1e6), "ns": (1.0, 1e9)}
+POSITION: Mapping[str, Ratio] = {
+    **{"rad": (1.0, 1.0), "mrad": (1.0, 1e3), "deg": (math.pi, 180.0), "rev": (math.tau, 1.0)},
+    **{"m": (1.0, 1.0), "mm": (1.0, 1e3), "um": (1.0, 1e6)},
+}
+VELOCITY: Mapping[str, Ratio] = {
+    **{"rad/s": (1.0, 1.0), "deg/s": (math.pi, 180.0), "rev/s": (math.tau, 1.0), "rpm": (math.tau, 60.0)},
+    **{"m/s": (1.0, 1.0), "mm/s": (1.0, 1e3)},
+}
+EFFORT: Mapping[str, Ratio] = {
+    **{
+        "N m": (1.0, 1.0),
+        "mN m": (1.0, 1e3),
+        "N": (1.0, 1.0),
+        "A": (1.0, 1.0),
+        "mA": (1.0, 1e3),
+        "V": (1.0, 1.0),
+        "mV": (1.0, 1e3),
+    },
+    **{"%": (1.0, 100.0), "1": (1.0, 1.0)},
+}
+UNITS: Mapping[str, Mapping[str, Ratio]] = {
+    "time": TIME,
+    "qpos": POSITION,
+    "qvel": VELOCITY,
+    "ctrl": {**POSITION, **VELOCITY, **EFFORT},
+    "supply": {"V": (1.0, 1.0), "mV": (1.0, 1e3)},
+    "enable": {"1": (1.0, 1.0)},
+    "temperature": {"degC": (1.0, 1.0)},
+}
+"""Units of each signal by name; the first is what a recording is in unless something says otherwise."""
+
+
+def ratio(signal: str, unit: str) -> Ratio:
+    """SI units in one unit of a signal, as a fraction.
+
+    Args:
+        signal: One of `SIGNALS`.
+        unit: A name, with or without its spaces; or a number, the SI units in one step of a raw register.
+
+    Raises:
+        ConfigError: The signal has no such unit; the message names the closest.
+    """
+    known = UNITS[signal]
+    for name, fraction in known.items():
+        if unit.replace(" ", "") == name.replace(" ", ""):
+            return fraction
+    try:
+        factor = float(unit)
+    except ValueError:
+        factor = math.nan
+    if not math.isfinite(factor) or factor == 0:
+        raise ConfigError(f"data.units.{signal}={unit}: unknown unit; {closest(unit, known)}, or a number of SI units")
+    return factor, 1.0
+
+
+def to_si(values: Real[np.ndarray, "rows"], fraction: Ratio) -> Float[np.ndarray, "rows"]:
+    """Values in SI units; those that are in SI already keep every bit."""
+    numerator, denominator = fraction
+    scaled = values.astype(np.float64)
+    if numerator != 1:
+        scaled = scaled * numerator
+    return scaled / denominator

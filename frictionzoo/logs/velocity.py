@@ -1,0 +1,38 @@
+"""Velocity where none was measured, or where the measured one lags: from the position, without phase lag."""
+
+import numpy as np
+import scipy.signal
+from jaxtyping import Float
+
+from frictionzoo.errors import ConfigError, LogError
+
+
+def estimate_velocity(
+    position: Float[np.ndarray, "time"],
+    timestep: float,
+    cutoff: float,
+    order: int,
+    name: str,
+    option: str = "data.cutoff",
+) -> Float[np.ndarray, "time"]:
+    """Velocity without phase lag: a zero-phase Butterworth low-pass, then central differences.
+
+    Args:
+        position: Measured position [rad or m].
+        timestep: Sample interval [s].
+        cutoff: Cut-off frequency [Hz]; the filter runs forwards and backwards, so the gain there is 1/2.
+        order: Order of the filter, which running it twice doubles.
+        name: The log's name, for messages.
+        option: Where a user sets the cut-off, for messages.
+
+    Raises:
+        LogError: The log is too short to filter.
+        ConfigError: The cut-off is not below half the sample rate.
+    """
+    if not cutoff < 0.5 / timestep:
+        raise ConfigError(f"{option}={cutoff:g}: expected less than half the sample rate, {0.5 / timestep:g} Hz")
+    sections = np.asarray(scipy.signal.butter(order, cutoff, fs=1 / timestep, output="sos"))
+    padding = 3 * (2 * len(sections) + 1)  # scipy's default, which it refuses to use on a log that is not longer
+    if len(position) <= padding:
+        raise LogError(f"{name}: {len(position)} samples, expected more than {padding} to estimate the velocity")
+    return np.gradient(scipy.signal.sosfiltfilt(sections, position, padlen=padding), timestep)

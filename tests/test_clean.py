@@ -1,0 +1,244 @@
+"""Cleaning: what is clean passes untouched, every fault is repaired as asked, and every change is told."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from frictionzoo.errors import ConfigError, LogError
+from frictionzoo.logs.clean import Cleaning, clean, summarise_repairs
+from frictionzoo.logs.recording import Recording
+
+OPTIONS = {
+    "step": None,
+    "resample": "linear",
+    "gap": 5.0,
+    "spikes": "repair",
+    "velocity": "auto",
+    "cutoff": 10.0,
+    "order": 2,
+    "velocity_lag": None,
+    "shortest": 0.0,
+}
+
+
+def cleaning(**options):
+    return Cleaning(**OPTIONS | options)
+
+
+def record(time, name="a.csv", **signals):
+    """A swing of 1 rad at 1 Hz with a stepwise command, or what `signals` say."""
+    time = np.asarray(time, float)
+    given = {"qpos": np.sin(2 * np.pi * time), "qvel": 2 * np.pi * np.cos(2 * np.pi * time), "ctrl": np.floor(5 * time)}
+    signals = {name: np.asarray(values, float) for name, values in (given | signals).items() if values is not None}
+    columns = {name: values.reshape(len(time), -1) for name, values in signals.items()}
+    return Recording(name, time, columns, {"kp": 8}, "0" * 64, False)
+
+
+def uniform(samples=500, step=0.01):
+    return step * np.arange(samples)
+
+
+def jittered(samples=500, step=0.01, share=0.3):
+    time = uniform(samples, step)
+    time[1:] += share * step * np.random.default_rng(0).uniform(-0.5, 0.5, samples - 1)
+    return time
+
+
+def test_a_clean_recording_passes_bit_for_bit():
+    recording = record(uniform(2000, 0.001), supply=np.full(2000, 12.0))
+    (log,) = clean(recording, cleaning())
+    assert log.repairs == () and log.name == "a.csv" and log.sha256 == recording.sha256
+    assert log.time is recording.time
+    for signal in ("qpos", "qvel", "ctrl"):
+        assert getattr(log, signal) is recording.signals[signal]
+    assert log.extras["supply"] is recording.signals["supply"]
+    assert log.metadata == {"kp": 8}
+
+
+def test_a_raw_recording_stays_raw_if_nothing_is_asked_for():
+    position = np.sin(uniform())
+    position[100] = 9.0
+    recording = record(uniform(), qpos=position)
+    (log,) = clean(recording, cleaning(spikes="keep", velocity="measured"))
+    assert log.qpos is recording.signals["qpos"] and not log.repairs
+
+
+def test_jitter_is_taken_out():
+    time = jittered()
+    (log,) = clean(record(time), cleaning(resample="cubic"))
+    np.testing.assert_allclose(np.diff(log.time), np.median(np.diff(time)), rtol=1e-9)
+    assert log.time[0] == 0
+    # The swing's fourth derivative, (2 pi)^4, times the step to the fourth, is the error's scale.
+    np.testing.assert_allclose(log.qpos[:, 0], np.sin(2 * np.pi * log.time), atol=2e-5)
+    assert any(sentence.startswith("resampled from about 100") and "cubic" in sentence for sentence in log.repairs)
+
+
+def test_a_step_resamples_and_holds_the_command():
+    (log,) = clean(record(uniform(500, 0.01)), cleaning(step=0.004))
+    assert log.timestep == pytest.approx(0.004, rel=1e-12) and log.samples == 1248
+    # Straight lines between samples of 10 ms miss the swing by at most its second derivative times h^2 / 8.
+    np.testing.assert_allclose(log.qpos[:, 0], np.sin(2 * np.pi * log.time), atol=(2 * np.pi * 0.01) ** 2 / 8)
+    assert set(np.unique(log.ctrl)) == set(np.unique(np.floor(5 * uniform())))
+    held = np.floor(5 * uniform())[np.floor(log.time / 0.01 + 1e-6).astype(int)]
+    np.testing.assert_array_equal(log.ctrl[:, 0], held)
+
+
+def test_the_own_step_is_no_change():
+    (log,) = clean(record(uniform(1000, 0.001)), cleaning(step=0.001))
+    assert not log.repairs
+
+
+def test_time_begins_at_zero():
+    (log,) = clean(record(uniform() + 12.5), cleaning())
+    assert log.time[0] == 0 and log.repairs == ("time counted from its first sample, at 12.5 s",)
+
+
+def test_repeated_samples_are_dropped_and_missing_ones_interpolated():
+    kept = np.delete(np.arange(500), [50, 51, 300])
+    time = np.insert(uniform()[kept], 10, uniform()[9])
+    (log,) = clean(record(time), cleaning())
+    assert log.samples == 500
+    np.testing.assert_allclose(log.qpos[:, 0], np.sin(2 * np.pi * uniform()), atol=5e-3)
+    assert "samples with the time of the one before dropped: 1" in log.repairs
+    assert any("missing samples interpolated: 3" in sentence for sentence in log.repairs)
+
+
+def test_gaps_and_resets_split():
+    time = np.concatenate([uniform(200), uniform(200) + 3.0, uniform(100)])
+    logs = clean(record(time), cleaning())
+    assert [log.name for log in logs] == ["a.csv[1]", "a.csv[2]", "a.csv[3]"]
+    assert [log.samples for log in logs] == [200, 200, 100]
+    assert all(log.time[0] == 0 and any("split" in sentence for sentence in log.repairs) for log in logs)
+
+
+def test_short_pieces_are_left_out_and_it_is_told():
+    time = np.concatenate([uniform(200), uniform(50) + 3.0])
+    (log,) = clean(record(time), cleaning(shortest=1.0))
+    assert log.samples == 200 and "pieces shorter than 1 s left out: 1" in log.repairs
+    assert clean(record(time), cleaning(shortest=10.0)) == []
+
+
+@pytest.mark.parametrize(("run", "pieces"), [(3, 1), (20, 2)])
+def test_nan_is_interpolated_or_splits(run, pieces):
+    position = np.sin(2 * np.pi * uniform())
+    position[100 : 100 + run] = np.nan
+    logs = clean(record(uniform(), qpos=position), cleaning())
+    assert len(logs) == pieces
+    if pieces == 1:
+        np.testing.assert_allclose(logs[0].qpos[:, 0], np.sin(2 * np.pi * uniform()), atol=5e-3)
+        assert logs[0].repairs == (f"samples of qpos that are NaN interpolated: {run}",)
+    else:
+        assert [log.samples for log in logs] == [100, 500 - 100 - run]
+
+
+def test_nan_at_the_ends_is_cut():
+    command = np.ones(500)
+    command[:2] = command[-1] = np.nan
+    (log,) = clean(record(uniform(), ctrl=command), cleaning())
+    assert log.samples == 497 and np.isfinite(log.ctrl).all()
+
+
+@pytest.mark.parametrize("width", [1, 2])
+def test_spikes_are_repaired_dropped_or_kept(width):
+    position = np.sin(2 * np.pi * uniform())
+    position[100 : 100 + width] -= 2.0
+    recording = record(uniform(), qpos=position)
+    (log,) = clean(recording, cleaning())
+    np.testing.assert_allclose(log.qpos[:, 0], np.sin(2 * np.pi * uniform()), atol=5e-3)
+    assert log.repairs == ("spikes of qpos interpolated: 1",)
+    assert clean(recording, cleaning(spikes="drop")) == []
+    (kept,) = clean(recording, cleaning(spikes="keep"))
+    assert kept.qpos is recording.signals["qpos"]
+
+
+def test_velocity_is_estimated_where_asked_for_or_missing():
+    recording = record(uniform())
+    for candidate, options in ((recording, {"velocity": "estimated"}), (record(uniform(), qvel=None), {})):
+        (log,) = clean(candidate, cleaning(**options))
+        inner = slice(50, -50)  # the filter has transients at the ends
+        expected = recording.signals["qvel"][inner]
+        # A second-order filter run twice at 10 Hz takes (1 / 10)^4 off the gain at 1 Hz, central differences (w h)^2 / 6.
+        np.testing.assert_allclose(log.qvel[inner], expected, atol=2e-3 * 2 * np.pi)
+        assert any("zero-phase" in sentence for sentence in log.repairs)
+
+
+@pytest.mark.parametrize("option", [0.02, "auto"])
+def test_the_lag_of_a_velocity_is_taken_out(option):
+    time = jittered()
+    phase = 2 * np.pi * time + np.sin(3 * time)
+    late = 2 * np.pi * (time - 0.02) + np.sin(3 * (time - 0.02))
+    rate = 2 * np.pi + 3 * np.cos(3 * (time - 0.02))
+    recording = record(time, qpos=np.sin(phase), qvel=rate * np.cos(late))
+    (log,) = clean(recording, cleaning(velocity_lag=option, resample="cubic"))
+    at = log.time + time[0]
+    truth = (2 * np.pi + 3 * np.cos(3 * at)) * np.cos(2 * np.pi * at + np.sin(3 * at))
+    # 1 ms of lag is left at most: times the largest acceleration, some 90 rad/s^2.
+    np.testing.assert_allclose(log.qvel[:, 0], truth, atol=0.09)
+    assert log.time[-1] <= time[-1] - 0.018
+    assert any(sentence.startswith("qvel moved 0.0") for sentence in log.repairs)
+
+
+def test_enable_is_held_and_supply_interpolated():
+    time = uniform(400)
+    on, volts = (time < 2).astype(float), 12 - time
+    (log,) = clean(record(time, enable=on, supply=volts), cleaning(step=0.004))
+    assert set(np.unique(log.extras["enable"])) == {0.0, 1.0}
+    np.testing.assert_allclose(log.extras["supply"][:, 0], 12 - log.time, atol=1e-9)
+
+
+def test_repairs_of_many_logs_are_summed_up():
+    logs = [log for start in (1.0, 2.0) for log in clean(record(uniform() + start), cleaning())]
+    assert summarise_repairs(logs) == ["2 of 2 logs: time counted from its first sample, at 1 s"]
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "message"),
+    [
+        ("step", -1.0, "expected a positive time"),
+        ("resample", "spline", "data.clean.resample=spline: unknown"),
+        ("gap", 1.0, "expected at least 1.5"),
+        ("spikes", "fix", "expected one of drop, keep, repair"),
+        ("velocity", "measure", "did you mean measured"),
+        ("cutoff", 0.0, "positive frequency"),
+        ("order", 0, "1 or more"),
+        ("velocity_lag", "automatic", "a time in s, auto or null"),
+        ("shortest", -1.0, "from 0 on"),
+    ],
+)
+def test_an_impossible_option_is_refused_in_one_line(option, value, message):
+    with pytest.raises(ConfigError, match=message) as caught:
+        cleaning(**{option: value})
+    assert "\n" not in str(caught.value)
+
+
+def test_a_cutoff_above_half_the_rate_is_refused():
+    with pytest.raises(ConfigError, match=r"data\.clean\.cutoff=60: expected less than half the sample rate, 50"):
+        clean(record(uniform()), cleaning(velocity="estimated", cutoff=60.0))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"qpos": None}, "no qpos"),
+        ({"ctrl": None}, "no ctrl"),
+        ({"qvel": None}, r"no qvel.*data\.clean\.velocity=estimated"),
+    ],
+)
+def test_a_missing_signal_is_refused_in_one_line(change, message):
+    with pytest.raises(LogError, match=message):
+        clean(record(uniform(), **change), cleaning(velocity="measured"))
+
+
+def test_a_velocity_that_is_none_has_no_lag():
+    noise = np.random.default_rng(0).normal(size=500)
+    with pytest.raises(LogError, match="no delayed copy"):
+        clean(record(uniform(), qvel=noise), cleaning(velocity_lag="auto"))
+
+
+def test_a_time_that_is_none_is_refused():
+    broken = replace(record(uniform()), time=np.where(uniform() == 1.0, np.nan, uniform()))
+    with pytest.raises(LogError, match="time is NaN or infinite at sample 100"):
+        clean(broken, cleaning())
+    with pytest.raises(LogError, match="at one time"):
+        clean(record(np.zeros(10)), cleaning())

@@ -1,0 +1,466 @@
+"""One recording in every format, and what each format says about its columns."""
+
+import hashlib
+import json
+import shlex
+import shutil
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
+import pytest
+import scipy.io
+from conftest import DATA, needs_data
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from rosbags.rosbag2 import StoragePlugin, Writer
+from write_logs import (
+    COMMAND,
+    EPOCH,
+    OPTIONS,
+    STORE,
+    WRITERS,
+    command,
+    joint_state,
+    signals,
+    write_bag,
+    write_bam,
+    write_csv,
+    write_degrees,
+    write_log,
+)
+
+from frictionzoo.errors import ConfigError, LogError
+from frictionzoo.logs.columns import propose, to_recording
+from frictionzoo.logs.formats import format_names, read_tables, register_format, registry
+from frictionzoo.logs.formats.csv import Csv
+from frictionzoo.logs.recording import Table
+
+EXACT = sorted(set(WRITERS) - {"lerobot"})
+
+
+def test_every_format_is_tested():
+    assert set(format_names()) == set(WRITERS)
+
+
+@pytest.mark.parametrize("name", EXACT)
+def test_a_recording_comes_back_bit_for_bit(tmp_path, name):
+    columns = signals()
+    (table,) = read_tables(str(write_log(tmp_path, name, columns)), "auto")
+    recording = to_recording(table, OPTIONS[name], {}, simulated=True)
+    np.testing.assert_array_equal(recording.time, columns["time"])
+    assert set(recording.signals) == {"qpos", "qvel", "ctrl"}
+    for signal, values in recording.signals.items():
+        np.testing.assert_array_equal(values, columns[signal][:, None])
+    assert recording.simulated and len(recording.sha256) == 64 and recording.notes == ()
+
+
+def test_episodes_come_back_in_single_precision(tmp_path):
+    columns = signals()
+    tables = read_tables(str(write_log(tmp_path, "lerobot", columns)), "auto")
+    assert [table.name[-15:] for table in tables] == ["!episode_000000", "!episode_000001"]
+    assert tables[0].fields["fps"] == 100
+    for table in tables:
+        recording = to_recording(table, OPTIONS["lerobot"], {}, simulated=False)
+        np.testing.assert_array_equal(recording.time, columns["time"].astype(np.float32))
+        for signal, values in recording.signals.items():
+            np.testing.assert_array_equal(values[:, 0], columns[signal].astype(np.float32))
+
+
+@pytest.mark.parametrize("name", sorted(WRITERS))
+def test_a_format_can_be_named_or_told_by_its_first_bytes(tmp_path, name):
+    path = write_log(tmp_path, name, signals())
+    assert len(read_tables(str(path), name)) == (2 if name == "lerobot" else 1)
+    if name in ("parquet", "mat"):
+        assert read_tables(str(path.rename(tmp_path / "recording")), "auto")
+
+
+@pytest.mark.parametrize("name", sorted(WRITERS))
+def test_what_is_proposed_reads_the_recording(tmp_path, name):
+    table, *_ = read_tables(str(write_log(tmp_path, name, signals())), "auto")
+    proposal = propose(table)
+    assert not proposal.units
+    assert {signal: headers[0] for signal, headers in proposal.columns.items()} == (
+        OPTIONS[name] or {signal: headers[0] for signal, headers in proposal.columns.items()}
+    )
+    assert proposal.certain == (not OPTIONS[name])
+
+
+def test_an_unknown_format_and_an_unknown_file(tmp_path):
+    path = write_csv(tmp_path / "a.csv", signals())
+    with pytest.raises(ConfigError, match=r"^cvs: no such log format; did you mean csv\?"):
+        read_tables(str(path), "cvs")
+    with pytest.raises(LogError, match=r"a\.txt: suffix \.txt of no known format; set data\.format to one of bam, csv"):
+        read_tables(str(path.rename(tmp_path / "a.txt")), "auto")
+    with pytest.raises(LogError, match=r"a folder of no known format"):
+        read_tables(str(tmp_path), "auto")
+    with pytest.raises(LogError, match=r"nowhere\.csv: no such file \(looked from"):
+        read_tables(str(tmp_path / "nowhere.csv"), "auto")
+
+
+def test_another_package_brings_a_format(tmp_path, monkeypatch):
+    monkeypatch.setattr(registry, "_formats", dict(registry._formats))
+    register_format("semicolons")(
+        type(
+            "Semicolons",
+            (Csv,),
+            {
+                "suffixes": (".ssv",),
+                "parse": lambda self, name, content: Csv.parse(self, name, content.replace(b";", b",")),
+            },
+        )
+    )
+    path = tmp_path / "a.ssv"
+    path.write_text("time;qpos\n0;1\n1;2\n")
+    (table,) = read_tables(str(path), "auto")
+    assert table.columns["qpos"].tolist() == [1, 2]
+    with pytest.raises(ConfigError, match=r"expected a Format class with a `parse` method"):
+        register_format("nothing")(dict)
+
+
+def test_a_missing_package_gets_the_command_that_installs_it(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
+    path = tmp_path / "a.parquet"
+    path.write_bytes(b"PAR1")
+    with pytest.raises(LogError, match=r'a\.parquet: reading it needs pyarrow; pip install "frictionzoo\[formats\]"'):
+        read_tables(str(path), "auto")
+
+
+def test_matrices_texts_and_single_values(tmp_path):
+    time = np.arange(5) / 100
+    path = tmp_path / "a.mat"
+    scipy.io.savemat(
+        path, {"t": time, "q": np.ones((5, 2)), "wide": np.ones((2, 5)), "gain": 4.0, "who": "me", "z": 1j * time}
+    )
+    (table,) = read_tables(str(path), "auto")
+    assert set(table.columns) == {"t", "q[0]", "q[1]", "wide[0]", "wide[1]", "gain"}
+    assert table.fields["who"] == "me"
+    with pytest.raises(LogError, match=r"a\.mat: z is of type complex128, expected real numbers"):
+        to_recording(table, {"time": "t", "qpos": "z", "ctrl": "t"}, {}, simulated=False)
+
+
+def test_parquet_has_times_lists_gaps_and_texts(tmp_path):
+    path = tmp_path / "a.parquet"
+    stamps = np.datetime64(EPOCH, "ns") + np.arange(3) * np.timedelta64(10_000_001, "ns")
+    columns = {
+        "stamp": stamps,
+        "q": pa.array([[1.0, 2.0]] * 3, pa.list_(pa.float64(), 2)),
+        "u": pa.array([1, None, 3]),
+        "on": [True, False, True],
+        "note": ["a", "b", "c"],
+        "ragged": [[1.0], [], [1.0, 2.0]],
+    }
+    pyarrow.parquet.write_table(pa.table(columns), path)
+    (table,) = read_tables(str(path), "auto")
+    assert set(table.columns) == {"stamp", "q[0]", "q[1]", "u", "on"}
+    recording = to_recording(table, {"time": "stamp", "qpos": ["q[0]", "q[1]"], "ctrl": "u"}, {}, simulated=False)
+    assert recording.time.tolist() == [0, 0.010000001, 0.020000002]  # exact, though 1.7e9 s leave a double 2e-7 s
+    assert recording.signals["qpos"].shape == (3, 2)
+    np.testing.assert_array_equal(recording.signals["ctrl"][:, 0], [1, np.nan, 3])
+
+
+def test_whole_nanoseconds_keep_their_last_digit(tmp_path):
+    rows = [f"{EPOCH + 1_000_001 * i},{i},{i}" for i in range(4)]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(["time,qpos,ctrl", *rows]))
+    (table,) = read_tables(str(path), "auto")
+    recording = to_recording(table, {"time": "time", "qpos": "qpos", "ctrl": "ctrl"}, {"time": "ns"}, simulated=False)
+    assert recording.time.tolist() == [0, 0.001000001, 0.002000002, 0.003000003]
+
+
+def test_empty_cells_are_missing_samples(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("time,qpos,ctrl\n0,1,\n0.01,,2\n")
+    (table,) = read_tables(str(path), "auto")
+    recording = to_recording(table, {}, {}, simulated=False)
+    np.testing.assert_array_equal(recording.signals["qpos"][:, 0], [1, np.nan])
+
+
+def test_bam_logs_in_a_folder_and_in_a_zip(tmp_path):
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    files = [write_bam(folder / name, signals(9)) for name in ("b.json", "a.json")]
+    tables = read_tables(str(folder), "auto")
+    assert [table.name for table in tables] == [str(folder / "a.json"), str(folder / "b.json")]
+    with zipfile.ZipFile(tmp_path / "logs.zip", "w") as archive:
+        for file in files:
+            archive.write(file, file.name)
+    zipped = read_tables(str(tmp_path / "logs.zip"), "auto")
+    assert [table.name for table in zipped] == [f"{tmp_path / 'logs.zip'}!{name}" for name in ("a.json", "b.json")]
+    assert {table.sha256 for table in tables + zipped} == {hashlib.sha256(files[0].read_bytes()).hexdigest()}
+    assert zipped[0].fields == {"mass": 0.5, "motor": "xl330"}
+
+
+@needs_data
+@pytest.mark.parametrize(("place", "count"), [("xl330", 16), ("sts3215_12v/sts3215_12v_raw.zip", 960)])
+def test_real_bam_logs_need_no_option(place, count):
+    tables = read_tables(str(Path(str(DATA)) / place), "auto")
+    assert len(tables) == count
+    for table in tables[:: count // 8]:
+        recording = to_recording(table, {}, {}, simulated=False)
+        assert set(recording.signals) == {"qpos", "qvel", "ctrl", "supply", "enable", "temperature"}
+        assert 5.9 < recording.time[-1] < 6.1  # s, by the recordings' description
+        assert table.fields["mass"] and table.fields["trajectory"]
+
+
+@needs_data
+def test_a_real_matlab_file():
+    (table,) = read_tables(str(Path(str(DATA)) / "emps" / "DATA_EMPS.mat"), "auto")
+    assert propose(table).overrides() == ["data.columns.time=t", "data.columns.qpos=[qm]", "data.columns.ctrl=[vir]"]
+    assert to_recording(table, {"time": "t", "qpos": "qm", "ctrl": "vir"}, {}, simulated=False).time[-1] == 24.84
+
+
+def ros_log(folder: Path, messages, plugin=StoragePlugin.MCAP) -> Table:
+    """The table of a bag with (topic, message, received) in it."""
+    with Writer(folder, version=9, storage_plugin=plugin) as bag:
+        known = {}
+        for topic, message, received in messages:
+            kind = message.__msgtype__
+            if topic not in known:
+                known[topic] = bag.add_connection(topic, kind, typestore=STORE)
+            bag.write(known[topic], received, STORE.serialize_cdr(message, kind))
+    (table,) = read_tables(str(folder), "auto")
+    return table
+
+
+ROS = {"qpos": "/js/position[knee]", "ctrl": "/u/data[0]"}
+
+
+def test_signals_of_other_times_are_brought_to_those_of_qpos(tmp_path):
+    states = [("/js", joint_state(EPOCH + i * 10**7, i, 0.0), EPOCH) for i in range(5)]
+    commands = [("/u", command(value), EPOCH + at) for value, at in ((1.0, 15 * 10**6), (2.0, 30 * 10**6))]
+    volts = [("/v", command(value), EPOCH + at) for value, at in ((10.0, 0), (14.0, 4 * 10**7))]
+    table = ros_log(tmp_path / "bag", states + commands + volts)
+    recording = to_recording(table, {**ROS, "supply": "/v/data[0]"}, {}, simulated=False)
+    np.testing.assert_array_equal(recording.time, np.arange(5) / 100)
+    # Held from 15 ms on; the first command before itself; the one at 30 ms acts at 30 ms.
+    assert recording.signals["ctrl"][:, 0].tolist() == [1, 1, 1, 2, 2]
+    np.testing.assert_allclose(recording.signals["supply"][:, 0], [10, 11, 12, 13, 14], rtol=1e-15)
+    assert recording.notes == (
+        "ctrl held from 2 samples of its own on the 5 times of qpos",
+        "supply interpolated linearly from 2 samples of its own on the 5 times of qpos",
+    )
+
+
+def test_without_stamps_the_time_is_that_of_receiving(tmp_path):
+    states = [("/js", joint_state(0, i, 0.0), EPOCH + i * 10**7) for i in range(3)]
+    table = ros_log(tmp_path / "bag", states)
+    np.testing.assert_array_equal(table.columns["/js/time"], EPOCH + np.arange(3) * 10**7)
+
+
+def test_two_publishers_of_one_topic_have_their_own_times(tmp_path):
+    states = [("/js", joint_state(EPOCH + i, i, 0.0, ("knee", "hip")[i % 2]), EPOCH + i) for i in range(6)]
+    table = ros_log(tmp_path / "bag", states)
+    assert table.columns["/js/position[hip]"].tolist() == [1, 3, 5]
+    np.testing.assert_array_equal(table.columns[table.times["/js/position[hip]"]] - EPOCH, [1, 3, 5])
+
+
+def test_scalars_and_trajectories_are_commands(tmp_path):
+    types = STORE.types
+    stamp = types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
+    points = [
+        types["trajectory_msgs/msg/JointTrajectoryPoint"](
+            positions=np.array([value]),
+            velocities=np.array([]),
+            accelerations=np.array([]),
+            effort=np.array([]),
+            time_from_start=types["builtin_interfaces/msg/Duration"](sec=after, nanosec=5),
+        )
+        for value, after in ((0.5, 0), (0.75, 1))
+    ]
+    trajectory = types["trajectory_msgs/msg/JointTrajectory"](
+        header=types["std_msgs/msg/Header"](stamp=stamp, frame_id=""), joint_names=["knee"], points=points
+    )
+    scalar = types["std_msgs/msg/Float64"](data=2.5)
+    table = ros_log(tmp_path / "bag", [("/plan", trajectory, EPOCH), ("/torque", scalar, EPOCH)], StoragePlugin.SQLITE3)
+    assert table.columns["/plan/positions[knee]"].tolist() == [0.5, 0.75]
+    assert (table.columns["/plan/time"] - EPOCH).tolist() == [5, 10**9 + 5]
+    assert table.columns["/torque/data"].tolist() == [2.5]
+
+
+def test_a_message_type_of_no_ros_package_is_named(tmp_path):
+    folder = write_bag(tmp_path / "bag", signals(5), StoragePlugin.MCAP)
+    for path in (folder / "bag.mcap", folder / "metadata.yaml"):
+        path.write_bytes(path.read_bytes().replace(COMMAND.encode(), b"my_msgs/msg/Float64MultiArray0"))
+    (table,) = read_tables(str(folder), "auto")
+    with pytest.raises(
+        LogError, match=r"/command is of type my_msgs/msg/Float64MultiArray0, expected one of ROS's own"
+    ):
+        to_recording(table, OPTIONS["mcap"] | {"ctrl": "/command"}, {}, simulated=False)
+
+
+def table(**columns) -> Table:
+    return Table("a.csv", {name: np.asarray(values, dtype=float) for name, values in columns.items()})
+
+
+NAMED = {"time": "t", "qpos": ["q"], "qvel": ["v"], "ctrl": ["u"]}
+
+
+@pytest.mark.parametrize(
+    ("signal", "unit", "si"),
+    [
+        ("qpos", "deg", np.pi / 180),
+        ("qpos", "rev", 2 * np.pi),
+        ("qpos", "mm", 1e-3),
+        ("qpos", "0.0015", 0.0015),
+        ("qvel", "rpm", 2 * np.pi / 60),
+        ("qvel", "mm/s", 1e-3),
+        ("ctrl", "mN m", 1e-3),
+        ("ctrl", "Nm", 1),
+        ("ctrl", "%", 0.01),
+        ("ctrl", "1", 1),
+        ("ctrl", "deg", np.pi / 180),
+    ],
+)
+def test_units(signal, unit, si):
+    came = table(t=[0, 1], q=[0, 1], v=[0, 1], u=[0, 1])
+    recording = to_recording(came, NAMED, {signal: unit}, simulated=False)
+    assert recording.signals[signal][1, 0] == pytest.approx(si, rel=1e-15)  # one rounding
+
+
+def test_milliseconds_are_exact():
+    recording = to_recording(table(t=[3, 10], q=[0, 1], v=[0, 1], u=[0, 1]), NAMED, {"time": "ms"}, simulated=False)
+    assert recording.time.tolist() == [0, 0.007]
+
+
+BAD_OPTIONS = {
+    "unit": (NAMED, {"qpos": "degr"}, ConfigError, r"data\.units\.qpos=degr: unknown unit; did you mean deg\?"),
+    "other-unit": (NAMED, {"time": "deg"}, ConfigError, r"data\.units\.time=deg: unknown unit; expected one of ms"),
+    "signal": ({**NAMED, "qvle": "v"}, {}, ConfigError, r"data\.columns\.qvle: unknown signal; did you mean qvel"),
+    "two-times": ({**NAMED, "time": ["t", "q"]}, {}, ConfigError, r"data\.columns\.time=.*expected one header"),
+    "number": ({**NAMED, "qpos": 3}, {}, ConfigError, r"data\.columns\.qpos=3: expected a list of names"),
+    "missing": ({**NAMED, "qpos": ["qq"]}, {}, LogError, r"a\.csv: no column qq; did you mean q\?"),
+    "unnamed": (
+        {"time": "t"},
+        {},
+        LogError,
+        r"a\.csv: data\.columns\.qpos is missing; perhaps data\.columns\.time=t data\.columns\.qpos=\[q\] .*; its "
+        r"columns are t, q, v, u, short",
+    ),
+    "length": ({**NAMED, "ctrl": "short"}, {}, LogError, r"a\.csv: short has 1 samples and t 2, expected as many"),
+}
+
+
+@pytest.mark.parametrize(("columns", "units", "kind", "line"), BAD_OPTIONS.values(), ids=BAD_OPTIONS)
+def test_options_that_make_no_sense(columns, units, kind, line):
+    with pytest.raises(kind, match=line) as caught:
+        to_recording(table(t=[0, 1], q=[0, 1], v=[0, 1], u=[0, 1], short=[1]), columns, units, simulated=False)
+    assert "\n" not in str(caught.value)
+
+
+def test_qvel_may_be_left_out():
+    came = table(t=[0, 1], q=[0, 1], u=[0, 1])
+    recording = to_recording(came, {"time": "t", "qpos": "q", "qvel": None, "ctrl": "u"}, {}, simulated=False)
+    assert set(recording.signals) == {"qpos", "ctrl"}
+
+
+def motion(samples: int = 400) -> dict[str, np.ndarray]:
+    """A joint that follows its command, in SI units."""
+    time = np.arange(samples) / 100
+    return {"time": time, "position": np.sin(time), "velocity": np.cos(time), "goal": 1.05 * np.sin(time + 0.05)}
+
+
+SCALES = {
+    "position-in-degrees": ({"position": 180 / np.pi}, {"qpos": "deg"}),
+    "velocity-in-degrees": ({"velocity": 180 / np.pi}, {"qvel": "deg/s"}),
+    "velocity-in-rpm": ({"velocity": 30 / np.pi}, {"qvel": "rpm"}),
+    "command-in-degrees": ({"goal": 180 / np.pi}, {"ctrl": "deg"}),
+    "all-in-degrees": (
+        dict.fromkeys(("position", "velocity", "goal"), 180 / np.pi),
+        {"qpos": "deg", "qvel": "deg/s", "ctrl": "deg"},
+    ),
+    "milliseconds": ({"time": 1e3}, {"time": "ms"}),
+    "microseconds": ({"time": 1e6}, {"time": "us"}),
+    "si": ({}, {}),
+}
+
+
+@pytest.mark.parametrize(("scales", "units"), SCALES.values(), ids=SCALES)
+def test_a_wrong_unit_shows_in_the_numbers(scales, units):
+    columns = {name: values * scales.get(name, 1) for name, values in motion().items()}
+    # A full turn and a bit, so that degrees of all signals look like many turns.
+    columns["position"], columns["velocity"], columns["goal"] = (
+        1.5 * columns[name] for name in ("position", "velocity", "goal")
+    )
+    proposal = propose(table(**columns))
+    assert proposal.units == units
+    assert {signal: headers[0] for signal, headers in proposal.columns.items()} == {
+        **{"time": "time", "qpos": "position", "qvel": "velocity", "ctrl": "goal"}
+    }
+    # Position and velocity both in degrees and in SI differ in size alone; the pair decides which is which.
+    assert all(
+        any(reason.startswith(f"{signal} in {unit}: ") for reason in proposal.reasons) for signal, unit in units.items()
+    )
+
+
+@pytest.mark.parametrize(
+    ("header", "signal", "unit"),
+    [
+        ("time_ms", "time", "ms"),
+        ("timestamp [us]", "time", "us"),
+        ("position_deg", "qpos", "deg"),
+        ("Joint Position (rev)", "qpos", "rev"),
+        ("jointPosition", "qpos", None),
+        ("dq [rad/s]", "qvel", None),
+        ("speed_rpm", "qvel", "rpm"),
+        ("goal_position_deg", "ctrl", "deg"),
+        ("torque_cmd [N m]", "ctrl", None),
+        ("pwm_%", "ctrl", "%"),
+        ("input_volts", "supply", None),
+        ("torque_enable", "enable", None),
+        ("motor_temp", "temperature", None),
+    ],
+)
+def test_names_tell_signals_and_units(header, signal, unit):
+    proposal = propose(table(**{header: [0, 0.01, 0.02]}))
+    assert dict(proposal.columns) == {signal: (header,)}
+    assert proposal.units.get(signal) == unit
+
+
+def test_overrides_survive_a_shell_and_hydra(tmp_path):
+    headers = ["t [ms]", "joint's position[knee]", "joint's position[hip]", "goal, left $HOME", "x=y speed"]
+    proposal = propose(table(**{header: [0, 1, 2] for header in headers}))
+    words = shlex.split(" ".join(proposal.overrides()))
+    parsed = {o.key_or_group: o.value() for o in OverridesParser.create().parse_overrides(words)}
+    assert parsed == {
+        "data.columns.time": headers[0],
+        "data.columns.qpos": headers[1:3],
+        "data.columns.ctrl": headers[3:4],
+        "data.columns.qvel": headers[4:],
+        "data.units.time": "ms",
+    }
+
+
+def test_degrees_in_a_bam_log_are_not_taken_for_radians(tmp_path):
+    columns = motion()
+    columns["position"] = columns["position"] * 180 / np.pi
+    (came,) = read_tables(str(write_bam(tmp_path / "a.json", columns)), "auto")
+    with pytest.raises(LogError, match=r"perhaps .* data\.units\.qpos=deg; its columns are timestamp"):
+        to_recording(came, {}, {}, simulated=False)
+    recording = to_recording(
+        came, {"time": "timestamp", "qpos": "position", "ctrl": "goal_position"}, {"qpos": "deg"}, simulated=False
+    )
+    np.testing.assert_allclose(recording.signals["qpos"][:, 0], np.sin(columns["time"]), rtol=1e-14)
+
+
+def test_a_lerobot_folder_without_data(tmp_path):
+    folder = write_log(tmp_path, "lerobot", signals())
+    shutil.rmtree(folder / "data")
+    with pytest.raises(LogError, match=r"no data/chunk-\*/\*\.parquet"):
+        read_tables(str(folder), "auto")
+    (folder / "meta" / "info.json").write_text(json.dumps({"fps": 30}))
+    with pytest.raises(LogError, match=r"info\.json: not readable as the description of a LeRobot data set"):
+        read_tables(str(folder), "auto")
+
+
+def test_a_workshop_s_units_come_back_in_si(tmp_path):
+    columns = signals()
+    (came,) = read_tables(str(write_degrees(tmp_path / "degrees.csv", columns)), "auto")
+    names = {"time": "time_ms", "qpos": ["angle"], "qvel": ["speed"], "ctrl": ["goal"]}
+    units = {"time": "ms", "qpos": "deg", "qvel": "rpm", "ctrl": "deg"}
+    recording = to_recording(came, names, units, simulated=False)
+    np.testing.assert_allclose(recording.time, columns["time"], rtol=1e-15)  # one rounding there and one back
+    for signal, values in recording.signals.items():
+        np.testing.assert_allclose(values[:, 0], columns[signal], rtol=1e-15)

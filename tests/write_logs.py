@@ -1,0 +1,177 @@
+"""One recording in every format that is read, for the tests of them."""
+
+import csv
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
+import scipy.io
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+Columns = Mapping[str, np.ndarray]
+EPOCH = 1_700_000_000 * 10**9  # ns, in November 2023
+STORE = get_typestore(Stores.LATEST)
+JOINT_STATE, COMMAND = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
+
+
+def signals(samples: int = 50) -> dict[str, np.ndarray]:
+    """A recording at 100 samples/s whose values use every bit of a double."""
+    noise = np.random.default_rng(7)
+    return {
+        "time": np.arange(samples) / 100,
+        "qpos": noise.normal(size=samples),
+        "qvel": noise.normal(size=samples),
+        "ctrl": noise.normal(size=samples),
+    }
+
+
+def write_csv(path: Path, columns: Columns) -> Path:
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows(np.stack(list(columns.values()), axis=1).tolist())
+    return path
+
+
+def write_parquet(path: Path, columns: Columns) -> Path:
+    pyarrow.parquet.write_table(pa.table(dict(columns)), path)
+    return path
+
+
+def write_npz(path: Path, columns: Columns) -> Path:
+    with path.open("wb") as file:
+        np.savez(file, allow_pickle=False, **columns)
+    return path
+
+
+def write_mat(path: Path, columns: Columns) -> Path:
+    scipy.io.savemat(path, dict(columns), do_compression=True)
+    return path
+
+
+def write_bam(path: Path, columns: Columns) -> Path:
+    names = ("timestamp", "position", "speed", "goal_position")
+    entries = [dict(zip(names, row, strict=True)) for row in zip(*(v.tolist() for v in columns.values()), strict=True)]
+    path.write_text(json.dumps({"mass": 0.5, "motor": "xl330", "entries": entries}))
+    return path
+
+
+def write_bag(folder: Path, columns: Columns, plugin: StoragePlugin, compress: bool = False) -> Path:
+    """A rosbag2 folder: joint states stamped by their headers, received later; commands without a header."""
+    bag = Writer(folder, version=9, storage_plugin=plugin)
+    if compress:
+        bag.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    with bag:
+        states = bag.add_connection("/joint_states", JOINT_STATE, typestore=STORE)
+        commands = bag.add_connection("/command", COMMAND, typestore=STORE)
+        for time, qpos, qvel, ctrl in zip(*columns.values(), strict=True):
+            now = EPOCH + round(time * 1e9)
+            bag.write(states, now + 1_234_567, STORE.serialize_cdr(joint_state(now, qpos, qvel), JOINT_STATE))
+            bag.write(commands, now, STORE.serialize_cdr(command(ctrl), COMMAND))
+    return folder
+
+
+def joint_state(stamp: int, qpos: float, qvel: float, name: str = "knee"):
+    """The state of one joint; a stamp of 0 is none."""
+    types = STORE.types
+    time = types["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
+    return types[JOINT_STATE](
+        header=types["std_msgs/msg/Header"](stamp=time, frame_id=""),
+        name=[name],
+        position=np.array([qpos], dtype=float),
+        velocity=np.array([qvel], dtype=float),
+        effort=np.zeros(0),
+    )
+
+
+def command(value: float):
+    """One command."""
+    layout = STORE.types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
+    return STORE.types[COMMAND](layout=layout, data=np.array([value], dtype=float))
+
+
+def write_sqlite_bag(path: Path, columns: Columns) -> Path:
+    return write_bag(path, columns, StoragePlugin.SQLITE3)
+
+
+def write_mcap(path: Path, columns: Columns) -> Path:
+    """A single MCAP file."""
+    folder = write_bag(path.with_suffix(".folder"), columns, StoragePlugin.MCAP)
+    (file,) = folder.glob("*.mcap")
+    return file.rename(path)
+
+
+def write_lerobot(folder: Path, columns: Columns) -> Path:
+    """Two episodes of the recording in one file, in single precision as LeRobot keeps it."""
+    twice = {name: np.concatenate([values, values]) for name, values in columns.items()}
+    state = np.stack([twice["qpos"], twice["qvel"]], axis=1).astype(np.float32)
+    count = len(columns["time"])
+    table = pa.table(
+        {
+            "observation.state": pa.array(state.tolist(), pa.list_(pa.float32())),
+            "action": pa.array(twice["ctrl"].astype(np.float32)[:, None].tolist(), pa.list_(pa.float32())),
+            "timestamp": twice["time"].astype(np.float32),
+            "episode_index": np.repeat([0, 1], count),
+        }
+    )
+    file = folder / "data" / "chunk-000" / "file-000.parquet"
+    file.parent.mkdir(parents=True)
+    pyarrow.parquet.write_table(table, file)
+    info = {
+        "codebase_version": "v3.0",
+        "fps": 100,
+        "features": {
+            "observation.state": {"dtype": "float32", "shape": [2], "names": ["knee.pos", "knee.vel"]},
+            "action": {"dtype": "float32", "shape": [1], "names": {"motors": ["knee.pos"]}},
+        },
+    }
+    (folder / "meta").mkdir()
+    (folder / "meta" / "info.json").write_text(json.dumps(info))
+    return folder
+
+
+def write_degrees(path: Path, columns: Columns) -> Path:
+    """The recording as a CSV file in the units of a workshop."""
+    scales = {"time_ms": 1e3, "angle": 180 / np.pi, "speed": 30 / np.pi, "goal": 180 / np.pi}
+    return write_csv(path, {h: f * v for (h, f), v in zip(scales.items(), columns.values(), strict=True)})
+
+
+WRITERS: dict[str, tuple[str, Callable[[Path, Columns], Path]]] = {
+    "csv": ("log.csv", write_csv),
+    "parquet": ("log.parquet", write_parquet),
+    "npz": ("log.npz", write_npz),
+    "mat": ("log.mat", write_mat),
+    "bam": ("log.json", write_bam),
+    "mcap": ("log.mcap", write_mcap),
+    "ros2bag": ("bag", write_sqlite_bag),
+    "lerobot": ("dataset", write_lerobot),
+}
+"""For each format the name of a file or folder, and what writes one."""
+
+ROS_COLUMNS = {
+    "time": "/joint_states/time",
+    "qpos": "/joint_states/position[knee]",
+    "qvel": "/joint_states/velocity[knee]",
+    "ctrl": "/command/data[0]",
+}
+OPTIONS: dict[str, dict[str, str]] = {
+    **{name: {} for name in ("csv", "parquet", "npz", "mat", "bam")},
+    **{name: ROS_COLUMNS for name in ("mcap", "ros2bag")},
+    "lerobot": {
+        "time": "timestamp",
+        "qpos": "observation.state[knee.pos]",
+        "qvel": "observation.state[knee.vel]",
+        "ctrl": "action[knee.pos]",
+    },
+}
+"""For each format the columns that have to be named."""
+
+
+def write_log(folder: Path, name: str, columns: Columns) -> Path:
+    """The recording as a format of that name."""
+    file, write = WRITERS[name]
+    return write(folder / file, columns)
