@@ -217,6 +217,8 @@ def _collect_curves(problem: Problem, outcome: Outcome, judgement: Judgement) ->
     return Curves(
         measured_qpos=measured.qpos,
         measured_qvel=measured.qvel,
+        ctrl=measured.ctrl,
+        load=np.zeros((measured.count, 0)) if measured.load is None else measured.load,
         qpos=judgement.prediction.qpos,
         qvel=judgement.prediction.qvel,
         train_mae=judgement.rollout_mae["train"],

@@ -185,7 +185,14 @@ def _make_run(place: int, label: str, joints: int, diverged: bool, grid: bool) -
     friction = (1 + place) * np.tanh(velocity)[:, None] * np.ones(joints)
     values = np.linspace(0.5, 1 + place, 4)[:, None] * np.ones(joints)
     curves = Curves(
-        *(measured, 5 * measured, measured[:, 1:] + error, 5 * (measured[:, 1:] + error)),
+        *(
+            measured,
+            5 * measured,
+            measured[:, 1:],
+            np.zeros((3, 0)),
+            measured[:, 1:] + error,
+            5 * (measured[:, 1:] + error),
+        ),
         *(mae, mae, *np.abs(noise.normal(size=(3, 40))), velocity),
         *(friction, friction - 0.1 * place, friction + 0.1 * place),
         {"iteration": np.arange(4.0), "loss": np.array([4.0, 5.0, 3.0, 1.0]), "friction.damping": values},

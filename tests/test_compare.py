@@ -27,6 +27,8 @@ def make_curves(test_mae, nv=1, length=60):
     return Curves(
         measured_qpos=position,
         measured_qvel=velocity,
+        ctrl=position[:, 1:],
+        load=np.zeros((3, 0)),
         qpos=position[:, 1:] + drift,
         qvel=velocity[:, 1:],
         train_mae=np.ones(4),

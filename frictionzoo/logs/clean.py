@@ -26,6 +26,7 @@ CHOICES = {
     "velocity": ("measured", "estimated", "auto"),
 }
 HELD = ("ctrl", "enable")  # signals that keep their value until the next sample; the others go on in between
+RESAMPLED = {"ctrl": "mean", "enable": "held"}  # how these are found on another grid
 EXTRAS = ("supply", "enable", "temperature")
 FOLLOWED = 1e-6  # share of the median interval by which the same instant may differ in two clocks
 NUMBER = re.compile(r"-?\d+(\.\d+)?(e-?\d+)?")
@@ -39,7 +40,8 @@ class Cleaning:
         step: Sample interval of the logs [s]; None for a recording's own, which is the median interval where it varies
             by more than a log tolerates. Recordings that a fit takes together need the same.
         resample: How positions, velocities and extra signals are found between samples: `linear`, or `cubic` splines.
-            Commands and the drive's enable signal are held.
+            The drive's enable signal is held; a command becomes the mean of what was held until the next sample, which
+            neither delays nor advances it.
         gap: An interval longer than this many medians splits a recording, and so does a longer run of NaN; shorter ones
             are interpolated.
         spikes: What becomes of isolated spikes of one sample or two: `repair` interpolates them in all signals that
@@ -275,13 +277,16 @@ def _resample(piece: Piece, cleaning: Cleaning) -> Piece:
     grid = piece.time[0] + step * np.arange(samples)
     signals = {
         name: np.stack(
-            [_sample(piece.time, column, grid, "held" if name in HELD else cleaning.resample) for column in values.T],
+            [_sample(piece.time, column, grid, RESAMPLED.get(name, cleaning.resample)) for column in values.T],
             axis=1,
         )
         for name, values in piece.signals.items()
     }
     missing = int((np.round(steps[steps > 1.5 * interval] / interval) - 1).sum())
-    sentence = f"resampled from about {1 / interval:.4g} to {1 / step:.4g} samples/s, {cleaning.resample}, ctrl held"
+    sentence = (
+        f"resampled from about {1 / interval:.4g} to {1 / step:.4g} samples/s, {cleaning.resample}; ctrl: mean of the "
+    )
+    sentence += "held command"
     if missing:
         sentence += f"; missing samples interpolated: {missing}"
     return Piece(grid, signals, (*piece.repairs, sentence))
@@ -296,7 +301,19 @@ def _sample(
         return values[np.maximum(np.searchsorted(time, at + close, side="right") - 1, 0)]
     if method == "cubic" and len(time) > 3:
         return scipy.interpolate.CubicSpline(time, values)(np.clip(at, time[0], time[-1]))
+    if method == "mean":
+        return _mean_until_next(time, values, at)
     return np.interp(at, time, values)
+
+
+def _mean_until_next(
+    time: Float[np.ndarray, "time"], values: Float[np.ndarray, "time"], at: Float[np.ndarray, "grid"]
+) -> Float[np.ndarray, "grid"]:
+    """Mean of a held signal from each instant of a uniform grid to the next."""
+    step = float(at[-1] - at[0]) / (len(at) - 1) if len(at) > 1 else float(np.median(np.diff(time)))
+    ends = np.append(time, time[-1] + step)
+    integral = np.append(0.0, np.cumsum(values * np.diff(ends)))
+    return np.diff(np.interp(np.append(at, at[-1] + step), ends, integral)) / step
 
 
 def _choose_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:

@@ -31,6 +31,8 @@ class Curves:
     Attributes:
         measured_qpos: Position in the long test rollouts [rad or m].
         measured_qvel: Velocity in them [rad/s or m/s].
+        ctrl: What drives them, as `Segments` has it.
+        load: What their payloads change in the bench's model.
         qpos: The same, simulated.
         qvel: The same, simulated.
         train_mae: Position MAE of each training rollout of the main horizon [rad or m]; NaN where it diverged.
@@ -47,6 +49,8 @@ class Curves:
 
     measured_qpos: Float[np.ndarray, "rollouts states nv"]
     measured_qvel: Float[np.ndarray, "rollouts states nv"]
+    ctrl: Float[np.ndarray, "rollouts samples channels"]
+    load: Float[np.ndarray, "rollouts load"]
     qpos: Float[np.ndarray, "rollouts steps nv"]
     qvel: Float[np.ndarray, "rollouts steps nv"]
     train_mae: Float[np.ndarray, "train"]
