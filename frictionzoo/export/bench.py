@@ -1,0 +1,84 @@
+"""The target `mjcf`: the bench as a model that MuJoCo loads as it is."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from frictionzoo.bench import Actuator
+from frictionzoo.export.base import Export, Target, measure, register_target
+from frictionzoo.export.fitted import Fitted
+from frictionzoo.export.nearest import Nearest, find_nearest
+from frictionzoo.export.simulate import simulate, step_with_control
+
+FILE = "bench.xml"
+
+
+@register_target("mjcf")
+class Mjcf(Target):
+    """The bench with its identified values as MJCF, friction as the nearest that MuJoCo's joints have."""
+
+    packages: ClassVar[tuple[str, ...]] = ("mujoco",)
+
+    def write(self, fitted: Fitted, folder: Path, options: Mapping[str, str]) -> Export:
+        """See `Target.write`."""
+        nearest = find_nearest(fitted)
+        (folder / FILE).write_text(write_bench(fitted, nearest))
+        model = mujoco.MjModel.from_xml_path(str(folder / FILE))
+        difference = measure("qpos", fitted, run_bench(model, fitted), fitted.rollout()[0])
+        return Export((FILE,), (difference,), say_limits(fitted, nearest))
+
+
+def write_bench(fitted: Fitted, nearest: Nearest) -> str:
+    """The bench's MJCF with these values, in steps of the drive's length."""
+    loss = nearest.frictionloss if nearest.frictionloss.any() else None  # 0 would be a constraint without effect
+    remark = nearest.remark or f"{fitted.model.name}: represented exactly by the frictionloss and damping below."
+    return fitted.bench.mjcf(nearest.bench, loss, nearest.damping, (remark,))
+
+
+def run_bench(model: mujoco.MjModel, fitted: Fitted) -> Float[np.ndarray, "batch time nv"]:
+    """Positions of the long test rollouts in MuJoCo C, the actuator law's controller computed by the caller.
+
+    Args:
+        model: The bench, compiled. Where it delays the commands itself, it gets them as recorded.
+        fitted: The drive.
+    """
+    late = not model.nhistory
+
+    def prepare(model: mujoco.MjModel, data: mujoco.MjData, rollout: int) -> None:
+        if not late:
+            _fill_history(model, data, fitted, rollout)
+
+    return simulate(model, fitted, step_with_control(fitted), prepare, late)
+
+
+def _fill_history(model: mujoco.MjModel, data: mujoco.MjData, fitted: Fitted, rollout: int) -> None:
+    """Put the commands before a rollout's first state where MuJoCo's late actuators look for them."""
+    segments, substeps = fitted.segments, fitted.sampling.substeps
+    held = np.repeat(segments.ctrl[rollout, : segments.history], substeps, axis=0)
+    for actuator in range(model.nu):
+        if count := int(model.actuator_history[actuator, 0]):
+            steps = np.arange(-count, 0)
+            known = held[np.maximum(len(held) + steps, 0), actuator] if len(held) else np.zeros(count)
+            mujoco.mj_initCtrlHistory(model, data, actuator, model.opt.timestep * steps, known)
+
+
+def say_limits(fitted: Fitted, nearest: Nearest) -> tuple[str, ...]:
+    """What a user of the bench's MJCF has to know."""
+    law, limits = type(fitted.bench.actuator), [nearest.remark] if nearest.remark else []
+    if law.control is not Actuator.control:
+        late = f", from commands that are {_list(fitted, 'delay')} s late" if "delay" in fitted.bench.params else ""
+        limits.append(
+            f"MuJoCo's actuator has no {law.__name__}: `ctrl` is what the law's controller makes of the command, and "
+            f"the caller computes it in each step{late}, as for the difference above; target=mujoco writes it."
+        )
+    if fitted.bench.payload is not None:
+        limits.append("Payloads of recordings are left out; for the difference above they were put into the model.")
+    return tuple(limits)
+
+
+def _list(fitted: Fitted, name: str) -> str:
+    return ", ".join(f"{value:.4g}" for value in fitted.values["bench"][name])
