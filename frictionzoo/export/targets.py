@@ -1,5 +1,5 @@
 """All targets of this package; importing this module registers them."""
 
-from frictionzoo.export import bench, mujoco_c
+from frictionzoo.export import bench, mjx_module, mujoco_c
 
-__all__ = ["bench", "mujoco_c"]
+__all__ = ["bench", "mjx_module", "mujoco_c"]
