@@ -158,7 +158,7 @@ def test_velocity_is_estimated_where_asked_for_or_missing():
         (log,) = clean(candidate, cleaning(**options))
         inner = slice(50, -50)  # the filter has transients at the ends
         expected = recording.signals["qvel"][inner]
-        # A second-order filter run twice at 10 Hz takes (1 / 10)^4 off the gain at 1 Hz, central differences (w h)^2 / 6.
+        # A second-order filter run twice at 10 Hz takes (1 / 10)^4 off the gain at 1 Hz, differences (w h)^2 / 6.
         np.testing.assert_allclose(log.qvel[inner], expected, atol=2e-3 * 2 * np.pi)
         assert any("zero-phase" in sentence for sentence in log.repairs)
 
