@@ -142,9 +142,19 @@ def test_lost_samples_do_not_stop_the_diagnosis():
     assert found.lost == 11 and found.joints[0].velocity_lag == pytest.approx(0.02, abs=1e-3)
 
 
-def test_an_empty_position_is_refused_in_one_line():
-    with pytest.raises(LogError, match="qpos holds 0 finite samples"):
-        diagnose(make_recording(np.arange(10), qpos=np.full(10, np.nan), ctrl=np.zeros(10)))
+def test_a_velocity_without_a_sample_has_no_lag():
+    time = 0.01 * np.arange(1000)
+    nothing = np.full(1000, np.nan)
+    recording = make_recording(time, qpos=swing(time)[0], qvel=nothing, ctrl=swing(time)[0], supply=nothing)
+    found = diagnose(recording)
+    assert found.joints[0].velocity_lag is None and found.supply is None and found.lost == 1000
+
+
+@pytest.mark.parametrize("signal", ["qpos", "ctrl"])
+def test_an_empty_signal_is_refused_in_one_line(signal):
+    signals = {"qpos": np.zeros(10), "ctrl": np.zeros(10)} | {signal: np.full(10, np.nan)}
+    with pytest.raises(LogError, match=f"{signal} holds (0|no) finite sample.*data.columns.{signal}"):
+        diagnose(make_recording(np.arange(10), **signals))
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.03])
