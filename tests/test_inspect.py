@@ -76,7 +76,7 @@ def test_faults_are_told_with_the_option_that_answers_them(faulty):
     assert found["Spikes"]["option"] == "data.clean.spikes=repair"
     assert found["Spikes"]["text"].startswith("1 of 3 recordings hold an isolated spike of the position, 2 in all.")
     assert found["Clock"]["option"] == "data.clean.step=0.01"
-    assert "1 gaps" in found["Completeness"]["text"]
+    assert "Found: 1 gap." in found["Completeness"]["text"]
     assert "lags the position's derivative by 20" in found["Velocity"]["text"]
     assert found["Velocity"]["option"] == "data.clean.velocity=estimated"
     assert "12 V" in found["Supply"]["text"] and "header's vin says 15 V" in found["Supply"]["text"]
