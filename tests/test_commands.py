@@ -213,6 +213,13 @@ def do_jobs(command: str, place: Place) -> None:
     place.do(*arguments_of(command))
 
 
+@rule(r"python -m frictionzoo\.inspect .*")
+def inspect(command: str, place: Place) -> None:
+    place.run(command)
+    (path,) = place.folder.rglob("inspect.json")
+    assert json.loads(path.read_text())["findings"]
+
+
 @rule(r"python -m frictionzoo\.compare .*")
 def compare(command: str, place: Place) -> None:
     """Each folder that is named is that of a sweep."""
