@@ -161,7 +161,7 @@ class Fitted:
             return make_engine("auto", self.bench, friction_of(self.model), self.model.constraint)
 
     @cached_property
-    def jax_values(self) -> Values:
+    def jax_values(self) -> Mapping[str, Mapping[str, Any]]:
         """The same values as JAX arrays in float64."""
         with jax.enable_x64(True):
             return jax.tree.map(lambda value: jnp.asarray(value, jnp.float64), self.values)

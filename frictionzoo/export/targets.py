@@ -1,5 +1,5 @@
 """All targets of this package; importing this module registers them."""
 
-from frictionzoo.export import bench
+from frictionzoo.export import bench, onnx, torchscript
 
-__all__ = ["bench"]
+__all__ = ["bench", "onnx", "torchscript"]

@@ -1,0 +1,102 @@
+"""Targets for other programs: what they write is read again and compared with the fitted drive."""
+
+import io
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from frictionzoo.errors import ConfigError
+from frictionzoo.export.base import Export, get_target
+from frictionzoo.export.fitted import Fitted
+from frictionzoo.export.onnx import export_onnx
+from frictionzoo.export.targets import __all__ as _registered  # noqa: F401 - importing it registers them
+from frictionzoo.models import FrictionModel
+from frictionzoo.types import DriveState, Payload, Segments
+
+PAYLOAD = Payload(0.5, (0.0, 0.0, -0.1), (1e-4, 1e-4, 1e-4))
+MODELS = ["mujoco_default", "coulomb_stribeck", "neural_friction"]
+
+
+@pytest.fixture
+def fit(make: Callable[..., Any]) -> Callable[..., Fitted]:
+    """A drive with the configuration's initial values, two rollouts of half a second, and overrides."""
+
+    def fit(*overrides: str) -> Fitted:
+        bench, model = make("bench", *overrides), make("model", *overrides, nv=1)
+        rng, interval = np.random.default_rng(0), 0.01
+        sampling = bench.sampling(interval)
+        samples = sampling.history + 50
+        phase = 5 * interval * np.arange(samples)[:, None] + np.arange(2)[:, None, None]
+        extras = [np.full((2, samples, 1), value) for value in (16.0, 12.0, 1.0)[: len(bench.actuator.inputs)]]
+        ctrl = np.concatenate([0.5 * np.sin(phase), *extras], axis=2)
+        qpos, qvel = rng.normal(size=(2, 2, 51, 1))
+        load = None if bench.payload is None else np.stack(2 * [bench.load(PAYLOAD)])
+        model.prepare(DriveState(*rng.normal(size=(5, 100, 1))))
+        values = {"bench": bench.initial_values(), "friction": state(model)}
+        segments = Segments(qpos, qvel, ctrl, interval, load, sampling.history)
+        return Fitted(Path("run"), {"model": model.name}, bench, model.double(), values, segments, sampling)
+
+    return fit
+
+
+def state(model: FrictionModel) -> dict[str, np.ndarray]:
+    return {name: value.detach().double().numpy() for name, value in model.state_dict().items()}
+
+
+def write(target: str, fitted: Fitted, folder: Path, **options: str) -> Export:
+    export = get_target(target)().write(fitted, folder, options)
+    assert {path.name for path in folder.iterdir()} == set(export.files)
+    assert export.limits
+    return export
+
+
+@pytest.mark.parametrize("target", ["onnx", "torchscript"])
+@pytest.mark.parametrize("model", MODELS)
+def test_a_graph_gives_the_laws_torque(fit: Callable[..., Fitted], tmp_path: Path, target: str, model: str) -> None:
+    (difference,) = write(target, fit(f"model={model}"), tmp_path).differences
+    assert (difference.quantity, difference.unit) == ("torque", "N m")
+    # The same operations on the same numbers, but for the order in which a runtime sums.
+    assert difference.largest < 1e-12
+
+
+@pytest.mark.parametrize("target", ["onnx", "torchscript"])
+def test_a_graph_in_float32_is_as_exact_as_that(fit: Callable[..., Fitted], tmp_path: Path, target: str) -> None:
+    (difference,) = write(target, fit(), tmp_path, dtype="float32").differences
+    assert 0 < difference.largest < 1e-6
+
+
+def test_an_unknown_dtype_is_refused(fit: Callable[..., Fitted], tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="dtype=float16"):
+        write("onnx", fit(), tmp_path, dtype="float16")
+
+
+def test_an_onnx_file_stands_alone(fit: Callable[..., Fitted]) -> None:
+    """No file beside it, no path of the machine that wrote it, any batch size, the law's three terms."""
+    import onnx
+    import onnxruntime
+
+    content = export_onnx(fit("model=neural_friction").model, 1, "float64")
+    onnx.checker.check_model(onnx.load_from_string(content), full_check=True)
+    assert b".py" not in content
+    session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
+    assert [given.name for given in session.get_inputs()] == list(DriveState._fields)
+    for batch in (1, 7):
+        terms = session.run(None, {name: np.ones((batch, 1)) for name in DriveState._fields})
+        assert [term.shape for term in terms] == 3 * [(batch, 1)]
+
+
+@pytest.mark.filterwarnings(r"ignore:`torch\.jit:DeprecationWarning")
+def test_a_torchscript_file_needs_no_frictionzoo(fit: Callable[..., Fitted], tmp_path: Path) -> None:
+    """libtorch reads it: it holds code and numbers, and constants of its own type."""
+    write("torchscript", fit("model=mujoco_default"), tmp_path, dtype="float32")
+    content = (tmp_path / "friction.pt").read_bytes()
+    loaded = torch.jit.load(io.BytesIO(content))
+    torque, frictionloss, damping = loaded(*torch.zeros(5, 3, 1))
+    assert (torque == 0).all() and (frictionloss > 0).all() and (damping > 0).all()
+    assert frictionloss.dtype == torch.float32
+    assert any(name.endswith(".py") for name in zipfile.ZipFile(io.BytesIO(content)).namelist())
