@@ -1,6 +1,7 @@
 """Targets for other programs: what they write is read again and compared with the fitted drive."""
 
 import io
+import json
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -10,10 +11,11 @@ import numpy as np
 import pytest
 import torch
 
-from frictionzoo.errors import ConfigError
+from frictionzoo.errors import ConfigError, ExportError
 from frictionzoo.export.base import Export, get_target
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.onnx import export_onnx
+from frictionzoo.export.read_bam import read_bam
 from frictionzoo.export.targets import __all__ as _registered  # noqa: F401 - importing it registers them
 from frictionzoo.models import FrictionModel
 from frictionzoo.types import DriveState, Payload, Segments
@@ -100,3 +102,47 @@ def test_a_torchscript_file_needs_no_frictionzoo(fit: Callable[..., Fitted], tmp
     assert (torque == 0).all() and (frictionloss > 0).all() and (damping > 0).all()
     assert frictionloss.dtype == torch.float32
     assert any(name.endswith(".py") for name in zipfile.ZipFile(io.BytesIO(content)).namelist())
+
+
+STS3215 = ("bench=sts3215", "bench.timestep=0.001")
+
+
+def read(path: Path) -> dict[str, Any]:
+    return json.loads(path.read_text())
+
+
+def test_bam_holds_mujocos_friction_exactly(fit: Callable[..., Fitted], tmp_path: Path) -> None:
+    fitted = fit("model=mujoco_default", *STS3215)
+    torque, qpos = write("bam", fitted, tmp_path).differences
+    assert torque.largest < 1e-12
+    # BAM limits the duty cycle to 0.97; the drive to 1, which these commands reach.
+    assert qpos.largest < 0.05
+    drive, values = read_bam(tmp_path / "m1.json"), fitted.values
+    assert drive.friction == pytest.approx({name: float(value[0]) for name, value in values["friction"].items()})
+    again = {name: float(value[0]) for name, value in values["bench"].items()}
+    assert drive.bench == pytest.approx(again | {"duty_limit": 0.97}, rel=1e-12)
+
+
+def test_bam_holds_a_stribeck_law(fit: Callable[..., Fitted], tmp_path: Path) -> None:
+    fitted = fit("model=coulomb_stribeck", "model.params.smoothing_velocity.init=0.0021", *STS3215)
+    export = write("bam", fitted, tmp_path, actuator="sts3215")
+    assert read(tmp_path / "m2.json")["friction_stribeck"] == pytest.approx(0.08)
+    torque, qpos = export.differences
+    assert torque.mean < 1e-3 * float(fitted.values["friction"]["static_torque"][0])  # beside each other near rest only
+    assert qpos.largest < 0.05
+    assert "sticks" in " ".join(export.limits)
+
+
+def test_bam_gets_the_nearest_of_another_law(fit: Callable[..., Fitted], tmp_path: Path) -> None:
+    export = write("bam", fit("model=neural_friction", *STS3215), tmp_path)
+    law = read(tmp_path / "m3.json")
+    assert min(law["friction_base"], law["load_friction_base"], law["friction_viscous"]) >= 0
+    assert "leaves" in export.limits[0] and "neural_friction" in export.limits[0]
+
+
+def test_bam_needs_a_voltage_servo_that_it_knows(fit: Callable[..., Fitted], tmp_path: Path) -> None:
+    with pytest.raises(ExportError, match="PositionPD"):
+        write("bam", fit(), tmp_path)
+    with pytest.raises(ConfigError, match="did you mean sts3215"):
+        write("bam", fit(*STS3215), tmp_path, actuator="sts321")
+    assert "xl330" in " ".join(write("bam", fit("bench=xl330", "model=mujoco_default"), tmp_path).limits)

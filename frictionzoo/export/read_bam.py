@@ -72,13 +72,53 @@ def read_bam(path: Path) -> BamDrive:
     Raises:
         ConfigError: It is no such file, its servo is not driven by voltage, or no law here has its terms.
     """
-    data = _load(path)
+    data = load_parameters(path)
+    bench = read_bench(path, data)
+    model, friction, remarks = _read_law(path, data)
+    if "max_velocity" in data:
+        speed = _positive(path, data, "max_velocity")
+        remarks = (*remarks, f"max_velocity: BAM's servo follows commands at {speed:.4g} rad/s at most; here at once.")
+    return BamDrive(data["model"], data["actuator"], bench, model, friction, remarks)
+
+
+def load_parameters(path: Path) -> dict[str, Any]:
+    """What a parameter file holds.
+
+    Args:
+        path: The file.
+
+    Raises:
+        ConfigError: It is none.
+    """
+    try:
+        data = json.loads(path.read_text())
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}; expected a parameter file of BAM; name one") from None
+    except ValueError as error:
+        raise ConfigError(f"{path}: not JSON ({error}); expected a parameter file of BAM; name one") from None
+    if not isinstance(data, dict) or data.get("model") not in MODELS or not isinstance(data.get("actuator"), str):
+        raise ConfigError(
+            f"{path}: no model ({', '.join(MODELS)}) and actuator in it; expected a parameter file of BAM"
+        )
+    return data
+
+
+def read_bench(path: Path, data: Mapping[str, Any]) -> dict[str, float]:
+    """Values of the bench's parameters and of `VoltageServo`'s.
+
+    Args:
+        path: For messages.
+        data: What the file holds.
+
+    Raises:
+        ConfigError: The servo is not driven by voltage, or a value makes no sense.
+    """
     actuator = data["actuator"]
     if actuator not in DUTY:
-        raise ConfigError(f"{path}: actuator={actuator}; {closest(str(actuator), DUTY)}; others are not voltage servos")
+        raise ConfigError(f"{path}: actuator={actuator}; {closest(actuator, DUTY)}; others are not voltage servos")
     gain, limit = DUTY[actuator]
     torque_constant, resistance = (_positive(path, data, name) for name in ("kt", "R"))
-    bench = {
+    return {
         "armature": _positive(path, data, "armature"),
         "delay": _number(path, data, "command_delay", 0.0),
         "position_offset": _number(path, data, "q_offset", 0.0),
@@ -87,16 +127,17 @@ def read_bam(path: Path) -> BamDrive:
         "duty_gain": gain * _number(path, data, "error_gain_ratio", 1.0),
         "duty_limit": limit,
     }
-    model, friction, remarks = _read_law(path, data)
-    if "max_velocity" in data:
-        speed = _positive(path, data, "max_velocity")
-        remarks = (*remarks, f"max_velocity: BAM's servo follows commands at {speed:.4g} rad/s at most; here at once.")
-    return BamDrive(data["model"], actuator, bench, model, friction, remarks)
 
 
-def stribeck_share(velocity: np.ndarray | float, stribeck_velocity: float, exponent: float) -> np.ndarray:
-    """BAM's share of the Stribeck terms: 1 at rest, 0 at speed."""
-    return np.exp(-(np.abs(np.asarray(velocity) / stribeck_velocity) ** exponent))
+def stribeck_share(velocity: Any, stribeck_velocity: float, exponent: float) -> Any:
+    """BAM's share of the Stribeck terms: 1 at rest, 0 at speed.
+
+    Args:
+        velocity: Number or array [rad/s].
+        stribeck_velocity: Number or array [rad/s].
+        exponent: BAM's `alpha`.
+    """
+    return np.exp(-(np.abs(velocity / stribeck_velocity) ** exponent))
 
 
 def _read_law(path: Path, data: Mapping[str, Any]) -> tuple[str, dict[str, float], tuple[str, ...]]:
@@ -144,20 +185,6 @@ def _say_exponent(exponent: float, near: float, largest: float) -> tuple[str, ..
         f"alpha={exponent:.4g}: coulomb_stribeck has the exponent 2; nearest is a Stribeck velocity of {near:.4g} "
         f"rad/s, up to {largest:.2g} N m beside.",
     )
-
-
-def _load(path: Path) -> dict[str, Any]:
-    try:
-        data = json.loads(path.read_text())
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}; expected a parameter file of BAM; name one") from None
-    except ValueError as error:
-        raise ConfigError(f"{path}: not JSON ({error}); expected a parameter file of BAM; name one") from None
-    if not isinstance(data, dict) or data.get("model") not in MODELS or not isinstance(data.get("actuator"), str):
-        raise ConfigError(
-            f"{path}: no model ({', '.join(MODELS)}) and actuator in it; expected a parameter file of BAM"
-        )
-    return data
 
 
 def _number(path: Path, data: Mapping[str, Any], name: str, default: float | None = None) -> float:
