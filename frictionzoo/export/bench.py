@@ -12,7 +12,7 @@ from frictionzoo.bench import Actuator
 from frictionzoo.export.base import Export, Target, measure, register_target
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.nearest import Nearest, find_nearest
-from frictionzoo.export.simulate import simulate, step_with_control
+from frictionzoo.export.simulate import commands_before, simulate, step_with_control
 
 FILE = "bench.xml"
 
@@ -57,12 +57,11 @@ def run_bench(model: mujoco.MjModel, fitted: Fitted) -> Float[np.ndarray, "batch
 
 def _fill_history(model: mujoco.MjModel, data: mujoco.MjData, fitted: Fitted, rollout: int) -> None:
     """Put the commands before a rollout's first state where MuJoCo's late actuators look for them."""
-    segments, substeps = fitted.segments, fitted.sampling.substeps
-    held = np.repeat(segments.ctrl[rollout, : segments.history], substeps, axis=0)
+    held = commands_before(fitted, rollout)
     for actuator in range(model.nu):
         if count := int(model.actuator_history[actuator, 0]):
             steps = np.arange(-count, 0)
-            known = held[np.maximum(len(held) + steps, 0), actuator] if len(held) else np.zeros(count)
+            known = held[np.maximum(len(held) + steps, 0), actuator]
             mujoco.mj_initCtrlHistory(model, data, actuator, model.opt.timestep * steps, known)
 
 

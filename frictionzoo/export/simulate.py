@@ -60,6 +60,18 @@ def step_with_control(fitted: Fitted) -> Step:
     return step
 
 
+def commands_before(fitted: Fitted, rollout: int) -> Float[np.ndarray, "steps nv"]:
+    """The commands in the steps before a rollout's first state, the newest last; at least one.
+
+    Args:
+        fitted: The drive.
+        rollout: Number of the rollout.
+    """
+    segments = fitted.segments
+    known = segments.ctrl[rollout, : max(segments.history, 1), : fitted.bench.nv]
+    return np.repeat(known, fitted.sampling.substeps, axis=0)
+
+
 def put_load(model: mujoco.MjModel, fitted: Fitted, load: Float[np.ndarray, "load"]) -> None:
     """Let the body that carries payloads be what a recording's payload makes of it.
 

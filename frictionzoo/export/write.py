@@ -59,7 +59,7 @@ def write_exports(folder: Path, options: Mapping[str, str]) -> list[Written]:
     fitted = Fitted.load(folder)
     output = Path(options["output"]) if "output" in options else folder / "export"
     timestep = read_number(options, "timestep")
-    if len(names) == 1:
+    if options["target"] != ALL:
         place = output if "output" in options else output / names[0]
         return [_write(fitted, names[0], place, timestep, options)]
     return [_try(fitted, name, output / name, timestep, options) for name in names]
