@@ -14,6 +14,9 @@ import torch
 from frictionzoo.errors import ConfigError, ExportError
 from frictionzoo.export.base import Export, get_target
 from frictionzoo.export.fitted import Fitted
+from frictionzoo.export.isaaclab import read_isaaclab
+from frictionzoo.export.mjlab import read_mjlab
+from frictionzoo.export.motor import Motor
 from frictionzoo.export.onnx import export_onnx
 from frictionzoo.export.read_bam import read_bam
 from frictionzoo.export.targets import __all__ as _registered  # noqa: F401 - importing it registers them
@@ -146,3 +149,92 @@ def test_bam_needs_a_voltage_servo_that_it_knows(fit: Callable[..., Fitted], tmp
     with pytest.raises(ConfigError, match="did you mean sts3215"):
         write("bam", fit(*STS3215), tmp_path, actuator="sts321")
     assert "xl330" in " ".join(write("bam", fit("bench=xl330", "model=mujoco_default"), tmp_path).limits)
+
+
+DC_MOTOR = (
+    "bench.actuator._target_=frictionzoo.bench.DcMotorPD",
+    *(
+        f"+bench.actuator.params.{name}={{init:{value},low:0.1,high:100,scale:log,identify:false}}"
+        for name, value in (("stall_torque", 3.0), ("no_load_velocity", 8.0), ("torque_limit", 2.0))
+    ),
+)
+CLASSES = {
+    "mjlab": ("BuiltinPositionActuatorCfg", "DcMotorActuatorCfg", "DcMotorActuatorCfg"),
+    "isaaclab": ("ImplicitActuatorCfg", "DCMotorCfg", "DCMotorCfg"),
+}
+READERS = {"mjlab": read_mjlab, "isaaclab": read_isaaclab}
+
+
+@pytest.mark.parametrize(("target", "drive"), [("mjlab", 0), ("isaaclab", 1), ("mjlab", 2)])
+def test_a_configuration_moves_as_the_drive(
+    fit: Callable[..., Fitted], tmp_path: Path, target: str, drive: int
+) -> None:
+    fitted = fit("model=mujoco_default", *((), DC_MOTOR, STS3215)[drive])
+    export = write(target, fitted, tmp_path)
+    text = (tmp_path / export.files[0]).read_text()
+    compile(text, export.files[0], "exec")
+    assert f"{CLASSES[target][drive]}(" in text
+    (qpos,) = export.differences
+    # The numbers are exact; MuJoCo C and MJX round apart. A DC motor driven faster than it runs free brakes here and
+    # gives nothing in our law; these motions hardly reach that.
+    assert qpos.largest < (1e-6, 0.02, 1e-6)[drive]
+    assert "not run" in " ".join(export.limits)
+
+
+@pytest.mark.parametrize("target", ["mjlab", "isaaclab"])
+def test_a_configuration_holds_friction_of_another_law(fit: Callable[..., Fitted], tmp_path: Path, target: str) -> None:
+    fitted = fit("model=coulomb_stribeck", *STS3215)
+    export = write(target, fitted, tmp_path)
+    (joint,) = READERS[target]((tmp_path / export.files[0]).read_text())
+    assert joint.lag == (20 if target == "mjlab" else 0)  # of 1 ms
+    assert "coulomb_stribeck" in " ".join(export.limits) and "20 for 0.02 s" in " ".join(export.limits)
+    assert export.differences[0].mean < 0.05
+    if target == "isaaclab":
+        at_rest = float((tmp_path / "isaaclab_actuators.py").read_text().split(" friction=")[1].split(",")[0])
+        assert at_rest > joint.frictionloss
+
+
+def test_a_position_drive_that_acts_late_is_delayed(fit: Callable[..., Fitted], tmp_path: Path) -> None:
+    late = "+bench.params.delay={init:0.0123,low:0,high:0.05,scale:1.0,identify:false}"
+    fitted = fit("model=mujoco_default", late)
+    (qpos,) = write("isaaclab", fitted, tmp_path).differences
+    assert "DelayedPDActuatorCfg" in (tmp_path / "isaaclab_actuators.py").read_text()
+    assert read_isaaclab((tmp_path / "isaaclab_actuators.py").read_text())[0].lag == 12
+    assert qpos.largest < 0.01  # a third of a step's delay
+
+
+def test_a_voltage_servo_is_a_dc_motor_with_gains(fit: Callable[..., Fitted], tmp_path: Path) -> None:
+    """At a given supply and gain: limited voltage and back-EMF are a torque-speed line."""
+    fitted = fit("model=mujoco_default", *STS3215)
+    write("mjlab", fitted, tmp_path, gain="8", supply="7")
+    (joint,) = read_mjlab((tmp_path / "mjlab_actuators.py").read_text())
+    law, values = fitted.bench.actuator, fitted.values["bench"]
+    affine = law.affine(values)
+    given = {"gain": 8.0, "supply": 7.0, "enable": 1.0}
+    fastest = 2 * joint.motor.velocity_limit
+    for ctrl, qpos, speed in np.random.default_rng(0).uniform(-1, 1, size=(50, 3)):
+        volts = law.control(np, values, qpos, fastest * speed, 3 * ctrl, given)
+        torque = affine.gain * volts + affine.bias0 + affine.bias1 * qpos + affine.bias2 * fastest * speed
+        assert joint.motor.torque(3 * ctrl, qpos, fastest * speed) == pytest.approx(torque[0], abs=1e-12)
+
+
+def test_a_motors_torque_line() -> None:
+    motor = Motor(100.0, 1.0, saturation_effort=3.0, velocity_limit=6.0, effort_limit=2.0)
+    assert motor.torque(1.0, 0.0, 0.0) == 2.0
+    assert motor.torque(1.0, 0.0, 4.0) == 1.0
+    assert motor.torque(-1.0, 0.0, 4.0) == -2.0
+    assert motor.torque(0.01, 0.0, 0.0) == 1.0
+
+
+@pytest.mark.parametrize("target", ["mjlab", "isaaclab"])
+def test_a_force_drive_is_refused(fit: Callable[..., Fitted], tmp_path: Path, target: str) -> None:
+    with pytest.raises(ExportError, match="Force"):
+        write(target, fit("bench=emps", "model=mujoco_default"), tmp_path)
+
+
+def test_gain_and_supply_are_options(fit: Callable[..., Fitted], tmp_path: Path) -> None:
+    fitted = fit("model=mujoco_default", *STS3215)
+    write("mjlab", fitted, tmp_path, gain="32", supply="6")
+    (joint,) = read_mjlab((tmp_path / "mjlab_actuators.py").read_text())
+    values = {name: float(value[0]) for name, value in fitted.values["bench"].items()}
+    assert joint.motor.stiffness == pytest.approx(6 * 32 * values["kt_over_r"] * values["duty_gain"])
