@@ -9,27 +9,78 @@ import numpy as np
 from jaxtyping import Float
 
 from frictionzoo.bench import Actuator
+from frictionzoo.errors import ConfigError
 from frictionzoo.export.base import Export, Target, measure, register_target
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.nearest import Nearest, find_nearest
+from frictionzoo.export.robot import ACTUATORS, Robot, compare_torque, put_into
 from frictionzoo.export.simulate import commands_before, simulate, step_with_control
+from frictionzoo.params import UNITS
 
 FILE = "bench.xml"
 
 
 @register_target("mjcf")
 class Mjcf(Target):
-    """The bench with its identified values as MJCF, friction as the nearest that MuJoCo's joints have."""
+    """The bench with its identified values as MJCF, or a robot; friction as the nearest that MuJoCo's joints have."""
 
+    options: ClassVar[Mapping[str, str]] = {
+        "into": "a robot's MJCF or URDF, of which a copy gets the drive",
+        "joint": "its joint, or several with commas between",
+        "actuator": "identified, to replace or add the joints' actuators, or keep",
+    }
     packages: ClassVar[tuple[str, ...]] = ("mujoco",)
 
     def write(self, fitted: Fitted, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
+        for name in ("joint", "actuator"):
+            if name in options and "into" not in options:
+                raise ConfigError(f"{name}={options[name]} without into; give into=ROBOT.xml too")
         nearest = find_nearest(fitted)
-        (folder / FILE).write_text(write_bench(fitted, nearest))
+        text = write_bench(fitted, nearest)
+        (folder / FILE).write_text(text)
         model = mujoco.MjModel.from_xml_path(str(folder / FILE))
         difference = measure("qpos", fitted, run_bench(model, fitted), fitted.rollout()[0])
-        return Export((FILE,), (difference,), say_limits(fitted, nearest))
+        bench = Export((FILE,), (difference,), say_limits(fitted, nearest))
+        return _add_robot(bench, fitted, folder, nearest, text, options) if "into" in options else bench
+
+
+def _add_robot(
+    bench: Export, fitted: Fitted, folder: Path, nearest: Nearest, text: str, options: Mapping[str, str]
+) -> Export:
+    path, actuators = Path(options["into"]), options.get("actuator", ACTUATORS[0])
+    joints = options["joint"].split(",") if "joint" in options else fitted.bench.joints
+    robot = put_into(path, joints, actuators, fitted, nearest, text)
+    name = path.name if path.name != FILE else f"robot_{FILE}"
+    (folder / name).write_text(robot.text)
+    acts = actuators == "identified" and not robot.urdf
+    difference = compare_torque(robot, fitted, nearest, acts)
+    limits = (*bench.limits, *_say_robot(robot, fitted, nearest, actuators))
+    return Export((*bench.files, name), (*bench.differences, difference), limits)
+
+
+def _say_robot(robot: Robot, fitted: Fitted, nearest: Nearest, actuators: str) -> list[str]:
+    """What the robot's file leaves out."""
+    units, armature = UNITS[fitted.bench.joint_type], ", ".join(f"{value:.6g}" for value in nearest.bench["armature"])
+    limits = []
+    if robot.urdf:
+        limits.append(f"URDF has no armature: set {armature} {units['inertia']} where the robot is loaded.")
+        limits.append("URDF has no actuators and no solreffriction; both are in bench.xml.")
+    if not robot.urdf and actuators == "keep":
+        limits.append(
+            "The robot's own actuators are kept; armature and friction were identified with that in bench.xml."
+        )
+    if "position_offset" in fitted.bench.params:
+        offset = _list(fitted, "position_offset")
+        limits.append(f"The recorded positions lack {offset} {units['position']}, which the robot's joints do not.")
+    if not robot.urdf and not np.isclose(robot.model.opt.timestep, fitted.timestep, rtol=1e-6):
+        limits.append(
+            f"The robot's time step is {robot.model.opt.timestep:g} s, that of the differences {fitted.timestep:g} s; "
+            f"export with timestep={robot.model.opt.timestep:g} to see what it changes."
+        )
+    if "file=" in robot.text or "filename=" in robot.text:
+        limits.append("It refers to files (meshes) as the original does: put it where that lies.")
+    return limits
 
 
 def write_bench(fitted: Fitted, nearest: Nearest) -> str:
