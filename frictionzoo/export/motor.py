@@ -184,12 +184,17 @@ def say_common(fitted: Fitted, nearest: Nearest, inputs: Mapping[str, float], pr
         said.append(nearest.remark)
     if inputs:
         listed = ", ".join(f"{name} {value:g}" for name, value in inputs.items() if name in INPUTS)
-        said.append(f"The servo's inputs are fixed: {listed}, always enabled; the stiffness is that of this gain.")
+        said.append(
+            f"The servo's inputs are fixed: {listed}, always enabled; the stiffness is that of this gain. Braking adds "
+            "back-EMF to the torque at standstill: effort_limit lies above saturation_effort for that reason."
+        )
     if "delay" in values:
         exact = values["delay"]
         rounded = ", ".join(f"{lag(fitted, j)} for {exact[j]:.4g} s" for j in range(fitted.bench.nv))
         said.append(f"Delays are whole steps of {fitted.timestep:g} s: {rounded}.")
     if "position_offset" in values:
         listed = ", ".join(f"{value:.4g}" for value in values["position_offset"])
-        said.append(f"The position offset, {listed} {units['position']}, is not in the file: it is the encoder's.")
+        said.append(
+            f"The position offset, {listed} {units['position']}, is not in the file: the program's position is without it."
+        )
     return said
