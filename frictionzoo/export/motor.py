@@ -195,6 +195,7 @@ def say_common(fitted: Fitted, nearest: Nearest, inputs: Mapping[str, float], pr
     if "position_offset" in values:
         listed = ", ".join(f"{value:.4g}" for value in values["position_offset"])
         said.append(
-            f"The position offset, {listed} {units['position']}, is not in the file: the program's position is without it."
+            f"The position offset, {listed} {units['position']}, is not in the file: add it to measured positions and "
+            "to commands."
         )
     return said
