@@ -23,7 +23,8 @@ from measure import compile_time, make_parser, median_time, report
 from omegaconf import OmegaConf
 
 from frictionzoo.bench import Bench
-from frictionzoo.config import build, compose_config
+from frictionzoo.build import build
+from frictionzoo.config import compose_config
 from frictionzoo.engine import Engine, MjxEngine, Values
 from frictionzoo.fit import Objective, Space
 from frictionzoo.job import Drive

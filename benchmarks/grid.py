@@ -23,7 +23,8 @@ from measure import compile_time, make_parser, report
 from mujoco import mjx
 from omegaconf import OmegaConf
 
-from frictionzoo.config import build, compose_config
+from frictionzoo.build import build
+from frictionzoo.config import compose_config
 from frictionzoo.fit import run_fit
 from frictionzoo.job import Problem
 

@@ -112,7 +112,7 @@ def measure(kind: str, **what: int) -> dict[str, Any]:
 
 def measure_fit(samples: int, length: int) -> dict[str, Any]:
     """One identification; the data are made before."""
-    from frictionzoo.config import build
+    from frictionzoo.build import build
     from frictionzoo.fit import Objective, Space, run_fit
     from frictionzoo.job import Drive
     from frictionzoo.segments import cut_segments

@@ -22,7 +22,8 @@ from mujoco import sysid
 from omegaconf import OmegaConf
 
 from frictionzoo.bench import Bench
-from frictionzoo.config import build, compose_config
+from frictionzoo.build import build
+from frictionzoo.config import compose_config
 from frictionzoo.engine import friction_of, make_engine, specialised
 from frictionzoo.fit import LevenbergMarquardt, Objective, Space
 from frictionzoo.models import FrictionModel

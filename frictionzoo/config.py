@@ -1,8 +1,6 @@
-"""The configuration: where it lies, its resolvers, what an override may be, and building parts from it."""
+"""The configuration: where it lies, its resolvers, and what an override may be."""
 
-import importlib
-from collections.abc import Iterator, Mapping
-from importlib.metadata import entry_points
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -83,31 +81,6 @@ def compose_config(*overrides: str) -> DictConfig:
         return compose("config", overrides=list(overrides))
 
 
-def build(section: Mapping[str, Any], **more: Any) -> Any:
-    """Construct what a section's `_target_` names, with the section's other keys as arguments.
-
-    Nested sections with a `_target_` are built first. Only classes of frictionzoo, of packages that bring friction
-    models, and registered friction models are built, so that a configuration from elsewhere cannot run arbitrary code.
-
-    Args:
-        section: `_target_` and constructor arguments.
-        more: Further arguments, which the configuration does not know.
-
-    Raises:
-        ConfigError: The target is not one of these classes, or does not take these arguments.
-    """
-    arguments = {
-        name: build(value) if isinstance(value, Mapping) and "_target_" in value else value
-        for name, value in section.items()
-        if name != "_target_"
-    }
-    target = str(section["_target_"])
-    try:
-        return _find(target)(**arguments, **more)
-    except TypeError as error:
-        raise ConfigError(f"{target}: {error}; compare the section with conf/") from error
-
-
 def check_overrides(config: DictConfig, plain: DictConfig) -> None:
     """Refuse options that do not exist, are gone, or have a value of another type than the one that it replaces.
 
@@ -182,27 +155,6 @@ def list_options(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
             yield from list_options(value, f"{name}.")
         else:
             yield name, value
-
-
-def _find(target: str) -> Any:
-    if not target.startswith("frictionzoo."):
-        # Imported here, so that what needs no law does not wait for torch.
-        from frictionzoo.models.registry import registered_models
-
-        if target in (registered := registered_models()):  # also laws of the program that runs, of a notebook say
-            return registered[target]
-    packages = {"frictionzoo", *(point.module.partition(".")[0] for point in entry_points(group="frictionzoo.models"))}
-    module, _, name = target.rpartition(".")
-    if module.partition(".")[0] not in packages:
-        raise ConfigError(f"_target_={target}; expected a class of {' or '.join(sorted(packages))}")
-    try:
-        found = getattr(importlib.import_module(module), name)
-    except (ModuleNotFoundError, AttributeError):
-        raise ConfigError(f"_target_={target}; expected a class that exists; compare with conf/") from None
-    # A module may also hold what it imported from elsewhere.
-    if not isinstance(found, type) or found.__module__.partition(".")[0] not in packages:
-        raise ConfigError(f"_target_={target}; expected a class of {' or '.join(sorted(packages))}")
-    return found
 
 
 def suggest_option(key: str, config: DictConfig) -> str:

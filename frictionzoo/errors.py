@@ -40,6 +40,10 @@ class RunError(FrictionzooError):
     """A run's folder that cannot be read, or runs that cannot be compared."""
 
 
+class ExportError(FrictionzooError):
+    """A drive that another program cannot hold, or an export target that does not keep the plug-in contract."""
+
+
 class OutputError(FrictionzooError):
     """A result that cannot be written."""
 

@@ -18,7 +18,8 @@ from omegaconf import DictConfig, OmegaConf
 
 from frictionzoo import __version__
 from frictionzoo.bench import Bench
-from frictionzoo.config import build, list_options
+from frictionzoo.build import build
+from frictionzoo.config import list_options
 from frictionzoo.engine import Engine, friction_of, make_engine
 from frictionzoo.errors import ConfigError
 from frictionzoo.evaluate import Evaluation, Judgement

@@ -17,8 +17,9 @@ from jax.experimental.compilation_cache import compilation_cache as jax_cache
 from omegaconf import DictConfig, OmegaConf
 
 from frictionzoo.bench import Bench
+from frictionzoo.build import build
 from frictionzoo.compare import Run
-from frictionzoo.config import build, compose_config
+from frictionzoo.config import compose_config
 from frictionzoo.report.curves import Curves
 from frictionzoo.run import main
 

@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 from omegaconf import OmegaConf
 
+from frictionzoo.build import build
 from frictionzoo.config import (
     _NULLABLE,
     CONF_DIR,
     _is_open,
-    build,
     check_overrides,
     compose_config,
     list_options,

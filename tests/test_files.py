@@ -13,7 +13,8 @@ import pytest
 from conftest import DATA, needs_data
 from omegaconf import DictConfig, OmegaConf
 
-from frictionzoo.config import build, compose_config
+from frictionzoo.build import build
+from frictionzoo.config import compose_config
 from frictionzoo.errors import ConfigError, LogError
 from frictionzoo.logs.files import Files
 

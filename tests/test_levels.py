@@ -10,7 +10,7 @@ PACKAGE = Path(__file__).parent.parent / "frictionzoo"
 LEVELS = {
     **dict.fromkeys(("types", "errors", "params", "output", "registry", "threads"), 0),
     **dict.fromkeys(("logs", "segments"), 1),
-    **dict.fromkeys(("models",), 2),
+    **dict.fromkeys(("models", "build"), 2),
     **dict.fromkeys(("bench", "engine", "rollout"), 3),
     **dict.fromkeys(("bridge", "check"), 4),
     **dict.fromkeys(("fit",), 5),

@@ -244,8 +244,12 @@ class Bench:
         return np.pi / 180 if self.joint_type == "hinge" and not radian else 1.0
 
     def _delayed(self, values: Mapping[str, np.ndarray], index: int) -> dict[str, str]:
-        """Attributes of MuJoCo's actuator that make it act late."""
-        if "delay" not in values:
+        """Attributes of MuJoCo's actuator that make it act late.
+
+        None for an actuator law with a controller of its own: late commands meet the present state in it, and MuJoCo's
+        actuator must not delay what comes out.
+        """
+        if "delay" not in values or type(self.actuator).control is not Actuator.control:
             return {}
         delay = float(values["delay"][index])
         # Between two steps MuJoCo interpolates: of a command that is held, that is the mean over the step.

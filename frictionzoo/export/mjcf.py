@@ -27,9 +27,9 @@ def export_mjcf(bench: Bench, values: Values, model: FrictionModel, samples: Dri
         samples: Training samples as numpy arrays of shape (samples, nv).
     """
     velocity = np.asarray(samples.qvel, dtype=np.float64)
-    terms = _evaluate_law(model, samples)
+    terms = evaluate_law(model, samples)
     torque, frictionloss, damping = (np.zeros(velocity.shape) if term is None else term for term in terms)
-    if terms.torque is None and _is_constant(frictionloss) and _is_constant(damping):
+    if terms.torque is None and is_constant(frictionloss) and is_constant(damping):
         loss, viscous = frictionloss[0], damping[0]
         comment = f"{model.name}: represented exactly by the frictionloss and damping below."
     else:
@@ -62,15 +62,21 @@ def nearest_frictionloss_and_damping(
     return loss, viscous
 
 
-def _evaluate_law(model: FrictionModel, samples: DriveState) -> FrictionTerms:
-    """The law's terms on the samples as float64 numpy arrays of shape (samples, nv), or None."""
+def evaluate_law(model: FrictionModel, samples: DriveState) -> FrictionTerms:
+    """The law's terms on samples as float64 numpy arrays of shape (samples, nv), or None.
+
+    Args:
+        model: The law with its values.
+        samples: Numpy arrays of shape (samples, nv).
+    """
     double = copy.deepcopy(model).double()
     terms = double(DriveState(*(torch.as_tensor(np.asarray(signal, dtype=np.float64)) for signal in samples)))
     shape = np.shape(samples.qvel)
     return FrictionTerms(*(None if term is None else np.broadcast_to(term.detach().numpy(), shape) for term in terms))
 
 
-def _is_constant(values: Float[np.ndarray, "samples nv"]) -> bool:
+def is_constant(values: Float[np.ndarray, "samples nv"]) -> bool:
+    """Whether a term is the same in all samples."""
     return bool((values == values[0]).all())
 
 

@@ -11,9 +11,9 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
+from frictionzoo.build import build
 from frictionzoo.config import (
     CONF_DIR,
-    build,
     check_overrides,
     compose_config,
     forget_plugin_schemas,

@@ -1,0 +1,58 @@
+"""Command line: `python -m frictionzoo.export RUN target=NAME` writes a run's drive for another program."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from frictionzoo.errors import ConfigError, FrictionzooError
+
+_OPTIONS = """options: target=NAME or target=all; timestep=SECONDS of the simulation, that of the run where it is left
+out; output=FOLDER, export/NAME in the run's where it is left out; and those of the target."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point; returns the exit status, 2 for a user's mistake.
+
+    Args:
+        arguments: Those of the command line where None.
+    """
+    parsed = _parse(arguments)
+    # Imported here, so that --help does not wait for it.
+    from frictionzoo.export.table import summarise_exports
+    from frictionzoo.export.write import write_exports
+
+    try:
+        print(summarise_exports(write_exports(parsed.folder, _read_options(parsed.options))))
+    except FrictionzooError as error:
+        print(f"frictionzoo: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="python -m frictionzoo.export",
+        description="Write the drive that a run identified for another program, run what was written there, and say "
+        "how far it is from the fitted drive and what it cannot represent.",
+        epilog=_OPTIONS,
+    )
+    parser.add_argument("folder", metavar="RUN", type=Path, help="the folder of a finished run")
+    parser.add_argument("options", metavar="KEY=VALUE", nargs="*", help="target=NAME, and more")
+    return parser.parse_args(arguments)
+
+
+def _read_options(texts: Sequence[str]) -> dict[str, str]:
+    options: dict[str, str] = {}
+    for text in texts:
+        key, equals, value = text.partition("=")
+        if not equals or not key or not value:
+            raise ConfigError(f"{text}: expected KEY=VALUE, such as target=mjcf")
+        if key in options:
+            raise ConfigError(f"{text}: {key} is given twice; give it once")
+        options[key] = value
+    return options
+
+
+if __name__ == "__main__":
+    sys.exit(main())

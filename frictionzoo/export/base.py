@@ -1,0 +1,150 @@
+"""The interface of an export target: what it writes, how exact that is, and what it cannot represent."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from jaxtyping import Float
+
+from frictionzoo.errors import ConfigError, ExportError
+from frictionzoo.export.fitted import Fitted
+from frictionzoo.params import UNITS
+from frictionzoo.registry import Registry
+
+
+@dataclass(frozen=True)
+class Difference:
+    """What was written, run in the program that it is for, against the fitted drive.
+
+    Attributes:
+        quantity: What was compared: `qpos`, or `torque`.
+        unit: Its unit.
+        largest: Largest absolute difference.
+        mean: Mean absolute difference.
+        over: Of what, in words: `10 rollouts of 3 s`.
+    """
+
+    quantity: str
+    unit: str
+    largest: float
+    mean: float
+    over: str
+
+
+@dataclass(frozen=True)
+class Export:
+    """What a target wrote.
+
+    Attributes:
+        files: Their names in the folder.
+        differences: Measured by running the written files.
+        limits: What they cannot represent and what a user has to know, a sentence each, with its loss of accuracy.
+    """
+
+    files: tuple[str, ...]
+    differences: tuple[Difference, ...]
+    limits: tuple[str, ...] = ()
+
+
+class Target(ABC):
+    """One kind of files that another program reads.
+
+    Attributes:
+        name: Set by `register_target`.
+        options: What it takes besides `timestep` and `output`: name to meaning, in a few words.
+        packages: Python packages without which it can be neither written nor run; their versions are noted.
+    """
+
+    name: ClassVar[str]
+    options: ClassVar[Mapping[str, str]] = {}
+    packages: ClassVar[tuple[str, ...]] = ()
+
+    @abstractmethod
+    def write(self, fitted: Fitted, folder: Path, options: Mapping[str, str]) -> Export:
+        """Write the drive, and run what was written.
+
+        Args:
+            fitted: The drive, at the time step that was asked for.
+            folder: An empty folder; whatever goes wrong, nothing of it is left to the user.
+            options: Those of `options` that were given, as text.
+
+        Raises:
+            FrictionzooError: The target cannot hold this drive at all, or an option makes no sense.
+        """
+
+
+REGISTRY = Registry(
+    *("export target", Target, "write", "register_target", "frictionzoo.targets"), *(ExportError, ConfigError)
+)
+_targets: dict[str, type[Target]] = {}
+
+
+def register_target(name: str) -> Callable[[type[Target]], type[Target]]:
+    """Class decorator that makes a target available on the command line.
+
+    Args:
+        name: Lower case with underscores.
+
+    Raises:
+        ExportError: The name is taken or not lower case with underscores, or the class is not a complete `Target`.
+    """
+    return lambda cls: REGISTRY.add(_targets, name, cls)
+
+
+def get_target(name: str) -> type[Target]:
+    """The target of that name.
+
+    Args:
+        name: As registered, here or by a package with an entry point in the group `frictionzoo.targets`.
+
+    Raises:
+        ConfigError: No such name; the message names the closest.
+        ExportError: Two packages bring the name, or the one that does is broken.
+    """
+    return REGISTRY.get(_targets, name)
+
+
+def target_names() -> list[str]:
+    """Names of all targets, sorted."""
+    return REGISTRY.names(_targets)
+
+
+def measure(
+    quantity: str,
+    fitted: Fitted,
+    came: Float[np.ndarray, "*shape"],
+    expected: Float[np.ndarray, "*shape"],
+    over: str | None = None,
+) -> Difference:
+    """The difference between what the written files did and what the fitted drive does.
+
+    Args:
+        quantity: `qpos` or `torque`.
+        fitted: The drive, for units.
+        came: From the files.
+        expected: From the drive.
+        over: What was compared, in words; None for the run's long test rollouts.
+    """
+    distance = np.abs(came - expected)
+    unit = UNITS[fitted.bench.joint_type]["position" if quantity == "qpos" else quantity]
+    return Difference(quantity, unit, float(distance.max()), float(distance.mean()), over or fitted.over)
+
+
+def read_number(options: Mapping[str, Any], name: str) -> float | None:
+    """An option as a number; None where it was not given.
+
+    Raises:
+        ConfigError: It is not a finite number.
+    """
+    if name not in options:
+        return None
+    try:
+        number = float(options[name])
+    except ValueError:
+        number = np.nan
+    if not np.isfinite(number):
+        raise ConfigError(f"{name}={options[name]}; expected a number; change it")
+    return number

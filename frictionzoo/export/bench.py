@@ -1,0 +1,134 @@
+"""The target `mjcf`: the bench as a model that MuJoCo loads as it is."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from frictionzoo.bench import Actuator
+from frictionzoo.errors import ConfigError
+from frictionzoo.export.base import Export, Target, measure, register_target
+from frictionzoo.export.fitted import Fitted
+from frictionzoo.export.nearest import Nearest, find_nearest
+from frictionzoo.export.robot import ACTUATORS, Robot, compare_torque, put_into
+from frictionzoo.export.simulate import commands_before, simulate, step_with_control
+from frictionzoo.params import UNITS
+
+FILE = "bench.xml"
+
+
+@register_target("mjcf")
+class Mjcf(Target):
+    """The bench with its identified values as MJCF, or a robot; friction as the nearest that MuJoCo's joints have."""
+
+    options: ClassVar[Mapping[str, str]] = {
+        "into": "a robot's MJCF or URDF, of which a copy gets the drive",
+        "joint": "its joint, or several with commas between",
+        "actuator": "identified, to replace or add the joints' actuators, or keep",
+    }
+    packages: ClassVar[tuple[str, ...]] = ("mujoco",)
+
+    def write(self, fitted: Fitted, folder: Path, options: Mapping[str, str]) -> Export:
+        """See `Target.write`."""
+        for name in ("joint", "actuator"):
+            if name in options and "into" not in options:
+                raise ConfigError(f"{name}={options[name]} without into; give into=ROBOT.xml too")
+        nearest = find_nearest(fitted)
+        text = write_bench(fitted, nearest)
+        (folder / FILE).write_text(text)
+        model = mujoco.MjModel.from_xml_path(str(folder / FILE))
+        difference = measure("qpos", fitted, run_bench(model, fitted), fitted.rollout()[0])
+        bench = Export((FILE,), (difference,), say_limits(fitted, nearest))
+        return _add_robot(bench, fitted, folder, nearest, text, options) if "into" in options else bench
+
+
+def _add_robot(
+    bench: Export, fitted: Fitted, folder: Path, nearest: Nearest, text: str, options: Mapping[str, str]
+) -> Export:
+    path, actuators = Path(options["into"]), options.get("actuator", ACTUATORS[0])
+    joints = options["joint"].split(",") if "joint" in options else fitted.bench.joints
+    robot = put_into(path, joints, actuators, fitted, nearest, text)
+    name = path.name if path.name != FILE else f"robot_{FILE}"
+    (folder / name).write_text(robot.text)
+    acts = actuators == "identified" and not robot.urdf
+    difference = compare_torque(robot, fitted, nearest, acts)
+    limits = (*bench.limits, *_say_robot(robot, fitted, nearest, actuators))
+    return Export((*bench.files, name), (*bench.differences, difference), limits)
+
+
+def _say_robot(robot: Robot, fitted: Fitted, nearest: Nearest, actuators: str) -> list[str]:
+    """What the robot's file leaves out."""
+    units, armature = UNITS[fitted.bench.joint_type], ", ".join(f"{value:.6g}" for value in nearest.bench["armature"])
+    limits = []
+    if robot.urdf:
+        limits.append(f"URDF has no armature: set {armature} {units['inertia']} where the robot is loaded.")
+        limits.append("URDF has no actuators and no solreffriction; both are in bench.xml.")
+    if not robot.urdf and actuators == "keep":
+        limits.append(
+            "The robot's own actuators are kept; armature and friction were identified with that in bench.xml."
+        )
+    if "position_offset" in fitted.bench.params:
+        offset = _list(fitted, "position_offset")
+        limits.append(f"The recorded positions lack {offset} {units['position']}, which the robot's joints do not.")
+    if not robot.urdf and not np.isclose(robot.model.opt.timestep, fitted.timestep, rtol=1e-6):
+        limits.append(
+            f"The robot's time step is {robot.model.opt.timestep:g} s, that of the differences {fitted.timestep:g} s; "
+            f"export with timestep={robot.model.opt.timestep:g} to see what it changes."
+        )
+    if "file=" in robot.text or "filename=" in robot.text:
+        limits.append("It refers to files (meshes) as the original does: put it where that lies.")
+    return limits
+
+
+def write_bench(fitted: Fitted, nearest: Nearest) -> str:
+    """The bench's MJCF with these values, in steps of the drive's length."""
+    loss = nearest.frictionloss if nearest.frictionloss.any() else None  # 0 would be a constraint without effect
+    remark = nearest.remark or f"{fitted.model.name}: represented exactly by the frictionloss and damping below."
+    return fitted.bench.mjcf(nearest.bench, loss, nearest.damping, (remark,))
+
+
+def run_bench(model: mujoco.MjModel, fitted: Fitted) -> Float[np.ndarray, "batch time nv"]:
+    """Positions of the long test rollouts in MuJoCo C, the actuator law's controller computed by the caller.
+
+    Args:
+        model: The bench, compiled. Where it delays the commands itself, it gets them as recorded.
+        fitted: The drive.
+    """
+    late = not model.nhistory
+
+    def prepare(model: mujoco.MjModel, data: mujoco.MjData, rollout: int) -> None:
+        if not late:
+            _fill_history(model, data, fitted, rollout)
+
+    return simulate(model, fitted, step_with_control(fitted), prepare, late)
+
+
+def _fill_history(model: mujoco.MjModel, data: mujoco.MjData, fitted: Fitted, rollout: int) -> None:
+    """Put the commands before a rollout's first state where MuJoCo's late actuators look for them."""
+    held = commands_before(fitted, rollout)
+    for actuator in range(model.nu):
+        if count := int(model.actuator_history[actuator, 0]):
+            steps = np.arange(-count, 0)
+            known = held[np.maximum(len(held) + steps, 0), actuator]
+            mujoco.mj_initCtrlHistory(model, data, actuator, model.opt.timestep * steps, known)
+
+
+def say_limits(fitted: Fitted, nearest: Nearest) -> tuple[str, ...]:
+    """What a user of the bench's MJCF has to know."""
+    law, limits = type(fitted.bench.actuator), [nearest.remark] if nearest.remark else []
+    if law.control is not Actuator.control:
+        late = f", from commands that are {_list(fitted, 'delay')} s late" if "delay" in fitted.bench.params else ""
+        limits.append(
+            f"MuJoCo's actuator has no {law.__name__}: `ctrl` is what the law's controller makes of the command, and "
+            f"the caller computes it in each step{late}, as for the difference above; target=mujoco writes it."
+        )
+    if fitted.bench.payload is not None:
+        limits.append("Payloads of recordings are left out; for the difference above they were put into the model.")
+    return tuple(limits)
+
+
+def _list(fitted: Fitted, name: str) -> str:
+    return ", ".join(f"{value:.4g}" for value in fitted.values["bench"][name])

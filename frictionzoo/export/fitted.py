@@ -1,0 +1,232 @@
+"""A finished run, read back: the drive that it identified, ready to be simulated and exported."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import safetensors
+import safetensors.torch
+from jaxtyping import Float
+
+from frictionzoo.bench import Bench
+from frictionzoo.build import build
+from frictionzoo.compare.runs import Run, read_runs
+from frictionzoo.engine import Engine, friction_of, make_engine
+from frictionzoo.errors import ConfigError, RunError
+from frictionzoo.evaluate import Values
+from frictionzoo.models import FrictionModel
+from frictionzoo.output import RESULT
+from frictionzoo.report.curves import FILE as CURVES
+from frictionzoo.rollout import Rollout, applied, make_rollout
+from frictionzoo.types import DriveState, Sampling, Segments
+
+LAW = "friction.safetensors"
+_WHOLE = 0.01  # share by which a time step may differ from a whole number of others, as for recordings
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """The identified drive of one run, and the recordings that it was judged on.
+
+    Attributes:
+        folder: The run's folder.
+        result: What its `result.json` holds.
+        bench: The test stand.
+        model: The friction law with its identified values, in float64.
+        values: Values of all parameters and of a network's weights, by owner (`bench`, `friction`) and name, as numpy
+            arrays in float64: those of the bench of shape (nv,), those of the law as in its `state_dict`.
+        segments: The long test rollouts: measured states and what drove them.
+        sampling: From their samples to steps of the simulation.
+    """
+
+    folder: Path
+    result: Mapping[str, Any]
+    bench: Bench
+    model: FrictionModel
+    values: Values
+    segments: Segments
+    sampling: Sampling
+
+    @classmethod
+    def load(cls, folder: Path) -> "Fitted":
+        """Read a run's folder.
+
+        Raises:
+            RunError: It is not the folder of a finished run of this version, or one of its files is damaged.
+            BenchError: The bench's MJCF is not there any more, or not what it was.
+        """
+        run = _read_run(folder)
+        settings = run.result["settings"]
+        bench = build(settings["bench"])
+        model = build(settings["model"], nv=bench.nv)
+        _load_law(model, folder / LAW)
+        friction = {name: value.detach().double().numpy().copy() for name, value in model.state_dict().items()}
+        segments = _read_segments(run, bench)
+        sampling = bench.sampling(segments.timestep)
+        if sampling.history != segments.history:
+            raise RunError(
+                f"{folder / CURVES}: {segments.history} samples of ctrl before the rollouts, expected "
+                f"{sampling.history} as the delay's bounds have it; run it again"
+            )
+        values = {"bench": _read_bench(run.result, bench), "friction": friction}
+        return cls(folder, run.result, bench, model, values, segments, sampling)
+
+    @property
+    def timestep(self) -> float:
+        """Step of the simulation [s]."""
+        return self.bench.timestep
+
+    @property
+    def over(self) -> str:
+        """What rollouts there are, in words."""
+        return f"{self.segments.count} rollouts of {self.segments.length * self.segments.timestep:g} s"
+
+    def at(self, timestep: float) -> "Fitted":
+        """The same drive, simulated in steps of another length.
+
+        Where a step is longer than the recordings' interval, only every so many of their samples are kept.
+
+        Args:
+            timestep: [s]; a whole part of the recordings' interval, or a whole number of them.
+
+        Raises:
+            ConfigError: It is neither.
+        """
+        interval = self.segments.timestep
+        ratio = max(timestep / interval, interval / timestep) if timestep > 0 else 0.0
+        if not ratio or abs(ratio / round(ratio) - 1) > _WHOLE or round(ratio) > self.segments.length:
+            raise ConfigError(
+                f"timestep={timestep:g}; expected a whole part of the recordings' {interval:g} s, or a whole number of "
+                "them within a rollout"
+            )
+        every = round(timestep / interval) if timestep > interval else 1
+        bench = build({**self.result["settings"]["bench"], "timestep": timestep})
+        sampling = bench.sampling(every * interval)
+        return replace(self, bench=bench, segments=_thin(self.segments, every, sampling.history), sampling=sampling)
+
+    def rollout(
+        self, segments: Segments | None = None, timestep: float | None = None
+    ) -> tuple[Float[np.ndarray, "batch time nv"], Float[np.ndarray, "batch time nv"]]:
+        """Simulate the drive in float64.
+
+        Args:
+            segments: Initial states and commands; None for the run's long test rollouts.
+            timestep: Step of the simulation [s]; None for that of this drive.
+
+        Returns:
+            qpos and qvel after each sample interval.
+        """
+        drive = self if timestep is None else self.at(timestep)
+        segments = drive.segments if segments is None else segments
+        with jax.enable_x64(True):
+            found = drive._compiled(drive.jax_values, segments.qpos[:, 0], segments.qvel[:, 0], *_driven(segments))
+            qpos, qvel = (np.array(part, np.float64) for part in found)
+        return qpos, qvel
+
+    def commands(
+        self, segments: Segments | None = None, late: bool = True
+    ) -> Float[np.ndarray, "batch time substeps channels"]:
+        """What acts in each step of the simulation: the commands, and the other inputs of the actuator law.
+
+        Args:
+            segments: Whose; None for the run's long test rollouts.
+            late: Whether the commands are late by the bench's delay.
+        """
+        segments = self.segments if segments is None else segments
+        with jax.enable_x64(True):
+            bench = self.jax_values["bench"] if late else {}
+            return np.asarray(applied({"bench": bench}, jnp.asarray(segments.ctrl), self.sampling), np.float64)
+
+    @cached_property
+    def samples(self) -> DriveState:
+        """What the friction law sees at the measured states of the rollouts, arrays of shape (samples, nv)."""
+        segments = self.segments
+        qpos, qvel = segments.qpos[:, :-1], segments.qvel[:, :-1]
+        loads = np.zeros((segments.count, 0)) if segments.load is None else segments.load
+        with jax.enable_x64(True):
+            over_time = jax.vmap(self.engine.drive_state, in_axes=(None, 0, 0, 0, None))
+            states = jax.jit(jax.vmap(over_time, in_axes=(None, 0, 0, 0, 0)))
+            seen = states(self.jax_values, qpos, qvel, self.commands()[:, :, 0], loads)
+            return DriveState(*(np.array(signal, np.float64).reshape(-1, self.bench.nv) for signal in seen))
+
+    @cached_property
+    def engine(self) -> Engine:
+        """One step of the simulation."""
+        with jax.enable_x64(True):
+            return make_engine("auto", self.bench, friction_of(self.model), self.model.constraint)
+
+    @cached_property
+    def jax_values(self) -> Mapping[str, Mapping[str, Any]]:
+        """The same values as JAX arrays in float64."""
+        with jax.enable_x64(True):
+            return jax.tree.map(lambda value: jnp.asarray(value, jnp.float64), self.values)
+
+    @cached_property
+    def _compiled(self) -> Any:
+        rollout: Rollout = make_rollout(self.engine, self.sampling)
+        return rollout.compiled
+
+
+def _driven(segments: Segments) -> list[Any]:
+    return [segments.ctrl] if segments.load is None else [segments.ctrl, segments.load]
+
+
+def _read_run(folder: Path) -> Run:
+    if not (folder / RESULT).exists():
+        raise RunError(f"{folder}: no {RESULT} in it, expected the folder of a finished run; name one")
+    return read_runs([folder])[0][0]
+
+
+def _load_law(model: FrictionModel, path: Path) -> None:
+    """Write the saved values into the model; safetensors holds numbers only, so nothing is executed."""
+    try:
+        saved = safetensors.torch.load(path.read_bytes())
+        model.double().load_state_dict(saved)
+    except OSError as error:
+        raise RunError(f"{path}: {error.strerror}; expected the folder of a finished run; run it again") from None
+    except (safetensors.SafetensorError, RuntimeError) as error:
+        reason = " ".join(str(error).split())
+        raise RunError(f"{path}: {reason}; expected the values of {model.name}; run it again") from None
+
+
+def _read_bench(result: Mapping[str, Any], bench: Bench) -> dict[str, Float[np.ndarray, "nv"]]:
+    found = {row["name"]: row["value"] for row in result["parameters"] if row["owner"] == "bench"}
+    if set(found) != set(bench.params):
+        raise RunError(
+            f"{RESULT}: parameters {', '.join(sorted(found))} of the bench, expected {', '.join(sorted(bench.params))} "
+            "as its settings have it; run it again"
+        )
+    return {name: np.broadcast_to(np.asarray(found[name], np.float64), bench.nv).copy() for name in bench.params}
+
+
+def _read_segments(run: Run, bench: Bench) -> Segments:
+    curves = run.curves
+    samples, states = curves.ctrl.shape[1], curves.measured_qpos.shape[1]
+    if curves.measured_qpos.shape[2] != bench.nv or samples < states - 1:
+        raise RunError(
+            f"{run.folder / CURVES}: {curves.measured_qpos.shape[2]} joints and {samples} commands for {states} states,"
+            f" expected {bench.nv} joints and a command for each step; run it again"
+        )
+    load = curves.load if curves.load.shape[1] else None
+    interval, history = run.result["data"]["timestep"], samples - (states - 1)
+    return Segments(curves.measured_qpos, curves.measured_qvel, curves.ctrl, interval, load, history)
+
+
+def _thin(segments: Segments, every: int, history: int) -> Segments:
+    """Every so many samples of the same segments, and as many of the command before them as late commands need."""
+    steps = segments.length // every
+    state = every * np.arange(steps + 1)
+    command = np.maximum(segments.history + every * np.arange(-history, steps), 0)
+    return replace(
+        segments,
+        qpos=segments.qpos[:, state],
+        qvel=segments.qvel[:, state],
+        ctrl=segments.ctrl[:, command],
+        timestep=every * segments.timestep,
+        history=history,
+    )

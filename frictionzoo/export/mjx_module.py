@@ -1,0 +1,86 @@
+"""The target `mjx`: the law as a Python module over JAX, inside MJX's own step."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Float
+from mujoco import mjx
+
+from frictionzoo.export.base import Export, Target, measure, register_target
+from frictionzoo.export.fitted import Fitted
+from frictionzoo.export.module import load_module, write_module
+from frictionzoo.export.mujoco_c import BENCH, MODULE, write_bare_bench
+from frictionzoo.export.simulate import commands_before, put_load
+
+
+@register_target("mjx")
+class Mjx(Target):
+    """A Python module, of jax and mujoco-mjx alone, that brings the law itself into MJX's step."""
+
+    packages: ClassVar[tuple[str, ...]] = ("mujoco", "jax", "numpy")
+
+    def write(self, fitted: Fitted, folder: Path, options: Mapping[str, str]) -> Export:
+        """See `Target.write`."""
+        # MJX makes a row of the friction constraint for joints with a limit; its size is set in each step.
+        loss = np.ones(fitted.bench.nv) if fitted.model.constraint else None
+        (folder / BENCH).write_text(write_bare_bench(fitted, loss))
+        written = write_module(
+            *(fitted, folder, "mjx_drive.py.jinja", MODULE),
+            example_inputs="".join(f', {{"{name}": ...}}' for name in fitted.bench.actuator.inputs[:1]),
+            late_remark="commands act late." if "delay" in fitted.values["bench"] else "they act at once.",
+        )
+        with jax.enable_x64(True):
+            qpos = _run(folder, fitted)
+        return Export((*written, BENCH), (measure("qpos", fitted, qpos, fitted.rollout()[0]),), _say_limits(fitted))
+
+
+def _run(folder: Path, fitted: Fitted) -> Float[np.ndarray, "batch time nv"]:
+    module: Any = load_module(folder / MODULE)
+    model = mujoco.MjModel.from_xml_path(str(folder / BENCH))
+    segments = fitted.segments
+
+    @jax.jit
+    def rollout(model: mjx.Model, data: mjx.Data, commands: Any) -> Any:
+        def step(state: tuple[Any, Any], channels: Any) -> tuple[Any, Any]:
+            data, before = state
+            command, *rest = jnp.split(channels, 1 + len(module.INPUTS))
+            before = jnp.concatenate([before[1:], command[None]])
+            acting = module.late(before, fitted.timestep)
+            data = module.step(model, data, acting, dict(zip(module.INPUTS, rest, strict=True)))
+            return (data, before), data.qpos
+
+        now, before = commands
+        return jax.lax.scan(step, (data, before), now)[1]
+
+    found = []
+    for number in range(segments.count):
+        if segments.load is not None:
+            put_load(model, fitted, segments.load[number])
+        on_device = mjx.put_model(model)
+        data = mjx.make_data(on_device)
+        data = data.replace(qpos=jnp.asarray(segments.qpos[number, 0]), qvel=jnp.asarray(segments.qvel[number, 0]))
+        found.append(
+            np.asarray(rollout(on_device, data, _commands(fitted, number, module.steps_kept(fitted.timestep))))
+        )
+    substeps = fitted.sampling.substeps
+    return np.stack(found)[:, substeps - 1 :: substeps]
+
+
+def _commands(fitted: Fitted, number: int, kept: int) -> tuple[Any, Any]:
+    """What is held in each step of a rollout, and in so many steps before."""
+    now = fitted.commands(late=False)[number]
+    before = commands_before(fitted, number)
+    before = np.concatenate([np.repeat(before[:1], kept, axis=0), before])[-kept:]
+    return jnp.asarray(now.reshape(-1, now.shape[-1])), jnp.asarray(before)
+
+
+def _say_limits(fitted: Fitted) -> tuple[str, ...]:
+    limits = ["The difference is in 64 bits (jax_enable_x64); JAX's usual 32 bits round more."]
+    if fitted.bench.payload is not None:
+        limits.append("Payloads of recordings are left out; for the difference above they were put into the model.")
+    return tuple(limits)

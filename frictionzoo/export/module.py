@@ -1,0 +1,95 @@
+"""Python modules that hold a drive's law and values, and stand alone."""
+
+import importlib.util
+import io
+from collections.abc import Mapping
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import jinja2
+import numpy as np
+
+from frictionzoo import __version__
+from frictionzoo.bench import Actuator
+from frictionzoo.export.fitted import Fitted
+from frictionzoo.export.source import merge, read_source, write_values
+from frictionzoo.params import UNITS
+
+WEIGHTS = "weights.npz"
+
+
+def write_module(fitted: Fitted, folder: Path, template: str, name: str, **more: Any) -> tuple[str, ...]:
+    """Write a module and, for a network, its weights beside it.
+
+    Args:
+        fitted: The drive.
+        folder: Where to.
+        template: Of this package.
+        name: Of the file.
+        more: What else the template asks for.
+
+    Returns:
+        Names of the files.
+
+    Raises:
+        ExportError: The law cannot be written down.
+    """
+    values, large = write_values(fitted.values["friction"])
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("frictionzoo.export", "."),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    text = environment.get_template(template).render(**_describe(fitted, values, bool(large)), **more)
+    (folder / name).write_text(text.lstrip())
+    if not large:
+        return (name,)
+    buffer = io.BytesIO()
+    np.savez(buffer, allow_pickle=False, **large)
+    (folder / WEIGHTS).write_bytes(buffer.getvalue())
+    return (name, WEIGHTS)
+
+
+def _describe(fitted: Fitted, values: str, weights: bool) -> Mapping[str, Any]:
+    law, actuator = read_source(fitted.model, "terms"), read_source(fitted.bench.actuator, "control")
+    shared = merge(law, actuator)
+    model = fitted.model
+    return {
+        "title": f"The friction law {model.name} of {', '.join(fitted.bench.joints)}, with identified values.",
+        "version": __version__,
+        "units": UNITS[fitted.bench.joint_type],
+        "imports": [text for text in shared.imports.values() if text != "import numpy as np"],
+        "functions": list(shared.functions.values()),
+        "law_class": law.as_class("Law", f"The friction law {model.name}."),
+        "actuator_class": actuator.as_class("Actuator", f"The actuator law {type(fitted.bench.actuator).__name__}."),
+        "joints": repr(fitted.bench.joints),
+        "timestep": repr(fitted.timestep),
+        "inputs": repr(tuple(fitted.bench.actuator.inputs)),
+        "values": values,
+        "weights": WEIGHTS if weights else "",
+        "actuator": write_values(fitted.values["bench"])[0],
+        "constraint": model.constraint,
+        "controls": controls(fitted),
+        "delayed": "delay" in fitted.values["bench"],
+    }
+
+
+def controls(fitted: Fitted) -> bool:
+    """Whether what MuJoCo's actuator gets is something else than the command."""
+    return "delay" in fitted.values["bench"] or type(fitted.bench.actuator).control is not Actuator.control
+
+
+def load_module(path: Path) -> ModuleType:
+    """Import a module that was just written.
+
+    Args:
+        path: The file.
+    """
+    spec = importlib.util.spec_from_file_location(f"frictionzoo_export_{path.stem}", path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

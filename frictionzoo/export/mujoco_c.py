@@ -1,0 +1,61 @@
+"""The target `mujoco`: the law as a Python module inside MuJoCo's own step."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar
+
+import mujoco
+import numpy as np
+
+from frictionzoo.export.base import Export, Target, measure, register_target
+from frictionzoo.export.fitted import Fitted
+from frictionzoo.export.module import controls, load_module, write_module
+from frictionzoo.export.simulate import commands_before, simulate
+
+MODULE, BENCH = "drive.py", "bench.xml"
+
+
+@register_target("mujoco")
+class MujocoC(Target):
+    """A Python module, of numpy and mujoco alone, that brings the law itself into MuJoCo C's step."""
+
+    packages: ClassVar[tuple[str, ...]] = ("mujoco", "numpy")
+
+    def write(self, fitted: Fitted, folder: Path, options: Mapping[str, str]) -> Export:
+        """See `Target.write`."""
+        (folder / BENCH).write_text(write_bare_bench(fitted))
+        written = write_module(
+            *(fitted, folder, "mujoco_drive.py.jinja", MODULE),
+            example_inputs="".join(f', {{"{name}": ...}}' for name in fitted.bench.actuator.inputs[:1]),
+            example_install="drive.command[:] = ..." if controls(fitted) else "data.ctrl[...] = ...",
+        )
+        qpos = _run(folder, fitted)
+        return Export((*written, BENCH), (measure("qpos", fitted, qpos, fitted.rollout()[0]),), _say_limits(fitted))
+
+
+def write_bare_bench(fitted: Fitted, frictionloss: np.ndarray | None = None) -> str:
+    """The bench's MJCF, without friction and without delay: the module brings both."""
+    values = {name: value for name, value in fitted.values["bench"].items() if name != "delay"}
+    return fitted.bench.mjcf(values, frictionloss, comments=(f"Friction is in {MODULE} beside this file.",))
+
+
+def _run(folder: Path, fitted: Fitted) -> np.ndarray:
+    module: Any = load_module(folder / MODULE)
+    model = mujoco.MjModel.from_xml_path(str(folder / BENCH))
+    drive = module.Drive(model)
+
+    def prepare(model: mujoco.MjModel, data: mujoco.MjData, rollout: int) -> None:
+        drive.start_late(commands_before(fitted, rollout))
+
+    def step(model: mujoco.MjModel, data: mujoco.MjData, channels: np.ndarray) -> None:
+        command, *rest = np.split(channels, 1 + len(module.INPUTS))
+        drive.step(data, command, dict(zip(module.INPUTS, rest, strict=True)))
+
+    return simulate(model, fitted, step, prepare, late=False)
+
+
+def _say_limits(fitted: Fitted) -> tuple[str, ...]:
+    limits = ["It runs as MuJoCo's control callback, in Python: a step takes longer than without."]
+    if fitted.bench.payload is not None:
+        limits.append("Payloads of recordings are left out; for the difference above they were put into the model.")
+    return tuple(limits)

@@ -1,0 +1,99 @@
+"""MuJoCo C under the commands of recordings: how written models are compared with the fitted drive."""
+
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from frictionzoo.engine.mjx import INERTIAL
+from frictionzoo.export.fitted import Fitted
+from frictionzoo.types import Segments
+
+Step = Callable[[mujoco.MjModel, mujoco.MjData, Float[np.ndarray, "channels"]], None]
+"""Advances a model by one time step under one sample of the commands and the actuator law's other inputs."""
+
+
+def simulate(
+    model: mujoco.MjModel,
+    fitted: Fitted,
+    step: Step,
+    prepare: Callable[[mujoco.MjModel, mujoco.MjData, int], None] = lambda *_: None,
+    late: bool = True,
+) -> Float[np.ndarray, "batch time nv"]:
+    """Positions after each sample of the long test rollouts.
+
+    Args:
+        model: What was written, compiled; payloads are put into it.
+        fitted: The drive whose rollouts these are.
+        step: One time step.
+        prepare: Called with a rollout's number before it begins, from its initial state.
+        late: Whether the commands that `step` gets are late by the bench's delay.
+    """
+    segments = fitted.segments
+    commands = fitted.commands(late=late)
+    qpos = np.empty((segments.count, segments.length, fitted.bench.nv))
+    for rollout in range(segments.count):
+        data = _begin(model, fitted, segments, rollout)
+        prepare(model, data, rollout)
+        for sample in range(segments.length):
+            for command in commands[rollout, sample]:
+                step(model, data, command)
+            qpos[rollout, sample] = data.qpos
+    return qpos
+
+
+def step_with_control(fitted: Fitted) -> Step:
+    """A step in which the caller computes the actuator law's controller, and MuJoCo does the rest.
+
+    Args:
+        fitted: The drive.
+    """
+    bench = fitted.bench
+
+    def step(model: mujoco.MjModel, data: mujoco.MjData, channels: Float[np.ndarray, "channels"]) -> None:
+        command, *rest = np.split(channels, 1 + len(bench.actuator.inputs))
+        inputs = dict(zip(bench.actuator.inputs, rest, strict=True))
+        data.ctrl[:] = bench.actuator.control(np, fitted.values["bench"], data.qpos, data.qvel, command, inputs)
+        mujoco.mj_step(model, data)
+
+    return step
+
+
+def commands_before(fitted: Fitted, rollout: int) -> Float[np.ndarray, "steps nv"]:
+    """The commands in the steps before a rollout's first state, the newest last; at least one.
+
+    Args:
+        fitted: The drive.
+        rollout: Number of the rollout.
+    """
+    segments = fitted.segments
+    known = segments.ctrl[rollout, : max(segments.history, 1), : fitted.bench.nv]
+    return np.repeat(known, fitted.sampling.substeps, axis=0)
+
+
+def put_load(model: mujoco.MjModel, fitted: Fitted, load: Float[np.ndarray, "load"]) -> None:
+    """Let the body that carries payloads be what a recording's payload makes of it.
+
+    Args:
+        model: A model of the bench.
+        fitted: The drive.
+        load: As `Bench.load` gives it.
+    """
+    body = fitted.bench.payload
+    if body is None or not len(load):
+        return
+    model.body_mass[body], model.body_ipos[body] = load[0], load[1:4]
+    model.body_iquat[body], model.body_inertia[body] = load[4:8], load[8:INERTIAL]
+    # Shortcuts that MuJoCo's compiler allowed itself for the body without the payload.
+    model.body_sameframe[body] = model.body_simple[body] = 0
+    model.dof_simplenum[:] = 0
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def _begin(model: mujoco.MjModel, fitted: Fitted, segments: Segments, rollout: int) -> mujoco.MjData:
+    if segments.load is not None:
+        put_load(model, fitted, segments.load[rollout])
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = segments.qpos[rollout, 0], segments.qvel[rollout, 0]
+    return data

@@ -1,0 +1,175 @@
+"""A run's drive written for one program or for all of them, with a note of how exact it is."""
+
+import json
+import platform
+import shutil
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from importlib import metadata
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+
+from frictionzoo import __version__
+from frictionzoo.errors import ConfigError, ExportError, FrictionzooError, OutputError, closest
+from frictionzoo.export import targets  # noqa: F401 - registers them
+from frictionzoo.export.base import Export, get_target, read_number, target_names
+from frictionzoo.export.fitted import Fitted
+from frictionzoo.output import to_json, write_atomically
+from frictionzoo.params import UNITS
+
+NOTE = "export.json"
+ALL = "all"
+COMMON = ("target", "timestep", "output")
+
+
+@dataclass(frozen=True)
+class Written:
+    """One target's outcome.
+
+    Attributes:
+        target: Its name.
+        folder: Where the files are; None where there are none.
+        export: What was written; None where nothing was.
+        reason: Why nothing was written, in one line.
+    """
+
+    target: str
+    folder: Path | None = None
+    export: Export | None = None
+    reason: str = ""
+
+
+def write_exports(folder: Path, options: Mapping[str, str]) -> list[Written]:
+    """Write what the options ask for.
+
+    Args:
+        folder: The run's.
+        options: `target`, a name or `all`; `timestep` [s]; `output`, a folder; and the target's own, all as text.
+
+    Returns:
+        One entry a target. With `all`, a target that cannot hold this drive or is not installed is an entry too.
+
+    Raises:
+        FrictionzooError: An option is impossible, the run cannot be read, or the one target cannot hold the drive.
+    """
+    names = _choose(options)
+    fitted = Fitted.load(folder)
+    output = Path(options["output"]) if "output" in options else folder / "export"
+    timestep = read_number(options, "timestep")
+    if options["target"] != ALL:
+        place = output if "output" in options else output / names[0]
+        return [_write(fitted, names[0], place, timestep, options)]
+    return [_try(fitted, name, output / name, timestep, options) for name in names]
+
+
+def _choose(options: Mapping[str, str]) -> list[str]:
+    """The targets that are asked for, if all options are theirs."""
+    if "target" not in options:
+        raise ConfigError(f"target is missing; give target=NAME, {closest('', [*target_names(), ALL])}")
+    asked, existing = options["target"], target_names()
+    if asked not in (*existing, ALL):
+        raise ConfigError(f"target={asked}: no such target; {closest(asked, [*existing, ALL])}")
+    names = existing if asked == ALL else [asked]
+    known = {*COMMON, *(option for name in names for option in get_target(name).options)}
+    for option in options:
+        if option not in known:
+            raise ConfigError(f"{option}: unknown option of target={asked}; {closest(option, known)}")
+    return names
+
+
+def _try(fitted: Fitted, name: str, place: Path, timestep: float | None, options: Mapping[str, str]) -> Written:
+    try:
+        return _write(fitted, name, place, timestep, options)
+    except OutputError:
+        raise
+    except FrictionzooError as error:
+        return Written(name, reason=str(error))
+
+
+def _write(fitted: Fitted, name: str, place: Path, timestep: float | None, options: Mapping[str, str]) -> Written:
+    target = get_target(name)()
+    for package in target.packages:
+        if find_spec(package) is None:
+            raise ExportError(f"target={name}: {package} is not installed; pip install {package}")
+    moved = fitted if timestep is None else fitted.at(timestep)
+    own = {option: value for option, value in options.items() if option in target.options}
+    _refuse_foreign(place)
+    with _Folder(place) as fresh:
+        export = target.write(moved, fresh, own)
+        export = Export(export.files, export.differences, (*export.limits, *_say_timestep(fitted, moved)))
+        note = _note(moved, name, target.packages, export)
+        write_atomically(fresh / NOTE, (json.dumps(to_json(note), indent=2, allow_nan=False) + "\n").encode())
+    return Written(name, place, export)
+
+
+class _Folder:
+    """An empty folder that takes its place, with all that is in it, only if nothing went wrong."""
+
+    def __init__(self, place: Path) -> None:
+        self._place = place
+
+    def __enter__(self) -> Path:
+        try:
+            self._place.parent.mkdir(parents=True, exist_ok=True)
+            self._fresh = Path(tempfile.mkdtemp(prefix=f".{self._place.name}.", dir=self._place.parent))
+            self._fresh.chmod(0o755)
+        except OSError as error:
+            raise OutputError(f"{self._place}: {error.strerror}; set output to a folder that can be written") from error
+        return self._fresh
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        try:
+            if kind is None:
+                if self._place.exists():
+                    shutil.rmtree(self._place)
+                self._fresh.rename(self._place)
+        except OSError as error:
+            raise OutputError(f"{self._place}: {error.strerror}; set output to a folder that can be written") from error
+        finally:
+            shutil.rmtree(self._fresh, ignore_errors=True)
+
+
+def _refuse_foreign(place: Path) -> None:
+    """An older export is replaced; anything else stays."""
+    if place.exists() and (not place.is_dir() or (any(place.iterdir()) and not (place / NOTE).exists())):
+        raise OutputError(f"{place}: it holds something else than an export; set output to another folder")
+
+
+def _say_timestep(fitted: Fitted, moved: Fitted) -> list[str]:
+    """How far the drive itself moves differently in steps of another length."""
+    if np.isclose(fitted.timestep, moved.timestep, rtol=1e-6):
+        return []
+    every = max(1, round(moved.segments.timestep / fitted.segments.timestep))
+    expected = fitted.rollout()[0][:, every - 1 :: every]
+    distance = np.abs(moved.rollout()[0] - expected[:, : moved.segments.length])
+    unit = UNITS[fitted.bench.joint_type]["position"]
+    return [
+        f"In steps of {moved.timestep:g} s the drive moves differently than in those of {fitted.timestep:g} s with "
+        f"which it was fitted: by {distance.mean():.2g} {unit} in the mean and {distance.max():.2g} {unit} at most, "
+        f"over {moved.over}."
+    ]
+
+
+def _note(fitted: Fitted, name: str, packages: Sequence[str], export: Export) -> dict[str, object]:
+    versions = {"python": platform.python_version(), "frictionzoo": __version__}
+    return {
+        "target": name,
+        "run": str(fitted.folder.resolve()),
+        "model": fitted.result["model"],
+        "joints": list(fitted.bench.joints),
+        "timestep": fitted.timestep,
+        "files": list(export.files),
+        "differences": [asdict(difference) for difference in export.differences],
+        "limits": list(export.limits),
+        "versions": versions | {package: _version(package) for package in packages},
+    }
+
+
+def _version(package: str) -> str:
+    """Of a package, by the name under which it is imported."""
+    for distribution in metadata.packages_distributions().get(package, [package]):
+        return metadata.version(distribution)
+    return "unknown"

@@ -1,0 +1,401 @@
+"""What export targets write, run in the programs that it is for, against the fitted drive."""
+
+import ast
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import mujoco
+import numpy as np
+import pytest
+import torch
+from omegaconf import OmegaConf
+from test_levels import imports
+
+from frictionzoo.bench import Bench
+from frictionzoo.build import build
+from frictionzoo.config import compose_config
+from frictionzoo.errors import ConfigError, ExportError, FrictionzooError
+from frictionzoo.export import targets  # noqa: F401 - registers them
+from frictionzoo.export.__main__ import main
+from frictionzoo.export.base import get_target, target_names
+from frictionzoo.export.bench import Mjcf, run_bench
+from frictionzoo.export.fitted import Fitted
+from frictionzoo.export.mjx_module import Mjx
+from frictionzoo.export.module import load_module, write_module
+from frictionzoo.export.mujoco_c import MujocoC
+from frictionzoo.models import FrictionModel, model_names
+from frictionzoo.types import FrictionTerms, Payload, Segments
+
+PAYLOAD = Payload(0.1, (0.0, 0.0, -0.05), (1e-4, 1e-4, 1e-5))
+EXACT = 1e-9  # promised, rad; rounding of some hundred steps stays far below
+ROBOT = """<mujoco>
+  <!-- mine -->
+  <compiler angle="radian"/>
+  <option timestep="0.002"/>
+  <default><joint damping="0.5"/><general gear="3"/></default>
+  <worldbody>
+    <body name="thigh"><geom size="0.1" mass="0.33333333333333331"/><joint name="hip" axis="0 1 0"/>
+      <body name="shank" pos="0 0 -0.3"><geom size="0.05"/><joint name="knee" axis="0 1 0"/></body>
+    </body>
+  </worldbody>
+  <actuator><position name="servo" joint="knee" kp="3" ctrlrange="-9 9" ctrllimited="true"/></actuator>
+</mujoco>"""
+URDF = """<robot name="leg"><link name="base"/>
+  <link name="shank"><inertial><mass value="1"/>
+    <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="knee" type="revolute"><parent link="base"/><child link="shank"/><axis xyz="0 1 0"/>
+    <limit lower="-1" upper="1" effort="2" velocity="3"/></joint></robot>"""
+
+
+class Rubbing(FrictionModel):
+    """All terms at once, each of the state."""
+
+    name = "rubbing"
+    constraint = True
+
+    def terms(self, xp, values, state):
+        """Every term."""
+        pressed = 0.1 + 0.05 * xp.abs(state.external_torque) + 0.05 * xp.tanh(state.qpos) ** 2
+        turning = 0.02 + 0.01 * xp.tanh(state.motor_torque) ** 2
+        return FrictionTerms(torque=0.03 * xp.tanh(state.qvel), frictionloss=pressed, damping=turning)
+
+
+def make_fitted(model: str | FrictionModel, *overrides: str, steps: int = 150) -> Fitted:
+    """A drive as if identified, and two rollouts of it; a command each that swings it back and forth."""
+    chosen = "coulomb_stribeck" if isinstance(model, FrictionModel) else model
+    settings = OmegaConf.to_container(compose_config(f"model={chosen}", "data=twin", *overrides), resolve=True)
+    bench: Bench = build(settings["bench"])
+    law = model if isinstance(model, FrictionModel) else build(settings["model"], nv=bench.nv)
+    if chosen == "neural_friction":
+        with torch.no_grad():  # so that it matters
+            law.layers[-1].weight.mul_(100.0)
+    interval = bench.timestep
+    history = bench.sampling(interval).history
+    time = interval * np.arange(-history, steps)[:, None]
+    swings = np.stack([0.5 * np.sin(30 * time + phase) for phase in (0.3, 2.0)])
+    inputs = {"gain": 5.0, "supply": 12.0, "enable": 1.0}
+    more = [np.full_like(swings, inputs[name]) for name in bench.actuator.inputs]
+    states = np.random.default_rng(0).normal(scale=0.2, size=(2, 2, steps + 1, 1))
+    load = None if bench.payload is None else np.stack(2 * [bench.load(PAYLOAD)])
+    segments = Segments(*states, np.concatenate([swings, *more], axis=2), interval, load, history)
+    values = {
+        "bench": bench.initial_values(),
+        "friction": {name: value.detach().double().numpy() for name, value in law.state_dict().items()},
+    }
+    result = {"settings": settings, "model": law.name}
+    return Fitted(Path("run"), result, bench, law.double(), values, segments, bench.sampling(interval))
+
+
+LAWS = [*model_names(), Rubbing(1)]
+BENCHES = {
+    "a late command": (
+        "coulomb_stribeck",
+        "bench.params.delay={init: 0.0034, low: 0.0, high: 0.02, scale: 0.01, identify: true}",
+    ),
+    "a voltage servo with a payload": ("mujoco_default", "bench=xl330"),
+}
+
+
+def name_of(law):
+    return law if isinstance(law, str) else law.name
+
+
+def pairs():
+    """Every law in MuJoCo C, and in MJX, which takes seconds to compile, one that has all terms."""
+    for law in LAWS:
+        yield pytest.param(MujocoC, law, id=f"mujoco-{name_of(law)}")
+        marks = [] if name_of(law) == "rubbing" else [pytest.mark.slow]
+        yield pytest.param(Mjx, law, id=f"mjx-{name_of(law)}", marks=marks)
+
+
+@pytest.mark.parametrize(("target", "law"), list(pairs()))
+def test_a_module_moves_the_bench_as_it_was_fitted(target, law, tmp_path):
+    fitted = make_fitted(law)
+    export = target().write(fitted, tmp_path, {})
+    assert {path.name for path in tmp_path.iterdir() if path.is_file()} == set(export.files)
+    assert np.ptp(fitted.rollout()[0]) > 0.1
+    assert export.differences[0].largest < EXACT
+
+
+@pytest.mark.parametrize("case", BENCHES)
+@pytest.mark.parametrize("target", [MujocoC, pytest.param(Mjx, marks=pytest.mark.slow)], ids=lambda target: target.name)
+def test_a_module_holds_the_actuator_and_its_delay(target, case, tmp_path):
+    fitted = make_fitted(*BENCHES[case])
+    assert target().write(fitted, tmp_path, {}).differences[0].largest < EXACT
+
+
+def test_a_late_command_is_the_same_in_mjcf(tmp_path):
+    _, override = BENCHES["a late command"]
+    export = Mjcf().write(make_fitted("mujoco_default", override), tmp_path, {})
+    assert "nsample" in (tmp_path / "bench.xml").read_text()
+    assert export.differences[0].largest < EXACT
+
+
+def put_into_robot(tmp_path, text, *overrides, name="robot.xml", model="mujoco_default", **options):
+    """The export's folder, what was written and the robot's compiled model."""
+    robot = tmp_path / name
+    robot.write_text(text)
+    folder = tmp_path / "export"
+    folder.mkdir()
+    export = Mjcf().write(make_fitted(model, *overrides), folder, {"into": str(robot), **options})
+    return folder / name, export, mujoco.MjModel.from_xml_path(str(folder / name))
+
+
+def test_a_robots_joint_gets_the_drive_and_nothing_else_changes(tmp_path):
+    path, export, model = put_into_robot(tmp_path, ROBOT)
+    before = mujoco.MjModel.from_xml_string(ROBOT)
+    values = make_fitted("mujoco_default").values
+    knee, hip = model.joint("knee"), model.joint("hip")
+    assert knee.armature == values["bench"]["armature"]
+    assert knee.frictionloss == values["friction"]["frictionloss"]
+    assert knee.damping[0] == values["friction"]["damping"]
+    assert hip.damping[0] == 0.5 and hip.frictionloss == 0 and hip.armature == 0
+    np.testing.assert_array_equal(model.body_mass, before.body_mass)  # to the last digit
+    assert "<!-- mine -->" in path.read_text()
+    servo = model.actuator("servo")  # keeps its name and its range
+    assert servo.gainprm[0] == 20 and servo.gear[0] == 1
+    np.testing.assert_array_equal(servo.ctrlrange, [-9, 9])
+    assert export.differences[1].quantity == "torque"
+    assert export.differences[1].largest < EXACT
+    assert any("time step is 0.002 s" in limit for limit in export.limits)
+
+
+def test_a_drive_goes_into_several_joints_and_adds_their_actuators(tmp_path):
+    late = BENCHES["a late command"][1]
+    _, export, model = put_into_robot(tmp_path, ROBOT, late, joint="hip,knee")
+    np.testing.assert_array_equal(
+        model.dof_armature, np.repeat(make_fitted("mujoco_default").values["bench"]["armature"], 2)
+    )
+    assert model.nu == 2
+    np.testing.assert_array_equal(model.actuator_delay, [0.0034, 0.0034])
+    assert export.differences[1].largest < EXACT
+
+
+def test_a_robots_actuators_can_stay(tmp_path):
+    _, export, model = put_into_robot(tmp_path, ROBOT, actuator="keep")
+    assert model.nu == 1 and model.actuator("servo").gainprm[0] == 3
+    assert export.differences[1].largest == 0
+
+
+def test_urdf_gets_friction_and_damping_and_says_what_it_lacks(tmp_path):
+    path, export, model = put_into_robot(tmp_path, URDF, name="leg.urdf")
+    values = make_fitted("mujoco_default").values
+    assert model.dof_frictionloss == values["friction"]["frictionloss"]
+    assert model.dof_damping == values["friction"]["damping"]
+    armature = float(values["bench"]["armature"][0])
+    assert f"armature {armature!r}" in path.read_text()
+    assert any("no armature" in limit and f"{armature:.6g}" in limit for limit in export.limits)
+
+
+def test_another_law_is_refitted_and_says_what_that_costs(tmp_path):
+    export = Mjcf().write(make_fitted("coulomb_stribeck"), tmp_path, {})
+    (limit,) = export.limits
+    after, before = (float(text.split()[-1]) for text in limit.split(" rad")[:2])
+    assert "no coulomb_stribeck" in limit
+    assert 0 < after < before  # the refit is no worse than truncation
+    rms = np.sqrt(np.mean(np.square(_simulate(tmp_path) - make_fitted("coulomb_stribeck").rollout()[0])))
+    assert rms == pytest.approx(after, rel=1e-2)  # three digits are printed
+
+
+def _simulate(folder):
+    """The written bench under the fixture's commands."""
+    fitted = make_fitted("coulomb_stribeck")
+    return run_bench(mujoco.MjModel.from_xml_path(str(folder / "bench.xml")), fitted)
+
+
+def test_an_installed_drive_acts_in_mj_step(tmp_path):
+    fitted = make_fitted("coulomb_stribeck")
+    MujocoC().write(fitted, tmp_path, {})
+    module = load_module(tmp_path / "drive.py")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "bench.xml"))
+    data, drive = mujoco.MjData(model), module.Drive(model)
+    data.qpos[:], data.qvel[:] = fitted.segments.qpos[0, 0], fitted.segments.qvel[0, 0]
+    drive.install()
+    try:
+        for command in fitted.segments.commands[0]:
+            data.ctrl[:] = command
+            mujoco.mj_step(model, data)
+    finally:
+        mujoco.set_mjcb_control(None)
+    assert data.qpos[0] == pytest.approx(fitted.rollout()[0][0, -1, 0], abs=EXACT)
+
+
+def test_a_module_needs_nothing_of_this_package(tmp_path):
+    fitted = make_fitted("neural_friction")
+    for target in (MujocoC, Mjx):
+        folder = tmp_path / target.name
+        folder.mkdir()
+        names = write_module(
+            *(fitted, folder, f"{target.name}_drive.py.jinja", "drive.py"),
+            **dict.fromkeys(("example_inputs", "example_install", "late_remark"), ""),
+        )
+        assert names == ("drive.py", "weights.npz")
+        imported = {name.split(".")[0] for name in imports(ast.parse((folder / "drive.py").read_text()))}
+        assert not imported & {"frictionzoo", "torch", "hydra"}
+
+
+def test_friction_torque_over_jax_is_the_laws(tmp_path):
+    fitted = make_fitted("coulomb_stribeck")
+    write_module(fitted, tmp_path, "mjx_drive.py.jinja", "drive.py", example_inputs="", late_remark="")
+    module, samples = load_module(tmp_path / "drive.py"), fitted.samples
+    with jax.enable_x64(True):
+        torque = np.asarray(module.friction_torque(*map(np.asarray, samples)))
+    expected = fitted.model.terms(np, fitted.values["friction"], samples).torque
+    np.testing.assert_allclose(torque, expected, rtol=1e-12)
+
+
+class Hidden(FrictionModel):
+    """A law that keeps what cannot be written down."""
+
+    name = "hidden"
+
+    def terms(self, xp, values, state):
+        """Asks an object."""
+        return FrictionTerms(torque=self.table * state.qvel)
+
+
+def test_a_law_that_cannot_be_written_down_says_why(tmp_path):
+    law = Hidden(1)
+    law.table = np.ones(1)
+    with pytest.raises(ExportError, match=r"Hidden: table is a ndarray, expected a number"):
+        MujocoC().write(make_fitted(law), tmp_path, {})
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    {
+        "no such file": ({"into": "nowhere.xml"}, r"into=nowhere.xml: No such file"),
+        "no such joint": ({"into": "robot.xml", "joint": "kneee"}, r"joint=kneee: no such joint .*did you mean knee"),
+        "twice": ({"into": "robot.xml", "joint": "knee,knee"}, r"expected each joint once"),
+        "no robot": ({"into": "notes.xml"}, r"into=notes.xml: <notes>, expected <mujoco>"),
+        "broken": ({"into": "broken.xml"}, r"into=broken.xml: not XML"),
+        "uncompiled": ({"into": "empty.xml"}, r"into=empty.xml: MuJoCo does not compile it"),
+        "slide": ({"into": "slide.xml"}, r"joint=knee: another type of joint .*expected a hinge"),
+        "actuator": ({"into": "robot.xml", "actuator": "mine"}, r"actuator=mine: expected identified or keep"),
+        "joint alone": ({"joint": "knee"}, r"joint=knee without into"),
+    }.values(),
+)
+def test_a_robot_that_cannot_take_the_drive_is_refused(options, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    texts = {
+        "robot": ROBOT,
+        "notes": "<notes/>",
+        "broken": "<mujoco",
+        "slide": ROBOT.replace('name="knee"', 'name="knee" type="slide"'),
+    }
+    texts["empty"] = '<mujoco><worldbody><body><joint name="knee"/></body></worldbody></mujoco>'
+    for name, text in texts.items():
+        Path(f"{name}.xml").write_text(text)
+    with pytest.raises(FrictionzooError, match=message) as caught:
+        Mjcf().write(make_fitted("mujoco_default"), tmp_path, options)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_longer_step_keeps_every_other_sample_and_its_history():
+    fitted = make_fitted(*BENCHES["a late command"])
+    slower = fitted.at(0.002)
+    assert slower.timestep == 0.002 and slower.segments.length == fitted.segments.length // 2
+    np.testing.assert_array_equal(slower.segments.qpos, fitted.segments.qpos[:, ::2])
+    np.testing.assert_array_equal(slower.segments.commands, fitted.segments.commands[:, ::2])
+    assert slower.segments.history == slower.sampling.history == 10
+    faster = fitted.at(0.0005)
+    assert faster.sampling.substeps == 2 and faster.segments.length == fitted.segments.length
+    # Both converge to one motion; the command is held over a longer sample.
+    for other, every in ((slower, 2), (faster, 1)):
+        np.testing.assert_allclose(other.rollout()[0], fitted.rollout()[0][:, every - 1 :: every], atol=0.02)
+    with pytest.raises(ConfigError, match="timestep=0.0015; expected a whole part"):
+        fitted.at(0.0015)
+
+
+@pytest.fixture(scope="module")
+def run_folder(recording, tiny, tmp_path_factory):
+    """A finished run of seconds."""
+    folder = tmp_path_factory.mktemp("runs") / "run"
+    job = [sys.executable, "-m", "frictionzoo.run", *tiny, "model=mujoco_default", "fit=lm", "fit.iterations=2"]
+    subprocess.run([*job, f"hydra.run.dir={folder}"], check=True, capture_output=True, cwd=folder.parent)
+    return folder
+
+
+def export(capsys, *arguments):
+    status = main([str(argument) for argument in arguments])
+    written = capsys.readouterr()
+    return status, written.out, written.err
+
+
+def test_the_command_writes_a_run_and_a_note(run_folder, tmp_path, capsys):
+    place = tmp_path / "here"
+    for _ in range(2):  # an older export is replaced
+        status, out, err = export(capsys, run_folder, "target=mjcf", f"output={place}")
+        assert (status, err) == (0, "")
+    assert "mjcf" in out and "qpos [rad]" in out and str(place) in out
+    assert sorted(path.name for path in place.iterdir()) == ["bench.xml", "export.json"]
+    note = json.loads((place / "export.json").read_text())
+    assert note["target"] == "mjcf" and note["files"] == ["bench.xml"] and note["timestep"] == 0.001
+    assert note["versions"]["mujoco"] == mujoco.__version__
+    (difference,) = note["differences"]
+    assert difference["largest"] < EXACT
+    # A run keeps what was exported, to its last digit.
+    values, model = Fitted.load(run_folder).values, mujoco.MjModel.from_xml_path(str(place / "bench.xml"))
+    assert model.dof_frictionloss == values["friction"]["frictionloss"]
+
+
+def test_another_time_step_says_what_it_changes(run_folder, tmp_path, capsys):
+    status, out, _ = export(capsys, run_folder, "target=mjcf", "timestep=0.002", f"output={tmp_path / 'slow'}")
+    assert status == 0 and "In steps of 0.002 s the drive moves differently" in out
+    assert mujoco.MjModel.from_xml_path(str(tmp_path / "slow" / "bench.xml")).opt.timestep == 0.002
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["target=mjc"], "target=mjc: no such target; did you mean mjcf?"),
+        ([], "target is missing"),
+        (["mjcf"], "mjcf: expected KEY=VALUE"),
+        (["target=mjcf", "target=mjx"], "target=mjx: target is given twice"),
+        (["target=mujoco", "into=robot.xml"], "into: unknown option of target=mujoco"),
+        (["target=mjcf", "timestep=fast"], "timestep=fast; expected a number"),
+        (["target=mjcf", "timestep=-1"], "timestep=-1; expected a whole part"),
+        (["target=mjcf", "output=taken"], "taken: it holds something else than an export"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else None,
+)
+def test_a_mistake_is_one_line_and_leaves_nothing(run_folder, tmp_path, capsys, monkeypatch, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    Path("taken").mkdir()
+    Path("taken/thesis.tex").write_text("years")
+    before = sorted(path.name for path in run_folder.iterdir())
+    status, out, err = export(capsys, run_folder, *arguments)
+    assert (status, out) == (2, "") and err.startswith(f"frictionzoo: {message}") and err.count("\n") == 1
+    assert sorted(path.name for path in run_folder.iterdir()) == before
+    assert Path("taken/thesis.tex").exists()
+
+
+@pytest.mark.parametrize(
+    ("file", "content", "message"),
+    [
+        ("result.json", None, "expected the folder of a finished run"),
+        ("result.json", b"{", "not JSON"),
+        ("friction.safetensors", None, "No such file"),
+        ("friction.safetensors", b"\x80\x04K\x00.", "expected the values of mujoco_default"),
+        ("curves.safetensors", b"", "expected the file that this version writes"),
+    ],
+)
+def test_a_damaged_run_is_one_line(run_folder, tmp_path, capsys, file, content, message):
+    damaged = tmp_path / "run"
+    shutil.copytree(run_folder, damaged)
+    (damaged / file).unlink() if content is None else (damaged / file).write_bytes(content)
+    status, _, err = export(capsys, damaged, "target=mjcf")
+    assert status == 2 and message in err and err.count("\n") == 1
+    assert not (damaged / "export").exists()
+
+
+def test_targets_are_those_of_the_guide():
+    guide = (Path(__file__).parent.parent / "docs" / "export.md").read_text()
+    for name in target_names():
+        assert f"`{name}`" in guide
+        for option in get_target(name).options:
+            assert f"`{option}=" in guide
