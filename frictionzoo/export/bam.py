@@ -1,0 +1,197 @@
+"""The target `bam`: parameter files of Rhoban's BAM, which its MuJoCo controller and its mjlab actuator read."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import nnls
+
+from frictionzoo.bench import VoltageServo
+from frictionzoo.errors import ConfigError, ExportError, closest
+from frictionzoo.export.base import Difference, Export, Target, measure, register_target
+from frictionzoo.export.fitted import Fitted
+from frictionzoo.export.graph import compare, sliding
+from frictionzoo.export.mjcf import evaluate_law
+from frictionzoo.export.read_bam import DUTY, load_parameters, read_bench, stribeck_share
+from frictionzoo.export.simulate import Step, simulate, step_with_control
+from frictionzoo.types import DriveState, FrictionTerms
+
+_AT_ONCE = 1e3  # rad/s, faster than any command: BAM's STS3215 else follows commands at its default speed
+_INPUTS = "Supply and gain are not in the file: BAM takes them from its logs, or as vin and kp."
+_KT = "Only kt / R and kt^2 / R are identified: kt and R are those that give them, not a data sheet's."
+_STICKS = "BAM's joint sticks at rest, where the law's smooth sign lets it creep."
+
+
+@register_target("bam")
+class Bam(Target):
+    """One file a joint, with BAM's friction law m1 or m2, or for other laws the nearest m3.
+
+    Source: M. Duclusaud, G. Passault, V. Padois, O. Ly, "Extended friction models for the physics simulation of servo
+    actuators", 2024; github.com/Rhoban/bam.
+    """
+
+    options: ClassVar[Mapping[str, str]] = {"actuator": f"BAM's name of the servo: {', '.join(DUTY)}"}
+    packages: ClassVar[tuple[str, ...]] = ("mujoco",)
+
+    def write(self, fitted: Fitted, folder: Path, options: Mapping[str, str]) -> Export:
+        """See `Target.write`."""
+        if not isinstance(fitted.bench.actuator, VoltageServo):
+            law = type(fitted.bench.actuator).__name__
+            raise ExportError(
+                f"target=bam: the bench's actuator is a {law}, expected a VoltageServo; write target=mjcf"
+            )
+        actuator, remark = _choose_actuator(fitted, options)
+        laws, remarks = _to_bam(fitted)
+        files = tuple(f"{name}{law['model']}.json" for name, law in zip(_prefixes(fitted), laws, strict=True))
+        for joint, (file, law) in enumerate(zip(files, laws, strict=True)):
+            parameters = {**_motor(fitted, joint, actuator), **law, "actuator": actuator}
+            (folder / file).write_text(json.dumps(parameters, indent=4) + "\n")
+        limits = (*remarks, *remark, _KT, _INPUTS)
+        return Export(files, _compare(fitted, [folder / file for file in files]), limits)
+
+
+def friction_budget(parameters: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+    """Dry friction and damping of BAM's m1, m2 or m3, in numpy.
+
+    Args:
+        parameters: What the file holds.
+        state: Numpy arrays of one shape.
+    """
+    dry = np.full(np.shape(state.qvel), parameters["friction_base"])
+    if parameters["model"] == "m2":
+        share = stribeck_share(state.qvel, parameters["dtheta_stribeck"], parameters["alpha"])
+        dry = dry + parameters["friction_stribeck"] * share
+    if parameters["model"] == "m3":
+        dry = dry + parameters["load_friction_base"] * np.abs(state.external_torque - state.motor_torque)
+    return FrictionTerms(frictionloss=dry, damping=np.full(np.shape(state.qvel), parameters["friction_viscous"]))
+
+
+def _to_bam(fitted: Fitted) -> tuple[list[dict[str, Any]], list[str]]:
+    """BAM's friction parameters of each joint, and what they cost."""
+    values = fitted.values["friction"]
+    if fitted.model.name == "mujoco_default":
+        names = {"friction_base": "frictionloss", "friction_viscous": "damping"}
+        return _rename(fitted, "m1", names), []
+    if fitted.model.name == "coulomb_smooth":
+        names = {"friction_base": "static_torque", "friction_viscous": "viscous_coefficient"}
+        return _rename(fitted, "m1", names), [_STICKS]
+    if fitted.model.name == "coulomb_stribeck" and (values["static_torque"] >= values["kinetic_torque"]).all():
+        names = {
+            "friction_base": "kinetic_torque",
+            "dtheta_stribeck": "stribeck_velocity",
+            "friction_viscous": "viscous_coefficient",
+        }
+        excess = values["static_torque"] - values["kinetic_torque"]
+        laws = _rename(fitted, "m2", names)
+        return [law | {"friction_stribeck": float(e), "alpha": 2.0} for law, e in zip(laws, excess, strict=True)], [
+            _STICKS
+        ]
+    return _nearest(fitted)
+
+
+def _rename(fitted: Fitted, model: str, names: Mapping[str, str]) -> list[dict[str, Any]]:
+    values = fitted.values["friction"]
+    joints = range(fitted.bench.nv)
+    return [{"model": model, **{bam: float(values[own][joint]) for bam, own in names.items()}} for joint in joints]
+
+
+def _nearest(fitted: Fitted) -> tuple[list[dict[str, Any]], list[str]]:
+    """The least-squares m3 over the recorded states, all terms >= 0."""
+    samples = fitted.samples
+    torque = sliding(evaluate_law(fitted.model, samples), samples.qvel)
+    load = np.abs(samples.external_torque - samples.motor_torque)
+    laws, left = [], []
+    for joint in range(fitted.bench.nv):
+        velocity = samples.qvel[:, joint]
+        columns = np.stack([np.sign(velocity), np.sign(velocity) * load[:, joint], velocity], axis=1)
+        (base, share, viscous), distance = nnls(columns, torque[:, joint])
+        laws.append({"model": "m3", "friction_base": base, "load_friction_base": share, "friction_viscous": viscous})
+        left.append(distance / np.sqrt(len(velocity)))
+    size = np.sqrt(np.square(torque).mean())
+    listed = ", ".join(f"{rms:.3g}" for rms in left)
+    return laws, [
+        f"BAM has no {fitted.model.name}: m3 was fitted to its torque at the recorded states, by least squares with "
+        f"all terms >= 0, and leaves {listed} N m RMS of {size:.3g} N m."
+    ]
+
+
+def _motor(fitted: Fitted, joint: int, actuator: str) -> dict[str, float]:
+    """BAM's parameters of motor and rig."""
+    bench = {name: float(value[joint]) for name, value in fitted.values["bench"].items()}
+    torque_constant = bench["kt2_over_r"] / bench["kt_over_r"]
+    motor = {
+        "kt": torque_constant,
+        "R": torque_constant / bench["kt_over_r"],
+        "armature": bench["armature"],
+        "q_offset": bench.get("position_offset", 0.0),
+        "command_delay": bench.get("delay", 0.0),
+    }
+    if actuator == "sts3215":
+        motor |= {"error_gain_ratio": bench["duty_gain"] / DUTY[actuator][0], "max_velocity": _AT_ONCE}
+    return motor
+
+
+def _choose_actuator(fitted: Fitted, options: Mapping[str, str]) -> tuple[str, list[str]]:
+    """BAM's name of the servo, and what is to be said of it."""
+    gain = float(fitted.values["bench"]["duty_gain"][0])
+    given = options.get("actuator")
+    if given is not None and given not in DUTY:
+        raise ConfigError(f"actuator={given}: unknown; {closest(given, DUTY)}")
+    chosen = given or min(DUTY, key=lambda name: abs(np.log(DUTY[name][0] / gain)))
+    said = (
+        [] if given else [f"actuator={chosen} was taken for its gain; give the servo's name in BAM if it is another."]
+    )
+    if chosen != "sts3215" and not np.isclose(gain, DUTY[chosen][0], rtol=1e-3):
+        said.append(f"BAM's {chosen} has a duty cycle of {DUTY[chosen][0]:.4g} per radian and gain, not {gain:.4g}.")
+    limit = float(fitted.values["bench"]["duty_limit"][0])
+    if limit != DUTY[chosen][1]:
+        said.append(f"BAM's {chosen} limits the duty cycle to {DUTY[chosen][1]:g}, not {limit:g}.")
+    return chosen, said
+
+
+def _prefixes(fitted: Fitted) -> list[str]:
+    return [""] if fitted.bench.nv == 1 else [f"{name}_" for name in fitted.bench.joints]
+
+
+def _compare(fitted: Fitted, paths: list[Path]) -> tuple[Difference, ...]:
+    """The files against the drive: friction at the recorded states, and the rollouts in MuJoCo C."""
+    files = [load_parameters(path) for path in paths]
+    bench = [read_bench(path, data) for path, data in zip(paths, files, strict=True)]
+    stacked = {name: np.array([values[name] for values in bench]) for name in bench[0]}
+    written = replace(fitted, values={"bench": stacked, "friction": fitted.values["friction"]})
+    came = simulate(_compile(written), written, _step(written, files))
+    return (
+        compare(fitted, _budgets(files, fitted.samples), "BAM's formula"),
+        measure("qpos", fitted, came, fitted.rollout()[0]),
+    )
+
+
+def _budgets(files: list[dict[str, Any]], state: DriveState) -> FrictionTerms:
+    """Friction of all joints, along the last axis."""
+    terms = [friction_budget(data, DriveState(*(s[..., joint] for s in state))) for joint, data in enumerate(files)]
+    loss, damping = (np.stack([getattr(term, name) for term in terms], -1) for name in ("frictionloss", "damping"))
+    return FrictionTerms(frictionloss=loss, damping=damping)
+
+
+def _compile(written: Fitted) -> mujoco.MjModel:
+    values = {name: value for name, value in written.values["bench"].items() if name != "delay"}
+    ones = np.ones(written.bench.nv)  # set in each step
+    return mujoco.MjModel.from_xml_string(written.bench.mjcf(values, ones, ones))
+
+
+def _step(written: Fitted, files: list[dict[str, Any]]) -> Step:
+    """A step as BAM's MuJoCo controller takes it: friction from the state before it, by MuJoCo's own constraint."""
+    advance = step_with_control(written)
+
+    def step(model: mujoco.MjModel, data: mujoco.MjData, channels: Float[np.ndarray, "channels"]) -> None:
+        external = data.qfrc_passive + model.dof_damping * data.qvel - data.qfrc_bias
+        terms = _budgets(files, DriveState(data.qpos, data.qvel, data.qpos, data.qfrc_actuator, external))
+        model.dof_frictionloss[:], model.dof_damping[:] = terms.frictionloss, terms.damping
+        advance(model, data, channels)
+
+    return step

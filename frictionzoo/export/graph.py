@@ -1,0 +1,98 @@
+"""A friction law as a function of plain tensors, which runtimes without frictionzoo can hold."""
+
+import copy
+from collections.abc import Mapping
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from frictionzoo.errors import ConfigError, closest
+from frictionzoo.export.base import Difference, measure
+from frictionzoo.export.fitted import Fitted
+from frictionzoo.export.mjcf import evaluate_law
+from frictionzoo.models.base import FrictionModel
+from frictionzoo.types import DriveState, FrictionTerms
+
+DTYPES = {"float64": torch.float64, "float32": torch.float32}
+LIMITS = (
+    "The friction law only: armature, actuator and delay stay with the simulator. Inputs qpos, qvel, ctrl, "
+    "motor_torque and external_torque of shape (batch, nv) are one instant, in SI units; no history.",
+    "Outputs torque, frictionloss and damping of shape (batch, nv). Subtract torque + damping * qvel from the drive's "
+    "torque; dry friction is whatever stops the joint, at most frictionloss. What the law does not use is 0.",
+)
+
+
+class Graph(torch.nn.Module):
+    """A law with its values as constants: the five signals of a `DriveState` to the three of `FrictionTerms`.
+
+    Args:
+        model: The law; it is copied.
+        dtype: Of inputs, outputs and constants.
+    """
+
+    def __init__(self, model: FrictionModel, dtype: torch.dtype) -> None:
+        super().__init__()
+        self.law = copy.deepcopy(model).to(dtype).requires_grad_(False)
+        self.eval()
+
+    def forward(
+        self,
+        qpos: torch.Tensor,
+        qvel: torch.Tensor,
+        ctrl: torch.Tensor,
+        motor_torque: torch.Tensor,
+        external_torque: torch.Tensor,
+    ) -> tuple[torch.Tensor, ...]:
+        """Each of the terms, of shape (batch, nv), 0 where the law does not use it."""
+        terms = self.law(DriveState(qpos, qvel, ctrl, motor_torque, external_torque))
+        shape = qvel.shape
+        return tuple(torch.zeros_like(qvel) if term is None else torch.broadcast_to(term, shape) for term in terms)
+
+
+def example(nv: int, dtype: torch.dtype) -> tuple[torch.Tensor, ...]:
+    """Inputs to record a graph with: two rows, since one would be taken for a constant."""
+    return tuple(torch.ones(2, nv, dtype=dtype) for _ in DriveState._fields)
+
+
+def inputs(samples: DriveState, dtype: torch.dtype) -> dict[str, torch.Tensor]:
+    """The samples by name."""
+    arrays = (np.asarray(signal, np.float64) for signal in samples)
+    return {name: torch.tensor(array, dtype=dtype) for name, array in zip(DriveState._fields, arrays, strict=True)}
+
+
+def compare(fitted: Fitted, came: FrictionTerms, how: str) -> Difference:
+    """How far answers at the recorded states are from the law in float64, in friction torque while the joint moves.
+
+    Args:
+        fitted: The drive.
+        came: Arrays of shape (samples, nv).
+        how: By what they were computed.
+    """
+    samples = fitted.samples
+    expected = sliding(evaluate_law(fitted.model, samples), samples.qvel)
+    over = f"{len(expected)} recorded states in {how}"
+    return measure("torque", fitted, sliding(came, samples.qvel), expected, over)
+
+
+def sliding(terms: FrictionTerms, qvel: Float[np.ndarray, "samples nv"]) -> Float[np.ndarray, "samples nv"]:
+    """Friction torque while the joint moves, positive against positive velocity [N m or N].
+
+    Args:
+        terms: Arrays of shape (samples, nv), or None.
+        qvel: Joint velocity [rad/s or m/s].
+    """
+    torque, frictionloss, damping = (np.zeros(qvel.shape) if term is None else term for term in terms)
+    return torque + frictionloss * np.sign(qvel) + damping * qvel
+
+
+def read_dtype(options: Mapping[str, str]) -> str:
+    """The option `dtype`; float64 where it was not given.
+
+    Raises:
+        ConfigError: Another one.
+    """
+    dtype = options.get("dtype", "float64")
+    if dtype not in DTYPES:
+        raise ConfigError(f"dtype={dtype}: unknown; {closest(dtype, DTYPES)}")
+    return dtype

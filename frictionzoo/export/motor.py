@@ -1,0 +1,201 @@
+"""A position-controlled drive as robot simulators configure it: gains, torque limits, friction, a whole-step delay."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from frictionzoo.bench import Actuator, DcMotorPD, PositionPD, VoltageServo
+from frictionzoo.errors import ExportError
+from frictionzoo.export.base import read_number
+from frictionzoo.export.fitted import Fitted
+from frictionzoo.export.nearest import Nearest
+from frictionzoo.export.simulate import Step, simulate
+from frictionzoo.params import UNITS
+
+INPUTS: Mapping[str, str] = {
+    "gain": "of a servo's firmware; the recordings' median where it is left out",
+    "supply": "of a servo [V]; the recordings' median where it is left out",
+}
+_NEVER = 3.0  # times the torque at standstill: acts on a joint that is driven backwards at twice the free speed alone
+
+
+@dataclass(frozen=True)
+class Motor:
+    """One joint's drive.
+
+        torque = clip(stiffness (ctrl - qpos) - damping qvel, low, high), within +- effort_limit
+        high = saturation_effort (1 - qvel / velocity_limit),  low = -saturation_effort (1 + qvel / velocity_limit)
+
+    Attributes:
+        stiffness: [N m/rad or N/m].
+        damping: [N m s/rad or N s/m].
+        saturation_effort: Torque at standstill [N m or N]; infinite for no such limit.
+        velocity_limit: Velocity without load [rad/s or m/s].
+        effort_limit: [N m or N]; infinite for none.
+    """
+
+    stiffness: float
+    damping: float
+    saturation_effort: float = np.inf
+    velocity_limit: float = np.inf
+    effort_limit: float = np.inf
+
+    def torque(self, ctrl: float, qpos: float, qvel: float) -> float:
+        """What the drive gives [N m or N]."""
+        wanted = self.stiffness * (ctrl - qpos) - self.damping * qvel
+        if np.isfinite(self.saturation_effort):
+            falling = self.saturation_effort / self.velocity_limit * qvel
+            wanted = np.clip(wanted, -self.saturation_effort - falling, self.saturation_effort - falling)
+        return float(np.clip(wanted, -self.effort_limit, self.effort_limit))
+
+
+class Joint(NamedTuple):
+    """What a configuration file says of one joint.
+
+    Attributes:
+        motor: Its drive.
+        armature: [kg m^2 or kg].
+        frictionloss: [N m or N].
+        damping: Viscous friction [N m s/rad or N s/m].
+        lag: Steps of the simulation by which commands act late.
+    """
+
+    motor: Motor
+    armature: float
+    frictionloss: float
+    damping: float
+    lag: int
+
+
+def read_inputs(fitted: Fitted, options: Mapping[str, str]) -> dict[str, float]:
+    """Gain and supply of a drive that needs them, as given or as the median over the long test rollouts."""
+    names = fitted.bench.actuator.inputs
+    signals = np.split(fitted.segments.commands, 1 + len(names), axis=2)[1:]
+    medians = {name: float(np.median(signal)) for name, signal in zip(names, signals, strict=True)}
+    given = {name: read_number(options, name) for name in INPUTS}
+    return medians | {name: value for name, value in given.items() if value is not None and name in names}
+
+
+def motors(fitted: Fitted, inputs: Mapping[str, float]) -> list[Motor]:
+    """The drive of each joint.
+
+    Args:
+        fitted: The drive.
+        inputs: From `read_inputs`.
+
+    Raises:
+        ExportError: The actuator law is none of a position-controlled motor.
+    """
+    law, values = fitted.bench.actuator, fitted.values["bench"]
+    return [_motor(law, {name: float(v[j]) for name, v in values.items()}, inputs) for j in range(fitted.bench.nv)]
+
+
+def _motor(law: Actuator, values: Mapping[str, float], inputs: Mapping[str, float]) -> Motor:
+    if isinstance(law, PositionPD):
+        return Motor(values["kp"], values["kd"])
+    if isinstance(law, DcMotorPD):
+        limits = (values["stall_torque"], values["no_load_velocity"], values["torque_limit"])
+        return Motor(values["kp"], values["kd"], *limits)
+    if isinstance(law, VoltageServo):
+        # A limited voltage and back-EMF make a DC motor's torque-speed line whose slope is the damping itself.
+        per_duty = values["kt_over_r"] * inputs["supply"]
+        stall = per_duty * values["duty_limit"]
+        back = values["kt2_over_r"]
+        return Motor(per_duty * inputs["gain"] * values["duty_gain"], back, stall, stall / back, _NEVER * stall)
+    name = type(law).__name__
+    raise ExportError(f"the bench's actuator is a {name}, expected a position-controlled one; write target=mjcf")
+
+
+def read_joint(fields: Mapping[str, Any], friction: Sequence[str], delay: str) -> Joint:
+    """A joint from the keywords of its configuration.
+
+    Args:
+        fields: Keywords and values.
+        friction: What armature, dry and viscous friction are called there.
+        delay: What the delay is called.
+    """
+    limits = {name: fields[name] for name in ("saturation_effort", "velocity_limit", "effort_limit") if name in fields}
+    armature, loss, damping = (float(fields[name]) for name in friction)
+    return Joint(Motor(fields["stiffness"], fields["damping"], **limits), armature, loss, damping, fields.get(delay, 0))
+
+
+def lag(fitted: Fitted, joint: int) -> int:
+    """Whole steps of the simulation by which commands act late."""
+    if "delay" not in fitted.values["bench"]:
+        return 0
+    known = fitted.sampling.history * fitted.sampling.substeps
+    return min(round(float(fitted.values["bench"]["delay"][joint]) / fitted.timestep), known)
+
+
+def run_joints(fitted: Fitted, nearest: Nearest, joints: Sequence[Joint]) -> Float[np.ndarray, "batch time nv"]:
+    """Positions of the long test rollouts in MuJoCo C with the numbers of a configuration file.
+
+    Args:
+        fitted: The drive.
+        nearest: For what configuration files do not hold: the position offset.
+        joints: From the file.
+    """
+    delay = np.array([joint.lag * fitted.timestep for joint in joints])
+    late = {"delay": delay} if "delay" in fitted.values["bench"] else {}
+    written = replace(fitted, values={**fitted.values, "bench": {**nearest.bench, **late}})
+    return simulate(_compile(fitted, nearest, joints), written, _step(joints))
+
+
+def _compile(fitted: Fitted, nearest: Nearest, joints: Sequence[Joint]) -> mujoco.MjModel:
+    """The bench with this friction, and actuators whose `ctrl` is the torque."""
+    bench = {name: value for name, value in nearest.bench.items() if name != "delay"}
+    bench["armature"] = np.array([joint.armature for joint in joints])
+    loss = np.array([joint.frictionloss for joint in joints])
+    damping = np.array([joint.damping for joint in joints])
+    model = mujoco.MjModel.from_xml_string(fitted.bench.mjcf(bench, loss if loss.any() else None, damping))
+    model.actuator_gainprm[:, 0], model.actuator_biasprm[:] = 1, 0
+    return model
+
+
+def _step(joints: Sequence[Joint]) -> Step:
+    def step(model: mujoco.MjModel, data: mujoco.MjData, channels: Float[np.ndarray, "channels"]) -> None:
+        for index, joint in enumerate(joints):
+            state = float(channels[index]), float(data.qpos[index]), float(data.qvel[index])
+            data.ctrl[index] = joint.motor.torque(*state)
+        mujoco.mj_step(model, data)
+
+    return step
+
+
+def say_common(fitted: Fitted, nearest: Nearest, inputs: Mapping[str, float], program: str) -> list[str]:
+    """What every configuration file lacks.
+
+    Args:
+        fitted: The drive.
+        nearest: Its friction in MuJoCo's terms.
+        inputs: From `read_inputs`.
+        program: The simulator's name.
+    """
+    values, units = fitted.values["bench"], UNITS[fitted.bench.joint_type]
+    said = [
+        f"{program} itself was not run: the difference is that of the numbers in the file, read back, with the formula "
+        "of their class in MuJoCo C."
+    ]
+    if nearest.remark:
+        said.append(nearest.remark)
+    if inputs:
+        listed = ", ".join(f"{name} {value:g}" for name, value in inputs.items() if name in INPUTS)
+        said.append(
+            f"The servo's inputs are fixed: {listed}, always enabled; the stiffness is that of this gain. Braking adds "
+            "back-EMF to the torque at standstill: effort_limit lies above saturation_effort for that reason."
+        )
+    if "delay" in values:
+        exact = values["delay"]
+        rounded = ", ".join(f"{lag(fitted, j)} for {exact[j]:.4g} s" for j in range(fitted.bench.nv))
+        said.append(f"Delays are whole steps of {fitted.timestep:g} s: {rounded}.")
+    if "position_offset" in values:
+        listed = ", ".join(f"{value:.4g}" for value in values["position_offset"])
+        said.append(
+            f"The position offset, {listed} {units['position']}, is not in the file: add it to measured positions and "
+            "to commands."
+        )
+    return said

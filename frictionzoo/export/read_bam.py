@@ -1,0 +1,235 @@
+"""Parameter files of Rhoban's BAM, read as values of our benches and laws.
+
+`python -m frictionzoo.export.read_bam FILE.json` prints them as options of a run:
+
+    python -m frictionzoo.run data=sts3215 $(python -m frictionzoo.export.read_bam FILE.json)
+"""
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from frictionzoo.errors import ConfigError, FrictionzooError, closest
+
+MODELS = ("m1", "m2", "m3", "m4", "m5", "m6")
+DUTY: Mapping[str, tuple[float, float]] = {
+    "mx64": (0.158, 0.9625),
+    "mx106": (0.158, 0.9625),
+    "xl320": (0.05048199, 1.0),
+    "xl330": (0.00246, 1.0),
+    "sts3215": (0.166, 0.97),
+}
+"""BAM's voltage servos: duty cycle per radian of error at a gain of one [1/rad], and its limit [1]."""
+_NEGLIGIBLE = 1e-9  # N m; at 0 MuJoCo's friction constraint would lock the joint
+
+
+@dataclass(frozen=True)
+class BamDrive:
+    """A drive as BAM's file describes it.
+
+    Attributes:
+        bam: BAM's name of the friction law, `m1` to `m6`.
+        actuator: BAM's name of the servo.
+        bench: Values of the bench's parameters and of `VoltageServo`'s.
+        model: The friction law here.
+        friction: Values of its parameters; what the file does not name is left to conf/model.
+        remarks: What is not the same here, a sentence each.
+    """
+
+    bam: str
+    actuator: str
+    bench: Mapping[str, float]
+    model: str
+    friction: Mapping[str, float]
+    remarks: tuple[str, ...]
+
+    def overrides(self) -> list[str]:
+        """The values as known ones in a run's options, for a bench with a `VoltageServo`."""
+        actuator = {name: value for name, value in self.bench.items() if name not in _OWN}
+        bench = {name: value for name, value in self.bench.items() if name in _OWN}
+        sections = (("bench.params", bench), ("bench.actuator.params", actuator), ("model.params", self.friction))
+        known = [f"{owner}.{name}={_known(value)}" for owner, values in sections for name, value in values.items()]
+        return [f"model={self.model}", "fit=known", *known]
+
+
+_OWN = ("armature", "delay", "position_offset")
+
+
+def read_bam(path: Path) -> BamDrive:
+    """The drive of a parameter file.
+
+    Args:
+        path: JSON, as BAM's `fit` writes it.
+
+    Raises:
+        ConfigError: It is no such file, its servo is not driven by voltage, or no law here has its terms.
+    """
+    data = load_parameters(path)
+    bench = read_bench(path, data)
+    model, friction, remarks = _read_law(path, data)
+    if "max_velocity" in data:
+        speed = _positive(path, data, "max_velocity")
+        remarks = (*remarks, f"max_velocity: BAM's servo follows commands at {speed:.4g} rad/s at most; here at once.")
+    return BamDrive(data["model"], data["actuator"], bench, model, friction, remarks)
+
+
+def load_parameters(path: Path) -> dict[str, Any]:
+    """What a parameter file holds.
+
+    Args:
+        path: The file.
+
+    Raises:
+        ConfigError: It is none.
+    """
+    try:
+        data = json.loads(path.read_text())
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}; expected a parameter file of BAM; name one") from None
+    except ValueError as error:
+        raise ConfigError(f"{path}: not JSON ({error}); expected a parameter file of BAM; name one") from None
+    if not isinstance(data, dict) or data.get("model") not in MODELS or not isinstance(data.get("actuator"), str):
+        raise ConfigError(
+            f"{path}: no model ({', '.join(MODELS)}) and actuator in it; expected a parameter file of BAM"
+        )
+    return data
+
+
+def read_bench(path: Path, data: Mapping[str, Any]) -> dict[str, float]:
+    """Values of the bench's parameters and of `VoltageServo`'s.
+
+    Args:
+        path: For messages.
+        data: What the file holds.
+
+    Raises:
+        ConfigError: The servo is not driven by voltage, or a value makes no sense.
+    """
+    actuator = data["actuator"]
+    if actuator not in DUTY:
+        raise ConfigError(f"{path}: actuator={actuator}; {closest(actuator, DUTY)}; others are not voltage servos")
+    gain, limit = DUTY[actuator]
+    torque_constant, resistance = (_positive(path, data, name) for name in ("kt", "R"))
+    return {
+        "armature": _positive(path, data, "armature"),
+        "delay": _number(path, data, "command_delay", 0.0),
+        "position_offset": _number(path, data, "q_offset", 0.0),
+        "kt_over_r": torque_constant / resistance,
+        "kt2_over_r": torque_constant**2 / resistance,
+        "duty_gain": gain * _number(path, data, "error_gain_ratio", 1.0),
+        "duty_limit": limit,
+    }
+
+
+def stribeck_share(velocity: Any, stribeck_velocity: float, exponent: float) -> Any:
+    """BAM's share of the Stribeck terms: 1 at rest, 0 at speed.
+
+    Args:
+        velocity: Number or array [rad/s].
+        stribeck_velocity: Number or array [rad/s].
+        exponent: BAM's `alpha`.
+    """
+    return np.exp(-(np.abs(velocity / stribeck_velocity) ** exponent))
+
+
+def _read_law(path: Path, data: Mapping[str, Any]) -> tuple[str, dict[str, float], tuple[str, ...]]:
+    """Law, values and remarks."""
+    base, viscous = (_number(path, data, name) for name in ("friction_base", "friction_viscous"))
+    if data["model"] == "m1":
+        friction = {"frictionloss": max(base, _NEGLIGIBLE), "damping": max(viscous, _NEGLIGIBLE)}
+        return "mujoco_default", friction, ()
+    if data["model"] == "m2":
+        width, exponent = (_positive(path, data, name) for name in ("dtheta_stribeck", "alpha"))
+        excess = _number(path, data, "friction_stribeck")
+        near, largest = _nearest_width(width, exponent)
+        friction = {
+            "static_torque": max(base + excess, _NEGLIGIBLE),
+            "kinetic_torque": max(base, _NEGLIGIBLE),
+            "stribeck_velocity": near,
+            "viscous_coefficient": max(viscous, _NEGLIGIBLE),
+        }
+        smooth = "coulomb_stribeck smooths the sign of friction where BAM's joint sticks."
+        return "coulomb_stribeck", friction, (smooth, *_say_exponent(exponent, near, abs(excess) * largest))
+    raise ConfigError(
+        f"{path}: model={data['model']}, whose friction grows with the load, as no law here does; expected m1 or m2; "
+        "give BAM's own m1 or m2 of this servo"
+    )
+
+
+def _nearest_width(width: float, exponent: float) -> tuple[float, float]:
+    """The Stribeck velocity with which an exponent of 2 is nearest, and the largest difference of the shares."""
+    if exponent == 2:
+        return width, 0.0
+    velocity = np.linspace(0, 4 * width, 401)
+    share = stribeck_share(velocity, width, exponent)
+
+    def distance(candidate: float) -> float:
+        return float(np.square(stribeck_share(velocity, candidate, 2.0) - share).sum())
+
+    near = float(minimize_scalar(distance, bounds=(width / 10, 4 * width), method="bounded").x)
+    return near, float(np.abs(stribeck_share(velocity, near, 2.0) - share).max())
+
+
+def _say_exponent(exponent: float, near: float, largest: float) -> tuple[str, ...]:
+    if exponent == 2:
+        return ()
+    return (
+        f"alpha={exponent:.4g}: coulomb_stribeck has the exponent 2; nearest is a Stribeck velocity of {near:.4g} "
+        f"rad/s, up to {largest:.2g} N m beside.",
+    )
+
+
+def _number(path: Path, data: Mapping[str, Any], name: str, default: float | None = None) -> float:
+    value = data.get(name, default)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        came = "is missing" if value is None else f"is {value}"
+        raise ConfigError(f"{path}: {name} {came}, expected a number as model={data['model']} has it; mend the file")
+    return float(value)
+
+
+def _positive(path: Path, data: Mapping[str, Any], name: str) -> float:
+    value = _number(path, data, name)
+    if value <= 0:
+        raise ConfigError(f"{path}: {name} is {value:g}, expected a positive number; mend the file")
+    return value
+
+
+def _known(value: float) -> str:
+    """A parameter's section with this value and no search."""
+    reach = 2 * abs(value) or 1.0
+    low = -reach if value < 0 else 0.0
+    return f"{{init:{value!r},low:{low!r},high:{reach!r},scale:1.0,identify:false}}"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point; returns the exit status, 2 for a user's mistake.
+
+    Args:
+        arguments: Those of the command line where None.
+    """
+    parser = argparse.ArgumentParser(
+        prog="python -m frictionzoo.export.read_bam",
+        description="Print a BAM parameter file as options of python -m frictionzoo.run.",
+    )
+    parser.add_argument("file", type=Path, help="JSON, as BAM's fit writes it")
+    try:
+        drive = read_bam(parser.parse_args(arguments).file)
+    except FrictionzooError as error:
+        print(f"frictionzoo: {error}", file=sys.stderr)
+        return 2
+    print(" ".join(drive.overrides()))
+    for remark in drive.remarks:
+        print(f"frictionzoo: {remark}", file=sys.stderr)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

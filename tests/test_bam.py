@@ -1,0 +1,204 @@
+"""BAM's parameter files: read, simulated by BAM's own equations apart from this package, and identified again."""
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+from omegaconf import OmegaConf
+
+from frictionzoo.errors import ConfigError
+from frictionzoo.export.read_bam import main, read_bam
+from frictionzoo.job import Problem
+
+M1 = {
+    **{"kt": 1.1776, "R": 2.4787, "armature": 0.0261, "q_offset": -0.0506, "command_delay": 0.0},
+    **{"error_gain_ratio": 1.0049, "friction_base": 0.0515, "friction_viscous": 0.0599},
+    **{"model": "m1", "actuator": "sts3215"},
+}
+M2 = {**M1, "model": "m2", "friction_stribeck": 0.03, "dtheta_stribeck": 0.2, "alpha": 2.0}
+SUPPLY, GRAVITY, SAMPLE, STEP = 12.0, 9.81, 0.01, 0.0002
+LENGTH = 0.15
+MASSES, GAINS = (0.4, 1.0), (4, 8, 16, 32)
+
+
+def command(time: np.ndarray | float, phase: np.ndarray) -> np.ndarray:
+    """Two sines, fast enough that inertia shows and with reversals, where dry friction does."""
+    return 0.8 * np.sin(2 * np.pi * 0.6 * time + phase) + 0.4 * np.sin(2 * np.pi * 1.7 * time + 2 * phase)
+
+
+def simulate(bam: dict[str, Any], mass: np.ndarray, gain: np.ndarray, seconds: float) -> dict[str, np.ndarray]:
+    """A pendulum of point masses under BAM's m1 or m2: friction is what stops the joint, up to a limit."""
+    phase = np.arange(len(mass), dtype=float)
+    position, velocity = np.zeros((2, len(mass)))
+    inertia = mass * LENGTH**2 + bam["armature"]
+    recorded = {name: [] for name in ("position", "speed", "goal_position")}
+    every = round(SAMPLE / STEP)
+    for i in range(round(seconds / STEP)):
+        if i % every == 0:
+            goal = command(i * STEP, phase)
+            for name, value in zip(recorded, (position, velocity, goal), strict=True):
+                recorded[name].append(value)
+        duty = np.clip(gain * 0.166 * bam["error_gain_ratio"] * (goal - position), -0.97, 0.97)
+        motor = bam["kt"] / bam["R"] * (SUPPLY * duty - bam["kt"] * velocity)
+        net = motor - mass * GRAVITY * LENGTH * np.sin(position + bam["q_offset"])
+        dry = bam["friction_base"]
+        if bam["model"] == "m2":
+            share = np.exp(-(np.abs(velocity / bam["dtheta_stribeck"]) ** bam["alpha"]))
+            dry = dry + bam["friction_stribeck"] * share
+        limit = dry + bam["friction_viscous"] * np.abs(velocity)
+        stop = inertia / STEP * velocity + net
+        velocity = velocity + STEP / inertia * (net - np.clip(stop, -limit, limit))
+        position = position + STEP * velocity
+    return {name: np.array(values) for name, values in recorded.items()}
+
+
+def write_logs(folder: Path, bam: dict[str, Any], seconds: float) -> None:
+    """One log a mass and gain, in BAM's format."""
+    mass, gain = (grid.ravel() for grid in np.meshgrid(MASSES, GAINS))
+    recorded = simulate(bam, mass, gain, seconds)
+    for column in range(len(mass)):
+        entries = [
+            {name: values[i, column] for name, values in recorded.items()}
+            | {"timestamp": i * SAMPLE, "input_volts": SUPPLY, "torque_enable": True}
+            for i in range(len(recorded["position"]))
+        ]
+        header = {"mass": mass[column], "length": LENGTH, "kp": int(gain[column]), "motor": "sts3215"}
+        (folder / f"{column}.json").write_text(json.dumps(header | {"entries": entries}))
+
+
+def pose(compose: Callable[..., Any], folder: Path, file: Path, *overrides: str) -> Problem:
+    """The identification from these logs, with all that the parameter file says as known but for the overrides."""
+    payloads = ",".join(f"{{when:{{mass:{mass}}},payload:[{mass},0,0,-{LENGTH},0,0,0]}}" for mass in MASSES)
+    said = dict(override.split("=", 1) for override in (*read_bam(file).overrides(), *overrides))
+    columns = "time:timestamp,qpos:[position],qvel:[speed],ctrl:[goal_position],supply:input_volts,enable:torque_enable"
+    config = compose(
+        *(
+            "data=files",
+            "bench=sts3215",
+            "dtype=float64",
+            "compilation_cache=null",
+            f"data.train={folder}/*.json",
+            f"data.payload=[{payloads}]",
+        ),
+        *(f"data.columns={{{columns}}}", "data.units={time:s,qpos:rad,qvel:rad/s,ctrl:rad,supply:V}"),
+        *("data.inputs={gain:kp}", "data.split.by=kp", "data.split.test=[32]"),
+        *("evaluation.placement=consecutive", "evaluation.horizons=[1.0]", "evaluation.trajectory=3.0"),
+        # Explicit steps h shift the damping by about d^2 h / (2 J), with d all that brakes, back-EMF included.
+        *("bench.timestep=0.0005", "bench.solreffriction=[0.002,1.0]", "segments.count=null", "segments.length=100"),
+        *("loss.velocity=0.01", "loss.robust=soft_l1", "loss.robust_scale=0.01"),
+        *(f"{name}={value}" for name, value in said.items()),
+    )
+    settings: Any = OmegaConf.to_container(config, resolve=True)
+    return Problem.pose(settings)
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Callable[[dict[str, Any]], Path]:
+    """Writes a parameter file."""
+
+    def write(bam: dict[str, Any]) -> Path:
+        path = tmp_path / f"{bam.get('model')}.json"
+        path.write_text(json.dumps(bam))
+        return path
+
+    return write
+
+
+@pytest.fixture
+def jax_as_before() -> Iterator[None]:
+    before = {name: getattr(jax.config, name) for name in ("jax_enable_x64", "jax_default_device")}
+    yield
+    for name, value in before.items():
+        jax.config.update(name, value)
+
+
+@pytest.mark.usefixtures("jax_as_before")
+def test_friction_of_bams_own_equations_is_identified(
+    compose: Callable[..., Any], write: Callable[..., Path], tmp_path: Path
+) -> None:
+    """kt and R are known: at a constant supply, back-EMF kt^2 / R and damping brake alike, and only their sum shows."""
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    write_logs(logs, M1, seconds=4.0)
+    start = "{{init:{},low:1e-3,high:2,scale:log,identify:true}}".format
+    free = {"bench.params.armature": 0.01, "model.params.frictionloss": 0.15, "model.params.damping": 0.02}
+    problem = pose(compose, logs, write(M1), "fit=lm", *(f"{name}={start(init)}" for name, init in free.items()))
+    progress, _ = problem.fit.chunk(problem.objective, 40)(problem.fit.start(problem.objective), 40)
+    found = jax.tree.map(np.asarray, problem.objective.space.values(progress.best))
+    assert found["friction"]["damping"] == pytest.approx(M1["friction_viscous"], rel=0.02)
+    assert found["friction"]["frictionloss"] == pytest.approx(M1["friction_base"], rel=0.02)
+    assert found["bench"]["armature"] == pytest.approx(M1["armature"], rel=0.05)
+
+
+@pytest.mark.usefixtures("jax_as_before")
+@pytest.mark.parametrize(("bam", "tolerance"), [(M1, 0.005), (M2, 0.006)], ids=["m1", "m2"])
+def test_a_parameter_file_moves_as_bams_own_equations(
+    compose: Callable[..., Any], write: Callable[..., Path], tmp_path: Path, bam: dict[str, Any], tolerance: float
+) -> None:
+    """Over 3 s of motion by 1 rad; steps of 0.5 ms against 0.2 ms, and a smooth sign in place of sticking (m2)."""
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    write_logs(logs, bam, seconds=3.1)
+    problem = pose(compose, logs, write(bam))
+    values = problem.objective.space.values(problem.objective.space.start)
+    assert problem.drive.model.name == {"m1": "mujoco_default", "m2": "coulomb_stribeck"}[bam["model"]]
+    measured = problem.evaluation.trajectories
+    qpos, _ = problem.drive.rollout.compiled(
+        values, measured.qpos[:, 0], measured.qvel[:, 0], measured.ctrl, measured.load
+    )
+    error = np.abs(np.asarray(qpos) - measured.qpos[:, 1:])
+    assert error.max() < tolerance
+
+
+@pytest.mark.parametrize("alpha", [1.35, 3.0])
+def test_another_exponent_becomes_the_nearest_stribeck_velocity(write: Callable[..., Path], alpha: float) -> None:
+    drive = read_bam(write(M2 | {"alpha": alpha}))
+    velocity = np.linspace(0, 1, 101)
+    share = np.exp(-((velocity / drive.friction["stribeck_velocity"]) ** 2))
+    # The shares of the two exponents cross: a tenth is what one width can do.
+    np.testing.assert_allclose(share, np.exp(-((velocity / 0.2) ** alpha)), atol=0.12)
+    assert "alpha" in " ".join(drive.remarks)
+
+
+def test_what_bam_does_and_we_do_not_is_said(write: Callable[..., Path]) -> None:
+    assert "max_velocity" in " ".join(read_bam(write(M1 | {"max_velocity": 5.3})).remarks)
+    assert not read_bam(write(M1)).remarks
+
+
+def test_the_command_prints_options(write: Callable[..., Path], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([str(write(M1))]) == 0
+    options = capsys.readouterr().out.split()
+    assert options[:2] == ["model=mujoco_default", "fit=known"]
+    assert f"bench.actuator.params.kt_over_r={{init:{M1['kt'] / M1['R']!r}," in " ".join(options)
+
+
+@pytest.mark.parametrize(
+    ("bam", "message"),
+    [
+        ({"model": "m1"}, "no model"),
+        (M1 | {"actuator": "erob80_50"}, "actuator=erob80_50"),
+        (M1 | {"model": "m6"}, "model=m6"),
+        (M1 | {"R": 0.0}, "R is 0"),
+        (M1 | {"friction_base": None}, "friction_base is missing"),
+        (M1 | {"armature": float("nan")}, "armature is nan"),
+    ],
+)
+def test_a_file_that_we_cannot_hold_is_refused(
+    write: Callable[..., Path], capsys: pytest.CaptureFixture[str], bam: dict[str, Any], message: str
+) -> None:
+    path = write(bam)
+    with pytest.raises(ConfigError, match=message):
+        read_bam(path)
+    assert main([str(path)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_file_that_is_not_json_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.json").write_text("kt=1")
+    for name in ("a.json", "none.json"):
+        with pytest.raises(ConfigError, match=name):
+            read_bam(tmp_path / name)
