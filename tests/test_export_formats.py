@@ -128,7 +128,7 @@ def test_bam_holds_mujocos_friction_exactly(fit: Callable[..., Fitted], tmp_path
 
 def test_bam_holds_a_stribeck_law(fit: Callable[..., Fitted], tmp_path: Path) -> None:
     fitted = fit("model=coulomb_stribeck", "model.params.smoothing_velocity.init=0.0021", *STS3215)
-    export = write("bam", fitted, tmp_path, actuator="sts3215")
+    export = write("bam", fitted, tmp_path, servo="sts3215")
     assert read(tmp_path / "m2.json")["friction_stribeck"] == pytest.approx(0.08)
     torque, qpos = export.differences
     assert torque.mean < 1e-3 * float(fitted.values["friction"]["static_torque"][0])  # beside each other near rest only
@@ -147,7 +147,7 @@ def test_bam_needs_a_voltage_servo_that_it_knows(fit: Callable[..., Fitted], tmp
     with pytest.raises(ExportError, match="PositionPD"):
         write("bam", fit(), tmp_path)
     with pytest.raises(ConfigError, match="did you mean sts3215"):
-        write("bam", fit(*STS3215), tmp_path, actuator="sts321")
+        write("bam", fit(*STS3215), tmp_path, servo="sts321")
     assert "xl330" in " ".join(write("bam", fit("bench=xl330", "model=mujoco_default"), tmp_path).limits)
 
 

@@ -35,7 +35,7 @@ class Bam(Target):
     actuators", 2024; github.com/Rhoban/bam.
     """
 
-    options: ClassVar[Mapping[str, str]] = {"actuator": f"BAM's name of the servo: {', '.join(DUTY)}"}
+    options: ClassVar[Mapping[str, str]] = {"servo": f"its name in BAM: {', '.join(DUTY)}"}
     packages: ClassVar[tuple[str, ...]] = ("mujoco",)
 
     def write(self, fitted: Fitted, folder: Path, options: Mapping[str, str]) -> Export:
@@ -139,13 +139,11 @@ def _motor(fitted: Fitted, joint: int, actuator: str) -> dict[str, float]:
 def _choose_actuator(fitted: Fitted, options: Mapping[str, str]) -> tuple[str, list[str]]:
     """BAM's name of the servo, and what is to be said of it."""
     gain = float(fitted.values["bench"]["duty_gain"][0])
-    given = options.get("actuator")
+    given = options.get("servo")
     if given is not None and given not in DUTY:
-        raise ConfigError(f"actuator={given}: unknown; {closest(given, DUTY)}")
+        raise ConfigError(f"servo={given}: unknown; {closest(given, DUTY)}")
     chosen = given or min(DUTY, key=lambda name: abs(np.log(DUTY[name][0] / gain)))
-    said = (
-        [] if given else [f"actuator={chosen} was taken for its gain; give the servo's name in BAM if it is another."]
-    )
+    said = [] if given else [f"servo={chosen} was taken for its gain; give its name in BAM if it is another."]
     if chosen != "sts3215" and not np.isclose(gain, DUTY[chosen][0], rtol=1e-3):
         said.append(f"BAM's {chosen} has a duty cycle of {DUTY[chosen][0]:.4g} per radian and gain, not {gain:.4g}.")
     limit = float(fitted.values["bench"]["duty_limit"][0])
