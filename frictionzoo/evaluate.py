@@ -215,11 +215,12 @@ class Evaluation:
 
     @property
     def sha256(self) -> str:
-        """Hash of all measured windows: drives with the same one were judged on the same rollouts."""
+        """Hash of all measured windows and payloads: drives with the same one were judged on the same rollouts."""
         cut = [segments for parts in self._by_horizon for segments in parts.values()]
         digest = hashlib.sha256()
         for segments in (*cut, self.trajectories, self._places, self.local):
-            for signal in (segments.qpos, segments.qvel, segments.commands):
+            loads = () if segments.load is None or not segments.load.size else (segments.load,)
+            for signal in (segments.qpos, segments.qvel, segments.commands, *loads):
                 digest.update(str(signal.shape).encode() + np.ascontiguousarray(signal, np.float64).tobytes())
         return digest.hexdigest()
 

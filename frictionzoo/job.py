@@ -25,7 +25,7 @@ from frictionzoo.errors import ConfigError
 from frictionzoo.evaluate import Evaluation, Judgement
 from frictionzoo.export.mjcf import export_mjcf
 from frictionzoo.fit import Fit, Objective, Outcome, Space, fit_reference, run_fit
-from frictionzoo.logs.cache import cache_folder
+from frictionzoo.logs.cache import cache_folder, digest
 from frictionzoo.models import Baseline, FrictionModel
 from frictionzoo.output import write_atomically
 from frictionzoo.report.curves import Curves, sample_friction, write_curves
@@ -297,11 +297,17 @@ def _identify(name: str, problem: Problem, settings: Mapping[str, Any]) -> dict[
         "model": name,
         "data": describe_data(problem.dataset)["sha256"],
         "engine": problem.drive.engine.name,
-        "payload": str([log.payload for log in problem.dataset.logs]),
         **{section: json.dumps(value, sort_keys=True) for section, value in sections.items() if section != "model"},
         "model settings": json.dumps(sections["model"], sort_keys=True),
         "chunk": str(settings["loop"]["chunk"]),
+        "training samples": _digest(problem.segments),
     }
+
+
+def _digest(segments: Segments) -> str:
+    """Hash of what a fit compares, as cleaning and payloads have it."""
+    load = np.zeros(0) if segments.load is None else segments.load
+    return digest({"qpos": segments.qpos, "qvel": segments.qvel, "ctrl": segments.ctrl, "load": load})
 
 
 def _list_hyperparameters(name: str, problem: Problem, settings: Mapping[str, Any]) -> dict[str, Any]:

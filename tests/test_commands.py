@@ -32,8 +32,10 @@ from omegaconf import OmegaConf
 from pages import PAGES, ROOT, blocks_of, commands_of, expand
 from test_benchmarks import QUICKEST
 from test_experiments import MEASURED
+from write_logs import WRITERS, write_degrees, write_log
 
 from frictionzoo.config import CONF_DIR, compose_config
+from frictionzoo.logs.formats import get_format
 
 JOB = r"(?:python -m frictionzoo\.run|frictionzoo) "
 FILLED = {"MODEL": "baseline"}  # what a page leaves to its reader, and what stands for it here
@@ -53,6 +55,7 @@ STAND = """<mujoco><option timestep="0.001"><flag contact="disable"/></option><w
 <joint name="shaft" axis="0 1 0"/>
 <geom type="capsule" fromto="0 0 0 0 0 -0.2254" size="0.01" mass="0.26"/></body></worldbody></mujoco>"""
 RECORDINGS = ("a", "b", "bare", "loaded", "heavy")
+LOGS = ("kp8_one", "kp8_two", "kp16_one", "kp16_two", "kp32_one")
 CI = (ROOT / ".ci" / "run").read_text()
 PATIENCE = 60.0  # s after which a server that does not answer is a failure
 
@@ -98,7 +101,9 @@ RULES: list[tuple[str, Run]] = []
 MARKS = [  # of the tests of commands that match
     (r"(pip|wandb|mlflow) .*|.* make install .*", pytest.mark.slow),
     (rf"{JOB}.*experiment=emps.*", needs_data),
+    (rf"{JOB}.*(experiment|data)=(sts3215|xl330).*", needs_data),
     (rf"{JOB}.*experiment=.*", pytest.mark.slow),
+    (rf"{JOB}.*data=(sts3215|xl330).*", pytest.mark.slow),
     (rf"{JOB}-m (?!'model=glob\(\*\)'$).*", pytest.mark.slow),  # of the sweeps, the quick tests do one
 ]
 
@@ -211,6 +216,13 @@ def resume(command: str, place: Place) -> None:
 @rule(rf"{JOB}.*")
 def do_jobs(command: str, place: Place) -> None:
     place.do(*arguments_of(command))
+
+
+@rule(r"python -m frictionzoo\.inspect .*")
+def inspect(command: str, place: Place) -> None:
+    place.run(command)
+    (path,) = place.folder.rglob("inspect.json")
+    assert json.loads(path.read_text())["findings"]
 
 
 @rule(r"python -m frictionzoo\.compare .*")
@@ -342,6 +354,13 @@ def place(call: Callable[..., Finished], recording: Path, tmp_path: Path, simula
     (tmp_path / "stand.xml").write_text(STAND)
     for name in RECORDINGS:
         shutil.copy(recording, tmp_path / f"{name}.csv")
+    (tmp_path / "logs").mkdir()
+    for name in LOGS:
+        (tmp_path / "logs" / f"{name}.csv").symlink_to(recording)
+    columns = get_format("csv").read(recording)[0].columns
+    for name in WRITERS:
+        write_log(tmp_path, name, columns)
+    write_degrees(tmp_path / "degrees.csv", columns)
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     return Place(tmp_path, call, environment, simulated)
 

@@ -14,7 +14,11 @@ from frictionzoo.types import DriveState
 
 ROOT = Path(__file__).parent.parent
 EXPERIMENTS = ROOT / "experiments"
-MEASURED = [*(pytest.param(name, marks=needs_data) for name in ("emps", "emps_stiff")), "twin_clean", "kovalev2026"]
+MEASURED = [
+    *(pytest.param(name, marks=needs_data) for name in ("emps", "emps_stiff", "sts3215", "xl330")),
+    "twin_clean",
+    "kovalev2026",
+]
 ENTRY = {
     "label": "law",
     "test": {"position_mae": 0.005, "position_mae_std": 0.001},

@@ -35,6 +35,7 @@ class Bench:
         joint_type: `hinge` or `slide`.
         params: The armature, the delay and the position offset where there are any, and the actuator's parameters.
         timestep: Simulation step [s].
+        own_damping: The template's own damping of each joint [N m s/rad or N s/m].
         payload: Index of the body that carries payloads, or None.
 
     Args:
@@ -80,6 +81,7 @@ class Bench:
         self._refuse_own_friction(model)
         self.joint_type = self._read_joint_type(model)
         self.timestep = float(model.opt.timestep)
+        self.own_damping = model.dof_damping.copy()
         self.payload = None if payload is None else self._find_body(model, payload)
 
     @property
@@ -124,8 +126,8 @@ class Bench:
             joint.set("solreffriction", " ".join(map(_number, self._solreffriction)))
             if frictionloss is not None:
                 joint.set("frictionloss", _number(frictionloss[index]))
-            if damping is not None:
-                joint.set("damping", _number(damping[index]))
+            if damping is not None:  # on top of the template's own, as in the simulation
+                joint.set("damping", _number(damping[index] + self.own_damping[index]))
             actuators.append(_affine_actuator(name, index, affine, self._delayed(values, index)))
         for position, comment in enumerate(comments):
             root.insert(position, ET.Comment(f" {comment.replace('--', '- -')} "))

@@ -65,7 +65,7 @@ def put_into(path: Path, joints: Sequence[str], actuators: str, fitted: Fitted, 
     _refuse_other_types(before, path, joints, fitted)
     for name, column in zip(joints, columns, strict=True):
         if urdf:
-            _write_dynamics(found[name], nearest, column)
+            _write_dynamics(found[name], nearest, fitted.bench.own_damping, column)
         else:
             _write_joint(root, found[name], bench, column, actuators, before.opt.timestep)
     text = ('<?xml version="1.0"?>\n' if urdf else "") + ET.tostring(root, encoding="unicode") + "\n"
@@ -83,7 +83,7 @@ def compare_torque(robot: Robot, fitted: Fitted, nearest: Nearest, actuators: bo
     """
     states = _pick_states(fitted)
     data, column = mujoco.MjData(robot.model), list(robot.column)
-    expected = -nearest.damping * states.qvel + (states.motor_torque if actuators else 0.0)
+    expected = -(nearest.damping + fitted.bench.own_damping) * states.qvel + (states.motor_torque if actuators else 0.0)
     came = [
         _torque_in(robot, data, DriveState(*(signal[row, column] for signal in states)), actuators)
         for row in range(len(expected))
@@ -182,11 +182,11 @@ def _refuse_other_types(model: mujoco.MjModel, path: Path, joints: Sequence[str]
             )
 
 
-def _write_dynamics(joint: ET.Element, nearest: Nearest, column: int) -> None:
+def _write_dynamics(joint: ET.Element, nearest: Nearest, own_damping: np.ndarray, column: int) -> None:
     """URDF: friction and damping; the armature as a comment, which is all that URDF has for it."""
     dynamics = joint.find("dynamics")
     dynamics = ET.SubElement(joint, "dynamics") if dynamics is None else dynamics
-    dynamics.set("damping", repr(float(nearest.damping[column])))
+    dynamics.set("damping", repr(float(nearest.damping[column] + own_damping[column])))
     dynamics.set("friction", repr(float(nearest.frictionloss[column])))
     joint.append(ET.Comment(f" armature {float(nearest.bench['armature'][column])!r}: URDF has no place for it "))
 

@@ -18,6 +18,13 @@ TURNS = 20.0  # rad; positions that span more may be degrees
 SURE = 0.003  # s; a delay whose lower quartile is shorter cannot be told from none
 
 DEGREES = "data.units.qpos=deg"
+FAULTS = {  # of the clock and of the samples: one, several
+    "duplicates": ("repeated sample", "repeated samples"),
+    "missing": ("missing sample", "missing samples"),
+    "gaps": ("gap", "gaps"),
+    "resets": ("reset of the clock", "resets of the clock"),
+    "lost": ("sample with NaN", "samples with NaN"),
+}
 
 
 @dataclass(frozen=True)
@@ -94,18 +101,12 @@ def _round(interval: float) -> str:
 
 
 def _find_breaks(timing: Mapping[str, Any]) -> Finding:
-    names = {
-        "duplicates": "samples with the time of the one before",
-        "missing": "missing samples",
-        "gaps": "gaps",
-        "resets": "resets of the clock",
-        "lost": "samples with NaN",
-    }
-    counts = [f"{timing[key]} {name}" for key, name in names.items() if timing[key]]
+    counts = [f"{timing[key]} {FAULTS[key][timing[key] > 1]}" for key in FAULTS if timing[key]]
     if not counts:
         return Finding("good", "Completeness", "No gap, no missing, repeated or unreadable sample.")
-    text = f"There are {', '.join(counts)}. Cleaning drops what is repeated, interpolates what is short and splits at "
-    return Finding("caution", "Completeness", text + "the rest.", "data.clean.gap=5")
+    text = f"Found: {', '.join(counts)}. Cleaning drops what is repeated, interpolates what is short and splits at the "
+    broken = timing["gaps"] or timing["resets"] or timing["lost"]
+    return Finding("caution" if broken else "note", "Completeness", f"{text}rest; data.clean.gap says what is short.")
 
 
 def _find_spikes(joint: Mapping[str, Any], recordings: int) -> Finding:

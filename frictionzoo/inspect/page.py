@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from frictionzoo.inspect.survey import find_worst, pool_velocities
+from frictionzoo.inspect.survey import pool_velocities, rank_by_faults
 from frictionzoo.inspect.terminal import list_quantities
 from frictionzoo.logs.diagnose import derive_velocity, find_spikes, regular_stretch, repair_spikes
 from frictionzoo.logs.recording import Recording
@@ -41,10 +41,11 @@ def write_page(path: Path, survey: Mapping[str, Any], recordings: Sequence[Recor
     Raises:
         OutputError: It cannot be written.
     """
-    worst = find_worst(survey)
+    ranked = rank_by_faults(survey)
+    worst = next(recording for recording in recordings if recording.name == ranked[0]["name"])
     sections = {
         "velocity": [_plot_velocities(recordings, joint, survey) for joint in range(len(survey["joints"]))],
-        "worst": [_plot_recording(recordings[worst], joint) for joint in range(len(survey["joints"]))],
+        "worst": [_plot_recording(worst, joint) for joint in range(len(survey["joints"]))],
         "spread": list(_plot_spreads(survey)) if len(recordings) > 1 else [],
     }
     checks = [
@@ -60,23 +61,11 @@ def write_page(path: Path, survey: Mapping[str, Any], recordings: Sequence[Recor
         quantities=list(list_quantities(survey)),
         checks=checks,
         doubts=sum(check.state in ("caution", "bad") for check in checks),
-        worst=recordings[worst].name,
         sections=sections,
-        rows=_list_recordings(survey),
+        rows=ranked[:LISTED],
         version=survey["version"],
     )
     write_atomically(path, page)
-
-
-def _list_recordings(survey: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """The recordings with the most spikes, breaks and jitter first."""
-
-    def faults(entry: Mapping[str, Any]) -> tuple[float, ...]:
-        timing = entry["timing"]
-        spikes = sum(joint["spikes"] for joint in entry["joints"])
-        return spikes, timing["gaps"] + timing["resets"] + timing["missing"] + entry["lost"], timing["worst"]
-
-    return sorted(survey["recordings"], key=faults, reverse=True)[:LISTED]
 
 
 def _plot_velocities(recordings: Sequence[Recording], joint: int, survey: Mapping[str, Any]) -> Plot:

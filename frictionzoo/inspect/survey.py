@@ -162,16 +162,16 @@ def _envelop(ranges: Iterable[Sequence[float]]) -> list[float]:
     return [float(np.nanmin(lows)), float(np.nanmax(highs))]
 
 
-def find_worst(survey: Mapping[str, Any]) -> int:
-    """The recording with the most spikes, lost or missing samples and breaks, or else the most jitter.
+def rank_by_faults(survey: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """The entries of the recordings, those with most spikes first, then breaks and lost samples, then jitter.
 
     Args:
         survey: What `inspect.json` holds.
     """
 
-    def rank(entry: Mapping[str, Any]) -> tuple[float, ...]:
+    def faults(entry: Mapping[str, Any]) -> tuple[int, int, float]:
         timing = entry["timing"]
-        broken = timing["gaps"] + timing["resets"] + timing["missing"] + timing["duplicates"] + entry["lost"]
-        return sum(joint["spikes"] for joint in entry["joints"]), broken, timing["worst"]
+        broken = sum(timing[name] for name in ("gaps", "resets", "missing", "duplicates"))
+        return sum(joint["spikes"] for joint in entry["joints"]), broken + entry["lost"], timing["worst"]
 
-    return max(range(len(survey["recordings"])), key=lambda i: rank(survey["recordings"][i]))
+    return sorted(survey["recordings"], key=faults, reverse=True)

@@ -44,7 +44,7 @@ def list_quantities(survey: Mapping[str, Any]) -> Iterator[Row]:
     """
     timing = survey["timing"]
     yield from _row("sample interval", timing["interval"], "ms", 1e3)
-    yield from _row("intervals off by over 5 %", timing["jitter"], "%", 100)
+    yield from _row("intervals off by over 5 %", timing["jitter"], "%", 100.0)
     several = len(survey["joints"]) > 1
     for i, joint in enumerate(survey["joints"]):
         which = f" {i + 1}" if several else ""
@@ -52,16 +52,16 @@ def list_quantities(survey: Mapping[str, Any]) -> Iterator[Row]:
         yield _bounds(f"velocity{which}", joint["velocity"], "rad/s or m/s")
         yield from _row(f"position quantum{which}", joint["position_quantum"], "mrad or mm", 1e3)
         yield from _row(f"velocity lag{which}", joint["velocity_lag"], "ms", 1e3)
-        yield from _row(f"at rest{which}", joint["rest"], "%", 100)
+        yield from _row(f"at rest{which}", joint["rest"], "%", 100.0)
         if delay := joint["delay"]:
             values = {"low": delay["low"], "median": delay["seconds"], "high": delay["high"]}
             yield from _row(f"command delay{which}, quartiles", values, "ms", 1e3)
     for i, command in enumerate(survey["commands"]):
         which = f" {i + 1}" if len(survey["commands"]) > 1 else ""
         yield _bounds(f"command{which}", command["range"], "")
-        yield from _row(f"command at an end{which}", command["saturated"], "%", 100)
+        yield from _row(f"command at an end{which}", command["saturated"], "%", 100.0)
     if survey["supply"]:
-        yield from _row("supply, measured", survey["supply"]["measured"], "V", 1)
+        yield from _row("supply, measured", survey["supply"]["measured"], "V", 1.0)
 
 
 def _row(name: str, spread: Mapping[str, float] | None, unit: str, factor: float) -> Iterator[Row]:

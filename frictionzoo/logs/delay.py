@@ -214,19 +214,20 @@ def _cut(recording: Recording, joint: int, length: int) -> list[Cut]:
     time, before = recording.time, round(BEFORE / STEP)
     qpos, ctrl = repair_spikes(recording.signals["qpos"][:, joint]), recording.signals["ctrl"][:, joint]
     enable = recording.signals.get("enable", np.ones((len(time), 1))).min(axis=1)
+    finite = np.isfinite(qpos) & np.isfinite(ctrl) & np.isfinite(enable)
     edges = [0, *find_breaks(time, GAP), len(time)]
     windows = []
     for first, last in pairwise(edges):
-        new = first + np.flatnonzero(np.diff(time[first:last], prepend=-np.inf) > 0)
+        new = first + np.flatnonzero((np.diff(time[first:last], prepend=-np.inf) > 0) & finite[first:last])
         grid = np.arange(float(time[first]), float(time[last - 1]), STEP)
-        if len(grid) < before + length:
+        if len(new) < 2 or len(grid) < before + length:
             continue
         q, u, on = (np.interp(grid, time[new], values[new]) for values in (qpos, ctrl, enable))
         sampled = float(np.median(np.diff(time[new])))
         v = estimate_velocity(q, STEP, min(0.15 / sampled, 15.0), 2, recording.name)
         for start in range(before, len(grid) - length + 1, length):
             kept = slice(start - before, start + length)
-            if np.isfinite(q[kept]).all() and np.isfinite(u[kept]).all() and (on[kept] > 0.5).all():
+            if (on[kept] > 0.5).all():
                 windows.append((q[start : start + length], float(v[start]), u[kept]))
     return windows
 

@@ -161,7 +161,7 @@ def diagnose(recording: Recording) -> Diagnosis:
         timing=timing,
         lost=int((~finite).sum()),
         joints=joints,
-        commands=tuple(_diagnose_command(command) for command in signals["ctrl"].T),
+        commands=tuple(_diagnose_command(recording.name, command) for command in signals["ctrl"].T),
         supply=_diagnose_supply(signals.get("supply"), recording.fields),
         enabled=None if enable is None else float((enable > 0.5).mean()),
     )
@@ -354,6 +354,8 @@ def regular_stretch(
     """
     known = np.all([np.isfinite(signal) for signal in signals], axis=0)
     time, signals = time[known], tuple(signal[known] for signal in signals)
+    if not (np.diff(time) > 0).any():
+        return np.zeros(0), *(np.zeros(0) for _ in signals)
     new = np.concatenate([[True], np.diff(time) != 0])
     time, signals = time[new], tuple(signal[new] for signal in signals)
     edges = np.concatenate([[0], find_breaks(time, GAP), [len(time)]])
@@ -389,10 +391,10 @@ def _diagnose_joint(
     )
 
 
-def _diagnose_command(command: Float[np.ndarray, "time"]) -> Command:
+def _diagnose_command(name: str, command: Float[np.ndarray, "time"]) -> Command:
     finite = command[np.isfinite(command)]
     if not len(finite):
-        return Command((np.nan, np.nan), 0.0)
+        raise LogError(f"{name}: ctrl holds no finite sample; check data.columns.ctrl")
     low, high = float(finite.min()), float(finite.max())
     return Command((low, high), float(((finite == low) | (finite == high)).mean()) if high > low else 0.0)
 

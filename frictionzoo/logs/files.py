@@ -145,8 +145,12 @@ class Files:
         """Columns and units, with what is proposed where the options say nothing."""
         proposal = propose(table)
         columns = {signal: headers for signal, headers in proposal.columns.items() if signal not in self.columns}
-        units = {signal: unit for signal, unit in proposal.units.items() if signal not in self.units}
-        proposed = Proposal(columns, {signal: unit for signal, unit in units.items() if signal in columns})
+        # A unit is that of the headers that were looked at, also where the options name the same ones.
+        seen = {
+            signal for signal, headers in proposal.columns.items() if _headers(self.columns, signal) in (None, headers)
+        }
+        units = {signal: unit for signal, unit in proposal.units.items() if signal in seen - set(self.units)}
+        proposed = Proposal(columns, units)
         own = all(headers == (signal,) for signal, headers in columns.items())
         if not own or proposed.units:
             level = logging.INFO if proposal.certain else logging.WARNING
@@ -180,6 +184,14 @@ class Files:
         if told:
             counts = len(recordings), len(kept)
             logger.info("%s: of %d recordings came %d logs; %s", self.name, *counts, "; ".join(told))
+
+
+def _headers(columns: Mapping[str, Any], signal: str) -> tuple[str, ...] | None:
+    """The headers that options name for a signal, or None."""
+    if signal not in columns:
+        return None
+    given = columns[signal]
+    return (given,) if isinstance(given, str) else tuple(given)
 
 
 def _constant(recording: Recording, name: str, given: str | float) -> float:

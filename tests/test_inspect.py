@@ -1,0 +1,246 @@
+"""`python -m frictionzoo.inspect`: findings in words, JSON against its schema, the page, and the command itself."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from dataclasses import replace
+
+import jsonschema
+import numpy as np
+import plotly.graph_objects as go
+import pytest
+from conftest import DATA, ROOT, Finished, needs_data
+from recordings import make_recording, read_sts3215, simulate_servo
+from test_html import HOSTILE, Page, browse, figures_of, needs_browser
+
+from frictionzoo.inspect.page import write_page
+from frictionzoo.inspect.survey import list_recordings, rank_by_faults, read_schema, survey_recordings
+from frictionzoo.inspect.terminal import summarise
+from frictionzoo.logs.recording import Recording
+from frictionzoo.types import Dataset, Log
+
+TIME = 0.01 * np.arange(1000)
+
+
+def swing(name="a.csv", time=TIME, lag=0.0, scale=1.0, **signals):
+    """A motion of two frequencies at rest nowhere."""
+    late = time - lag
+    position = np.sin(3 * time) + 0.5 * np.sin(11 * time)
+    velocity = scale * (3 * np.cos(3 * late) + 5.5 * np.cos(11 * late))
+    return make_recording(time, name, **{"qpos": position, "qvel": velocity, "ctrl": 0 * time} | signals)
+
+
+def spiked(recording, *at):
+    position = recording.signals["qpos"].copy()
+    position[list(at)] -= 2.0
+    return replace(recording, signals={**recording.signals, "qpos": position})
+
+
+def validate(survey):
+    jsonschema.Draft202012Validator(read_schema()).validate(json.loads(json.dumps(survey, allow_nan=False)))
+    return survey
+
+
+def findings(*recordings):
+    return {finding["title"]: finding for finding in validate(survey_recordings("swings", recordings))["findings"]}
+
+
+@pytest.fixture(scope="module")
+def faulty():
+    """Three recordings with all kinds of faults, of which the second has most."""
+    rng = np.random.default_rng(0)
+    jittered = TIME + rng.uniform(0, 0.003, len(TIME))
+    jittered[500:] += 1.0
+    servo = simulate_servo(0.03, True)
+    volts = {"supply": np.full(len(TIME), 12.0), "enable": TIME < 9}
+    recordings = [
+        swing("fine.csv", lag=0.02, **volts),
+        spiked(swing(HOSTILE, jittered, 0.02, **volts), 100, 400),
+        replace(servo, name="servo.csv"),
+    ]
+    return [replace(recording, fields={"vin": 15.0}) for recording in recordings]
+
+
+def test_what_is_in_order_is_good():
+    found = findings(swing(), swing("b.csv"))
+    states = {title: finding["state"] for title, finding in found.items()}
+    titles = ("Real data", "Clock", "Completeness", "Spikes", "Velocity", "Excitation", "Resolution")
+    assert states == dict.fromkeys(titles, "good") | {"Command": "note"}
+    assert all(finding["option"] is None for finding in found.values())
+
+
+def test_faults_are_told_with_the_option_that_answers_them(faulty):
+    found = findings(*faulty)
+    assert found["Spikes"]["option"] == "data.clean.spikes=repair"
+    assert found["Spikes"]["text"].startswith("1 of 3 recordings hold an isolated spike of the position, 2 in all.")
+    assert found["Clock"]["option"] == "data.clean.step=0.01"
+    assert "Found: 1 gap." in found["Completeness"]["text"]
+    assert "lags the position's derivative by 20" in found["Velocity"]["text"]
+    assert found["Velocity"]["option"] == "data.clean.velocity=estimated"
+    assert "12 V" in found["Supply"]["text"] and "header's vin says 15 V" in found["Supply"]["text"]
+    assert "off for up to 10 %" in found["Drive off"]["text"]
+
+
+def test_a_late_command_asks_for_a_parameter():
+    found = findings(simulate_servo(0.03, True))["Command"]
+    assert found["option"] == "bench.params.delay=..." and found["state"] == "caution"
+    late = float(re.search(r"about (\d+) ms late", found["text"])[1])
+    assert late == pytest.approx(30, abs=4)  # the simple drive's step is 2.5 ms
+
+
+@pytest.mark.parametrize(
+    ("recording", "title", "text"),
+    [
+        (swing(qpos=np.where(TIME < 1, np.sin(3 * TIME), np.sin(3))), "Excitation", "Stribeck and viscous friction"),
+        (swing(qpos=np.where(TIME < 1, np.sin(3 * TIME), np.sin(3))), "Rest", "stands still for"),
+        (swing(qpos=TIME + 0.1 * np.sin(TIME), qvel=1 + 0.1 * np.cos(TIME)), "Direction", "0 % backward"),
+        (swing(qpos=80 * np.sin(3 * TIME), qvel=240 * np.cos(3 * TIME)), "Units", "look like degrees"),
+        (swing(scale=57.3), "Units", "57."),
+        (swing(qvel=np.random.default_rng(0).normal(size=1000)), "Velocity", "no delayed copy"),
+        (swing(ctrl=np.sign(np.sin(TIME))), "Saturation", "at an end of its range"),
+        (swing(supply=np.where(TIME == 5, 0, 12.0)), "Supply readings", "1 of 1 recordings"),
+    ],
+)
+def test_each_kind_of_finding(recording, title, text):
+    assert text in findings(recording)[title]["text"]
+
+
+def test_simulated_data_say_so():
+    assert "Simulated data" in findings(replace(swing(), simulated=True))
+
+
+def test_several_joints_are_told_apart():
+    time, one = TIME, swing()
+    signals = {name: np.hstack([values, values]) for name, values in one.signals.items()}
+    signals["qpos"] = spiked(Recording("a", time, signals), 300).signals["qpos"] * [1, 0] + signals["qpos"] * [0, 1]
+    survey = validate(survey_recordings("arm", [Recording("arm.csv", time, signals)]))
+    assert [joint["spikes"] for joint in survey["joints"]] == [1, 0]
+    assert {"Spikes, joint 1", "Spikes, joint 2"} <= {finding["title"] for finding in survey["findings"]}
+
+
+def test_every_field_of_the_schema_is_described():
+    schema = read_schema()
+    jsonschema.Draft202012Validator.check_schema(schema)
+
+    def undescribed(field, path):
+        for name, inner in field.get("properties", {}).items():
+            yield from [f"{path}.{name}"] * ("description" not in inner)
+            yield from undescribed(inner, f"{path}.{name}")
+            yield from undescribed(inner.get("items", {}), f"{path}.{name}[]")
+
+    sections = [("", schema), *schema["$defs"].items()]
+    assert [field for name, section in sections for field in undescribed(section, name)] == []
+
+
+def test_the_summary_is_short_and_has_all(page, tmp_path):
+    _, survey = page
+    text = summarise(survey, tmp_path)
+    assert text.startswith("swings: 3 recordings, 2800 samples")
+    assert max(map(len, text.splitlines()[:-1])) <= 160 and str(tmp_path) in text
+    for finding in survey["findings"]:
+        assert finding["title"] in text
+    assert "data.clean.spikes=repair" in text
+
+
+def test_logs_serve_where_there_are_no_recordings():
+    class Source:
+        def load(self):
+            position = np.sin(3 * TIME)[:, None]
+            log = Log("log", TIME, position, position, position, "", True, extras={"supply": 0 * position + 12})
+            return Dataset("logs", (log,), (log,))
+
+    recordings = list_recordings(Source())
+    assert len(recordings) == 2 and set(recordings[0].signals) == {"qpos", "qvel", "ctrl", "supply"}
+
+
+@pytest.fixture(scope="module")
+def page(faulty, tmp_path_factory):
+    path = tmp_path_factory.mktemp("inspect") / "inspect.html"
+    survey = survey_recordings("swings", faulty)
+    write_page(path, survey, faulty)
+    return path, survey
+
+
+def test_the_page_has_the_findings_and_the_worst_recording(page, faulty):
+    path, survey = page
+    source = path.read_text(encoding="utf-8")
+    shown = Page(source)
+    for finding in survey["findings"]:
+        assert " ".join(finding["text"].split()) in shown.text
+    assert rank_by_faults(survey)[0]["name"] == HOSTILE
+    figures = figures_of(source)["figures"]
+    assert len(figures) == 2 + 6  # velocities, the worst recording, spreads
+    spikes = [trace for trace in figures[1]["data"] if trace["name"] == "spike"]
+    time = faulty[1].time - faulty[1].time[0]
+    np.testing.assert_allclose(spikes[0]["x"], time[[100, 400]], rtol=1e-5)
+    for figure in figures:
+        go.Figure(figure)  # raises for a property that plotly does not know
+    assert "<img src=x" not in source
+    assert [link["href"] for link in shown.with_attribute("href")] == ["data:,", "inspect.json"]
+    assert not shown.with_attribute("src")
+
+
+@needs_browser
+def test_a_browser_draws_every_figure(page):
+    path, _ = page
+    source = path.read_text(encoding="utf-8")
+    probe = """<script>setTimeout(() => {
+      const canvases = [...document.querySelectorAll("[data-figure]")];
+      const drawn = canvases.filter(canvas => canvas.querySelector(".main-svg path.js-line, .main-svg .point path"));
+      document.body.dataset.drawn = drawn.length;
+      document.body.dataset.overflow = document.documentElement.scrollWidth - innerWidth;
+    }, 3000)</script></body>"""
+    probed = path.with_name("probed.html")
+    probed.write_text(source.replace("</body>", probe))
+    dom, console = browse(probed)
+    assert console == []
+    (body,) = [attributes for tag, attributes in Page(dom).elements if tag == "body"]
+    assert int(body["data-drawn"]) == len(figures_of(source)["figures"])
+    assert int(body["data-overflow"]) <= 0
+
+
+def command(folder, *overrides, check="pass"):
+    """The command in a process of its own, in which `check` is run at the end."""
+    code = f"import sys; from frictionzoo.inspect.__main__ import main; main(); {check}"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    words = [sys.executable, "-c", code, *overrides]
+    finished = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True)
+    return Finished(finished.returncode, finished.stdout, finished.stderr)
+
+
+def test_the_command_writes_what_it_says_without_torch_or_jax(recording, tmp_path):
+    light = "assert not {'torch', 'jax', 'mujoco'} & set(sys.modules)"
+    finished = command(tmp_path, "data=csv", f"data.train=[{recording}]", "data.split.gap=0.05", check=light)
+    assert finished.status == 0, finished.err
+    (folder,) = (tmp_path / "outputs").glob("*/*")
+    assert folder.name.endswith("_inspect_csv") and str(folder.relative_to(tmp_path)) in finished.out
+    survey = validate(json.loads((folder / "inspect.json").read_text()))
+    assert survey["data"]["recordings"] == 2 and survey["timing"]["interval"]["median"] == pytest.approx(0.001)
+    assert (folder / "inspect.html").exists()
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (("data=cvs",), "frictionzoo: data=cvs: no such data; did you mean csv"),
+        (("data=csv", "data.train=[nothing.csv]"), "frictionzoo: nothing.csv: "),
+        (("data=csv", "data.trian=[a.csv]"), "data.trian: unknown option; did you mean train"),
+        (("data=csv,twin", "--multirun"), "--multirun: one data set at a time"),
+    ],
+)
+def test_a_mistake_is_one_line_and_status_2(tmp_path, overrides, message):
+    finished = command(tmp_path, *overrides)
+    assert finished.status == 2
+    assert message in finished.err and finished.err.count("\n") == 1
+
+
+@needs_data
+def test_sts3215_is_told_what_others_found():
+    # 24 of the 960 logs: enough for all but the delay, for which tests of the diagnosis take more.
+    found = findings(*read_sts3215(DATA, every=40))
+    assert re.search(r"derivative by (19|20)\.\d", found["Velocity"]["text"]) or "by 20 ms" in found["Velocity"]["text"]
+    assert "header's vin says 15 V" in found["Supply"]["text"]
+    assert "isolated spike" in found["Spikes"]["text"]
+    assert found["Clock"]["option"] == "data.clean.step=0.01"
