@@ -49,6 +49,8 @@ class Bam(Target):
         laws, remarks = _to_bam(fitted)
         files = tuple(f"{name}{law['model']}.json" for name, law in zip(_prefixes(fitted), laws, strict=True))
         for joint, (file, law) in enumerate(zip(files, laws, strict=True)):
+            # BAM's controllers replace the robot's damping.
+            law["friction_viscous"] += float(fitted.bench.own_damping[joint])
             parameters = {**_motor(fitted, joint, actuator), **law, "actuator": actuator}
             (folder / file).write_text(json.dumps(parameters, indent=4) + "\n")
         limits = (*remarks, *remark, _KT, _INPUTS)
@@ -163,8 +165,9 @@ def _compare(fitted: Fitted, paths: list[Path]) -> tuple[Difference, ...]:
     stacked = {name: np.array([values[name] for values in bench]) for name in bench[0]}
     written = replace(fitted, values={"bench": stacked, "friction": fitted.values["friction"]})
     came = simulate(_compile(written), written, _step(written, files))
+    terms = _budgets(files, fitted.samples)
     return (
-        compare(fitted, _budgets(files, fitted.samples), "BAM's formula"),
+        compare(fitted, terms._replace(damping=terms.damping - fitted.bench.own_damping), "BAM's formula"),
         measure("qpos", fitted, came, fitted.rollout()[0]),
     )
 
