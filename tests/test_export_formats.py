@@ -4,6 +4,8 @@ import io
 import json
 import zipfile
 from collections.abc import Callable
+from functools import cache
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -27,10 +29,11 @@ PAYLOAD = Payload(0.5, (0.0, 0.0, -0.1), (1e-4, 1e-4, 1e-4))
 MODELS = ["mujoco_default", "coulomb_stribeck", "neural_friction"]
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def fit(make: Callable[..., Any]) -> Callable[..., Fitted]:
     """A drive with the configuration's initial values, two rollouts of half a second, and overrides."""
 
+    @cache  # with what a drive has compiled
     def fit(*overrides: str) -> Fitted:
         bench, model = make("bench", *overrides), make("model", *overrides, nv=1)
         rng, interval = np.random.default_rng(0), 0.01
@@ -128,7 +131,7 @@ def test_bam_holds_mujocos_friction_exactly(fit: Callable[..., Fitted], tmp_path
 
 def test_bam_holds_a_stribeck_law(fit: Callable[..., Fitted], tmp_path: Path) -> None:
     fitted = fit("model=coulomb_stribeck", "model.params.smoothing_velocity.init=0.0021", *STS3215)
-    export = write("bam", fitted, tmp_path, actuator="sts3215")
+    export = write("bam", fitted, tmp_path, servo="sts3215")
     assert read(tmp_path / "m2.json")["friction_stribeck"] == pytest.approx(0.08)
     torque, qpos = export.differences
     assert torque.mean < 1e-3 * float(fitted.values["friction"]["static_torque"][0])  # beside each other near rest only
@@ -147,7 +150,7 @@ def test_bam_needs_a_voltage_servo_that_it_knows(fit: Callable[..., Fitted], tmp
     with pytest.raises(ExportError, match="PositionPD"):
         write("bam", fit(), tmp_path)
     with pytest.raises(ConfigError, match="did you mean sts3215"):
-        write("bam", fit(*STS3215), tmp_path, actuator="sts321")
+        write("bam", fit(*STS3215), tmp_path, servo="sts321")
     assert "xl330" in " ".join(write("bam", fit("bench=xl330", "model=mujoco_default"), tmp_path).limits)
 
 
@@ -230,6 +233,20 @@ def test_a_motors_torque_line() -> None:
 def test_a_force_drive_is_refused(fit: Callable[..., Fitted], tmp_path: Path, target: str) -> None:
     with pytest.raises(ExportError, match="Force"):
         write(target, fit("bench=emps", "model=mujoco_default"), tmp_path)
+
+
+def test_a_templates_own_damping_is_in_the_files(fit: Callable[..., Fitted], tmp_path: Path) -> None:
+    """They replace the robot's."""
+    template = (files("frictionzoo.bench") / "assets" / "servo_pendulum.xml").read_text()
+    (tmp_path / "damped.xml").write_text(template.replace('type="hinge"', 'type="hinge" damping="0.3"'))
+    fitted = fit("model=mujoco_default", *STS3215, f"bench.mjcf={tmp_path / 'damped.xml'}")
+    damping = 0.3 + float(fitted.values["friction"]["damping"][0])
+    for target, limit in (("mjlab", 1e-6), ("bam", 0.05)):
+        (tmp_path / target).mkdir()
+        export = write(target, fitted, tmp_path / target)
+        assert export.differences[-1].largest < limit
+    assert read_mjlab((tmp_path / "mjlab" / "mjlab_actuators.py").read_text())[0].damping == pytest.approx(damping)
+    assert read(tmp_path / "bam" / "m1.json")["friction_viscous"] == pytest.approx(damping)
 
 
 def test_gain_and_supply_are_options(fit: Callable[..., Fitted], tmp_path: Path) -> None:

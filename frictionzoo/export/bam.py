@@ -35,7 +35,7 @@ class Bam(Target):
     actuators", 2024; github.com/Rhoban/bam.
     """
 
-    options: ClassVar[Mapping[str, str]] = {"actuator": f"BAM's name of the servo: {', '.join(DUTY)}"}
+    options: ClassVar[Mapping[str, str]] = {"servo": f"its name in BAM: {', '.join(DUTY)}"}
     packages: ClassVar[tuple[str, ...]] = ("mujoco",)
 
     def write(self, fitted: Fitted, folder: Path, options: Mapping[str, str]) -> Export:
@@ -49,6 +49,8 @@ class Bam(Target):
         laws, remarks = _to_bam(fitted)
         files = tuple(f"{name}{law['model']}.json" for name, law in zip(_prefixes(fitted), laws, strict=True))
         for joint, (file, law) in enumerate(zip(files, laws, strict=True)):
+            # BAM's controllers replace the robot's damping.
+            law["friction_viscous"] += float(fitted.bench.own_damping[joint])
             parameters = {**_motor(fitted, joint, actuator), **law, "actuator": actuator}
             (folder / file).write_text(json.dumps(parameters, indent=4) + "\n")
         limits = (*remarks, *remark, _KT, _INPUTS)
@@ -139,13 +141,11 @@ def _motor(fitted: Fitted, joint: int, actuator: str) -> dict[str, float]:
 def _choose_actuator(fitted: Fitted, options: Mapping[str, str]) -> tuple[str, list[str]]:
     """BAM's name of the servo, and what is to be said of it."""
     gain = float(fitted.values["bench"]["duty_gain"][0])
-    given = options.get("actuator")
+    given = options.get("servo")
     if given is not None and given not in DUTY:
-        raise ConfigError(f"actuator={given}: unknown; {closest(given, DUTY)}")
+        raise ConfigError(f"servo={given}: unknown; {closest(given, DUTY)}")
     chosen = given or min(DUTY, key=lambda name: abs(np.log(DUTY[name][0] / gain)))
-    said = (
-        [] if given else [f"actuator={chosen} was taken for its gain; give the servo's name in BAM if it is another."]
-    )
+    said = [] if given else [f"servo={chosen} was taken for its gain; give its name in BAM if it is another."]
     if chosen != "sts3215" and not np.isclose(gain, DUTY[chosen][0], rtol=1e-3):
         said.append(f"BAM's {chosen} has a duty cycle of {DUTY[chosen][0]:.4g} per radian and gain, not {gain:.4g}.")
     limit = float(fitted.values["bench"]["duty_limit"][0])
@@ -165,8 +165,9 @@ def _compare(fitted: Fitted, paths: list[Path]) -> tuple[Difference, ...]:
     stacked = {name: np.array([values[name] for values in bench]) for name in bench[0]}
     written = replace(fitted, values={"bench": stacked, "friction": fitted.values["friction"]})
     came = simulate(_compile(written), written, _step(written, files))
+    terms = _budgets(files, fitted.samples)
     return (
-        compare(fitted, _budgets(files, fitted.samples), "BAM's formula"),
+        compare(fitted, terms._replace(damping=terms.damping - fitted.bench.own_damping), "BAM's formula"),
         measure("qpos", fitted, came, fitted.rollout()[0]),
     )
 

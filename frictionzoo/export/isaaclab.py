@@ -9,7 +9,18 @@ import numpy as np
 from frictionzoo.export.base import Export, Target, measure, register_target
 from frictionzoo.export.configclass import Field, read_calls, write_call, write_module
 from frictionzoo.export.fitted import Fitted
-from frictionzoo.export.motor import INPUTS, Joint, Motor, lag, motors, read_inputs, read_joint, run_joints, say_common
+from frictionzoo.export.motor import (
+    INPUTS,
+    Joint,
+    Motor,
+    lag,
+    motors,
+    read_inputs,
+    read_joint,
+    run_joints,
+    say_common,
+    viscous_friction,
+)
 from frictionzoo.export.nearest import Nearest, find_nearest
 from frictionzoo.params import UNITS
 
@@ -77,7 +88,7 @@ def _call(fitted: Fitted, nearest: Nearest, joint: int, motor: Motor) -> tuple[s
         Field("armature", repr(float(nearest.bench["armature"][joint])), units["inertia"]),
         Field("friction", repr(max(dynamic, float(at_rest[joint]))), f"{units['torque']}, at rest"),
         Field("dynamic_friction", repr(dynamic), units["torque"]),
-        Field("viscous_friction", repr(float(nearest.damping[joint])), units["damping"]),
+        Field("viscous_friction", repr(viscous_friction(fitted, nearest, joint)), units["damping"]),
     ]
 
 

@@ -9,7 +9,18 @@ import numpy as np
 from frictionzoo.export.base import Export, Target, measure, register_target
 from frictionzoo.export.configclass import Field, read_calls, write_call, write_module
 from frictionzoo.export.fitted import Fitted
-from frictionzoo.export.motor import INPUTS, Joint, Motor, lag, motors, read_inputs, read_joint, run_joints, say_common
+from frictionzoo.export.motor import (
+    INPUTS,
+    Joint,
+    Motor,
+    lag,
+    motors,
+    read_inputs,
+    read_joint,
+    run_joints,
+    say_common,
+    viscous_friction,
+)
 from frictionzoo.export.nearest import Nearest, find_nearest
 from frictionzoo.params import UNITS
 
@@ -64,7 +75,7 @@ def _call(fitted: Fitted, nearest: Nearest, joint: int, motor: Motor) -> tuple[s
         *own,
         Field("armature", repr(float(nearest.bench["armature"][joint])), units["inertia"]),
         Field("frictionloss", repr(float(nearest.frictionloss[joint])), units["torque"]),
-        Field("viscous_damping", repr(float(nearest.damping[joint])), units["damping"]),
+        Field("viscous_damping", repr(viscous_friction(fitted, nearest, joint)), units["damping"]),
         *late,
     ]
 

@@ -110,6 +110,11 @@ def _motor(law: Actuator, values: Mapping[str, float], inputs: Mapping[str, floa
     raise ExportError(f"the bench's actuator is a {name}, expected a position-controlled one; write target=mjcf")
 
 
+def viscous_friction(fitted: Fitted, nearest: Nearest, joint: int) -> float:
+    """Damping of a joint altogether, the template's own included: a configuration replaces the robot's."""
+    return float(nearest.damping[joint] + fitted.bench.own_damping[joint])
+
+
 def read_joint(fields: Mapping[str, Any], friction: Sequence[str], delay: str) -> Joint:
     """A joint from the keywords of its configuration.
 
@@ -150,7 +155,7 @@ def _compile(fitted: Fitted, nearest: Nearest, joints: Sequence[Joint]) -> mujoc
     bench = {name: value for name, value in nearest.bench.items() if name != "delay"}
     bench["armature"] = np.array([joint.armature for joint in joints])
     loss = np.array([joint.frictionloss for joint in joints])
-    damping = np.array([joint.damping for joint in joints])
+    damping = np.array([joint.damping for joint in joints]) - fitted.bench.own_damping
     model = mujoco.MjModel.from_xml_string(fitted.bench.mjcf(bench, loss if loss.any() else None, damping))
     model.actuator_gainprm[:, 0], model.actuator_biasprm[:] = 1, 0
     return model
