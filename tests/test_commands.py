@@ -30,6 +30,7 @@ import pytest
 from conftest import Finished, needs_data
 from omegaconf import OmegaConf
 from pages import PAGES, ROOT, blocks_of, commands_of, expand
+from test_bam import M1
 from test_benchmarks import QUICKEST
 from test_experiments import MEASURED
 from write_logs import WRITERS, write_degrees, write_log
@@ -54,6 +55,8 @@ SMALL = {  # options that make a job quick, where it has them and the page does 
 STAND = """<mujoco><option timestep="0.001"><flag contact="disable"/></option><worldbody><body name="arm">
 <joint name="shaft" axis="0 1 0"/>
 <geom type="capsule" fromto="0 0 0 0 0 -0.2254" size="0.01" mass="0.26"/></body></worldbody></mujoco>"""
+ROBOT = """<mujoco><worldbody><body><joint name="left_knee" axis="0 1 0"/><geom size="0.1"/>
+<body><joint name="right_knee" axis="0 1 0"/><geom size="0.1"/></body></body></worldbody></mujoco>"""
 RECORDINGS = ("a", "b", "bare", "loaded", "heavy")
 LOGS = ("kp8_one", "kp8_two", "kp16_one", "kp16_two", "kp32_one")
 CI = (ROOT / ".ci" / "run").read_text()
@@ -211,6 +214,21 @@ def resume(command: str, place: Place) -> None:
     assert finished.status == 0, finished.err
     after = json.loads((place.folder / folder / "result.json").read_text())
     assert after["parameters"] == before["parameters"]
+
+
+@rule(r"python -m frictionzoo\.export RUN .*")
+def export(command: str, place: Place) -> None:
+    place.do("model=mujoco_default", "hydra.run.dir=RUN")
+    (place.folder / "robot.xml").write_text(ROBOT)
+    place.run(command)
+    written = list(place.folder.glob("RUN/export/*/export.json"))
+    assert written and all(json.loads(path.read_text())["files"] for path in written)
+
+
+@rule(r"python -m frictionzoo\.export\.read_bam FILE\.json")
+def read_bam(command: str, place: Place) -> None:
+    (place.folder / "FILE.json").write_text(json.dumps(M1))
+    assert "fit=known" in place.run(command).stdout
 
 
 @rule(rf"{JOB}.*")
