@@ -1,6 +1,7 @@
 """What export targets write, run in the programs that it is for, against the fitted drive."""
 
 import ast
+import functools
 import json
 import os
 import shutil
@@ -67,6 +68,7 @@ class Rubbing(FrictionModel):
         return FrictionTerms(torque=0.03 * xp.tanh(state.qvel), frictionloss=pressed, damping=turning)
 
 
+@functools.cache  # so that each is compiled once
 def make_fitted(model: str | FrictionModel, *overrides: str, steps: int = 150) -> Fitted:
     """A drive as if identified, and two rollouts of it; a command each that swings it back and forth."""
     chosen = "coulomb_stribeck" if isinstance(model, FrictionModel) else model
@@ -419,7 +421,11 @@ ARM = """<mujoco><compiler angle="radian"/><option timestep="0.001"><flag contac
       <inertial pos="0 0 -0.1" mass="0.2" diaginertia="0.001 0.001 0.0005"/></body></body></worldbody></mujoco>"""
 
 
-@pytest.mark.parametrize("target", [Mjcf, MujocoC, pytest.param(Mjx, marks=pytest.mark.slow)], ids=lambda t: t.name)
+@pytest.mark.parametrize(
+    "target",
+    [pytest.param(Mjcf, marks=pytest.mark.slow), MujocoC, pytest.param(Mjx, marks=pytest.mark.slow)],
+    ids=lambda t: t.name,
+)
 def test_a_drive_of_several_joints(target, tmp_path):
     (tmp_path / "arm.xml").write_text(ARM)
     overrides = (f"bench.mjcf={tmp_path / 'arm.xml'}", "bench.joint=[shoulder,elbow]", BENCHES["a late command"][1])
@@ -431,6 +437,7 @@ def test_a_drive_of_several_joints(target, tmp_path):
     assert target().write(fitted, folder, {}).differences[0].largest < EXACT
 
 
+@pytest.mark.slow
 def test_a_law_of_several_joints_is_refitted_joint_by_joint(tmp_path):
     (tmp_path / "arm.xml").write_text(ARM)
     fitted = make_fitted(Rubbing(2), f"bench.mjcf={tmp_path / 'arm.xml'}", "bench.joint=[shoulder,elbow]")
@@ -440,3 +447,18 @@ def test_a_law_of_several_joints_is_refitted_joint_by_joint(tmp_path):
     assert ((nearest.frictionloss > 0.05) & (nearest.frictionloss < 0.4)).all()
     np.testing.assert_allclose(nearest.bench["armature"], [0.02, 0.05], rtol=0.5)
     np.testing.assert_array_equal(nearest.bench["kp"], fitted.values["bench"]["kp"])
+
+
+def test_a_module_refuses_a_model_that_it_would_simulate_wrongly(tmp_path):
+    MujocoC().write(make_fitted("coulomb_stribeck"), tmp_path, {})
+    drive, bench = load_module(tmp_path / "drive.py").Drive, (tmp_path / "bench.xml").read_text()
+    cases = {
+        "integrator RK4, expected": bench.replace('integrator="Euler"', 'integrator="RK4"'),
+        "knee: frictionloss in the model, expected none": bench.replace(
+            'name="knee"', 'name="knee" frictionloss="1"', 1
+        ),
+        "knee: 0 actuators, expected one": bench[: bench.index("<actuator>")] + "</mujoco>",
+    }
+    for message, text in cases.items():
+        with pytest.raises(ValueError, match=message):
+            drive(mujoco.MjModel.from_xml_string(text))

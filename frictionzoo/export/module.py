@@ -48,7 +48,7 @@ def write_module(fitted: Fitted, folder: Path, template: str, name: str, **more:
     if not large:
         return (name,)
     buffer = io.BytesIO()
-    np.savez(buffer, allow_pickle=False, **large)
+    np.savez(buffer, **large)  # pyright: ignore[reportArgumentType] - a keyword is a name here
     (folder / WEIGHTS).write_bytes(buffer.getvalue())
     return (name, WEIGHTS)
 
