@@ -243,3 +243,24 @@ def test_a_time_that_is_none_is_refused():
         clean(broken, cleaning())
     with pytest.raises(LogError, match="at one time"):
         clean(record(np.zeros(10)), cleaning())
+
+
+@pytest.mark.parametrize("factor", [180 / np.pi, np.pi / 180], ids=["velocity", "position"])
+def test_a_wrong_unit_is_refused(factor):
+    time = uniform(500, 0.01)
+    recording = record(time, qpos=np.sin(5 * time), qvel=factor * 5 * np.cos(5 * time))
+    with pytest.raises(
+        LogError, match=rf"qvel is {str(factor)[:2]}[\d.]* times the position's derivative.*data\.units"
+    ):
+        clean(recording, cleaning(velocity="auto"))
+    (log,) = clean(recording, cleaning(velocity="measured"))
+    np.testing.assert_array_equal(log.qvel, recording.signals["qvel"])
+
+
+def test_swapped_columns_are_told():
+    time = uniform(500, 0.01)
+    sound = {"qpos": np.sin(2 * time) + 0.3 * np.sin(5 * time), "qvel": 2 * np.cos(2 * time) + 1.5 * np.cos(5 * time)}
+    (log,) = clean(record(time, **sound), cleaning(velocity="auto"))
+    assert not log.repairs
+    (log,) = clean(record(time, qpos=sound["qvel"], qvel=sound["qpos"]), cleaning(velocity="auto"))
+    assert any("columns are swapped" in sentence for sentence in log.repairs)

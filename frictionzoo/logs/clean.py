@@ -29,6 +29,8 @@ HELD = ("ctrl", "enable")  # signals that keep their value until the next sample
 RESAMPLED = {"ctrl": "mean", "enable": "held"}  # how these are found on another grid
 EXTRAS = ("supply", "enable", "temperature")
 FOLLOWED = 1e-6  # share of the median interval by which the same instant may differ in two clocks
+COMPARED = 200  # samples from which on a measured velocity is compared with the position
+SAME_UNIT = 3.0  # factor between velocity and derivative that a unit does not explain; a filter may take off some
 NUMBER = re.compile(r"-?\d+(\.\d+)?(e-?\d+)?")
 
 
@@ -46,7 +48,8 @@ class Cleaning:
             are interpolated.
         spikes: What becomes of isolated spikes of one sample or two: `repair` interpolates them in all signals that
             are not held; `drop` leaves a recording out whose position has one; `keep` keeps them.
-        velocity: `measured`; `estimated` from the position without phase lag; `auto`: measured where there is one.
+        velocity: `measured`; `estimated` from the position without phase lag; `auto`: measured where there is one, and
+            compared with the position.
         cutoff: Cut-off frequency of that estimate [Hz].
         order: Order of its filter, which runs forwards and backwards.
         velocity_lag: Time by which the measured velocity lags the position, which is taken out [s]; `auto` finds it;
@@ -117,7 +120,7 @@ def clean(recording: Recording, cleaning: Cleaning) -> list[Log]:
         In the order of time; none where all of it is left out.
 
     Raises:
-        LogError: It lacks a signal or cannot be repaired.
+        LogError: It lacks a signal or cannot be repaired, or its velocity has another unit than its position.
         ConfigError: The cut-off is not below half the sample rate.
     """
     refuse_incomplete(recording)
@@ -316,12 +319,31 @@ def _mean_until_next(
     return np.diff(np.interp(np.append(at, at[-1] + step), ends, integral)) / step
 
 
+def _compare_velocity(piece: Piece, name: str) -> Piece:
+    """The same if the measured velocity goes with the position; LogError where its unit is another."""
+    for position, velocity in zip(piece.signals["qpos"].T, piece.signals["qvel"].T, strict=True):
+        if len(piece.time) < COMPARED:
+            continue
+        found = find_velocity_lag(piece.time, repair_spikes(position), velocity)
+        if found is None:
+            return piece.say(
+                "qvel is no copy of the position's derivative: look whether columns are swapped, or set "
+                "data.clean.velocity=estimated"
+            )
+        if not 1 / SAME_UNIT < found[1] < SAME_UNIT:
+            raise LogError(
+                f"{name}: qvel is {found[1]:.4g} times the position's derivative, expected about 1 (57.3 is a degree, "
+                "9.55 a turn a minute); set data.units, or data.clean.velocity=measured to take it as it is"
+            )
+    return piece
+
+
 def _choose_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
     measured = "qvel" in piece.signals
     if cleaning.velocity == "measured" and not measured:
         raise LogError(f"{name}: no qvel; name its column in data.columns.qvel or set data.clean.velocity=estimated")
     if measured and cleaning.velocity != "estimated":
-        return piece
+        return piece if cleaning.velocity == "measured" else _compare_velocity(piece, name)
     timestep = float(piece.time[-1] - piece.time[0]) / (len(piece.time) - 1)
     qvel = np.stack(
         [
