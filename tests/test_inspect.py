@@ -212,22 +212,22 @@ def command(folder, *overrides, check="pass"):
 
 def test_the_command_writes_what_it_says_without_torch_or_jax(recording, tmp_path):
     light = "assert not {'torch', 'jax', 'mujoco'} & set(sys.modules)"
-    finished = command(tmp_path, "data=csv", f"data.train=[{recording}]", "data.split.gap=0.05", check=light)
+    finished = command(tmp_path, "data=files", f"data.train=[{recording}]", "data.split.gap=0.05", check=light)
     assert finished.status == 0, finished.err
     (folder,) = (tmp_path / "outputs").glob("*/*")
-    assert folder.name.endswith("_inspect_csv") and str(folder.relative_to(tmp_path)) in finished.out
+    assert folder.name.endswith("_inspect_files") and str(folder.relative_to(tmp_path)) in finished.out
     survey = validate(json.loads((folder / "inspect.json").read_text()))
-    assert survey["data"]["recordings"] == 2 and survey["timing"]["interval"]["median"] == pytest.approx(0.001)
+    assert survey["data"]["recordings"] == 1 and survey["timing"]["interval"]["median"] == pytest.approx(0.001)
     assert (folder / "inspect.html").exists()
 
 
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        (("data=cvs",), "frictionzoo: data=cvs: no such data; did you mean csv"),
-        (("data=csv", "data.train=[nothing.csv]"), "frictionzoo: nothing.csv: "),
-        (("data=csv", "data.trian=[a.csv]"), "data.trian: unknown option; did you mean train"),
-        (("data=csv,twin", "--multirun"), "--multirun: one data set at a time"),
+        (("data=fils",), "frictionzoo: data=fils: no such data; did you mean files"),
+        (("data=files", "data.train=[nothing.csv]"), "frictionzoo: nothing.csv: "),
+        (("data=files", "data.trian=[a.csv]"), "data.trian: unknown option; did you mean train"),
+        (("data=files,twin", "--multirun"), "--multirun: one data set at a time"),
     ],
 )
 def test_a_mistake_is_one_line_and_status_2(tmp_path, overrides, message):

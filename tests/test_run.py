@@ -67,7 +67,7 @@ def with_value(index: int, value: float, array: np.ndarray = TIMES) -> np.ndarra
 @pytest.mark.parametrize(
     ("signals", "fragments"),
     [
-        pytest.param({"time": 2 * TIMES}, ("0.002 s per sample", "0.001 s as in knee_rod.xml"), id="other timestep"),
+        pytest.param({"time": 1.5 * TIMES}, ("0.0015 s per sample", "0.001 s as in knee_rod.xml"), id="other timestep"),
         pytest.param({"qpos": np.full(400, np.nan)}, ("cleaning leaves nothing", "data.clean"), id="nan"),
         pytest.param({"header": "time,qpos,qvel,other"}, ("data.columns.ctrl is missing",), id="other column"),
         pytest.param({"header": HEADER + ",load"}, ("4 cells", "expected 5 as in the header"), id="fewer cells"),
