@@ -231,6 +231,21 @@ def read_bam(command: str, place: Place) -> None:
     assert "fit=known" in place.run(command).stdout
 
 
+@rule(rf"{JOB}-m hydra/launcher=submitit_slurm .*")
+def compose_for_a_cluster(command: str, place: Place) -> None:
+    """There is no cluster here; its options are known to the launcher."""
+    options = [argument for argument in arguments_of(command) if argument.startswith("hydra")]
+    assert "slurm" in place.run(f"python -m frictionzoo.run {shlex.join(options)} --cfg hydra").stdout
+
+
+@rule(rf"{JOB}-m hydra/(launcher|sweeper)=.*")
+def sweep_in_processes(command: str, place: Place) -> None:
+    """Launchers and sweepers hand jobs to other processes, to which nothing of this one goes."""
+    trials = ["hydra.sweeper.n_trials=2"] if "sweeper=" in command else []
+    place.run(f"{command} {shlex.join([*shrink(arguments_of(command), place.cache), *trials])}")
+    assert len(list(place.folder.glob("multirun/**/result.json"))) > 1
+
+
 @rule(rf"{JOB}.*")
 def do_jobs(command: str, place: Place) -> None:
     place.do(*arguments_of(command))
@@ -323,9 +338,8 @@ def wait_for(place: Place, command: str, page: str, content: str) -> None:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     arguments = shlex.split(f"{command}{port}" if command.endswith(":") else f"{command} --port {port}")
-    path = f"{Path(sys.executable).parent}{os.pathsep}{place.environment['PATH']}"
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    server = subprocess.Popen(arguments, cwd=place.folder, env={**place.environment, "PATH": path}, **quiet)
+    server = subprocess.Popen(arguments, cwd=place.folder, env=place.environment, **quiet)
     try:
         end = time.monotonic() + PATIENCE
         while content not in fetch(f"http://127.0.0.1:{port}/{page}"):
@@ -379,7 +393,8 @@ def place(call: Callable[..., Finished], recording: Path, tmp_path: Path, simula
     for name in WRITERS:
         write_log(tmp_path, name, columns)
     write_degrees(tmp_path / "degrees.csv", columns)
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PATH": path}
     return Place(tmp_path, call, environment, simulated)
 
 
