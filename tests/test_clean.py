@@ -264,3 +264,9 @@ def test_swapped_columns_are_told():
     assert not log.repairs
     (log,) = clean(record(time, qpos=sound["qvel"], qvel=sound["qpos"]), cleaning(velocity="auto"))
     assert any("columns are swapped" in sentence for sentence in log.repairs)
+
+
+def test_what_was_done_to_bring_signals_to_one_clock_is_told():
+    recording = replace(record(uniform()), notes=("ctrl held from 40 samples of its own on the 50 times of qpos",))
+    (log,) = clean(recording, cleaning())
+    assert log.repairs == recording.notes

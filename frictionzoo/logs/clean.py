@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 
 from frictionzoo.errors import ConfigError, LogError, closest
 from frictionzoo.logs.diagnose import count_spikes, find_breaks, find_velocity_lag, refuse_incomplete, repair_spikes
-from frictionzoo.logs.recording import Recording
+from frictionzoo.logs.recording import HELD, Recording
 from frictionzoo.logs.velocity import estimate_velocity
 from frictionzoo.types import JITTER, Log
 
@@ -25,7 +25,6 @@ CHOICES = {
     "spikes": ("repair", "drop", "keep"),
     "velocity": ("measured", "estimated", "auto"),
 }
-HELD = ("ctrl", "enable")  # signals that keep their value until the next sample; the others go on in between
 RESAMPLED = {"ctrl": "mean", "enable": "held"}  # how these are found on another grid
 EXTRAS = ("supply", "enable", "temperature")
 FOLLOWED = 1e-6  # share of the median interval by which the same instant may differ in two clocks
@@ -124,7 +123,7 @@ def clean(recording: Recording, cleaning: Cleaning) -> list[Log]:
         ConfigError: The cut-off is not below half the sample rate.
     """
     refuse_incomplete(recording)
-    whole = _drop_repeated(Piece(recording.time, recording.signals))
+    whole = _drop_repeated(Piece(recording.time, recording.signals, recording.notes))
     if cleaning.spikes == "drop" and any(map(count_spikes, whole.signals["qpos"].T)):
         return []
     pieces = _split(whole, cleaning.gap)

@@ -8,13 +8,12 @@ from jaxtyping import Float, Real
 
 from frictionzoo.errors import ConfigError, LogError, closest
 from frictionzoo.logs.propose import Proposal, propose
-from frictionzoo.logs.recording import SIGNALS, Recording, Table
+from frictionzoo.logs.recording import HELD, SIGNALS, Recording, Table
 from frictionzoo.logs.units import ratio, to_si
 
-__all__ = ["Proposal", "pick", "propose", "to_recording"]
+__all__ = ["Proposal", "name_headers", "pick", "propose", "to_recording"]
 
 NEEDED = ("time", "qpos", "ctrl")
-HELD = ("ctrl", "enable")  # what stays as it is until something new is said
 Headers = dict[str, tuple[str, ...]]
 
 
@@ -65,14 +64,18 @@ def _check(columns: Mapping[str, Any]) -> Headers:
     """Headers of the signals that are named."""
     for key in set(columns) - set(SIGNALS):
         raise ConfigError(f"data.columns.{key}: unknown signal; {closest(str(key), SIGNALS)}")
-    headers = {key: _names(key, given) for key, given in columns.items() if given is not None}
+    headers = {key: name_headers(key, given) for key, given in columns.items() if given is not None}
     if len(headers.get("time", ())) > 1:
         raise ConfigError(f"data.columns.time={list(headers['time'])}: expected one header")
     return {key: names for key, names in headers.items() if names}
 
 
-def _names(signal: str, given: Any) -> tuple[str, ...]:
-    """A header or a list of headers as a tuple."""
+def name_headers(signal: str, given: Any) -> tuple[str, ...]:
+    """What `data.columns` says of a signal, a header or a list of headers, as a tuple.
+
+    Raises:
+        ConfigError: It is neither.
+    """
     if isinstance(given, str):
         return (given,)
     if not isinstance(given, Sequence):

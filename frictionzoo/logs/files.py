@@ -9,7 +9,7 @@ import numpy as np
 
 from frictionzoo.errors import ConfigError, LogError, closest
 from frictionzoo.logs.clean import Cleaning, clean, summarise_repairs
-from frictionzoo.logs.columns import Proposal, propose, to_recording
+from frictionzoo.logs.columns import Proposal, name_headers, propose, to_recording
 from frictionzoo.logs.formats import read_tables
 from frictionzoo.logs.paths import find_files
 from frictionzoo.logs.payloads import choose_payloads
@@ -69,7 +69,8 @@ class Files:
     ) -> None:
         self.name, self.folder, self.source, self.format = name, folder, source, format
         self.train, self.test = _names("train", train), _names("test", test)
-        self.columns, self.units = _signals("columns", columns), _signals("units", units)
+        self.columns = {signal: name_headers(signal, given) for signal, given in _signals("columns", columns).items()}
+        self.units = _signals("units", units)
         fields, where, exclude = (
             _mapping(option, given) for option, given in (("fields", fields), ("where", where), ("exclude", exclude))
         )
@@ -146,9 +147,7 @@ class Files:
         proposal = propose(table)
         columns = {signal: headers for signal, headers in proposal.columns.items() if signal not in self.columns}
         # A unit is that of the headers that were looked at, also where the options name the same ones.
-        seen = {
-            signal for signal, headers in proposal.columns.items() if _headers(self.columns, signal) in (None, headers)
-        }
+        seen = {signal for signal, headers in proposal.columns.items() if self.columns.get(signal, headers) == headers}
         units = {signal: unit for signal, unit in proposal.units.items() if signal in seen - set(self.units)}
         proposed = Proposal(columns, units)
         own = all(headers == (signal,) for signal, headers in columns.items())
@@ -184,14 +183,6 @@ class Files:
         if told:
             counts = len(recordings), len(kept)
             logger.info("%s: of %d recordings came %d logs; %s", self.name, *counts, "; ".join(told))
-
-
-def _headers(columns: Mapping[str, Any], signal: str) -> tuple[str, ...] | None:
-    """The headers that options name for a signal, or None."""
-    if signal not in columns:
-        return None
-    given = columns[signal]
-    return (given,) if isinstance(given, str) else tuple(given)
 
 
 def _constant(recording: Recording, name: str, given: str | float) -> float:

@@ -10,6 +10,9 @@ from jaxtyping import Float, Real
 SIGNALS = ("time", "qpos", "qvel", "ctrl", "supply", "enable", "temperature")
 """What a column may stand for. Needed: time, qpos, ctrl; the others where the file has them."""
 
+HELD = ("ctrl", "enable")
+"""Signals that keep their value until the next sample; the others go on in between."""
+
 
 @dataclass(frozen=True)
 class Table:
