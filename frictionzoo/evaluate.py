@@ -219,7 +219,7 @@ class Evaluation:
         cut = [segments for parts in self._by_horizon for segments in parts.values()]
         digest = hashlib.sha256()
         for segments in (*cut, self.trajectories, self._places, self.local):
-            loads = () if segments.load is None or not segments.load.size else (segments.load,)
+            loads = (segments.loads,) if segments.loads.size else ()
             for signal in (segments.qpos, segments.qvel, segments.commands, *loads):
                 digest.update(str(signal.shape).encode() + np.ascontiguousarray(signal, np.float64).tobytes())
         return digest.hexdigest()

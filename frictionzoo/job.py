@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, cast
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import safetensors.torch
 from jaxtyping import Float
@@ -33,7 +32,7 @@ from frictionzoo.report.figures import write_figures
 from frictionzoo.report.html import write_report
 from frictionzoo.report.result import build_result, describe_data, pick_metrics, write_result
 from frictionzoo.report.terminal import summarise_in_markdown
-from frictionzoo.rollout import Rollout, applied, make_rollout
+from frictionzoo.rollout import Rollout, make_observer, make_rollout
 from frictionzoo.segments import cut_segments
 from frictionzoo.types import Dataset, DriveState, Sampling, Segments
 
@@ -219,7 +218,7 @@ def _collect_curves(problem: Problem, outcome: Outcome, judgement: Judgement) ->
         measured_qpos=measured.qpos,
         measured_qvel=measured.qvel,
         ctrl=measured.ctrl,
-        load=np.zeros((measured.count, 0)) if measured.load is None else measured.load,
+        load=measured.loads,
         qpos=judgement.prediction.qpos,
         qvel=judgement.prediction.qvel,
         train_mae=judgement.rollout_mae["train"],
@@ -270,12 +269,9 @@ def _training_samples(drive: Drive, bench: Bench, dataset: Dataset) -> DriveStat
 def _motor_torque(problem: Problem, segments: Segments) -> Float[np.ndarray, "batch time nv"]:
     """The actuators' torque at each measured state, with the bench's initial values: the same for all laws."""
     values = {"bench": problem.bench.initial_values()}
-    step = jax.vmap(problem.drive.engine.drive_state, in_axes=(None, 0, 0, 0, None))
-    state = problem.drive.rollout.compile(jax.vmap(step, in_axes=(None, 0, 0, 0, 0)))
-    load = np.zeros((segments.count, 0)) if segments.load is None else segments.load
-    ctrl = applied(values, jnp.asarray(segments.ctrl), problem.sampling)[:, :, 0]
-    seen = state(values, segments.qpos[:, :-1], segments.qvel[:, :-1], ctrl, load)
-    return np.asarray(seen.motor_torque, np.float64)
+    seen = problem.drive.rollout.compile(make_observer(problem.drive.engine, problem.sampling))
+    state = seen(values, segments.qpos[:, :-1], segments.qvel[:, :-1], segments.ctrl, segments.loads)
+    return np.asarray(state.motor_torque, np.float64)
 
 
 def _judge_baseline(problem: Problem, dtype: str) -> Judgement:
@@ -306,8 +302,7 @@ def _identify(name: str, problem: Problem, settings: Mapping[str, Any]) -> dict[
 
 def _digest(segments: Segments) -> str:
     """Hash of what a fit compares, as cleaning and payloads have it."""
-    load = np.zeros(0) if segments.load is None else segments.load
-    return digest({"qpos": segments.qpos, "qvel": segments.qvel, "ctrl": segments.ctrl, "load": load})
+    return digest({name: getattr(segments, name) for name in ("qpos", "qvel", "ctrl", "loads")})
 
 
 def _list_hyperparameters(name: str, problem: Problem, settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 import functools
 import inspect
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, TypeVar
 
@@ -12,9 +12,9 @@ from frictionzoo.errors import FrictionzooError, closest
 T = TypeVar("T")
 
 
-@dataclass(frozen=True)
+@dataclass
 class Registry:
-    """What one kind of plug-in has to be; its classes by name are in a dictionary of whoever keeps them.
+    """Plug-ins of one kind.
 
     Attributes:
         kind: What a class of it is, for messages.
@@ -24,6 +24,7 @@ class Registry:
         group: Entry-point group of other packages.
         error: Raised for a plug-in that is none.
         unknown: Raised for a name that nobody registered.
+        entries: The registered classes by name.
     """
 
     kind: str
@@ -33,14 +34,15 @@ class Registry:
     group: str
     error: type[FrictionzooError]
     unknown: type[FrictionzooError]
+    entries: dict[str, Any] = field(default_factory=dict)
 
     @property
     def noun(self) -> str:
         """The kind in one word."""
         return self.kind.split()[-1]
 
-    def add(self, entries: dict[str, Any], name: str, cls: T) -> T:
-        """Put a class into the entries under its name, and its name into the class.
+    def add(self, name: str, cls: T) -> T:
+        """Register a class under its name, and its name into the class.
 
         Raises:
             FrictionzooError: The name is taken or not lower case with underscores, or the class is not complete or has
@@ -54,31 +56,31 @@ class Registry:
         if not name.isidentifier() or name != name.lower():
             raise self.error(f"{name}: expected a name in lower case with underscores; rename the {self.noun}")
         # A class that is defined again, as when a notebook's cell is run again, replaces its older self.
-        if dotted_name(entries.get(name, known)) != dotted_name(known):
-            raise self.error(f"{name}: already registered by {entries[name].__qualname__}; choose another name")
+        if dotted_name(self.entries.get(name, known)) != dotted_name(known):
+            raise self.error(f"{name}: already registered by {self.entries[name].__qualname__}; choose another name")
         # A subclass inherits its parent's name, which is not its own.
         if vars(known).get("name", name) != name:
             raise self.error(f"{name}: {known.__qualname__} is already registered as {known.name}; one name each")
         known.name = name
-        entries[name] = cls
+        self.entries[name] = cls
         return cls
 
-    def get(self, entries: dict[str, Any], name: str) -> Any:
-        """The class of that name, from the entries or brought by another package.
+    def get(self, name: str) -> Any:
+        """The class of that name, registered here or brought by another package.
 
         Raises:
             FrictionzooError: No such name, two packages bring it, or the one that does is broken.
         """
         outside = self.outside()
-        if name not in entries and name not in outside:
-            raise self.unknown(f"{name}: no such {self.kind}; {closest(name, {*outside, *entries})}")
+        if name not in self.entries and name not in outside:
+            raise self.unknown(f"{name}: no such {self.kind}; {closest(name, {*outside, *self.entries})}")
         if name in outside:
-            self._load(entries, outside[name])
-        return entries[name]
+            self._load(outside[name])
+        return self.entries[name]
 
-    def names(self, entries: dict[str, Any]) -> list[str]:
+    def names(self) -> list[str]:
         """All names, sorted."""
-        return sorted({*self.outside(), *entries})
+        return sorted({*self.outside(), *self.entries})
 
     def outside(self) -> dict[str, EntryPoint]:
         """What other packages bring, by name."""
@@ -91,18 +93,18 @@ class Registry:
                 )
         return points
 
-    def _load(self, entries: dict[str, Any], point: EntryPoint) -> None:
+    def _load(self, point: EntryPoint) -> None:
         """Import what an entry point names and see that it registered the class itself, not one of the same name."""
         try:
             point.load()
         except (ImportError, AttributeError) as error:
             raise self.error(f"{point.name}: its entry point {point.value} does not load ({error}); fix it") from error
-        if point.name not in entries:
+        if point.name not in self.entries:
             raise self.error(
                 f"{point.name}: its entry point {point.value} registers no {self.noun} of that name; "
                 f'decorate it @{self.decorator}("{point.name}")'
             )
-        owner = entries[point.name].__module__
+        owner = self.entries[point.name].__module__
         if owner.partition(".")[0] != point.module.partition(".")[0]:
             raise self.error(
                 f"{point.name}: brought by both {owner} and {point.value}; uninstall one or rename its {self.noun}"

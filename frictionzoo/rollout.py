@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from frictionzoo.engine import Engine, Values
-from frictionzoo.types import Sampling
+from frictionzoo.types import DriveState, Sampling
 
 
 @dataclass(frozen=True)
@@ -81,6 +81,26 @@ def make_rollout(engine: Engine, sampling: Sampling | None = None) -> Rollout:
         return jnp.swapaxes(positions, 0, 1), jnp.swapaxes(velocities, 0, 1)
 
     return Rollout(rollout, engine.compiler_options, engine.forward_limit, engine.reverse)
+
+
+def make_observer(engine: Engine, sampling: Sampling) -> Callable[..., DriveState]:
+    """A function, not compiled, that tells what a friction law sees at measured states.
+
+    Args:
+        engine: The simulated drive.
+        sampling: From samples to simulation steps.
+
+    Returns:
+        From values, qpos and qvel of shape (batch, time, nv), ctrl as in `Segments` and loads of shape (batch, load) to
+        a state of shape (batch, time, nv).
+    """
+    over_time = jax.vmap(engine.drive_state, in_axes=(None, 0, 0, 0, None))
+    over_batch = jax.vmap(over_time, in_axes=(None, 0, 0, 0, 0))
+
+    def observe(values: Values, qpos: Any, qvel: Any, ctrl: Any, load: Any) -> DriveState:
+        return over_batch(values, qpos, qvel, applied(values, ctrl, sampling)[:, :, 0], load)
+
+    return observe
 
 
 def applied(

@@ -194,6 +194,11 @@ class Segments:
         return self.ctrl[:, self.history :]
 
     @property
+    def loads(self) -> Float[np.ndarray, "batch load"]:
+        """`load`, with no column where there is none."""
+        return np.zeros((self.count, 0)) if self.load is None else self.load
+
+    @property
     def count(self) -> int:
         """Number of segments."""
         return len(self.ctrl)

@@ -200,7 +200,7 @@ BROKEN = {
 @pytest.fixture
 def register(monkeypatch: pytest.MonkeyPatch) -> Callable[[type[FrictionModel]], type[FrictionModel]]:
     """Registers a law for one test only."""
-    monkeypatch.setattr(registry, "_models", dict(registry._models))
+    monkeypatch.setattr(registry.REGISTRY, "entries", dict(registry.REGISTRY.entries))
     return lambda cls: registry.register_model("law_under_test")(type(cls.__name__, (cls,), {}))
 
 

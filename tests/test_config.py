@@ -81,7 +81,7 @@ def test_build_refuses_foreign_targets(target: str) -> None:
 
 
 def test_a_registered_law_is_built_wherever_it_is_defined(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("frictionzoo.models.registry._models", dict(registry._models))
+    monkeypatch.setattr(registry.REGISTRY, "entries", dict(registry.REGISTRY.entries))
 
     @registry.register_model("linear_friction")
     class Linear(Baseline):

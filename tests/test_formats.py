@@ -101,7 +101,7 @@ def test_an_unknown_format_and_an_unknown_file(tmp_path):
 
 
 def test_another_package_brings_a_format(tmp_path, monkeypatch):
-    monkeypatch.setattr(registry, "_formats", dict(registry._formats))
+    monkeypatch.setattr(registry.REGISTRY, "entries", dict(registry.REGISTRY.entries))
     register_format("semicolons")(
         type(
             "Semicolons",

@@ -83,6 +83,7 @@ class Bench:
         self.timestep = float(model.opt.timestep)
         self.own_damping = model.dof_damping.copy()
         self.payload = None if payload is None else self._find_body(model, payload)
+        self._loads: dict[Payload, np.ndarray] = {}  # many recordings have the same
 
     @property
     def nv(self) -> int:
@@ -199,7 +200,12 @@ class Bench:
         """
         if self.payload is None:
             return np.zeros(0)
-        model, body = self.compile(constraint=False), self.payload
+        if payload not in self._loads:
+            self._loads[payload] = self._combine_with(self.payload, payload)
+        return self._loads[payload]
+
+    def _combine_with(self, body: int, payload: Payload) -> Float[np.ndarray, "load"]:
+        model = self.compile(constraint=False)
         inertial = _combine(model, body, payload)
         model.body_mass[body], model.body_ipos[body] = inertial[0], inertial[1:4]
         model.body_iquat[body], model.body_inertia[body] = inertial[4:8], inertial[8:11]

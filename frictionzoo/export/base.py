@@ -79,7 +79,6 @@ class Target(ABC):
 REGISTRY = Registry(
     *("export target", Target, "write", "register_target", "frictionzoo.targets"), *(ExportError, ConfigError)
 )
-_targets: dict[str, type[Target]] = {}
 
 
 def register_target(name: str) -> Callable[[type[Target]], type[Target]]:
@@ -91,7 +90,7 @@ def register_target(name: str) -> Callable[[type[Target]], type[Target]]:
     Raises:
         ExportError: The name is taken or not lower case with underscores, or the class is not a complete `Target`.
     """
-    return lambda cls: REGISTRY.add(_targets, name, cls)
+    return lambda cls: REGISTRY.add(name, cls)
 
 
 def get_target(name: str) -> type[Target]:
@@ -104,12 +103,12 @@ def get_target(name: str) -> type[Target]:
         ConfigError: No such name; the message names the closest.
         ExportError: Two packages bring the name, or the one that does is broken.
     """
-    return REGISTRY.get(_targets, name)
+    return REGISTRY.get(name)
 
 
 def target_names() -> list[str]:
     """Names of all targets, sorted."""
-    return REGISTRY.names(_targets)
+    return REGISTRY.names()
 
 
 def measure(

@@ -22,7 +22,7 @@ from frictionzoo.evaluate import Values
 from frictionzoo.models import FrictionModel
 from frictionzoo.output import RESULT
 from frictionzoo.report.curves import FILE as CURVES
-from frictionzoo.rollout import Rollout, applied, make_rollout
+from frictionzoo.rollout import Rollout, applied, make_observer, make_rollout
 from frictionzoo.types import DriveState, Sampling, Segments
 
 LAW = "friction.safetensors"
@@ -124,7 +124,8 @@ class Fitted:
         drive = self if timestep is None else self.at(timestep)
         segments = drive.segments if segments is None else segments
         with jax.enable_x64(True):
-            found = drive._compiled(drive.jax_values, segments.qpos[:, 0], segments.qvel[:, 0], *_driven(segments))
+            start = segments.qpos[:, 0], segments.qvel[:, 0]
+            found = drive._compiled(drive.jax_values, *start, segments.ctrl, segments.load)
             qpos, qvel = (np.array(part, np.float64) for part in found)
         return qpos, qvel
 
@@ -147,11 +148,9 @@ class Fitted:
         """What the friction law sees at the measured states of the rollouts, arrays of shape (samples, nv)."""
         segments = self.segments
         qpos, qvel = segments.qpos[:, :-1], segments.qvel[:, :-1]
-        loads = np.zeros((segments.count, 0)) if segments.load is None else segments.load
         with jax.enable_x64(True):
-            over_time = jax.vmap(self.engine.drive_state, in_axes=(None, 0, 0, 0, None))
-            states = jax.jit(jax.vmap(over_time, in_axes=(None, 0, 0, 0, 0)))
-            seen = states(self.jax_values, qpos, qvel, self.commands()[:, :, 0], loads)
+            states = jax.jit(make_observer(self.engine, self.sampling))
+            seen = states(self.jax_values, qpos, qvel, segments.ctrl, segments.loads)
             return DriveState(*(np.array(signal, np.float64).reshape(-1, self.bench.nv) for signal in seen))
 
     @cached_property
@@ -170,10 +169,6 @@ class Fitted:
     def _compiled(self) -> Any:
         rollout: Rollout = make_rollout(self.engine, self.sampling)
         return rollout.compiled
-
-
-def _driven(segments: Segments) -> list[Any]:
-    return [segments.ctrl] if segments.load is None else [segments.ctrl, segments.load]
 
 
 def _read_run(folder: Path) -> Run:

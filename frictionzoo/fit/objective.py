@@ -299,8 +299,7 @@ def _into_blocks(segments: Segments, dtype: Any) -> Blocks:
         return signal[index].astype(dtype).reshape(blocks, size, *signal.shape[1:])
 
     weight = (np.arange(blocks * size) < segments.count).astype(dtype).reshape(blocks, size)
-    load = np.zeros((segments.count, 0)) if segments.load is None else segments.load
-    host = Blocks(cut(segments.qpos), cut(segments.qvel), cut(segments.ctrl), cut(load), weight)
+    host = Blocks(cut(segments.qpos), cut(segments.qvel), cut(segments.ctrl), cut(segments.loads), weight)
     if len(devices) == 1:
         return jax.tree.map(jnp.asarray, host)
     sharding = NamedSharding(Mesh(np.array(devices), ("segments",)), PartitionSpec(None, "segments"))

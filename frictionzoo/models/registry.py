@@ -10,7 +10,6 @@ REGISTRY = Registry(
     *("friction model", FrictionModel, "terms", "register_model", "frictionzoo.models"),
     *(ModelError, UnknownModelError),
 )
-_models: dict[str, type[FrictionModel]] = {}
 
 
 def register_model(name: str) -> Callable[[type[FrictionModel]], type[FrictionModel]]:
@@ -23,7 +22,7 @@ def register_model(name: str) -> Callable[[type[FrictionModel]], type[FrictionMo
         ModelError: The name is taken or not lower case with underscores, or the class is not a complete
             `FrictionModel` or has a name already.
     """
-    return lambda cls: REGISTRY.add(_models, name, cls)
+    return lambda cls: REGISTRY.add(name, cls)
 
 
 def get_model(name: str) -> type[FrictionModel]:
@@ -36,14 +35,14 @@ def get_model(name: str) -> type[FrictionModel]:
         UnknownModelError: No such name; the message names the closest.
         ModelError: Two packages bring the name, or the one that does is broken.
     """
-    return REGISTRY.get(_models, name)
+    return REGISTRY.get(name)
 
 
 def model_names() -> list[str]:
     """Names of all friction laws, sorted."""
-    return REGISTRY.names(_models)
+    return REGISTRY.names()
 
 
 def registered_models() -> dict[str, type[FrictionModel]]:
     """The laws that were registered in this process, by the dotted name of their class, as `_target_` has it."""
-    return {dotted_name(cls): cls for cls in _models.values()}
+    return {dotted_name(cls): cls for cls in REGISTRY.entries.values()}

@@ -9,7 +9,6 @@ from frictionzoo.registry import Registry
 REGISTRY = Registry(
     *("log format", Format, "parse", "register_format", "frictionzoo.formats"), *(ConfigError, ConfigError)
 )
-_formats: dict[str, type[Format]] = {}
 
 
 def register_format(name: str) -> Callable[[type[Format]], type[Format]]:
@@ -22,7 +21,7 @@ def register_format(name: str) -> Callable[[type[Format]], type[Format]]:
         ConfigError: The name is taken or not lower case with underscores, or the class is not a complete `Format` or
             has a name already.
     """
-    return lambda cls: REGISTRY.add(_formats, name, cls)
+    return lambda cls: REGISTRY.add(name, cls)
 
 
 def get_format(name: str) -> Format:
@@ -31,9 +30,9 @@ def get_format(name: str) -> Format:
     Raises:
         ConfigError: No such name, two packages bring it, or the one that does is broken.
     """
-    return REGISTRY.get(_formats, name)()
+    return REGISTRY.get(name)()
 
 
 def format_names() -> list[str]:
     """Names of all formats, sorted."""
-    return REGISTRY.names(_formats)
+    return REGISTRY.names()
