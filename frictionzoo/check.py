@@ -13,7 +13,7 @@ import torch
 
 from frictionzoo.bridge import to_jax
 from frictionzoo.errors import ModelError, UnknownModelError, closest
-from frictionzoo.models.base import FrictionModel
+from frictionzoo.models.base import FrictionModel, sliding_torque
 from frictionzoo.models.registry import get_model
 from frictionzoo.params import UNITS
 from frictionzoo.types import DriveState, FrictionTerms
@@ -30,7 +30,8 @@ def check_model(model: FrictionModel, samples: DriveState | None = None) -> None
     The clauses, in order: it is registered under its own name; its dimensions have units; its values are within bounds;
     `terms` gives terms of the right kind and shape, is pure, deterministic and reads `values` only, also under
     `jax.jit`, and keeps the floating-point type; torch and JAX agree in value and gradient; gradients are finite, at
-    standstill too; a saved state is complete; a law that declares `dissipative` gives no energy to the drive.
+    standstill too; a saved state is complete; a law that declares `dissipative` gives no energy to the drive: all its
+    terms together oppose the motion, at standstill its torque is within its frictionloss, and no damping is negative.
 
     Args:
         model: An instance of the model.
@@ -190,16 +191,21 @@ def _check_saved_state(fresh: FrictionModel, prepared: FrictionModel, samples: D
 def _check_dissipation(model: FrictionModel, samples: DriveState) -> None:
     if not model.dissipative:
         return
-    terms = _numpy(_given(_torch_terms(model, samples)))
-    power = terms.get("torque", np.zeros(())) * samples.qvel
+    terms = FrictionTerms(**_numpy(_given(_torch_terms(model, samples))))
+    power = sliding_torque(np, terms, samples.qvel) * samples.qvel
     if (power < 0).any():
         at = tuple(int(index) for index in np.argwhere(power < 0)[0])
         _fail(
             model,
             "dissipative",
-            f"torque drives the joint at qvel={samples.qvel[at]:.3g}; oppose qvel, or drop the claim",
+            f"friction drives the joint at qvel={samples.qvel[at]:.3g}; oppose qvel, or drop the claim",
         )
-    if (terms.get("damping", np.zeros(())) < 0).any():
+    none = np.zeros(())
+    torque, frictionloss, damping = (none if term is None else term for term in terms)
+    if ((np.abs(torque) > frictionloss) & (samples.qvel == 0)).any():
+        message = "torque moves a joint that stands still; keep it within frictionloss there, or drop the claim"
+        _fail(model, "dissipative", message)
+    if (damping < 0).any():
         _fail(model, "dissipative", "damping is negative; keep it at 0 or above, or drop the claim")
 
 

@@ -163,9 +163,21 @@ class Drives(Sound):
         return FrictionTerms(torque=values["dry"] * xp.tanh(state.qvel - 0.05))
 
 
-class NegativeDamping(Sound):
+class Pushes(Sound):
+    constraint = True
+
     def terms(self, xp, values, state):
-        return FrictionTerms(damping=-values["dry"])
+        dry = values["dry"]
+        return FrictionTerms(torque=xp.where(state.qvel == 0, 1.01 * dry, 0 * dry), frictionloss=dry)
+
+
+class NegativeDamping(Sound):
+    """At the samples' speeds the dry friction outweighs it."""
+
+    constraint = True
+
+    def terms(self, xp, values, state):
+        return FrictionTerms(frictionloss=10 * values["dry"], damping=-values["dry"])
 
 
 BROKEN = {
@@ -192,7 +204,8 @@ BROKEN = {
     Double: "type: torque is torch.float64 of float32 inputs over torch",
     Forgets: "state_dict: is not complete",
     Grows: r"state_dict: does not go through safetensors and back \(Error.* size mismatch for velocity_scale",
-    Drives: "dissipative: torque drives the joint at qvel=",
+    Drives: "dissipative: friction drives the joint at qvel=",
+    Pushes: "dissipative: torque moves a joint that stands still",
     NegativeDamping: "dissipative: damping is negative",
 }
 
@@ -209,6 +222,19 @@ def test_a_sound_law_passes_and_stays_as_it_was(register, nv):
     model = register(Sound)(nv)
     check_model(model)
     assert torch.equal(model.velocity_scale, torch.ones(nv, dtype=torch.float64))
+
+
+class Biased(Sound):
+    """Dry friction of another limit in each direction: the torque alone drives the joint, all terms never do."""
+
+    constraint = True
+
+    def terms(self, xp, values, state):
+        return FrictionTerms(torque=0.9 * values["dry"], frictionloss=values["dry"])
+
+
+def test_only_the_sum_of_the_terms_has_to_dissipate(register):
+    check_model(register(Biased)())
 
 
 @pytest.mark.parametrize("broken", BROKEN, ids=lambda cls: cls.__name__)

@@ -15,10 +15,11 @@ from frictionzoo.bench import VoltageServo
 from frictionzoo.errors import ConfigError, ExportError, closest
 from frictionzoo.export.base import Difference, Export, Target, measure, register_target
 from frictionzoo.export.fitted import Fitted
-from frictionzoo.export.graph import compare, sliding
+from frictionzoo.export.graph import compare
 from frictionzoo.export.mjcf import evaluate_law
 from frictionzoo.export.read_bam import DUTY, load_parameters, read_bench, stribeck_share
 from frictionzoo.export.simulate import Step, simulate, step_with_control
+from frictionzoo.models.base import sliding_torque
 from frictionzoo.types import DriveState, FrictionTerms
 
 _AT_ONCE = 1e3  # rad/s, faster than any command: BAM's STS3215 else follows commands at its default speed
@@ -105,7 +106,7 @@ def _rename(fitted: Fitted, model: str, names: Mapping[str, str]) -> list[dict[s
 def _nearest(fitted: Fitted) -> tuple[list[dict[str, Any]], list[str]]:
     """The least-squares m3 over the recorded states, all terms >= 0."""
     samples = fitted.samples
-    torque = sliding(evaluate_law(fitted.model, samples), samples.qvel)
+    torque = sliding_torque(np, evaluate_law(fitted.model, samples), samples.qvel)
     load = np.abs(samples.external_torque - samples.motor_torque)
     laws, left = [], []
     for joint in range(fitted.bench.nv):

@@ -5,13 +5,12 @@ from collections.abc import Mapping
 
 import numpy as np
 import torch
-from jaxtyping import Float
 
 from frictionzoo.errors import ConfigError, closest
 from frictionzoo.export.base import Difference, measure
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.mjcf import evaluate_law
-from frictionzoo.models.base import FrictionModel
+from frictionzoo.models.base import FrictionModel, sliding_torque
 from frictionzoo.types import DriveState, FrictionTerms
 
 DTYPES = {"float64": torch.float64, "float32": torch.float32}
@@ -70,20 +69,9 @@ def compare(fitted: Fitted, came: FrictionTerms, how: str) -> Difference:
         how: By what they were computed.
     """
     samples = fitted.samples
-    expected = sliding(evaluate_law(fitted.model, samples), samples.qvel)
+    expected = sliding_torque(np, evaluate_law(fitted.model, samples), samples.qvel)
     over = f"{len(expected)} recorded states in {how}"
-    return measure("torque", fitted, sliding(came, samples.qvel), expected, over)
-
-
-def sliding(terms: FrictionTerms, qvel: Float[np.ndarray, "samples nv"]) -> Float[np.ndarray, "samples nv"]:
-    """Friction torque while the joint moves, positive against positive velocity [N m or N].
-
-    Args:
-        terms: Arrays of shape (samples, nv), or None.
-        qvel: Joint velocity [rad/s or m/s].
-    """
-    torque, frictionloss, damping = (np.zeros(qvel.shape) if term is None else term for term in terms)
-    return torque + frictionloss * np.sign(qvel) + damping * qvel
+    return measure("torque", fitted, sliding_torque(np, came, samples.qvel), expected, over)
 
 
 def read_dtype(options: Mapping[str, str]) -> str:

@@ -9,7 +9,7 @@ from scipy.optimize import nnls
 
 from frictionzoo.bench.base import Bench
 from frictionzoo.evaluate import Values
-from frictionzoo.models.base import FrictionModel
+from frictionzoo.models.base import FrictionModel, sliding_torque
 from frictionzoo.params import UNITS
 from frictionzoo.types import DriveState, FrictionTerms
 
@@ -28,14 +28,14 @@ def export_mjcf(bench: Bench, values: Values, model: FrictionModel, samples: Dri
     """
     velocity = np.asarray(samples.qvel, dtype=np.float64)
     terms = evaluate_law(model, samples)
-    torque, frictionloss, damping = (np.zeros(velocity.shape) if term is None else term for term in terms)
+    _, frictionloss, damping = (np.zeros(velocity.shape) if term is None else term for term in terms)
     if terms.torque is None and is_constant(frictionloss) and is_constant(damping):
         loss, viscous = frictionloss[0], damping[0]
         comment = f"{model.name}: represented exactly by the frictionloss and damping below."
     else:
-        total = torque + frictionloss * np.sign(velocity) + damping * velocity
+        total = sliding_torque(np, terms, velocity)
         loss, viscous = nearest_frictionloss_and_damping(total, velocity)
-        difference = total - loss * np.sign(velocity) - viscous * velocity
+        difference = total - sliding_torque(np, FrictionTerms(frictionloss=loss, damping=viscous), velocity)
         comment = _disclaim(model.name, np.sqrt(np.square(difference).mean(axis=0)), bench.joint_type)
     return bench.mjcf(
         values["bench"],
@@ -84,6 +84,6 @@ def _disclaim(name: str, rms: Float[np.ndarray, "nv"], joint_type: str) -> str:
     unit = UNITS[joint_type]["torque"]
     listed = ", ".join(f"{joint:.4g}" for joint in rms)
     return (
-        f"{name} is not representable in MJCF. The frictionloss and damping below are the nearest to it in the least-"
-        f"squares sense over the training samples, not the law itself: RMS difference {listed} {unit}."
+        f"{name} is not representable in MJCF by a frictionloss and a damping. Those below are the nearest to it in "
+        f"the least-squares sense over the training samples, not the law itself: RMS difference {listed} {unit}."
     )

@@ -14,6 +14,7 @@ from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.mjcf import evaluate_law, is_constant, nearest_frictionloss_and_damping
 from frictionzoo.fit import LevenbergMarquardt, Objective, Space
 from frictionzoo.models import MujocoDefault
+from frictionzoo.models.base import sliding_torque
 from frictionzoo.params import UNITS, Param
 from frictionzoo.rollout import make_rollout
 
@@ -52,11 +53,11 @@ def find_nearest(fitted: Fitted) -> Nearest:
     """
     terms = evaluate_law(fitted.model, fitted.samples)
     velocity = fitted.samples.qvel
-    torque, loss, viscous = (np.zeros(velocity.shape) if term is None else term for term in terms)
+    _, loss, viscous = (np.zeros(velocity.shape) if term is None else term for term in terms)
     bench = dict(fitted.values["bench"])
     if terms.torque is None and is_constant(loss) and is_constant(viscous):
         return Nearest(bench, loss[0], viscous[0], exact=True)
-    start = nearest_frictionloss_and_damping(torque + loss * np.sign(velocity) + viscous * velocity, velocity)
+    start = nearest_frictionloss_and_damping(sliding_torque(np, terms, velocity), velocity)
     return _refit(fitted, *start)
 
 
@@ -123,7 +124,7 @@ def _say(fitted: Fitted, armature: Float[np.ndarray, "nv"], before: float, after
     identified, joint_type = fitted.values["bench"]["armature"], fitted.bench.joint_type
     unit, inertia = UNITS[joint_type]["position"], UNITS[joint_type]["inertia"]
     return (
-        f"MuJoCo's joints have no {fitted.model.name}: armature, frictionloss and damping were refitted to the fitted "
+        f"A frictionloss and a damping are no {fitted.model.name}: they and the armature were refitted to the fitted "
         f"drive's own {fitted.over} and leave a position difference of {after:.3g} {unit} RMS ({before:.3g} {unit} "
         f"with the friction nearest to the law's torque); armature {_list(armature)} instead of {_list(identified)} "
         f"{inertia}."

@@ -22,7 +22,8 @@ class FrictionModel(torch.nn.Module, ABC):
         dimensions: Dimension of each physical parameter, a key of `frictionzoo.params.UNITS`.
         constraint: Whether the law answers with a `frictionloss`, so that the simulated joint needs MuJoCo's friction
             constraint.
-        dissipative: Whether the law promises never to give energy to the drive, whatever its values within bounds.
+        dissipative: Whether the law promises never to give energy to the drive, whatever its values within bounds: all
+            its terms together oppose the motion while the joint slides, and hold it where it stands still.
         params: Each physical parameter's initial value, bounds and scale.
 
     Args:
@@ -73,3 +74,15 @@ class FrictionModel(torch.nn.Module, ABC):
             state: Torch tensors of shape (..., nv).
         """
         return self.terms(torch, self.state_dict(keep_vars=True), state)
+
+
+def sliding_torque(xp: Any, terms: FrictionTerms, qvel: Any) -> Any:
+    """The torque of all terms of a law while the joint slides, positive against positive velocity [N m or N].
+
+    Args:
+        xp: Array namespace, `numpy`, `torch` or `jax.numpy`.
+        terms: The law's answer, arrays of this namespace that broadcast to the velocity's shape, or None.
+        qvel: Velocity [rad/s or m/s].
+    """
+    torque, frictionloss, damping = (xp.zeros_like(qvel) if term is None else term for term in terms)
+    return torque + frictionloss * xp.sign(qvel) + damping * qvel

@@ -12,9 +12,9 @@ import torch
 from jaxtyping import Float, Shaped
 
 from frictionzoo.errors import RunError
-from frictionzoo.models.base import FrictionModel
+from frictionzoo.models.base import FrictionModel, sliding_torque
 from frictionzoo.output import write_atomically
-from frictionzoo.types import DriveState, FrictionTerms
+from frictionzoo.types import DriveState
 
 FILE = "curves.safetensors"
 POINTS = 81  # velocities at which a law is drawn; odd, so that 0 is one of them
@@ -137,18 +137,6 @@ def _torque_near(model: FrictionModel, samples: DriveState, velocity: float) -> 
     states = DriveState(*(torch.from_numpy(np.asarray(signal[nearest], np.float64)) for signal in samples))
     states = states._replace(qvel=torch.full_like(states.qvel, velocity))
     with torch.no_grad():
-        torque = torch.zeros_like(states.qvel) + sliding_torque(model(states), states.qvel)
+        torque = sliding_torque(torch, model(states), states.qvel)
     low, high = (torch.quantile(torque, share, dim=0) for share in SPREAD)
     return np.stack([torch.quantile(torque, 0.5, dim=0).numpy(), low.numpy(), high.numpy()])
-
-
-def sliding_torque(terms: FrictionTerms, qvel: torch.Tensor) -> torch.Tensor | float:
-    """The torque of all terms of a law while the joint slides [N m or N].
-
-    Args:
-        terms: The law's answer, torch tensors.
-        qvel: Velocity [rad/s or m/s].
-    """
-    dry = 0.0 if terms.frictionloss is None else terms.frictionloss * torch.sign(qvel)
-    viscous = 0.0 if terms.damping is None else terms.damping * qvel
-    return (0.0 if terms.torque is None else terms.torque) + dry + viscous

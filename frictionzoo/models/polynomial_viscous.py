@@ -1,0 +1,52 @@
+"""Dry friction, and viscous friction as a polynomial of the speed."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from frictionzoo.models.base import FrictionModel
+from frictionzoo.models.registry import register_model
+from frictionzoo.types import DriveState, FrictionTerms
+
+
+@register_model("polynomial_viscous")
+class PolynomialViscous(FrictionModel):
+    """Dry friction as MuJoCo's constraint, and viscous friction with a linear, a quadratic and a cubic part.
+
+    torque = f + d_1 v + d_2 v |v| + d_3 v^3,  |f| <= frictionloss
+
+        v             joint velocity [rad/s or m/s]
+        f             force of MuJoCo's dry-friction constraint [N m or N]
+        frictionloss  its limit [N m or N], strictly positive
+        d_1           damping [N m s/rad or N s/m]
+        d_2           quadratic_damping [N m s^2/rad^2 or N s^2/m^2]
+        d_3           cubic_damping [N m s^3/rad^3 or N s^3/m^3]
+
+    MuJoCo C has the same law as `damping="d_1 d_2 d_3"` of a joint, and integrates it implicitly with the polynomial's
+    slope at the speed at which the step begins. So does this law in both engines: that slope is its `damping`, and its
+    torque is what remains of the polynomial. MJX itself knows d_1 alone.
+
+    Cannot represent: viscous friction that grows less than in proportion to the speed (lubricants that thin under
+    shear), for no coefficient is negative; a breakaway torque above the sliding one; friction that depends on
+    direction, load or position; true sticking (MuJoCo's constraint creeps).
+
+    Source: L. Simoni, M. Beschi, G. Legnani, A. Visioli, "Friction modeling with temperature effects for industrial
+    robot manipulators", IROS 2015, for friction as a polynomial of the velocity; MuJoCo documentation, "XML Reference",
+    joint, damping.
+    """
+
+    dimensions = {
+        "frictionloss": "torque",
+        "damping": "damping",
+        "quadratic_damping": "damping/velocity",
+        "cubic_damping": "damping/velocity^2",
+    }
+    constraint = True
+    dissipative = True
+
+    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+        """The constraint's limit, the polynomial's slope as damping, and what remains of the polynomial."""
+        speed = state.qvel * xp.sign(state.qvel)  # not abs, whose slope at 0 torch and JAX take differently
+        quadratic, cubic = values["quadratic_damping"] * speed, values["cubic_damping"] * xp.square(speed)
+        slope = values["damping"] + 2 * quadratic + 3 * cubic
+        remainder = -(quadratic + 2 * cubic) * state.qvel
+        return FrictionTerms(torque=remainder, frictionloss=values["frictionloss"], damping=slope)

@@ -1,0 +1,61 @@
+"""Dry friction that changes with the position, as of meshing gears, and viscous friction."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from frictionzoo.models.base import FrictionModel
+from frictionzoo.models.registry import register_model
+from frictionzoo.types import DriveState, FrictionTerms
+
+
+@register_model("ripple")
+class Ripple(FrictionModel):
+    """Dry friction as MuJoCo's constraint whose limit has two harmonics over the position, and viscous friction.
+
+    torque = f + damping v,  |f| <= frictionloss (1 + s_1 sin(n q) + c_1 cos(n q) + s_2 sin(2 n q) + c_2 cos(2 n q))
+
+        q             joint position [rad or m]
+        v             joint velocity [rad/s or m/s]
+        f             force of MuJoCo's dry-friction constraint [N m or N]
+        frictionloss  mean of its limit over the position [N m or N], strictly positive
+        damping       viscous coefficient [N m s/rad or N s/m]
+        n             periods [1/rad or 1/m]: on a hinge the periods in one turn, of teeth or of a harmonic drive's
+                      wave; on a slide 2 pi / pitch of the screw. It follows from the gear, hence known by default
+        s_1, c_1      sine_1, cosine_1 [1], shares of frictionloss
+        s_2, c_2      sine_2, cosine_2 [1], of twice the periods
+
+    Sine and cosine rather than amplitude and phase: the limit is linear in them, so that a fit finds no local minimum
+    and no phase that jumps. Bounds of 0.2 each keep the limit above 1 - 2 sqrt(2) 0.2 = 0.43 of frictionloss;
+    wider ones have to keep it positive.
+
+    Where n is identified it has to start close to the gear's: the loss over n has a local minimum about every
+    2 pi / (range of q). Where the joint moves more than pi / (2 n) between two samples, the second harmonic looks like
+    a slower ripple (aliasing).
+
+    Cannot represent: ripple of the motor's torque (cogging), which does not change its sign with the direction; ripple
+    whose amplitude depends on speed or load; more harmonics; a breakaway torque above the sliding one; true sticking
+    (MuJoCo's constraint creeps).
+
+    Source: E. Garcia, P. Gonzalez de Santos, C. Canudas de Wit, "Velocity Dependence in the Cyclic Friction Arising
+    with Gears", International Journal of Robotics Research 21(9), 2002, on meshing friction over the position; its
+    dependence on the speed is left out here.
+    """
+
+    dimensions = {
+        "frictionloss": "torque",
+        "damping": "damping",
+        "periods": "1/position",
+        "sine_1": "1",
+        "cosine_1": "1",
+        "sine_2": "1",
+        "cosine_2": "1",
+    }
+    constraint = True
+    dissipative = True
+
+    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+        """The constraint's limit at this position, and the damping."""
+        phase = values["periods"] * state.qpos
+        first = values["sine_1"] * xp.sin(phase) + values["cosine_1"] * xp.cos(phase)
+        second = values["sine_2"] * xp.sin(2 * phase) + values["cosine_2"] * xp.cos(2 * phase)
+        return FrictionTerms(frictionloss=values["frictionloss"] * (1 + first + second), damping=values["damping"])

@@ -1,0 +1,186 @@
+"""Laws whose constraint and damping follow direction, speed or position: by hand, against MuJoCo C, and found again."""
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+import torch
+from test_models import friction
+
+from frictionzoo.bench import Bench
+from frictionzoo.engine import friction_of, make_engine
+from frictionzoo.fit import LevenbergMarquardt, Objective, Space
+from frictionzoo.models import get_model
+from frictionzoo.rollout import make_rollout
+from frictionzoo.segments import cut_segments
+from frictionzoo.types import DriveState, Log
+
+TRUTH = {
+    "asymmetric": {
+        "frictionloss_forward": 0.4,
+        "frictionloss_backward": 0.2,
+        "damping_forward": 0.15,
+        "damping_backward": 0.05,
+    },
+    "polynomial_viscous": {"frictionloss": 0.2, "damping": 0.1, "quadratic_damping": 0.05, "cubic_damping": 0.02},
+    "ripple": {
+        **{"frictionloss": 0.3, "damping": 0.1, "periods": 12.0},
+        **{"sine_1": 0.15, "cosine_1": -0.1, "sine_2": 0.05, "cosine_2": 0.1},
+    },
+}
+ARMATURE = 0.03
+
+
+@pytest.fixture(autouse=True)
+def x64() -> Iterator[None]:
+    with jax.enable_x64(True):
+        yield
+
+
+def test_asymmetric_known_values(make: Callable[..., Any]) -> None:
+    values = {
+        "frictionloss_forward": 0.5,
+        "frictionloss_backward": 0.2,
+        "damping_forward": 0.3,
+        "damping_backward": 0.1,
+    }
+    terms = friction(make("model", "model=asymmetric", nv=1), [2.0, -2.0], **values)
+    assert (terms.torque.item(), terms.frictionloss.item()) == pytest.approx((0.15, 0.35))
+    assert terms.damping.flatten().tolist() == [0.3, 0.1]
+
+
+def test_polynomial_viscous_known_values(make: Callable[..., Any]) -> None:
+    values = {"frictionloss": 0.4, "damping": 0.3, "quadratic_damping": 0.2, "cubic_damping": 0.1}
+    terms = friction(make("model", "model=polynomial_viscous", nv=1), [0.0, 2.0, -2.0], **values)
+    assert terms.frictionloss.item() == 0.4
+    # slope at 2: 0.3 + 2 * 0.2 * 2 + 3 * 0.1 * 4; viscous torque at 2: 0.3 * 2 + 0.2 * 4 + 0.1 * 8
+    assert terms.damping.flatten().tolist() == pytest.approx([0.3, 2.3, 2.3])
+    viscous = (terms.torque + terms.damping * torch.tensor([[0.0], [2.0], [-2.0]])).flatten()
+    assert viscous.tolist() == pytest.approx([0.0, 2.2, -2.2])
+
+
+def test_ripple_known_values(make: Callable[..., Any]) -> None:
+    model = make("model", "model=ripple", nv=1)
+    qpos = np.array([[0.0], [np.pi / 8], [np.pi / 16]])  # phases of 4 q: 0, pi / 2, pi / 4
+    shares = {"sine_1": 0.1, "cosine_1": -0.2, "sine_2": 0.05, "cosine_2": 0.15}
+    values = {"frictionloss": 2.0, "damping": 0.3, "periods": 4.0, **shares}
+    still = np.zeros_like(qpos)
+    terms = model.terms(np, values, DriveState(qpos, still, still, still, still))
+    # 2 (1 - 0.2 + 0.15), 2 (1 + 0.1 - 0.15), 2 (1 + (0.1 - 0.2) / sqrt(2) + 0.05)
+    assert terms.frictionloss.flatten().tolist() == pytest.approx([1.9, 1.9, 2.1 - 0.2 / np.sqrt(2)])
+    assert (terms.torque, terms.damping) == (None, 0.3)
+
+
+def write_into_c(name: str, model: mujoco.MjModel, data: mujoco.MjData, values: Mapping[str, float]) -> None:
+    """The law in this state in MuJoCo C's own quantities."""
+    qpos, qvel = data.qpos.item(), data.qvel.item()
+    if name == "asymmetric":
+        forward, backward = values["frictionloss_forward"], values["frictionloss_backward"]
+        model.dof_frictionloss[0], data.qfrc_applied[0] = (forward + backward) / 2, (backward - forward) / 2
+        model.dof_damping[0] = values["damping_forward" if qvel > 0 else "damping_backward"]
+    elif name == "polynomial_viscous":  # what `damping="d_1 d_2 d_3"` of a joint compiles to
+        model.dof_frictionloss[0], model.dof_damping[0] = values["frictionloss"], values["damping"]
+        model.dof_dampingpoly[0] = values["quadratic_damping"], values["cubic_damping"]
+    else:
+        angle = values["periods"] * qpos
+        ripple = sum(
+            values[f"sine_{k}"] * np.sin(k * angle) + values[f"cosine_{k}"] * np.cos(k * angle) for k in (1, 2)
+        )
+        model.dof_frictionloss[0], model.dof_damping[0] = values["frictionloss"] * (1 + ripple), values["damping"]
+
+
+def in_c(bench: Bench) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    values = bench.initial_values() | {"armature": np.array([ARMATURE])}
+    model = mujoco.MjModel.from_xml_string(bench.mjcf(values, np.ones(1)))
+    return model, mujoco.MjData(model)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        *((name, "specialised") for name in TRUTH),
+        ("polynomial_viscous", "mjx"),
+        # MJX's step takes several times as long to compile.
+        pytest.param("asymmetric", "mjx", marks=pytest.mark.slow),
+        pytest.param("ripple", "mjx", marks=pytest.mark.slow),
+    ],
+)
+def test_a_step_equals_mujoco_c(make: Callable[..., Any], knee: Bench, name: str, kind: str) -> None:
+    engine = make_engine(kind, knee, friction_of(make("model", f"model={name}", nv=1)), get_model(name).constraint)
+    values = {
+        "bench": {key: jnp.asarray(value) for key, value in knee.initial_values().items()}
+        | {"armature": jnp.full(1, ARMATURE)},
+        "friction": {key: jnp.full(1, value) for key, value in TRUTH[name].items()},
+    }
+    rng = np.random.default_rng(0)
+    qpos, qvel, ctrl = rng.normal(size=(3, 200, 1))
+    qvel[::2] *= 1e-3  # half of them slow enough to stick
+    step = jax.jit(jax.vmap(lambda *state: engine.step(values, *state, jnp.zeros(0))))
+    ours = np.stack(step(qpos, qvel, qpos + 0.02 * ctrl))
+    model, data = in_c(knee)
+    for index in range(200):
+        mujoco.mj_resetData(model, data)
+        data.qpos, data.qvel, data.ctrl = qpos[index], qvel[index], qpos[index] + 0.02 * ctrl[index]
+        write_into_c(name, model, data, TRUTH[name])
+        mujoco.mj_step(model, data)
+        # Rounding only: one joint, whose constraint is solved exactly.
+        np.testing.assert_allclose(ours[:, index, 0], [data.qpos.item(), data.qvel.item()], atol=1e-12)
+
+
+def test_a_load_between_the_two_limits_is_held_and_one_beyond_slides(make: Callable[..., Any]) -> None:
+    """A carriage of 50 kg without gravity; after half a second under a constant force."""
+    bench, model = make("bench", "bench=emps"), make("model", "model=asymmetric", nv=1)
+    forward, backward = 30.0, 10.0
+    force = np.array([-1.1 * backward, -0.95 * backward, 0.0, 0.95 * forward, 1.1 * forward])
+    rollout = make_rollout(make_engine("specialised", bench, friction_of(model), model.constraint))
+    known = bench.initial_values()
+    values = {
+        "bench": known,
+        "friction": {
+            **{"frictionloss_forward": np.array([forward]), "frictionloss_backward": np.array([backward])},
+            **{"damping_forward": np.zeros(1), "damping_backward": np.zeros(1)},
+        },
+    }
+    rest = np.zeros((5, 1))
+    ctrl = np.broadcast_to(force[:, None, None] / known["force_gain"], (5, 500, 1))
+    moved = np.asarray(rollout.compiled(values, rest, rest, ctrl)[0])[:, -1, 0]
+    # (force - limit) t^2 / 2 m; held, it yields with the soft constraint's creep of less than 0.5 mm/s.
+    slid = np.array([-0.1 * backward, 0.1 * forward]) * 0.5**2 / (2 * known["armature"])
+    np.testing.assert_allclose(moved[[0, 4]], slid, rtol=0.1)
+    assert (np.abs(moved[1:4]) < 0.5e-3 * 0.5).all()
+    assert np.abs(slid).min() > 5 * np.abs(moved[1:4]).max()
+
+
+def record(bench: Bench, name: str) -> Log:
+    """Three seconds of the drive in MuJoCo C, with encoder steps and noise of the velocity."""
+    model, data = in_c(bench)
+    time = np.arange(3000) * model.opt.timestep
+    ctrl = 0.8 * np.sin(4 * time) + 0.3 * np.sin(13 * time) + 0.1 * np.sin(29 * time)
+    states = np.empty((len(time), 2))
+    for sample, command in enumerate(ctrl):
+        states[sample] = data.qpos.item(), data.qvel.item()
+        data.ctrl[0] = command
+        write_into_c(name, model, data, TRUTH[name])
+        mujoco.mj_step(model, data)
+    states[:, 0] = 1e-5 * np.round(states[:, 0] / 1e-5)
+    states[:, 1] += np.random.default_rng(0).normal(scale=2e-3, size=len(time))
+    return Log(name, time, states[:, :1], states[:, 1:], ctrl[:, None], "0" * 64, simulated=True)
+
+
+@pytest.mark.parametrize("name", TRUTH)
+def test_a_known_drive_is_found_again(make: Callable[..., Any], knee: Bench, name: str) -> None:
+    law = make("model", f"model={name}", nv=1)
+    segments = cut_segments([record(knee, name)], None, 50)
+    rollout = make_rollout(make_engine("specialised", knee, friction_of(law), law.constraint))
+    objective = Objective(Space(knee, law, "float64"), rollout, segments, 1.0, 1.0, "none", 1.0, False)
+    fit = LevenbergMarquardt(30, 1e-8)
+    progress, _ = fit.chunk(objective, 30)(fit.start(objective), 30)
+    found = objective.space.identified(progress.best)
+    wanted = {"bench.armature": ARMATURE} | {f"friction.{key}": value for key, value in TRUTH[name].items()}
+    assert {key.partition(".")[2] for key in found} == {"armature", *TRUTH[name]} - {"periods"}
+    for key, value in found.items():
+        assert value.item() == pytest.approx(wanted[key], rel=0.05), key
