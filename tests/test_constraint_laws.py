@@ -53,6 +53,12 @@ def test_asymmetric_known_values(make: Callable[..., Any]) -> None:
     assert terms.damping.flatten().tolist() == [0.3, 0.1]
 
 
+def test_on_emps_the_constant_is_the_laws(compose: Callable[..., Any]) -> None:
+    config = compose("experiment=emps", "model=asymmetric")
+    assert config.bench.actuator.params.force_offset.identify is False
+    assert config.bench.actuator.params.force_offset.init == 0
+
+
 def test_polynomial_viscous_known_values(make: Callable[..., Any]) -> None:
     values = {"frictionloss": 0.4, "damping": 0.3, "quadratic_damping": 0.2, "cubic_damping": 0.1}
     terms = friction(make("model", "model=polynomial_viscous", nv=1), [0.0, 2.0, -2.0], **values)
