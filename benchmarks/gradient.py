@@ -25,7 +25,7 @@ from omegaconf import OmegaConf
 from frictionzoo.bench import Bench
 from frictionzoo.build import build
 from frictionzoo.config import compose_config
-from frictionzoo.engine import Engine, MjxEngine, Values
+from frictionzoo.engine import Engine, MjxEngine, Values, friction_of
 from frictionzoo.fit import Objective, Space
 from frictionzoo.job import Drive
 from frictionzoo.models import FrictionModel
@@ -107,18 +107,20 @@ class PlainMjx(Engine):
         from mujoco import mjx  # after the package's own import, which keeps it from printing
 
         self.compiler_options = {}
-        self._law = case.model
+        self._law, self._friction = case.model, friction_of(case.model)
         self._mjx_step = mjx.step
         self._model = mjx.put_model(case.bench.compile(constraint=False))
         self._data = mjx.make_data(self._model)
 
-    def step(self, values: Values, qpos: Array, qvel: Array, ctrl: Array, load: Array) -> tuple[Array, Array]:
+    def step(
+        self, values: Values, qpos: Array, qvel: Array, ctrl: Array, load: Array, memory: Array
+    ) -> tuple[Array, Array, Array]:
         """See `Engine.step`."""
         torque = self._law.terms(jnp, values["friction"], self.drive_state(values, qpos, qvel, ctrl, load)).torque
         model = self._model.replace(dof_armature=values["bench"]["armature"])
         data = self._data.replace(qpos=qpos, qvel=qvel, ctrl=ctrl, qfrc_applied=-torque)
         data = self._mjx_step(model, data)
-        return data.qpos, data.qvel
+        return data.qpos, data.qvel, memory
 
     def drive_state(self, values: Values, qpos: Array, qvel: Array, ctrl: Array, load: Array) -> DriveState:
         """What is known before a step; torques are not."""

@@ -20,6 +20,8 @@ from frictionzoo.types import DriveState, FrictionTerms
 
 TOLERANCE = 1e-12  # of torch against JAX in float64, relative to the largest entry of an array, absolute below 1
 SAMPLES = 64
+TIMESTEP = 1e-3  # s
+SETTLED = 1e-6  # share of a settled memory by which a step may still change it
 
 Values = Mapping[str, Any]
 
@@ -30,8 +32,10 @@ def check_model(model: FrictionModel, samples: DriveState | None = None) -> None
     The clauses, in order: it is registered under its own name; its dimensions have units; its values are within bounds;
     `terms` gives terms of the right kind and shape, is pure, deterministic and reads `values` only, also under
     `jax.jit`, and keeps the floating-point type; torch and JAX agree in value and gradient; gradients are finite, at
-    standstill too; a saved state is complete; a law that declares `dissipative` gives no energy to the drive: all its
-    terms together oppose the motion, at standstill its torque is within its frictionloss, and no damping is negative.
+    standstill too; a law with a memory keeps its shape, agrees in torch and JAX over a step, has finite gradients, and
+    its memory settles; a saved state is complete; a law that declares `dissipative` gives no energy to the drive: all
+    its terms together oppose the motion, at standstill its torque is within its frictionloss, and no damping is
+    negative.
 
     Args:
         model: An instance of the model.
@@ -57,6 +61,7 @@ def check_model(model: FrictionModel, samples: DriveState | None = None) -> None
         _check_purity(prepared, samples)
         _check_agreement(prepared, samples)
         _check_types(prepared, samples)
+        _check_memory(prepared, samples)
     _check_saved_state(model, prepared, samples)
     _check_dissipation(prepared, samples)
 
@@ -173,6 +178,39 @@ def _check_types(model: FrictionModel, samples: DriveState) -> None:
         for name, term in _given(terms).items():
             if not str(term.dtype).endswith("float32"):
                 _fail(model, "type", f"{name} is {term.dtype} of float32 inputs over {namespace}; use Python constants")
+
+
+def _check_memory(model: FrictionModel, samples: DriveState) -> None:
+    """A step of a law with a memory, from its settled memory on; one that has settled in motion stays there."""
+    if not model.memory:
+        return
+    shape = (*samples.qvel.shape, model.memory)
+    standstill = samples._replace(qvel=np.zeros_like(samples.qvel))
+    for where, state in (("on the samples", samples), ("at qvel = 0", standstill)):
+
+        def step(xp: Any, values: Values, drive: DriveState) -> dict[str, Any]:
+            memory = model.settle(xp, values, drive)
+            terms, after = model.advance(xp, values, drive, memory, TIMESTEP)
+            return {"settled memory": memory, "memory": after, **_given(terms)}
+
+        ours = step(torch, _torch_values(model), _torch_state(state))
+        theirs = jax.jit(lambda values, drive: step(jnp, values, drive))(to_jax(model, jnp.float64), _jax_state(state))
+        for name in ("settled memory", "memory"):
+            _check_shape(model, name, tuple(ours[name].shape), shape)
+        _compare(model, f"a step {where}", _numpy(ours), _numpy(theirs))
+
+        def total(values: Values, drive: DriveState) -> jax.Array:
+            return sum((part.sum() for part in step(jnp, values, drive).values()), jnp.zeros(()))
+
+        for name, slope in jax.grad(total)(to_jax(model, jnp.float64), _jax_state(state)).items():
+            if not np.isfinite(slope).all():
+                _fail(model, "memory", f"gradient with respect to {name} is not finite {where}; smooth the law there")
+    fast = _torch_state(samples._replace(qvel=np.sign(samples.qvel) + (samples.qvel == 0)))
+    settled = model.settle(torch, _torch_values(model), fast)
+    after = model.advance(torch, _torch_values(model), fast, settled, TIMESTEP)[1]
+    change = float((after - settled).abs().max() / settled.abs().max())
+    if not change <= SETTLED:
+        _fail(model, "memory", f"settled in motion it still changes by {change:.3g} of itself in a step; see settle")
 
 
 def _check_saved_state(fresh: FrictionModel, prepared: FrictionModel, samples: DriveState) -> None:

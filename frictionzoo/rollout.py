@@ -12,6 +12,9 @@ from jaxtyping import Array, Float
 from frictionzoo.engine import Engine, Values
 from frictionzoo.types import DriveState, Sampling
 
+State = tuple[Array, Array, Array]
+"""Position, velocity and the friction law's memory, one row a segment."""
+
 
 @dataclass(frozen=True)
 class Rollout:
@@ -51,14 +54,16 @@ class Rollout:
 def make_rollout(engine: Engine, sampling: Sampling | None = None) -> Rollout:
     """The rollouts of an engine.
 
-    Only position and velocity are carried from step to step, so that reverse mode stores little.
+    Only position, velocity and the friction law's memory are carried from step to step, so that reverse mode stores
+    little. The memory begins as if each segment's first state had lasted.
 
     Args:
         engine: The simulated drive.
         sampling: From samples to simulation steps; None for one step a sample, and commands that act at once.
     """
     sampling = Sampling(0.0, 1, 0) if sampling is None else sampling
-    batched = jax.vmap(engine.step, in_axes=(None, 0, 0, 0, 0))
+    batched = jax.vmap(engine.step, in_axes=(None, 0, 0, 0, 0, 0))
+    started = jax.vmap(engine.start, in_axes=(None, 0, 0, 0, 0))
 
     def rollout(
         values: Values,
@@ -69,15 +74,17 @@ def make_rollout(engine: Engine, sampling: Sampling | None = None) -> Rollout:
     ) -> tuple[Float[Array, "batch time nv"], Float[Array, "batch time nv"]]:
         load = jnp.zeros((len(qpos), 0), jnp.result_type(float)) if load is None else load
 
-        def step(state: tuple[Array, Array], command: Array) -> tuple:
-            return batched(values, *state, command, load), None
+        def step(state: State, command: Array) -> tuple[State, None]:
+            qpos, qvel, memory = state
+            return batched(values, qpos, qvel, command, load, memory), None
 
-        def advance(state: tuple[Array, Array], commands: Array) -> tuple:
+        def advance(state: State, commands: Array) -> tuple[State, tuple[Array, Array]]:
             state = jax.lax.scan(step, state, commands)[0] if len(commands) > 1 else step(state, commands[0])[0]
-            return state, state
+            return state, state[:2]
 
         commands = jnp.moveaxis(applied(values, ctrl, sampling), 0, 2)
-        _, (positions, velocities) = jax.lax.scan(advance, (qpos, qvel), commands)
+        memory = started(values, qpos, qvel, commands[0, 0], load)
+        _, (positions, velocities) = jax.lax.scan(advance, (qpos, qvel, memory), commands)
         return jnp.swapaxes(positions, 0, 1), jnp.swapaxes(velocities, 0, 1)
 
     return Rollout(rollout, engine.compiler_options, engine.forward_limit, engine.reverse)

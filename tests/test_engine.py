@@ -12,7 +12,7 @@ import pytest
 from test_specialised import KNOWN, random_cases
 
 from frictionzoo.bench import Bench, PositionPD
-from frictionzoo.engine import MjxEngine
+from frictionzoo.engine import MjxEngine, without_memory
 from frictionzoo.rollout import make_rollout
 from frictionzoo.types import FrictionTerms
 
@@ -77,12 +77,12 @@ def test_step_equals_mujoco_c(tmp_path: Path, body: str, integrator: str, constr
         loss = values["frictionloss"] if constraint else None
         return FrictionTerms(values["torque"], loss, values["damping"])
 
-    engine = MjxEngine(bench, friction, constraint)
+    engine = MjxEngine(bench, without_memory(friction), constraint)
     known = {name: jnp.asarray(value) for name, value in bench.initial_values().items()}
 
     def step(case: dict[str, Any]) -> tuple:
         values = {"bench": known | {"armature": case["armature"]}, "friction": case}
-        return engine.step(values, case["qpos"], case["qvel"], case["ctrl"], jnp.zeros(0))
+        return engine.step(values, case["qpos"], case["qvel"], case["ctrl"], jnp.zeros(0), jnp.zeros((bench.nv, 0)))[:2]
 
     cases = random_cases(STATES, bench.nv)
     qpos, qvel = jax.jit(jax.vmap(step))(cases)
@@ -96,7 +96,7 @@ def test_step_equals_mujoco_c(tmp_path: Path, body: str, integrator: str, constr
 
 def test_law_sees_what_mujoco_c_computes(tmp_path: Path) -> None:
     bench = make_bench(tmp_path, "inclined", "euler")
-    engine = MjxEngine(bench, lambda values, state: FrictionTerms(), False)
+    engine = MjxEngine(bench, without_memory(lambda values, state: FrictionTerms()), False)
     case = {name: value[0] for name, value in random_cases(STATES, 1).items()}
     values = {"bench": bench.initial_values()}
     state = engine.drive_state(values, *(jnp.asarray(case[name]) for name in ("qpos", "qvel", "ctrl")), jnp.zeros(0))
@@ -111,7 +111,8 @@ def test_law_sees_what_mujoco_c_computes(tmp_path: Path) -> None:
 
 def test_rollout_is_the_step_repeated(tmp_path: Path) -> None:
     bench = make_bench(tmp_path, "hinge", "euler")
-    engine = MjxEngine(bench, lambda values, state: FrictionTerms(torque=0.1 * jnp.tanh(state.qvel)), False)
+    friction = without_memory(lambda values, state: FrictionTerms(torque=0.1 * jnp.tanh(state.qvel)))
+    engine = MjxEngine(bench, friction, False)
     values = {"bench": {name: jnp.asarray(value) for name, value in bench.initial_values().items()}, "friction": {}}
     rng = np.random.default_rng(1)
     qpos, qvel, ctrl = rng.normal(size=(2, 1)), rng.normal(size=(2, 1)), rng.normal(size=(2, 4, 1))
@@ -120,6 +121,6 @@ def test_rollout_is_the_step_repeated(tmp_path: Path) -> None:
     for row in range(2):
         q, v = jnp.asarray(qpos[row]), jnp.asarray(qvel[row])
         for i in range(4):
-            q, v = engine.step(values, q, v, jnp.asarray(ctrl[row, i]), jnp.zeros(0))
+            q, v, _ = engine.step(values, q, v, jnp.asarray(ctrl[row, i]), jnp.zeros(0), jnp.zeros((1, 0)))
             np.testing.assert_allclose(positions[row, i], q, rtol=1e-13)
             np.testing.assert_allclose(velocities[row, i], v, rtol=1e-13)

@@ -30,7 +30,8 @@ from frictionzoo.export.mjx_module import Mjx
 from frictionzoo.export.module import load_module, write_module
 from frictionzoo.export.mujoco_c import MujocoC
 from frictionzoo.export.nearest import find_nearest
-from frictionzoo.models import FrictionModel, MujocoDefault, model_names
+from frictionzoo.export.write import write_exports
+from frictionzoo.models import FrictionModel, MujocoDefault, get_model, model_names
 from frictionzoo.types import FrictionTerms, Payload, Segments
 
 PAYLOAD = Payload(0.1, (0.0, 0.0, -0.05), (1e-4, 1e-4, 1e-5))
@@ -99,7 +100,8 @@ FRICTION = {
     name: {"init": size, "low": 1e-6, "high": 10.0, "scale": "log", "identify": True}
     for name, size in {"frictionloss": 0.2, "damping": 0.03}.items()
 }
-LAWS = [*model_names(), Rubbing(1)]
+REMEMBER = [name for name in model_names() if get_model(name).settle is not FrictionModel.settle]
+LAWS = [*(name for name in model_names() if name not in REMEMBER), Rubbing(1)]
 BENCHES = {
     "a late command": (
         "coulomb_stribeck",
@@ -208,6 +210,20 @@ def test_another_law_is_refitted_and_says_what_that_costs(tmp_path):
     assert 0 < after < before  # the refit is no worse than truncation
     rms = np.sqrt(np.mean(np.square(_simulate(tmp_path) - make_fitted("coulomb_stribeck").rollout()[0])))
     assert rms == pytest.approx(after, rel=1e-2)  # three digits are printed
+
+
+@pytest.mark.parametrize("target", ["mjx", "mujoco", "onnx", "torchscript"])
+def test_a_law_that_remembers_is_no_function_of_an_instant(target, tmp_path, monkeypatch):
+    monkeypatch.setattr(Fitted, "load", lambda folder: make_fitted("lugre"))
+    with pytest.raises(ExportError, match=f"target={target}: lugre remembers what was before, expected"):
+        write_exports(tmp_path, {"target": target, "output": str(tmp_path / "drive")})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_mujocos_own_friction_is_refitted_to_what_a_law_that_remembers_does(tmp_path):
+    (limit,) = Mjcf().write(make_fitted("lugre"), tmp_path, {}).limits
+    after, before = (float(text.split()[-1].lstrip("(")) for text in limit.split(" rad")[:2])
+    assert 0 < after < before
 
 
 def _simulate(folder):

@@ -12,7 +12,7 @@ import pytest
 from mujoco import mjx
 
 from frictionzoo.bench import Bench, PositionPD
-from frictionzoo.engine import MjxEngine, SpecialisedEngine, make_engine
+from frictionzoo.engine import MjxEngine, SpecialisedEngine, make_engine, without_memory
 from frictionzoo.engine.specialise import CannotSpecialiseError, specialise
 from frictionzoo.engine.specialised import can_collide
 from frictionzoo.errors import ConfigError
@@ -84,7 +84,7 @@ def law(constraint: bool) -> Any:
     def friction(values: dict[str, Any], state: Any) -> FrictionTerms:
         return FrictionTerms(values["torque"], values["frictionloss"] if constraint else None, values["damping"])
 
-    return friction
+    return without_memory(friction)
 
 
 def step_of(engine: Any, bench: Bench) -> Any:
@@ -92,7 +92,8 @@ def step_of(engine: Any, bench: Bench) -> Any:
 
     def step(case: dict[str, Any]) -> jax.Array:
         values = {"bench": known | {"armature": case["armature"]}, "friction": case}
-        return jnp.stack(engine.step(values, case["qpos"], case["qvel"], case["ctrl"], case.get("load", jnp.zeros(0))))
+        load, memory = case.get("load", jnp.zeros(0)), jnp.zeros((bench.nv, 0))
+        return jnp.stack(engine.step(values, case["qpos"], case["qvel"], case["ctrl"], load, memory)[:2])
 
     return step
 

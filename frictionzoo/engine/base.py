@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
@@ -13,8 +14,19 @@ from frictionzoo.types import DriveState, FrictionTerms
 Values = Mapping[str, Mapping[str, Any]]
 """Physical values by owner (`bench`, `friction`) and name."""
 
-Friction = Callable[[Mapping[str, Any], DriveState], FrictionTerms]
-"""A friction law's formula: its values and what the drive is doing to friction terms."""
+
+@dataclass(frozen=True)
+class Friction:
+    """A friction law's formula over `jax.numpy`.
+
+    Attributes:
+        settle: From its values and the first state to the memory that a simulation begins with, of shape (nv, memory).
+        advance: From its values, the present state, the memory and the time step [s] to friction terms and the memory
+            of the next step.
+    """
+
+    settle: Callable[[Mapping[str, Any], DriveState], Array]
+    advance: Callable[[Mapping[str, Any], DriveState, Array, float], tuple[FrictionTerms, Array]]
 
 
 class Engine(ABC):
@@ -33,6 +45,7 @@ class Engine(ABC):
     compiler_options: Mapping[str, Any]
     forward_limit: ClassVar[int]
     reverse: bool = True
+    _friction: Friction
 
     @abstractmethod
     def step(
@@ -42,8 +55,9 @@ class Engine(ABC):
         qvel: Float[Array, "nv"],
         ctrl: Float[Array, "channels"],
         load: Float[Array, "load"],
-    ) -> tuple[Float[Array, "nv"], Float[Array, "nv"]]:
-        """Position and velocity one time step later.
+        memory: Float[Array, "nv memory"],
+    ) -> tuple[Float[Array, "nv"], Float[Array, "nv"], Float[Array, "nv memory"]]:
+        """Position, velocity and the friction law's memory one time step later.
 
         Args:
             values: Bench and friction parameters.
@@ -51,7 +65,19 @@ class Engine(ABC):
             qvel: Velocity [rad/s or m/s].
             ctrl: The command of each joint's actuator, then each other input of the actuator law, one a joint.
             load: What the recording's payload changes in the model, from `Bench.load`.
+            memory: The friction law's, from `start` or the step before.
         """
+
+    def start(
+        self,
+        values: Values,
+        qpos: Float[Array, "nv"],
+        qvel: Float[Array, "nv"],
+        ctrl: Float[Array, "channels"],
+        load: Float[Array, "load"],
+    ) -> Float[Array, "nv memory"]:
+        """The friction law's memory at the beginning of a rollout; arguments as in `step`."""
+        return self._friction.settle(values["friction"], self.drive_state(values, qpos, qvel, ctrl, load))
 
     @abstractmethod
     def drive_state(
@@ -75,7 +101,30 @@ def control(bench: Bench, values: Values, qpos: Array, qvel: Array, ctrl: Array)
 def friction_of(module: Any) -> Friction:
     """A friction module's formula over `jax.numpy`."""
 
-    def friction(values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
-        return module.terms(jnp, values, state)
+    def settle(values: Mapping[str, Any], state: DriveState) -> Array:
+        return module.settle(jnp, values, state)
 
-    return friction
+    def advance(
+        values: Mapping[str, Any], state: DriveState, memory: Array, timestep: float
+    ) -> tuple[FrictionTerms, Array]:
+        return module.advance(jnp, values, state, memory, timestep)
+
+    return Friction(settle, advance)
+
+
+def without_memory(terms: Callable[[Mapping[str, Any], DriveState], FrictionTerms]) -> Friction:
+    """A law that is a function of the present state.
+
+    Args:
+        terms: Its values and what the drive is doing to friction terms.
+    """
+
+    def settle(values: Mapping[str, Any], state: DriveState) -> Array:
+        return jnp.zeros((*state.qvel.shape, 0))
+
+    def advance(
+        values: Mapping[str, Any], state: DriveState, memory: Array, timestep: float
+    ) -> tuple[FrictionTerms, Array]:
+        return terms(values, state), memory
+
+    return Friction(settle, advance)

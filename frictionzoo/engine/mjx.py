@@ -89,6 +89,7 @@ class MjxEngine(Engine):
         self.compiler_options = {} if bench.nv <= _FUSED_JOINTS else {"xla_disable_hlo_passes": "fusion"}
         self._bench = bench
         self._friction = friction
+        self._timestep = float(model.opt.timestep)
         self._rigid_inertia = rigid_inertia(model)
         self._ignores_armature = model.body_simple[model.dof_bodyid] == _SLIDES_ONLY
         self._model = mjx.put_model(model)
@@ -103,17 +104,19 @@ class MjxEngine(Engine):
         qvel: Float[Array, "nv"],
         ctrl: Float[Array, "channels"],
         load: Float[Array, "load"],
-    ) -> tuple[Float[Array, "nv"], Float[Array, "nv"]]:
+        memory: Float[Array, "nv memory"],
+    ) -> tuple[Float[Array, "nv"], Float[Array, "nv"], Float[Array, "nv memory"]]:
         """See `Engine.step`."""
         command, effective = control(self._bench, values, qpos, qvel, ctrl)
         model, data = self._drive(self.model_inputs(values, load), qpos, qvel, effective)
-        terms = self._friction(values["friction"], _drive_state(data, command))
+        state = _drive_state(data, command)
+        terms, memory = self._friction.advance(values["friction"], state, memory, self._timestep)
         model, data = self._apply(terms, model, data)
         data = mjx.fwd_acceleration(model, data)
         data = mjx.solve(model, data) if self._constraint else data.replace(qacc=data.qacc_smooth)
         euler = model.opt.integrator == mujoco.mjtIntegrator.mjINT_EULER
         data = mjx.euler(model, data) if euler else mjx.implicit(model, data)
-        return data.qpos, data.qvel
+        return data.qpos, data.qvel, memory
 
     def drive_state(
         self,

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from frictionzoo.bench import Bench
 from frictionzoo.bench.base import NO_PAYLOAD
-from frictionzoo.engine.base import Engine, Friction, Values, control
+from frictionzoo.engine.base import Engine, Friction, Values, control, without_memory
 from frictionzoo.engine.dry_friction import dry_friction
 from frictionzoo.engine.linear import solve_spd
 from frictionzoo.engine.mjx import Dynamics, MjxEngine, ModelInputs
@@ -62,12 +62,12 @@ class SpecialisedEngine(Engine):
         qvel: Float[Array, "nv"],
         ctrl: Float[Array, "channels"],
         load: Float[Array, "load"],
-    ) -> tuple[Float[Array, "nv"], Float[Array, "nv"]]:
+        memory: Float[Array, "nv memory"],
+    ) -> tuple[Float[Array, "nv"], Float[Array, "nv"], Float[Array, "nv memory"]]:
         """See `Engine.step`."""
         command, here = self._at(values, qpos, qvel, ctrl, load)
-        terms = self._friction(
-            values["friction"], DriveState(qpos, qvel, command, here.motor_torque, here.external_torque)
-        )
+        state = DriveState(qpos, qvel, command, here.motor_torque, here.external_torque)
+        terms, memory = self._friction.advance(values["friction"], state, memory, self._timestep)
         force = here.motor_torque + here.external_torque
         implicit = here.inertia + here.implicit
         if terms.torque is not None:
@@ -82,7 +82,7 @@ class SpecialisedEngine(Engine):
             limit = jnp.broadcast_to(terms.frictionloss, qvel.shape)
             force = force + dry_friction(here.inertia, force, here.constraint_inertia, here.constraint_reference, limit)
         qvel = qvel + self._timestep * solve_spd(implicit, force)
-        return qpos + self._timestep * qvel, qvel
+        return qpos + self._timestep * qvel, qvel, memory
 
     def drive_state(
         self,
@@ -111,7 +111,7 @@ def _specialised(bench: Bench, constraint: bool) -> tuple[Callable[[Values, Arra
     key = (f"{type(bench.actuator).__qualname__} {bench.payload} {bench.mjcf(bench.initial_values())}", constraint)
     if key not in _known:
         with jax.enable_x64(True):
-            reference = MjxEngine(bench, lambda values, state: FrictionTerms(), constraint)
+            reference = MjxEngine(bench, without_memory(lambda values, state: FrictionTerms()), constraint)
             values = {"bench": bench.initial_values()}
             inputs = jax.eval_shape(reference.model_inputs, values, jnp.asarray(bench.load(NO_PAYLOAD)))
             _known[key] = reference.model_inputs, specialise(reference.dynamics, inputs, *[np.zeros(bench.nv)] * 3)

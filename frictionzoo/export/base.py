@@ -56,11 +56,13 @@ class Target(ABC):
         name: Set by `register_target`.
         options: What it takes besides `timestep` and `output`: name to meaning, in a few words.
         packages: Python packages without which it can be neither written nor run; their versions are noted.
+        instant: Whether it writes the law itself as a function of one instant, which a law with a memory is not.
     """
 
     name: ClassVar[str]
     options: ClassVar[Mapping[str, str]] = {}
     packages: ClassVar[tuple[str, ...]] = ()
+    instant: ClassVar[bool] = False
 
     @abstractmethod
     def write(self, fitted: Fitted, folder: Path, options: Mapping[str, str]) -> Export:

@@ -23,6 +23,7 @@ class Mjx(Target):
     """A Python module, of jax and mujoco-mjx alone, that brings the law itself into MJX's step."""
 
     packages: ClassVar[tuple[str, ...]] = ("mujoco", "jax", "numpy")
+    instant: ClassVar[bool] = True
 
     def write(self, fitted: Fitted, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""

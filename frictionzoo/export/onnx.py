@@ -25,6 +25,7 @@ class Onnx(Target):
 
     options: ClassVar[Mapping[str, str]] = {"dtype": "float64 or float32, of inputs and outputs"}
     packages: ClassVar[tuple[str, ...]] = ("onnx", "onnxscript", "onnxruntime")
+    instant: ClassVar[bool] = True
 
     def write(self, fitted: Fitted, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""

@@ -29,6 +29,7 @@ class TorchScript(Target):
 
     options: ClassVar[Mapping[str, str]] = {"dtype": "float64 or float32, of inputs and outputs"}
     packages: ClassVar[tuple[str, ...]] = ("torch",)
+    instant: ClassVar[bool] = True
 
     def write(self, fitted: Fitted, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""

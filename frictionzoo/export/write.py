@@ -94,6 +94,11 @@ def _write(fitted: Fitted, name: str, place: Path, timestep: float | None, optio
     for package in target.packages:
         if find_spec(package) is None:
             raise ExportError(f"target={name}: {package} is not installed; pip install {package}")
+    if target.instant and fitted.model.memory:
+        raise ExportError(
+            f"target={name}: {fitted.model.name} remembers what was before, expected a law of the present state; take "
+            "target=mjcf, which writes the nearest friction of MuJoCo's own, or fit another model"
+        )
     moved = fitted if timestep is None else fitted.at(timestep)
     own = {option: value for option, value in options.items() if option in target.options}
     _refuse_foreign(place)

@@ -5,6 +5,9 @@ from frictionzoo.models.base import FrictionModel
 from frictionzoo.models.baseline import Baseline
 from frictionzoo.models.coulomb_smooth import CoulombSmooth
 from frictionzoo.models.coulomb_stribeck import CoulombStribeck
+from frictionzoo.models.dahl import Dahl
+from frictionzoo.models.lugre import LuGre
+from frictionzoo.models.maxwell_slip import MaxwellSlip
 from frictionzoo.models.mujoco_default import MujocoDefault
 from frictionzoo.models.neural_friction import NeuralFriction
 from frictionzoo.models.polynomial_viscous import PolynomialViscous
@@ -16,7 +19,10 @@ __all__ = [
     "Baseline",
     "CoulombSmooth",
     "CoulombStribeck",
+    "Dahl",
     "FrictionModel",
+    "LuGre",
+    "MaxwellSlip",
     "MujocoDefault",
     "NeuralFriction",
     "PolynomialViscous",

@@ -23,7 +23,9 @@ class FrictionModel(torch.nn.Module, ABC):
         constraint: Whether the law answers with a `frictionloss`, so that the simulated joint needs MuJoCo's friction
             constraint.
         dissipative: Whether the law promises never to give energy to the drive, whatever its values within bounds: all
-            its terms together oppose the motion while the joint slides, and hold it where it stands still.
+            its terms together oppose the motion while the joint slides, and hold it where it stands still. Of a law
+            with a memory: at constant velocity, for what bends springs back.
+        memory: Numbers that the law remembers of each joint from step to step; 0 for a function of the present state.
         params: Each physical parameter's initial value, bounds and scale.
 
     Args:
@@ -38,6 +40,7 @@ class FrictionModel(torch.nn.Module, ABC):
     dimensions: ClassVar[Mapping[str, str]] = {}
     constraint: ClassVar[bool] = False
     dissipative: ClassVar[bool] = False
+    memory: int = 0
 
     def __init__(self, nv: int, params: Mapping[str, Mapping[str, Any]] | None = None) -> None:
         super().__init__()
@@ -51,6 +54,8 @@ class FrictionModel(torch.nn.Module, ABC):
     def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
         """The law itself, pure: no attribute that a fit changes, no branch on a value.
 
+        Of a law with a memory: what it comes down to at constant velocity.
+
         Args:
             xp: Array namespace, `torch` or `jax.numpy`.
             values: Arrays of this namespace under the names of `state_dict`.
@@ -59,6 +64,35 @@ class FrictionModel(torch.nn.Module, ABC):
         Returns:
             Terms of shape (..., nv), or that broadcast to it.
         """
+
+    def settle(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> Any:
+        """The memory that a simulation begins with: what it would be had the drive long been in this state.
+
+        Args:
+            xp: As in `terms`.
+            values: As in `terms`.
+            state: The first state.
+
+        Returns:
+            Of shape (..., nv, memory).
+        """
+        return xp.zeros((*state.qvel.shape, self.memory))
+
+    def advance(
+        self, xp: Any, values: Mapping[str, Any], state: DriveState, memory: Any, timestep: float
+    ) -> tuple[FrictionTerms, Any]:
+        """One step of a simulation: the terms that act until the next state, and the memory in this one.
+
+        A law with a memory overrides it together with `settle`; pure like `terms`.
+
+        Args:
+            xp: As in `terms`.
+            values: As in `terms`.
+            state: The present state.
+            memory: What the step before left, of shape (..., nv, memory).
+            timestep: Of the simulation [s].
+        """
+        return self.terms(xp, values, state), memory
 
     def prepare(self, samples: DriveState) -> None:
         """Take constants (normalisation) from the training data, before a fit; most laws need none.

@@ -1,0 +1,102 @@
+"""Friction of several springs that slip one after the other."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from frictionzoo.errors import ConfigError
+from frictionzoo.models.base import FrictionModel
+from frictionzoo.models.bristles import settled_force, stribeck_force
+from frictionzoo.models.registry import register_model
+from frictionzoo.types import DriveState, FrictionTerms
+
+
+@register_model("maxwell_slip")
+class MaxwellSlip(FrictionModel):
+    """The generalised Maxwell-slip law: elements side by side that stick as springs and slip at a share of the limit.
+
+    An element of force F_i, i = 1 ... N, that sticks:  dF_i/dt = k_i v,  k_i = f_k / (i x)
+    that slips, from |F_i| = g(v) / N on:               dF_i/dt = (sign(v) g(v) / N - F_i) / t
+    g(v) = f_k + (f_s - f_k) exp(-(v / v_s)^2)
+    torque = sum of F_i + d v
+
+        v    joint velocity [rad/s or m/s]
+        F_i  forces of the elements, the law's memory [N m or N]
+        x    presliding [rad or m], after which at f_k all have slipped: element i yields after i x / N
+        f_s  static_torque [N m or N], at the onset of motion
+        f_k  kinetic_torque [N m or N], well above v_s
+        v_s  stribeck_velocity [rad/s or m/s], over which the one falls to the other
+        t    lag [s], by which slipping elements follow g(v) down
+        d    viscous_coefficient [N m s/rad or N s/m]
+        v_0  rest_velocity [rad/s or m/s], up to about which a joint may stand still where a rollout begins; known
+
+    Loops of presliding close, as those of rolling bearings do. An element below its limit sticks: where g rises it
+    follows as a spring, not with the lag. A rollout begins with the forces that hold the drive's load if the joint
+    rests, and with slipping elements if it moves. What sticks is taken at the step's end, by way of MuJoCo's implicit
+    damping: no stiffness makes the step unstable. At constant velocity the law is g(v) sign(v) + d v.
+
+    Cannot represent: friction that depends on direction, load or position; a distribution of the elements other than
+    equal limits and evenly spaced yields.
+
+    Source: F. Al-Bender, V. Lampaert, J. Swevers, "The generalized Maxwell-slip model: a novel model for friction
+    simulation and compensation", IEEE Transactions on Automatic Control 50(11), 2005.
+
+    Args:
+        nv: Number of joints.
+        elements: How many elements.
+        params: Section of each physical parameter.
+
+    Raises:
+        ConfigError: There is no element, or a parameter's section makes no sense.
+    """
+
+    dimensions = {
+        "presliding": "position",
+        "static_torque": "torque",
+        "kinetic_torque": "torque",
+        "stribeck_velocity": "velocity",
+        "lag": "time",
+        "viscous_coefficient": "damping",
+        "rest_velocity": "velocity",
+    }
+    dissipative = True
+
+    def __init__(self, nv: int, elements: int, params: Mapping[str, Mapping[str, Any]] | None = None) -> None:
+        super().__init__(nv, params)
+        if elements < 1:
+            raise ConfigError(f"model.elements={elements}; expected at least 1")
+        self.memory = elements
+
+    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+        """All elements slipping."""
+        dry = stribeck_force(xp, values, state.qvel) * xp.tanh(state.qvel / values["rest_velocity"])
+        return FrictionTerms(torque=dry, damping=values["viscous_coefficient"])
+
+    def settle(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> Any:
+        """The same force in all elements."""
+        force = settled_force(xp, state, stribeck_force(xp, values, state.qvel), values["rest_velocity"])
+        return xp.stack([force / self.memory] * self.memory, -1)
+
+    def advance(
+        self, xp: Any, values: Mapping[str, Any], state: DriveState, memory: Any, timestep: float
+    ) -> tuple[FrictionTerms, Any]:
+        """The torque of those that slip, and of those that stick at the end of the step."""
+        limit = stribeck_force(xp, values, state.qvel) / self.memory
+        follows = xp.exp(-timestep / values["lag"])
+        softest = values["kinetic_torque"] / values["presliding"]
+        forces, torque, damping = [], 0.0, values["viscous_coefficient"]
+        for element in range(self.memory):
+            stiffness = softest / (element + 1)
+            force, _ = _move(xp, memory[..., element], stiffness * timestep * state.qvel, limit, follows)
+            following, slips = _move(xp, force, stiffness * timestep * state.qvel, limit, follows)
+            torque = torque + xp.where(slips, following, force)
+            damping = damping + xp.where(slips, 0.0, stiffness * timestep)
+            forces.append(force)
+        return FrictionTerms(torque=torque, damping=damping), xp.stack(forces, -1)
+
+
+def _move(xp: Any, force: Any, pull: Any, limit: Any, follows: Any) -> tuple[Any, Any]:
+    """An element's force after a step in which its spring is pulled by so much force, and whether it slips."""
+    pulled = force + pull
+    slips = (xp.abs(pulled) > limit) & (pulled * pull > 0)
+    above = xp.maximum(xp.abs(force), limit) - limit
+    return xp.where(slips, xp.sign(pulled) * (limit + above * follows), pulled), slips

@@ -1,0 +1,259 @@
+"""Friction laws that remember: against closed forms, an ODE solver, and in rollouts of the EMPS carriage."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import torch
+from scipy.integrate import solve_ivp
+
+from frictionzoo.bench import Bench
+from frictionzoo.check import check_model
+from frictionzoo.engine import friction_of, make_engine
+from frictionzoo.errors import ConfigError, ModelError
+from frictionzoo.fit import Objective, Space, fit_reference
+from frictionzoo.models import FrictionModel
+from frictionzoo.rollout import make_rollout
+from frictionzoo.types import DriveState, FrictionTerms, Sampling, Segments
+
+LAWS = ("dahl", "lugre", "maxwell_slip")
+MASS = 95.0  # kg
+TRUTH = {
+    "stiffness": 2e5,
+    "coulomb_torque": 20.0,
+    "micro_damping": 300.0,
+    "static_torque": 26.0,
+    "kinetic_torque": 20.0,
+    "stribeck_velocity": 0.01,
+    "presliding": 2e-4,
+    "lag": 2e-3,
+    "viscous_coefficient": 200.0,
+    "rest_velocity": 1e-3,
+}
+"""Of the size of the EMPS carriage's: N, m, s."""
+
+
+@pytest.fixture(scope="module")
+def carriage(make: Callable[..., Any]) -> Callable[..., Bench]:
+    """The EMPS bench, pushed by as many newtons as the command says."""
+    known = ("force_gain.init=1", "force_gain.low=0.1", "force_offset.identify=false")
+    options = ("bench=emps", *(f"bench.actuator.params.{option}" for option in known))
+    return lambda *more: make("bench", *options, *more)
+
+
+@pytest.fixture(scope="module")
+def build(make: Callable[..., Any]) -> Callable[[str], FrictionModel]:
+    """A law from its YAML."""
+    return lambda name: make("model", f"model={name}", "bench=emps", nv=1)
+
+
+def truth(law: FrictionModel) -> dict[str, np.ndarray]:
+    return {name: np.array([TRUTH[name]]) for name in law.params}
+
+
+def simulate(
+    bench: Bench, law: FrictionModel, force: np.ndarray, qvel: float = 0.0, **friction: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Position and velocity after each step under these forces [N], of shape (time,)."""
+    values = {
+        "bench": bench.initial_values() | {"armature": np.array([MASS])},
+        "friction": truth(law) | {name: np.array([value]) for name, value in friction.items()},
+    }
+    with jax.enable_x64(True):
+        rollout = make_rollout(make_engine("auto", bench, friction_of(law), law.constraint)).compiled
+        states = rollout(values, np.zeros((1, 1)), np.full((1, 1), qvel), force[None, :, None])
+    return tuple(np.asarray(part)[0, :, 0] for part in states)
+
+
+def drag(law: FrictionModel, qvel: np.ndarray, timestep: float, memory: np.ndarray, **more: float) -> np.ndarray:
+    """Friction at the end of each step in which the joint is drawn at these velocities [N]."""
+    values = {name: torch.tensor(value) for name, value in (truth(law) | more).items()}
+    found, held = [], torch.tensor(memory)
+    for velocity in qvel:
+        zero, moving = torch.zeros(1), torch.full((1,), velocity, dtype=torch.float64)
+        terms, held = law.advance(torch, values, DriveState(zero, moving, zero, zero, zero), held, timestep)
+        found.append(float(terms.torque + terms.damping * velocity))
+    return np.array(found)
+
+
+def test_dahls_spring_yields_along_its_curve(build: Callable[[str], FrictionModel]) -> None:
+    """From rest, force over displacement is f_c (1 - exp(-s x / f_c)), whatever the step."""
+    law, timestep, speed = build("dahl"), 1e-3, 0.02
+    force = drag(law, np.full(20, speed), timestep, np.zeros((1, 1)))
+    # The memory is that of the state at the step's beginning, the force that at its end: two steps after the first.
+    moved = speed * timestep * (2 + np.arange(20))
+    expected = 20 * (1 - np.exp(-2e5 * moved / 20)) + 200 * speed
+    np.testing.assert_allclose(force, expected, rtol=1e-12)
+
+
+def test_maxwells_elements_slip_one_after_the_other(build: Callable[[str], FrictionModel]) -> None:
+    """The first loading is piecewise linear, with corners where an element slips; a loop closes in its corner."""
+    law, timestep = build("maxwell_slip"), 1e-3
+    fine = TRUTH["presliding"] / 40  # m a step: ten until the first of four elements slips
+    speed = fine / timestep
+    forth, back = np.full(60, speed), np.full(30, -speed)
+    force = drag(law, np.concatenate([forth, back, forth]), timestep, np.zeros((1, 4)), static_torque=20.0)
+    dry = force - TRUTH["viscous_coefficient"] * np.concatenate([forth, back, forth])
+    moved = (2 + np.arange(60)) / 40  # shares of the presliding
+    expected = sum(5 * np.minimum(moved * 4 / element, 1) for element in range(1, 5))
+    np.testing.assert_allclose(dry[:60], expected, rtol=1e-9)
+    # Thirty steps back and thirty forth end on the first loading's curve again, at its limit.
+    np.testing.assert_allclose(dry[119:], 20.0, rtol=1e-9)
+    assert dry[89] < 0 and np.abs(np.diff(dry[90:119])).max() > 0.5
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_what_has_settled_in_motion_is_the_law_at_constant_velocity(
+    build: Callable[[str], FrictionModel], name: str
+) -> None:
+    law = build(name)
+    values = {name: torch.tensor(value) for name, value in truth(law).items()}
+    zero, speeds = torch.zeros(4, 1), torch.tensor([[0.1], [-0.1], [0.03], [-0.02]], dtype=torch.float64)
+    state = DriveState(zero, speeds, zero, zero, zero)
+
+    def sliding(terms: FrictionTerms) -> torch.Tensor:
+        return terms.torque + terms.damping * speeds
+
+    terms, _ = law.advance(torch, values, state, law.settle(torch, values, state), 1e-3)
+    torch.testing.assert_close(sliding(terms), sliding(law.terms(torch, values, state)))
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_a_rollout_follows_an_ode_solver(
+    build: Callable[[str], FrictionModel], carriage: Callable[..., Bench], name: str
+) -> None:
+    """Presliding, breakaway and reversal: the error is small at 1 ms and halves with the step."""
+    law = build(name)
+    if name == "maxwell_slip":
+        pytest.skip("its elements switch; its curve has a closed form above")
+    force = 45 * np.sin(2 * np.pi * 2 * np.arange(500) * 1e-3)
+    rate, kinetic = TRUTH["stiffness"], TRUTH["kinetic_torque" if name == "lugre" else "coulomb_torque"]
+    micro = TRUTH["micro_damping"] if name == "lugre" else 0.0
+    excess = TRUTH["static_torque"] - kinetic if name == "lugre" else 0.0
+
+    def slope(time: float, state: np.ndarray) -> list[float]:
+        _, v, z = state
+        limit = kinetic + excess * np.exp(-((v / TRUTH["stribeck_velocity"]) ** 2))
+        bend = v - rate * abs(v) / limit * z
+        friction = rate * z + micro * bend + TRUTH["viscous_coefficient"] * v
+        push = force[min(int(time / 1e-3 + 1e-9), len(force) - 1)]
+        return [v, (push - friction) / MASS, bend]
+
+    state, expected = np.zeros(3), []
+    for i in range(len(force)):  # a step at a time: the force jumps in between
+        state = solve_ivp(slope, (i * 1e-3, (i + 1) * 1e-3 - 1e-12), state, method="LSODA", rtol=1e-9, atol=1e-14).y[
+            :, -1
+        ]
+        expected.append(state[0])
+    errors = []
+    for parts in (1, 2, 4):
+        bench = carriage(f"bench.timestep={1e-3 / parts}")
+        qpos, _ = simulate(bench, law, np.repeat(force, parts))
+        errors.append(np.abs(qpos[parts - 1 :: parts] - expected).max())
+    travel = np.ptp(expected)
+    assert errors[0] < 0.02 * travel
+    assert errors[1] < 0.65 * errors[0] and errors[2] < 0.65 * errors[1]
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_no_stiffness_makes_a_step_unstable(
+    build: Callable[[str], FrictionModel], carriage: Callable[..., Bench], name: str
+) -> None:
+    law, force = build(name), 40 * np.sin(2 * np.pi * 4 * np.arange(1000) * 1e-3)
+    stiff = {"presliding": 1e-8} if name == "maxwell_slip" else {"stiffness": 1e10}
+    soft, (qpos, qvel) = simulate(carriage(), law, force), simulate(carriage(), law, force, **stiff)
+    assert np.isfinite(qpos).all()
+    # As the springs stiffen, the law comes down to friction without presliding: of the same size, and no faster.
+    assert 0.2 * np.abs(soft[1]).max() < np.abs(qvel).max() < 1.2 * np.abs(soft[1]).max()
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_a_loaded_joint_holds_until_it_breaks_away(
+    build: Callable[[str], FrictionModel], carriage: Callable[..., Bench], name: str
+) -> None:
+    """A rollout that begins at rest begins with the bend that holds the load; a smooth sign would creep."""
+    law, bench = build(name), carriage()
+    below, above = (simulate(bench, law, np.full(1000, force))[0] for force in (15.0, 30.0))
+    assert np.abs(below).max() < 1e-9
+    assert above[-1] > 0.02
+
+
+def test_the_bristles_break_away_above_the_sliding_friction(
+    build: Callable[[str], FrictionModel], carriage: Callable[..., Bench]
+) -> None:
+    """Between kinetic and static friction a force does not start the carriage, yet keeps a moving one going."""
+    law, bench, force = build("lugre"), carriage(), np.full(1000, 24.0)
+    at_rest, moving = simulate(bench, law, force), simulate(bench, law, force, qvel=0.05)
+    assert np.abs(at_rest[0]).max() < 1e-3 * moving[0][-1]
+    assert moving[1][-1] > 0.01
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_gradient_of_a_rollout_equals_central_differences(
+    build: Callable[[str], FrictionModel], carriage: Callable[..., Bench], name: str
+) -> None:
+    law, bench = build(name), carriage()
+    force = 45 * np.sin(2 * np.pi * 5 * np.arange(60) * 1e-3)
+    names = [key for key, param in law.params.items() if param.identify]
+    with jax.enable_x64(True):
+        rollout = make_rollout(make_engine("auto", bench, friction_of(law), law.constraint))
+
+        @jax.jit
+        def end(scale: Any) -> Any:
+            friction = {key: jnp.asarray(value) for key, value in truth(law).items()}
+            friction |= {key: friction[key] * scale[i] for i, key in enumerate(names)}
+            values = {"bench": bench.initial_values() | {"armature": np.array([MASS])}, "friction": friction}
+            qvel, forces = jnp.array([[0.0], [0.03]]), jnp.stack([force, -force])[..., None]
+            qpos, _ = rollout(values, jnp.zeros((2, 1)), qvel, forces)
+            return (qpos * 1e3).sum()
+
+        one = jnp.ones(len(names))
+        slope = jax.grad(end)(one)
+        for i in range(len(names)):
+            step = 1e-6 * jnp.eye(len(names))[i]
+            expected = float((end(one + step) - end(one - step)) / 2e-6)
+            assert float(slope[i]) == pytest.approx(expected, rel=1e-4, abs=1e-6), names[i]
+        assert np.count_nonzero(np.abs(slope) > 1e-6) == len(names)
+
+
+def test_a_law_whose_memory_does_not_settle_is_refused(build: Callable[[str], FrictionModel]) -> None:
+    law = build("dahl")
+    law.settle = lambda xp, values, state: (0.1 * xp.tanh(state.qvel))[..., None]  # pyright: ignore
+    with pytest.raises(ModelError, match="dahl: memory: settled in motion it still changes"):
+        check_model(law)
+
+
+def test_there_is_an_element(make: Callable[..., Any]) -> None:
+    with pytest.raises(ConfigError, match="elements=0; expected at least 1"):
+        make("model", "model=maxwell_slip", "bench=emps", "model.elements=0", nv=1)
+
+
+def recover(bench: Bench, law: FrictionModel) -> dict[str, float]:
+    """What a fit finds, as a share of the truth, from noiseless rollouts that preslide, break away and slide."""
+    time = 1e-3 * np.arange(400)
+    amplitudes, rates = [12, 18, 24, 30, 40, 60], [2.0, 5.0, 9.0]
+    force = np.array([a * np.sin(2 * np.pi * rate * time + a) for a in amplitudes for rate in rates])
+    values = {"bench": bench.initial_values() | {"armature": np.array([MASS])}, "friction": truth(law)}
+    with jax.enable_x64(True):
+        rollout = make_rollout(make_engine("auto", bench, friction_of(law), law.constraint), Sampling(1e-3, 1, 0))
+        start = np.zeros((len(force), 1))
+        states = rollout.compiled(values, start, start, force[..., None])
+        qpos, qvel = (np.concatenate([start[:, None], np.asarray(part)], axis=1) for part in states)
+        segments = Segments(qpos, qvel, force[..., None], 1e-3)
+        objective = Objective(Space(bench, law, "float64"), rollout, segments, 1.0, 0.01, "none", 1.0, False)
+        found = fit_reference(objective)
+    shares = {name: float(np.ravel(found["friction"][name])[0]) / TRUTH[name] for name in truth(law)}
+    return shares | {"armature": float(found["bench"]["armature"][0]) / MASS}
+
+
+@pytest.mark.parametrize("name", ["dahl", *(pytest.param(name, marks=pytest.mark.slow) for name in LAWS[1:])])
+def test_known_parameters_are_recovered(
+    build: Callable[[str], FrictionModel], carriage: Callable[..., Bench], name: str
+) -> None:
+    shares = recover(carriage(), build(name))
+    known = shares.pop("rest_velocity")
+    assert known == pytest.approx(1.0)
+    assert shares == {parameter: pytest.approx(1.0, abs=0.05) for parameter in shares}
