@@ -1,5 +1,6 @@
 """The configuration: where it lies, its resolvers, and what an override may be."""
 
+import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -75,10 +76,28 @@ def compose_config(*overrides: str) -> DictConfig:
     """
     register_resolvers()
     forget_plugin_schemas()
+    with _hydra():
+        return compose("config", overrides=list(overrides))
+
+
+def list_choices(group: str) -> list[str]:
+    """Names of the files of a configuration group, those that other packages bring included, sorted.
+
+    Args:
+        group: Its folder below conf/.
+    """
+    with _hydra():
+        return GlobalHydra.instance().config_loader().get_group_options(group)
+
+
+@contextlib.contextmanager
+def _hydra() -> Iterator[None]:
+    """Hydra as the program that runs has started it, or else started here."""
     if GlobalHydra.instance().is_initialized():
-        return compose("config", overrides=list(overrides))
-    with initialize_config_dir(str(CONF_DIR), version_base="1.3"):
-        return compose("config", overrides=list(overrides))
+        yield
+    else:
+        with initialize_config_dir(str(CONF_DIR), version_base="1.3"):
+            yield
 
 
 def check_overrides(config: DictConfig, plain: DictConfig) -> None:

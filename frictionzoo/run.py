@@ -21,6 +21,7 @@ from frictionzoo.config import (
     check_overrides,
     compose_config,
     forget_plugin_schemas,
+    list_choices,
     register_resolvers,
     suggest_option,
 )
@@ -151,7 +152,7 @@ def refuse_no_choice(arguments: list[str]) -> None:
         group, _, name = argument.lstrip("+~").partition("=")
         needed = group != "experiment" and _is_group(group)
         if needed and (argument.startswith("~") or name == "null" or name.startswith("[")):
-            raise ConfigError(f"{argument}: a job needs one {group}; {closest(name, _names(group))}")
+            raise ConfigError(f"{argument}: a job needs one {group}; {closest(name, list_choices(group))}")
 
 
 def choices_of(chosen: Mapping[str, str | None]) -> Iterator[str]:
@@ -167,10 +168,6 @@ def choices_of(chosen: Mapping[str, str | None]) -> Iterator[str]:
 
 def _is_group(name: str) -> bool:
     return bool(name) and (CONF_DIR / name).is_dir()
-
-
-def _names(group: str) -> list[str]:
-    return [path.stem for path in (CONF_DIR / group).glob("*.yaml")]
 
 
 def _explain(error: Exception) -> str | None:
@@ -198,7 +195,7 @@ def _explain_refusal(text: str) -> str:
     missing = re.search(r"(?:Could not find|In '.*?': Could not find) '(\w+)/([^']*)'", text)
     if missing and missing[1] != "hydra":
         group, name = missing.groups()
-        return f"{group}={name}: no such {group}; {closest(name, _names(group))}"
+        return f"{group}={name}: no such {group}; {closest(name, list_choices(group))}"
     unknown = re.search(r"Could not override '([^']+)'", text)
     if unknown and not unknown[1].startswith("hydra."):
         return f"{unknown[1]}: unknown option; {suggest_option(unknown[1], _config_of_choices())}"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
-from frictionzoo.config import CONF_DIR
+from frictionzoo.config import list_choices
 
 ROOT = Path(__file__).parent.parent
 PAGES = [
@@ -15,6 +15,7 @@ PAGES = [
     *sorted((ROOT / "experiments").glob("*/README.md")),
     ROOT / "benchmarks" / "README.md",
 ]
+PACKAGE = ROOT / "experiments" / "out_of_tree"  # tests/test_out_of_tree.py installs it and runs its page's commands
 PROGRAMS = "python|frictionzoo|pip|make|pytest|pre-commit|tensorboard|wandb|mlflow|mkdocs|bash"
 
 
@@ -42,8 +43,7 @@ def expand(argument: str) -> list[str]:
     """One override for each value of a sweep."""
     override = OverridesParser.create().parse_override(argument)
     if "glob(" in argument:
-        folder = CONF_DIR / override.key_or_group
-        return [f"{override.key_or_group}={path.stem}" for path in sorted(folder.glob("*.yaml"))]
+        return [f"{override.key_or_group}={name}" for name in list_choices(override.key_or_group)]
     if override.is_interval_sweep():
         interval = override.value()
         return [f"{override.key_or_group}={value}" for value in (interval.start, interval.end)]

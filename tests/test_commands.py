@@ -33,6 +33,7 @@ from pages import PAGES, ROOT, blocks_of, commands_of, expand
 from test_bam import M1
 from test_benchmarks import QUICKEST
 from test_experiments import MEASURED
+from test_out_of_tree import COMMANDS as WITH_PACKAGE
 from write_logs import WRITERS, write_degrees, write_log
 
 from frictionzoo.config import CONF_DIR, compose_config
@@ -194,6 +195,12 @@ def name_the_data(command: str, place: Place) -> None:
     folder = place.run(f"{command}; {sys.executable} -c 'import os; print(os.environ[\"FRICTIONZOO_DATA\"])'").stdout
     assert folder.strip() == command.partition("=")[2]
     assert "oc.env:FRICTIONZOO_DATA" in (CONF_DIR / "data" / "emps.yaml").read_text()
+
+
+@rule(r"pip install \./experiments/\w+|python -m pytest experiments/\w+|.*\bmakkar\b.*")
+def leave_to_the_packages_test(command: str, place: Place) -> None:
+    """tests/test_out_of_tree.py runs it where the package is installed."""
+    assert command in WITH_PACKAGE
 
 
 @rule(rf"{JOB}.*--cfg job.*")

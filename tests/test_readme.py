@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from omegaconf import OmegaConf
-from pages import PAGES, ROOT, blocks_of, expand, inline_of
+from pages import PACKAGE, PAGES, ROOT, blocks_of, expand, inline_of
 
 from frictionzoo.config import CONF_DIR, check_overrides
 
@@ -32,7 +32,13 @@ def options_of(page):
     return set(re.findall(r"`([a-z_]+(?:\.[a-z_]+)+)=[^`]*`", page.read_text()))
 
 
-JOBS = [(page, job) for page in PAGES for job in jobs_of(page) if not any(map(PLACEHOLDER.search, job))]
+JOBS = [
+    (page, job)
+    for page in PAGES
+    if page.parent != PACKAGE
+    for job in jobs_of(page)
+    if not any(map(PLACEHOLDER.search, job))
+]
 
 
 @pytest.mark.parametrize("page, job", JOBS, ids=lambda value: value.parent.name if isinstance(value, Path) else None)

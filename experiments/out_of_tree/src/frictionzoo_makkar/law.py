@@ -1,0 +1,51 @@
+"""Friction with a Stribeck effect that has derivatives of every order, also where the direction changes."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from frictionzoo.models import FrictionModel, register_model
+from frictionzoo.types import DriveState, FrictionTerms
+
+
+@register_model("makkar")
+class Makkar(FrictionModel):
+    """Coulomb friction, the Stribeck effect and viscous friction, continuously differentiable.
+
+    torque = g1 (tanh(g2 v) - tanh(g3 v)) + g4 tanh(g5 v) + g6 v
+
+        v   joint velocity [rad/s or m/s]
+        g1  stribeck_torque [N m or N], by which static friction exceeds Coulomb friction where g2 >> g3
+        g2  stribeck_rise [s/rad or s/m], how steeply that excess sets in with speed; as g5 known by default, for both
+            smooth the sign, which belongs to the simulation rather than to the drive
+        g3  stribeck_decay [s/rad or s/m], how steeply it is lost again; the excess is gone from about v = 2 / g3
+        g4  coulomb_torque [N m or N]
+        g5  coulomb_rise [s/rad or s/m], how steeply the sign changes
+        g6  viscous_coefficient [N m s/rad or N s/m]
+
+    It opposes the motion as long as g2 >= g3, which the bounds of its configuration hold.
+
+    Cannot represent: sticking (the torque is 0 at v = 0, so a loaded joint creeps), friction that lags the velocity or
+    depends on direction, load or position.
+
+    Source: C. Makkar, W. E. Dixon, W. G. Sawyer, G. Hu, "A new continuously differentiable friction model for control
+    systems design", Proc. IEEE/ASME Int. Conf. on Advanced Intelligent Mechatronics, 2005, whose gamma_1 to gamma_6
+    are g1 to g6.
+    """
+
+    dimensions = {
+        "stribeck_torque": "torque",
+        "stribeck_rise": "1/velocity",
+        "stribeck_decay": "1/velocity",
+        "coulomb_torque": "torque",
+        "coulomb_rise": "1/velocity",
+        "viscous_coefficient": "damping",
+    }
+    dissipative = True
+
+    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+        """The explicit torque."""
+        velocity = state.qvel
+        excess = xp.tanh(values["stribeck_rise"] * velocity) - xp.tanh(values["stribeck_decay"] * velocity)
+        coulomb = values["coulomb_torque"] * xp.tanh(values["coulomb_rise"] * velocity)
+        viscous = values["viscous_coefficient"] * velocity
+        return FrictionTerms(torque=values["stribeck_torque"] * excess + coulomb + viscous)

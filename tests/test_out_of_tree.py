@@ -1,0 +1,119 @@
+"""The example of a law in a package of its own: installed for real, it is a law like any other.
+
+Its page's commands are run as they stand there, with options after them that make them small and keep pip offline.
+"""
+
+import json
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from conftest import Finished
+from pages import PACKAGE, ROOT, blocks_of
+
+from frictionzoo.models import model_names
+
+INSTALL, CHECK, RUN, COMPARE = COMMANDS = blocks_of(PACKAGE / "README.md")
+PARAMETERS = {
+    "stribeck_torque": "N m",
+    "stribeck_rise": "s/rad",
+    "stribeck_decay": "s/rad",
+    "coulomb_torque": "N m",
+    "coulomb_rise": "s/rad",
+    "viscous_coefficient": "N m s/rad",
+}
+
+Command = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture(scope="module")
+def command(tmp_path_factory: pytest.TempPathFactory) -> Command:
+    """Runs a command with more arguments where the package is installed, and holds that it ends with this status."""
+    folder = tmp_path_factory.mktemp("checkout")
+    site = folder / "site"
+    ignored = shutil.ignore_patterns("build", "*.egg-info", "__pycache__")
+    shutil.copytree(PACKAGE, folder / PACKAGE.relative_to(ROOT), ignore=ignored)  # setuptools builds in the folder
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    environment = {**os.environ, "PATH": path, "PYTHONPATH": f"{site}{os.pathsep}{ROOT}"}
+
+    def run(text: str, *arguments: str, status: int = 0) -> subprocess.CompletedProcess[str]:
+        whole = [*shlex.split(text), *arguments]
+        finished = subprocess.run(whole, cwd=folder, env=environment, capture_output=True, text=True)
+        assert finished.returncode == status, finished.stdout + finished.stderr
+        return finished
+
+    run(INSTALL, "--no-deps", "--no-index", "--no-build-isolation", "--target", str(site))
+    shutil.rmtree(folder / PACKAGE.relative_to(ROOT) / "src")  # what follows is about what was installed
+    return run
+
+
+@pytest.mark.slow
+def test_its_own_tests_pass(command: Command) -> None:
+    assert " passed" in command(CHECK).stdout
+
+
+@pytest.mark.slow
+def test_it_is_run_and_exported_by_its_name(command: Command, tiny: tuple[str, ...], tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    finished = command(RUN, *tiny, "fit=lm", "fit.iterations=12", f"hydra.run.dir={folder}")
+    assert "Warning" not in finished.stderr
+    result = json.loads((folder / "result.json").read_text())
+    assert result["model"] == "makkar"
+    assert result["metrics"]["test"]["diverged"] == 0
+    found = {entry["name"]: entry for entry in result["parameters"]}
+    assert {name: found[name]["unit"] for name in PARAMETERS} == PARAMETERS
+    # The recording's drive is this law without the Stribeck effect, with coulomb_rise as it is known; no noise.
+    truth = {"armature": 0.04, "coulomb_torque": 0.1, "viscous_coefficient": 0.05}
+    assert {name: found[name]["value"] for name in truth} == pytest.approx(truth, rel=1e-3)
+
+    command(f"python -m frictionzoo.export {folder} target=mujoco")
+    module = (folder / "export" / "mujoco" / "drive.py").read_text()
+    assert "stribeck_rise" in module
+    assert "frictionzoo_makkar" not in module
+
+
+@pytest.mark.slow
+def test_it_is_compared_with_other_laws(command: Command, tiny: tuple[str, ...], tmp_path: Path) -> None:
+    command(COMPARE, *tiny, "fit.iterations=2", f"hydra.sweep.dir={tmp_path}")
+    comparison = json.loads((tmp_path / "comparison" / "comparison.json").read_text())
+    assert {run["label"] for run in comparison["runs"]} == {"makkar", "coulomb_stribeck"}
+
+
+@pytest.mark.slow
+def test_all_models_are_all_with_it(command: Command, tmp_path: Path) -> None:
+    refused = "seed=-1"  # each job ends before it begins
+    command("python -m frictionzoo.run -m 'model=glob(*)'", refused, f"hydra.sweep.dir={tmp_path}", status=2)
+    names = {path.parent.name.partition("_")[2] for path in tmp_path.glob("*/failure.json")}
+    assert names == {"makkar", *(path.stem for path in (ROOT / "conf" / "model").glob("*.yaml"))}
+
+
+@pytest.mark.slow
+def test_a_hint_may_be_its_name(command: Command) -> None:
+    (line,) = command("python -m frictionzoo.run model=makka", status=2).stderr.splitlines()
+    assert line.startswith("frictionzoo: model=makka: no such model; did you mean makkar? (")
+
+
+@pytest.mark.slow
+def test_other_programs_do_not_see_it(command: Command, tmp_path: Path) -> None:
+    (tmp_path / "model").mkdir()
+    (tmp_path / "model" / "own.yaml").write_text("a: 1\n")
+    script = f"""
+from hydra import initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
+with initialize_config_dir({str(tmp_path)!r}, version_base="1.3"):
+    print(GlobalHydra.instance().config_loader().get_group_options("model"))
+"""
+    assert command(f"python -c {shlex.quote(script)}").stdout == "['own']\n"
+
+
+@pytest.mark.skipif("makkar" in model_names(), reason="the example is installed")
+def test_without_the_package_its_name_is_refused(call: Callable[..., Finished]) -> None:
+    finished = call(*shlex.split(RUN)[3:])
+    assert (finished.status, finished.out) == (2, "")
+    (line,) = finished.err.splitlines()
+    assert line.startswith("frictionzoo: model=makkar: no such model; expected one of baseline, ")
