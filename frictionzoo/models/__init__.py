@@ -4,17 +4,27 @@ from frictionzoo.models.base import FrictionModel
 from frictionzoo.models.baseline import Baseline
 from frictionzoo.models.coulomb_smooth import CoulombSmooth
 from frictionzoo.models.coulomb_stribeck import CoulombStribeck
+from frictionzoo.models.directional import Directional
+from frictionzoo.models.load_dependent import LoadDependent
 from frictionzoo.models.mujoco_default import MujocoDefault
 from frictionzoo.models.neural_friction import NeuralFriction
+from frictionzoo.models.quadratic import Quadratic
 from frictionzoo.models.registry import get_model, model_names, register_model
+from frictionzoo.models.stribeck import Stribeck
+from frictionzoo.models.stribeck_load_dependent import StribeckLoadDependent
 
 __all__ = [
     "Baseline",
     "CoulombSmooth",
     "CoulombStribeck",
+    "Directional",
     "FrictionModel",
+    "LoadDependent",
     "MujocoDefault",
     "NeuralFriction",
+    "Quadratic",
+    "Stribeck",
+    "StribeckLoadDependent",
     "get_model",
     "model_names",
     "register_model",
