@@ -20,7 +20,7 @@ from frictionzoo.export.isaaclab import read_isaaclab
 from frictionzoo.export.mjlab import read_mjlab
 from frictionzoo.export.motor import Motor
 from frictionzoo.export.onnx import export_onnx
-from frictionzoo.export.read_bam import read_bam
+from frictionzoo.export.read_bam import LAWS, read_bam
 from frictionzoo.export.targets import __all__ as _registered  # noqa: F401 - importing it registers them
 from frictionzoo.models import FrictionModel
 from frictionzoo.types import DriveState, Payload, Segments
@@ -127,6 +127,19 @@ def test_bam_holds_mujocos_friction_exactly(fit: Callable[..., Fitted], tmp_path
     assert drive.friction == pytest.approx({name: float(value[0]) for name, value in values["friction"].items()})
     again = {name: float(value[0]) for name, value in values["bench"].items()}
     assert drive.bench == pytest.approx(again | {"duty_limit": 0.97}, rel=1e-12)
+
+
+@pytest.mark.parametrize("model", ["m3", "m4", "m6"])
+def test_bam_holds_its_own_laws_exactly(fit: Callable[..., Fitted], tmp_path: Path, model: str) -> None:
+    law, _ = LAWS[model]
+    limit = "bench.actuator.params.duty_limit={init:0.97,low:0.1,high:1.0,scale:1.0,identify:false}"  # BAM's
+    fitted = fit(f"model={law}", *STS3215, limit)
+    torque, qpos = write("bam", fitted, tmp_path).differences
+    assert torque.largest < 1e-12
+    assert qpos.largest < 1e-3  # BAM takes the motor's torque of the step before
+    drive = read_bam(tmp_path / f"{model}.json")
+    assert drive.model == law
+    assert drive.friction == pytest.approx({name: float(value[0]) for name, value in fitted.values["friction"].items()})
 
 
 def test_bam_holds_a_stribeck_law(fit: Callable[..., Fitted], tmp_path: Path) -> None:

@@ -190,11 +190,14 @@ def test_saved_state_is_the_law(build, name, tmp_path):
         assert (ours is None and theirs is None) or torch.equal(ours, theirs)
 
 
-def friction(model: FrictionModel, qvel: list[float], **values: float) -> FrictionTerms:
+def friction(
+    model: FrictionModel, qvel: list[float], motor: float = 0.0, external: float = 0.0, **values: float
+) -> FrictionTerms:
+    """The law at these speeds under these torques."""
     given = {name: torch.tensor([value], dtype=torch.float64) for name, value in values.items()}
-    zero = torch.zeros(len(qvel), 1, dtype=torch.float64)
     speeds = torch.tensor(qvel, dtype=torch.float64)[:, None]
-    return model.terms(torch, given, DriveState(zero, speeds, zero, zero, zero))
+    zero, ones = torch.zeros_like(speeds), torch.ones_like(speeds)
+    return model.terms(torch, given, DriveState(zero, speeds, zero, motor * ones, external * ones))
 
 
 def test_baseline_has_no_friction(build):
@@ -236,6 +239,109 @@ def test_static_friction_is_felt_before_kinetic(build):
     slow, fast = friction(model, [0.03, 1.0], **values).torque.flatten().tolist()
     assert slow > 1.3 * fast
     assert fast == pytest.approx(values["kinetic_torque"])
+
+
+FALLS = {"frictionloss": 0.3, "damping": 0.07, "stribeck_torque": 0.2, "stribeck_velocity": 0.1}
+SIDES = {
+    **{"load_friction_motor": 0.1, "load_friction_external": 0.3},
+    **{"stribeck_load_friction_motor": 0.05, "stribeck_load_friction_external": 0.02},
+}
+SQUARES = {"quadratic_load_friction_motor": 0.07, "quadratic_load_friction_external": 0.11}
+SHARES = [1.0, 0.36787944117144233, 0.059105746561956225, 0.0]  # exp(-|v / 0.1|^1.5) at v of SPEEDS
+SPEEDS = [0.0, 0.1, -0.2, 3.0]
+
+
+@pytest.mark.parametrize("motor, external", [(2.0, -0.5), (0.0, 0.0)], ids=["loaded", "free"])
+def test_stribeck_known_values(build, motor, external):
+    terms = friction(build("stribeck"), SPEEDS, motor, external, **FALLS, stribeck_exponent=1.5)
+    assert terms.torque is None and terms.damping.item() == 0.07
+    # The share at rest is exp(-1e-9) with this exponent.
+    assert terms.frictionloss.flatten().tolist() == pytest.approx([0.3 + 0.2 * s for s in SHARES], abs=1e-9)
+
+
+@pytest.mark.parametrize("exponent, shares", [(1.0, [0.60653066, 0.13533528]), (10.0, [0.99902391, 0.0])])
+def test_the_stribeck_exponent_shapes_the_fall(build, exponent, shares):
+    """At half the Stribeck velocity and at twice: exp(-0.5) and exp(-2), exp(-0.5^10) and exp(-2^10)."""
+    limit = friction(build("stribeck"), [0.05, -0.2], **FALLS, stribeck_exponent=exponent).frictionloss
+    assert limit.flatten().tolist() == pytest.approx([0.3 + 0.2 * share for share in shares], abs=1e-8)
+
+
+def test_a_stribeck_law_stays_finite_at_any_speed(build):
+    """Also in float32, where (v / v_s)^10 overflows."""
+    model = build("stribeck").float()
+    zero, qvel = torch.zeros(3, 1), torch.tensor([[1e3], [-1e5], [1e-20]], requires_grad=True)
+    with torch.no_grad():
+        model.stribeck_exponent.fill_(10.0)
+    model(DriveState(zero, qvel, zero, zero, zero)).frictionloss.sum().backward()
+    assert torch.isfinite(qvel.grad).all()
+    assert all(torch.isfinite(value.grad).all() for value in model.parameters() if value.grad is not None)
+
+
+@pytest.mark.parametrize(
+    "motor, external, load", [(2.0, -2.0, 4.0), (2.0, 2.0, 0.0), (0.0, -3.0, 3.0), (-1.0, 0.5, 1.5)]
+)
+def test_load_dependent_known_values(build, motor, external, load):
+    """Holding a weight loads the gear; a weight that pulls with the motor does not."""
+    values = {"frictionloss": 0.3, "damping": 0.07, "load_friction": 0.1}
+    terms = friction(build("load_dependent"), [0.0, 5.0], motor, external, **values)
+    assert terms.frictionloss.flatten().tolist() == pytest.approx(2 * [0.3 + 0.1 * load], abs=1e-15)
+    assert terms.torque is None and terms.damping.item() == 0.07
+
+
+def test_stribeck_load_dependent_known_values(build):
+    values = FALLS | {"stribeck_exponent": 1.5, "load_friction": 0.1, "stribeck_load_friction": 0.05}
+    limit = friction(build("stribeck_load_dependent"), SPEEDS, 2.0, -1.0, **values).frictionloss
+    # The load is 3.
+    assert limit.flatten().tolist() == pytest.approx([0.3 + 0.3 + (0.2 + 0.15) * s for s in SHARES], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "motor, external, always, at_rest, squared",
+    [
+        (2.0, -1.0, 0.2 + 0.3, 0.1 + 0.02, 0.11 * 1.0),  # the motor drives
+        (-1.0, 2.0, 0.1 + 0.6, 0.05 + 0.04, 0.07 * 1.0),  # it is driven
+        (3.0, 1.0, 0.3 - 0.3, 0.15 - 0.02, 0.0),  # both push the same way
+        (-1.0, -3.0, 0.9 - 0.1, 0.06 - 0.05, 0.0),
+    ],
+)
+def test_directional_and_quadratic_known_values(build, motor, external, always, at_rest, squared):
+    values = FALLS | SIDES | {"stribeck_exponent": 1.5}
+    for name, more, add in (("directional", {}, 0.0), ("quadratic", SQUARES, squared)):
+        limit = friction(build(name), SPEEDS, motor, external, **values, **more).frictionloss
+        expected = [0.3 + always + (0.2 + at_rest + add) * share for share in SHARES]
+        assert limit.flatten().tolist() == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("larger", "smaller", "values"),
+    [
+        ("stribeck", "mujoco_default", {"stribeck_torque": 0.0}),
+        ("load_dependent", "mujoco_default", {"load_friction": 0.0}),
+        ("stribeck_load_dependent", "stribeck", {"load_friction": 0.0, "stribeck_load_friction": 0.0}),
+        ("stribeck_load_dependent", "load_dependent", {"stribeck_torque": 0.0, "stribeck_load_friction": 0.0}),
+        (
+            "directional",
+            "stribeck_load_dependent",
+            {
+                **{"load_friction_motor": 0.1, "load_friction_external": 0.1},
+                **{"stribeck_load_friction_motor": 0.05, "stribeck_load_friction_external": 0.05},
+            },
+        ),
+        ("quadratic", "directional", dict.fromkeys(SQUARES, 0.0)),
+    ],
+)
+def test_a_larger_law_holds_the_smaller(build, larger, smaller, values):
+    general, special, state = build(larger), build(smaller), random_state(200, 1)
+    common = {"load_friction": 0.1, "stribeck_load_friction": 0.05}
+    terms = []
+    for model, own in ((special, {}), (general, values)):
+        chosen = {name: param.init for name, param in model.params.items()} | common | own
+        given = {name: torch.tensor([value], dtype=torch.float64) for name, value in chosen.items()}
+        terms.append(model.terms(torch, given, in_torch(state)))
+    ours, theirs = (torch.broadcast_to(term.frictionloss, (200, 1)) for term in terms)
+    # Rounding: the larger law adds more terms.
+    torch.testing.assert_close(ours, theirs, rtol=1e-14, atol=0.0)
+    assert torch.equal(terms[0].damping, terms[1].damping)
 
 
 def test_neural_friction_known_values():

@@ -1,6 +1,7 @@
 """The target `bam`: parameter files of Rhoban's BAM, which its MuJoCo controller and its mjlab actuator read."""
 
 import json
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +18,7 @@ from frictionzoo.export.base import Difference, Export, Target, measure, registe
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.graph import compare
 from frictionzoo.export.mjcf import evaluate_law
-from frictionzoo.export.read_bam import DUTY, load_parameters, read_bench, stribeck_share
+from frictionzoo.export.read_bam import DUTY, LAWS, load_parameters, read_bench
 from frictionzoo.export.simulate import Step, simulate, step_with_control
 from frictionzoo.models.base import sliding_torque
 from frictionzoo.types import DriveState, FrictionTerms
@@ -30,7 +31,7 @@ _STICKS = "BAM's joint sticks at rest, where the law's smooth sign lets it creep
 
 @register_target("bam")
 class Bam(Target):
-    """One file a joint, with BAM's friction law m1 or m2, or for other laws the nearest m3.
+    """One file a joint, with BAM's friction law m1 to m6, or for other laws the nearest m3.
 
     Source: M. Duclusaud, G. Passault, V. Padois, O. Ly, "Extended friction models for the physics simulation of servo
     actuators", 2024; github.com/Rhoban/bam.
@@ -59,27 +60,38 @@ class Bam(Target):
 
 
 def friction_budget(parameters: Mapping[str, Any], state: DriveState) -> FrictionTerms:
-    """Dry friction and damping of BAM's m1, m2 or m3, in numpy.
+    """Dry friction and damping of BAM's m1 to m6, in numpy.
 
     Args:
         parameters: What the file holds.
         state: Numpy arrays of one shape.
     """
-    dry = np.full(np.shape(state.qvel), parameters["friction_base"])
-    if parameters["model"] == "m2":
-        share = stribeck_share(state.qvel, parameters["dtheta_stribeck"], parameters["alpha"])
-        dry = dry + parameters["friction_stribeck"] * share
-    if parameters["model"] == "m3":
-        dry = dry + parameters["load_friction_base"] * np.abs(state.external_torque - state.motor_torque)
-    return FrictionTerms(frictionloss=dry, damping=np.full(np.shape(state.qvel), parameters["friction_viscous"]))
+    _, names = LAWS[parameters["model"]]
+    has = defaultdict(float, {bam: parameters[bam] for bam in names})
+    motor, external = state.motor_torque, state.external_torque
+    weaker = np.where(
+        np.abs(external) < np.abs(motor),
+        has["load_friction_external_quad"] * external**2,
+        has["load_friction_motor_quad"] * motor**2,
+    )
+    load, at_rest = (
+        has[f"load_friction_{undirected}"] * np.abs(external - motor)
+        + np.abs(has[f"load_friction_external{part}"] * external - has[f"load_friction_motor{part}"] * motor)
+        for undirected, part in (("base", ""), ("stribeck", "_stribeck"))
+    )
+    dry = has["friction_base"] + load
+    if "dtheta_stribeck" in has:
+        share = np.exp(-(np.abs(state.qvel / has["dtheta_stribeck"]) ** has["alpha"]))
+        dry = dry + share * (has["friction_stribeck"] + at_rest + (np.sign(external) != np.sign(motor)) * weaker)
+    return FrictionTerms(frictionloss=dry, damping=np.full(np.shape(state.qvel), has["friction_viscous"]))
 
 
 def _to_bam(fitted: Fitted) -> tuple[list[dict[str, Any]], list[str]]:
     """BAM's friction parameters of each joint, and what they cost."""
     values = fitted.values["friction"]
-    if fitted.model.name == "mujoco_default":
-        names = {"friction_base": "frictionloss", "friction_viscous": "damping"}
-        return _rename(fitted, "m1", names), []
+    for model, (law, names) in LAWS.items():
+        if fitted.model.name == law:
+            return _rename(fitted, model, names), []
     if fitted.model.name == "coulomb_smooth":
         names = {"friction_base": "static_torque", "friction_viscous": "viscous_coefficient"}
         return _rename(fitted, "m1", names), [_STICKS]

@@ -14,12 +14,34 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from scipy.optimize import minimize_scalar
-
 from frictionzoo.errors import ConfigError, FrictionzooError, closest
 
-MODELS = ("m1", "m2", "m3", "m4", "m5", "m6")
+_M1 = {"friction_base": "frictionloss", "friction_viscous": "damping"}
+_M2 = _M1 | {
+    "friction_stribeck": "stribeck_torque",
+    "dtheta_stribeck": "stribeck_velocity",
+    "alpha": "stribeck_exponent",
+}
+_M3 = _M1 | {"load_friction_base": "load_friction"}
+_M5 = _M2 | {
+    "load_friction_motor": "load_friction_motor",
+    "load_friction_external": "load_friction_external",
+    "load_friction_motor_stribeck": "stribeck_load_friction_motor",
+    "load_friction_external_stribeck": "stribeck_load_friction_external",
+}
+_M6 = _M5 | {
+    "load_friction_motor_quad": "quadratic_load_friction_motor",
+    "load_friction_external_quad": "quadratic_load_friction_external",
+}
+LAWS: Mapping[str, tuple[str, Mapping[str, str]]] = {
+    "m1": ("mujoco_default", _M1),
+    "m2": ("stribeck", _M2),
+    "m3": ("load_dependent", _M3),
+    "m4": ("stribeck_load_dependent", _M2 | _M3 | {"load_friction_stribeck": "stribeck_load_friction"}),
+    "m5": ("directional", _M5),
+    "m6": ("quadratic", _M6),
+}
+"""Of BAM's friction laws, the name here, and by BAM's name of each of its parameters the one here."""
 DUTY: Mapping[str, tuple[float, float]] = {
     "mx64": (0.158, 0.9625),
     "mx106": (0.158, 0.9625),
@@ -70,14 +92,15 @@ def read_bam(path: Path) -> BamDrive:
         path: JSON, as BAM's `fit` writes it.
 
     Raises:
-        ConfigError: It is no such file, its servo is not driven by voltage, or no law here has its terms.
+        ConfigError: It is no such file, or its servo is not driven by voltage.
     """
     data = load_parameters(path)
     bench = read_bench(path, data)
-    model, friction, remarks = _read_law(path, data)
+    model, friction = _read_law(path, data)
+    remarks = ()
     if "max_velocity" in data:
         speed = _positive(path, data, "max_velocity")
-        remarks = (*remarks, f"max_velocity: BAM's servo follows commands at {speed:.4g} rad/s at most; here at once.")
+        remarks = (f"max_velocity: BAM's servo follows commands at {speed:.4g} rad/s at most; here at once.",)
     return BamDrive(data["model"], data["actuator"], bench, model, friction, remarks)
 
 
@@ -96,10 +119,8 @@ def load_parameters(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: {error.strerror}; expected a parameter file of BAM; name one") from None
     except ValueError as error:
         raise ConfigError(f"{path}: not JSON ({error}); expected a parameter file of BAM; name one") from None
-    if not isinstance(data, dict) or data.get("model") not in MODELS or not isinstance(data.get("actuator"), str):
-        raise ConfigError(
-            f"{path}: no model ({', '.join(MODELS)}) and actuator in it; expected a parameter file of BAM"
-        )
+    if not isinstance(data, dict) or data.get("model") not in list(LAWS) or not isinstance(data.get("actuator"), str):
+        raise ConfigError(f"{path}: no model ({', '.join(LAWS)}) and actuator in it; expected a parameter file of BAM")
     return data
 
 
@@ -129,62 +150,12 @@ def read_bench(path: Path, data: Mapping[str, Any]) -> dict[str, float]:
     }
 
 
-def stribeck_share(velocity: Any, stribeck_velocity: float, exponent: float) -> Any:
-    """BAM's share of the Stribeck terms: 1 at rest, 0 at speed.
-
-    Args:
-        velocity: Number or array [rad/s].
-        stribeck_velocity: Number or array [rad/s].
-        exponent: BAM's `alpha`.
-    """
-    return np.exp(-(np.abs(velocity / stribeck_velocity) ** exponent))
-
-
-def _read_law(path: Path, data: Mapping[str, Any]) -> tuple[str, dict[str, float], tuple[str, ...]]:
-    """Law, values and remarks."""
-    base, viscous = (_number(path, data, name) for name in ("friction_base", "friction_viscous"))
-    if data["model"] == "m1":
-        friction = {"frictionloss": max(base, _NEGLIGIBLE), "damping": max(viscous, _NEGLIGIBLE)}
-        return "mujoco_default", friction, ()
-    if data["model"] == "m2":
-        width, exponent = (_positive(path, data, name) for name in ("dtheta_stribeck", "alpha"))
-        excess = _number(path, data, "friction_stribeck")
-        near, largest = _nearest_width(width, exponent)
-        friction = {
-            "static_torque": max(base + excess, _NEGLIGIBLE),
-            "kinetic_torque": max(base, _NEGLIGIBLE),
-            "stribeck_velocity": near,
-            "viscous_coefficient": max(viscous, _NEGLIGIBLE),
-        }
-        smooth = "coulomb_stribeck smooths the sign of friction where BAM's joint sticks."
-        return "coulomb_stribeck", friction, (smooth, *_say_exponent(exponent, near, abs(excess) * largest))
-    raise ConfigError(
-        f"{path}: model={data['model']}, whose friction grows with the load, as no law here does; expected m1 or m2; "
-        "give BAM's own m1 or m2 of this servo"
-    )
-
-
-def _nearest_width(width: float, exponent: float) -> tuple[float, float]:
-    """The Stribeck velocity with which an exponent of 2 is nearest, and the largest difference of the shares."""
-    if exponent == 2:
-        return width, 0.0
-    velocity = np.linspace(0, 4 * width, 401)
-    share = stribeck_share(velocity, width, exponent)
-
-    def distance(candidate: float) -> float:
-        return float(np.square(stribeck_share(velocity, candidate, 2.0) - share).sum())
-
-    near = float(minimize_scalar(distance, bounds=(width / 10, 4 * width), method="bounded").x)
-    return near, float(np.abs(stribeck_share(velocity, near, 2.0) - share).max())
-
-
-def _say_exponent(exponent: float, near: float, largest: float) -> tuple[str, ...]:
-    if exponent == 2:
-        return ()
-    return (
-        f"alpha={exponent:.4g}: coulomb_stribeck has the exponent 2; nearest is a Stribeck velocity of {near:.4g} "
-        f"rad/s, up to {largest:.2g} N m beside.",
-    )
+def _read_law(path: Path, data: Mapping[str, Any]) -> tuple[str, dict[str, float]]:
+    """Law and values."""
+    model, names = LAWS[data["model"]]
+    read = {"dtheta_stribeck": _positive, "alpha": _positive}
+    friction = {own: read.get(bam, _number)(path, data, bam) for bam, own in names.items()}
+    return model, friction | {"frictionloss": max(friction["frictionloss"], _NEGLIGIBLE)}
 
 
 def _number(path: Path, data: Mapping[str, Any], name: str, default: float | None = None) -> float:

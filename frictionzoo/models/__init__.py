@@ -6,13 +6,18 @@ from frictionzoo.models.baseline import Baseline
 from frictionzoo.models.coulomb_smooth import CoulombSmooth
 from frictionzoo.models.coulomb_stribeck import CoulombStribeck
 from frictionzoo.models.dahl import Dahl
+from frictionzoo.models.directional import Directional
+from frictionzoo.models.load_dependent import LoadDependent
 from frictionzoo.models.lugre import LuGre
 from frictionzoo.models.maxwell_slip import MaxwellSlip
 from frictionzoo.models.mujoco_default import MujocoDefault
 from frictionzoo.models.neural_friction import NeuralFriction
 from frictionzoo.models.polynomial_viscous import PolynomialViscous
+from frictionzoo.models.quadratic import Quadratic
 from frictionzoo.models.registry import get_model, model_names, register_model
 from frictionzoo.models.ripple import Ripple
+from frictionzoo.models.stribeck import Stribeck
+from frictionzoo.models.stribeck_load_dependent import StribeckLoadDependent
 
 __all__ = [
     "Asymmetric",
@@ -20,13 +25,18 @@ __all__ = [
     "CoulombSmooth",
     "CoulombStribeck",
     "Dahl",
+    "Directional",
     "FrictionModel",
+    "LoadDependent",
     "LuGre",
     "MaxwellSlip",
     "MujocoDefault",
     "NeuralFriction",
     "PolynomialViscous",
+    "Quadratic",
     "Ripple",
+    "Stribeck",
+    "StribeckLoadDependent",
     "get_model",
     "model_names",
     "register_model",

@@ -1,0 +1,60 @@
+"""Dry friction that takes the load of the motor for another than that from outside, as a constraint."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from frictionzoo.models.base import FrictionModel
+from frictionzoo.models.limits import gear_load, stribeck_share
+from frictionzoo.models.registry import register_model
+from frictionzoo.types import DriveState, FrictionTerms
+
+
+@register_model("directional")
+class Directional(FrictionModel):
+    """Dry friction that grows with the load on the gear, by the side it comes from, with the Stribeck effect.
+
+    limit = f + |k_m tau_m - k_e tau_e| + (s + |l_m tau_m - l_e tau_e|) exp(-|v / v_s|^alpha)
+
+    The constraint's force makes the joint stick while it is below the limit and is the limit against the motion
+    otherwise; d v adds to it. With k_m = k_e and l_m = l_e it is `stribeck_load_dependent`.
+
+        v         joint velocity [rad/s or m/s]
+        tau_m     torque of the actuator [N m or N]
+        tau_e     external torque [N m or N]: of everything but actuator and friction, counted as tau_m is
+        f         frictionloss [N m or N], without load and well above v_s; strictly positive, at 0 MuJoCo locks
+        k_m, k_e  load_friction_motor, load_friction_external [1]
+        s         stribeck_torque [N m or N], by which the limit is larger at rest
+        l_m, l_e  stribeck_load_friction_motor, stribeck_load_friction_external [1], which count at rest besides
+        v_s       stribeck_velocity [rad/s or m/s], over which s, l_m and l_e are lost
+        alpha     stribeck_exponent [1]: 2 is a bell, a large one a step at v_s
+        d         damping [N m s/rad or N s/m]
+
+    Cannot represent: a loss that grows faster than the load, friction that lags the velocity or depends on position.
+
+    Source: M. Duclusaud, G. Passault, V. Padois, O. Ly, "Extended friction models for the physics simulation of servo
+    actuators", 2024, model M5.
+    """
+
+    dimensions = {
+        "frictionloss": "torque",
+        "damping": "damping",
+        "stribeck_torque": "torque",
+        "stribeck_velocity": "velocity",
+        "stribeck_exponent": "1",
+        "load_friction_motor": "1",
+        "load_friction_external": "1",
+        "stribeck_load_friction_motor": "1",
+        "stribeck_load_friction_external": "1",
+    }
+    constraint = True
+    dissipative = True
+
+    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+        """The constraint's limit in this state, and the damping."""
+        share = stribeck_share(xp, state.qvel, values["stribeck_velocity"], values["stribeck_exponent"])
+        load = gear_load(xp, state, values["load_friction_motor"], values["load_friction_external"])
+        at_rest = gear_load(
+            xp, state, values["stribeck_load_friction_motor"], values["stribeck_load_friction_external"]
+        )
+        limit = values["frictionloss"] + load + share * (values["stribeck_torque"] + at_rest)
+        return FrictionTerms(frictionloss=limit, damping=values["damping"])

@@ -1,0 +1,58 @@
+"""What state-dependent limits of dry friction are added up from."""
+
+from typing import Any
+
+from frictionzoo.types import DriveState
+
+_AT_REST = 1e-12  # keeps the logarithm and the slope finite at v = 0; the share there is 1 - 1e-6 with an exponent of 1
+_GONE = 5.0  # exp(-exp(5)) = 4e-65; further on float32 overflows
+
+
+def stribeck_share(xp: Any, qvel: Any, velocity: Any, exponent: Any) -> Any:
+    """Share of what is added to friction at rest: 1 at rest, 0 at speed.
+
+    exp(-|v / v_s|^alpha)
+
+    Args:
+        xp: Array namespace.
+        qvel: Joint velocity v [rad/s or m/s], of shape (..., nv).
+        velocity: Stribeck velocity v_s [rad/s or m/s].
+        exponent: alpha [1].
+    """
+    power = exponent / 2 * xp.log(xp.square(qvel / velocity) + _AT_REST)
+    return xp.exp(-xp.exp(xp.where(power < _GONE, power, _GONE)))
+
+
+def gear_load(xp: Any, state: DriveState, motor: Any, external: Any) -> Any:
+    """Friction torque of a loaded gear [N m or N].
+
+    |k_m tau_m - k_e tau_e|
+
+    Both torques act on the joint and count in its direction. A motor that holds a weight has tau_m = -tau_e: the load
+    on the gear is then their difference, not their sum, which is 0. Between a motor of inertia J_m and a load of
+    inertia J_l, the gear passes on (J_l tau_m - J_m tau_e) / (J_m + J_l): half the difference where both are equal,
+    tau_m at rest.
+
+    Args:
+        xp: Array namespace.
+        state: What the drive is doing: motor_torque tau_m, external_torque tau_e [N m or N].
+        motor: Friction per torque of the motor k_m [1].
+        external: Friction per external torque k_e [1].
+    """
+    return xp.abs(motor * state.motor_torque - external * state.external_torque)
+
+
+def quadratic_gear_load(xp: Any, state: DriveState, motor: Any, external: Any) -> Any:
+    """Friction torque of a gear whose two sides oppose each other, by the square of the weaker one [N m or N].
+
+    q_e tau_e^2 where the motor is the stronger, q_m tau_m^2 where it is driven, 0 where both push the same way
+
+    Args:
+        xp: Array namespace.
+        state: What the drive is doing: motor_torque tau_m, external_torque tau_e [N m or N].
+        motor: q_m [1/(N m) or 1/N].
+        external: q_e [1/(N m) or 1/N].
+    """
+    driving = xp.abs(state.external_torque) < xp.abs(state.motor_torque)
+    weaker = xp.where(driving, external * xp.square(state.external_torque), motor * xp.square(state.motor_torque))
+    return xp.where(state.motor_torque * state.external_torque < 0, weaker, 0.0)

@@ -1,0 +1,70 @@
+"""Dry friction with a part that grows with the square of the load, as a constraint."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from frictionzoo.models.base import FrictionModel
+from frictionzoo.models.limits import gear_load, quadratic_gear_load, stribeck_share
+from frictionzoo.models.registry import register_model
+from frictionzoo.types import DriveState, FrictionTerms
+
+
+@register_model("quadratic")
+class Quadratic(FrictionModel):
+    """Dry friction that grows with the load on the gear and with its square, with the Stribeck effect.
+
+    limit = f + |k_m tau_m - k_e tau_e| + (s + |l_m tau_m - l_e tau_e| + Q) exp(-|v / v_s|^alpha)
+    Q = q_e tau_e^2 where |tau_e| < |tau_m|, else q_m tau_m^2, while both oppose each other; else 0
+
+    `directional`, and at rest the square of the weaker side: of the external torque where the motor is the stronger, of
+    the motor's where it is driven. The constraint's force makes the joint stick while it is below the limit and is the
+    limit against the motion otherwise; d v adds to it.
+
+        v         joint velocity [rad/s or m/s]
+        tau_m     torque of the actuator [N m or N]
+        tau_e     external torque [N m or N]: of everything but actuator and friction, counted as tau_m is
+        f         frictionloss [N m or N], without load and well above v_s; strictly positive, at 0 MuJoCo locks
+        k_m, k_e  load_friction_motor, load_friction_external [1]
+        s         stribeck_torque [N m or N], by which the limit is larger at rest
+        l_m, l_e  stribeck_load_friction_motor, stribeck_load_friction_external [1], which count at rest besides
+        q_m, q_e  quadratic_load_friction_motor, quadratic_load_friction_external [1/(N m) or 1/N]
+        v_s       stribeck_velocity [rad/s or m/s], over which s, l_m, l_e, q_m and q_e are lost
+        alpha     stribeck_exponent [1]: 2 is a bell, a large one a step at v_s
+        d         damping [N m s/rad or N s/m]
+
+    The limit leaps where tau_m = -tau_e unless q_m = q_e.
+
+    Cannot represent: friction that lags the velocity or depends on position.
+
+    Source: M. Duclusaud, G. Passault, V. Padois, O. Ly, "Extended friction models for the physics simulation of servo
+    actuators", 2024, model M6.
+    """
+
+    dimensions = {
+        "frictionloss": "torque",
+        "damping": "damping",
+        "stribeck_torque": "torque",
+        "stribeck_velocity": "velocity",
+        "stribeck_exponent": "1",
+        "load_friction_motor": "1",
+        "load_friction_external": "1",
+        "stribeck_load_friction_motor": "1",
+        "stribeck_load_friction_external": "1",
+        "quadratic_load_friction_motor": "1/torque",
+        "quadratic_load_friction_external": "1/torque",
+    }
+    constraint = True
+    dissipative = True
+
+    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+        """The constraint's limit in this state, and the damping."""
+        share = stribeck_share(xp, state.qvel, values["stribeck_velocity"], values["stribeck_exponent"])
+        load = gear_load(xp, state, values["load_friction_motor"], values["load_friction_external"])
+        at_rest = gear_load(
+            xp, state, values["stribeck_load_friction_motor"], values["stribeck_load_friction_external"]
+        )
+        squared = quadratic_gear_load(
+            xp, state, values["quadratic_load_friction_motor"], values["quadratic_load_friction_external"]
+        )
+        limit = values["frictionloss"] + load + share * (values["stribeck_torque"] + at_rest + squared)
+        return FrictionTerms(frictionloss=limit, damping=values["damping"])
