@@ -66,7 +66,7 @@ class DissipativeNetwork(NetworkModel):
         self, nv: int, hidden: Sequence[int], seed: int, params: Mapping[str, Mapping[str, Any]] | None = None
     ) -> None:
         super().__init__(nv, hidden, 2, seed, params)
-        torch.nn.init.constant_(self.layers[-1].bias, START)
+        torch.nn.init.constant_(self.layers[-1].get_parameter("bias"), START)
 
     def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
         """The explicit torque."""
