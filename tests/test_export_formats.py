@@ -26,7 +26,10 @@ from frictionzoo.models import FrictionModel
 from frictionzoo.types import DriveState, Payload, Segments
 
 PAYLOAD = Payload(0.5, (0.0, 0.0, -0.1), (1e-4, 1e-4, 1e-4))
-MODELS = ["mujoco_default", "coulomb_stribeck", "neural_friction", "asymmetric", "polynomial_viscous", "ripple"]
+MODELS = [
+    *("mujoco_default", "coulomb_stribeck", "asymmetric", "polynomial_viscous", "ripple"),
+    *("neural_friction", "dissipative_network", "odd_network", "residual_network"),
+]
 
 
 @pytest.fixture(scope="module")

@@ -32,6 +32,7 @@ from frictionzoo.export.mujoco_c import MujocoC
 from frictionzoo.export.nearest import find_nearest
 from frictionzoo.export.write import write_exports
 from frictionzoo.models import FrictionModel, MujocoDefault, get_model, model_names
+from frictionzoo.models.network import NetworkModel
 from frictionzoo.types import FrictionTerms, Payload, Segments
 
 PAYLOAD = Payload(0.1, (0.0, 0.0, -0.05), (1e-4, 1e-4, 1e-5))
@@ -76,7 +77,7 @@ def make_fitted(model: str | FrictionModel, *overrides: str, steps: int = 150) -
     settings = OmegaConf.to_container(compose_config(f"model={chosen}", "data=twin", *overrides), resolve=True)
     bench: Bench = build(settings["bench"])
     law = model if isinstance(model, FrictionModel) else build(settings["model"], nv=bench.nv)
-    if chosen == "neural_friction":
+    if isinstance(law, NetworkModel):
         with torch.no_grad():  # so that it matters
             law.layers[-1].weight.mul_(100.0)
     interval = bench.timestep

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+import torch
 
 from frictionzoo.bench import Bench
 from frictionzoo.engine import friction_of, make_engine
@@ -20,7 +21,8 @@ from frictionzoo.models import Baseline, FrictionModel
 from frictionzoo.rollout import make_rollout
 from frictionzoo.types import DriveState, Segments
 
-MODELS = ["baseline", "mujoco_default", "coulomb_smooth", "coulomb_stribeck", "neural_friction"]
+NETWORKS = ["neural_friction", "residual_network"]
+MODELS = ["baseline", "mujoco_default", "coulomb_smooth", "coulomb_stribeck", *NETWORKS]
 LOSS = {"position": 1.0, "velocity": 1.0, "robust": "none", "robust_scale": 1.0, "refine": False}
 TRUTH = {"armature": 0.03, "frictionloss": 0.2, "damping": 0.1}
 
@@ -91,9 +93,9 @@ def test_gradient_equals_central_differences(pose: Callable[..., Problem], name:
     start = problem.objective.space.start
     rng = np.random.default_rng(1)
     # A network has corners in its ReLUs: the step is so small that next to none of them lies inside.
-    step = 1e-5 if name != "neural_friction" else 1e-8
+    step = 1e-5 if name not in NETWORKS else 1e-8
     vector = start + jnp.asarray(rng.normal(scale=0.1, size=start.shape))
-    modes = ["reverse"] if name == "neural_friction" else ["forward", "reverse"]
+    modes = ["reverse"] if name in NETWORKS else ["forward", "reverse"]
     gradients = [jax.jit(objective.value_and_grad(mode))(vector, objective.data)[1] for mode in modes]
     for direction in (rng.normal(size=start.shape) for _ in range(3)):
         difference = (loss(vector + step * direction) - loss(vector - step * direction)) / (2 * step)
@@ -160,6 +162,19 @@ def test_adam_recovers_a_known_drive(pose: Callable[..., Problem], tmp_path: Pat
     assert outcome.stopped == "finished"
     assert outcome.loss == np.min(outcome.history["loss"]) == outcome.history["loss"][outcome.best_iteration]
     np.testing.assert_array_equal(outcome.history["friction.damping"][outcome.best_iteration], found["damping"])
+
+
+def test_adam_moves_physical_parameters_and_weights_together(pose: Callable[..., Problem], tmp_path: Path) -> None:
+    problem = pose("residual_network")
+    weights = problem.model.get_parameter("layers.0.weight")
+    before, space = weights.detach().clone(), problem.objective.space
+    assert list(space.params) == ["bench.armature", "friction.frictionloss", "friction.damping"]
+    assert all(name.startswith("friction.layers.") for name in space.weights)
+    found = identified(run(problem, Adam(600, 0.02, 0.9, "auto"), tmp_path).values)
+    # The recording has nothing that the physical law lacks, yet the network may stand for a part of it.
+    for name, value in TRUTH.items():
+        assert found[name] == pytest.approx(value, rel=0.05), name
+    assert not torch.equal(before, weights)
 
 
 def test_grid_finds_the_best_of_its_points(pose: Callable[..., Problem], tmp_path: Path) -> None:

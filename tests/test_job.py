@@ -31,6 +31,7 @@ JOBS = {
         "segments.length=3",
         "dtype=float32",
     ),
+    "residual_network": ("fit.iterations=3", "model.hidden=[4]"),
 }
 ITERATIONS = dict.fromkeys(JOBS, 3) | {"mujoco_grid_search": 2**3}
 FIGURES = ("figure3_parameters.png", "figure4_trajectory.png", "figure5_error.png")

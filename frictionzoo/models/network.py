@@ -1,0 +1,131 @@
+"""What the laws with a neural network share: the network, its inputs and their normalisation."""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from frictionzoo.errors import ConfigError
+from frictionzoo.models.base import FrictionModel
+from frictionzoo.types import DriveState
+
+INPUTS = 4  # qpos, qvel, ctrl, external_torque
+SPAN = 5.0  # standard deviations of the training data, beyond which a bounded input counts as at the edge
+
+
+class NetworkModel(FrictionModel):
+    """A law with a multilayer perceptron of (qpos, qvel, ctrl, external_torque), ReLU between its linear layers.
+
+    The joints share the weights, and each is seen alone. The normalisation is kept with the weights, so that a saved
+    model is complete.
+
+    Attributes:
+        input_mean: Mean of each input in the training data.
+        input_std: Standard deviation of each; 1 where it is constant.
+        torque_scale: Standard deviation of the actuator's torque in the training data [N m or N]; 1 where it is
+            constant.
+
+    Args:
+        nv: Number of joints.
+        hidden: Width of each hidden layer.
+        outputs: What the network answers with.
+        seed: Of the initial weights; torch's global generator is not touched.
+        params: Section of each physical parameter.
+
+    Raises:
+        ConfigError: A width is below 1, or a parameter is missing, unknown, or out of bounds.
+    """
+
+    input_mean: torch.Tensor
+    input_std: torch.Tensor
+    torque_scale: torch.Tensor
+
+    def __init__(
+        self,
+        nv: int,
+        hidden: Sequence[int],
+        outputs: int,
+        seed: int,
+        params: Mapping[str, Mapping[str, Any]] | None = None,
+    ) -> None:
+        super().__init__(nv, params)
+        if not all(width >= 1 for width in hidden):
+            raise ConfigError(f"model.hidden={list(hidden)}; expected widths of at least 1")
+        generator = torch.Generator().manual_seed(seed)
+        widths = [INPUTS, *hidden, outputs]
+        self.layers = torch.nn.ModuleList(_linear(*pair, generator) for pair in itertools.pairwise(widths))
+        with torch.no_grad():
+            for weights in self.layers[-1].parameters():
+                # The network starts near zero, yet not at zero, where the other layers have no gradient.
+                weights.copy_(0.01 * weights)
+        self.register_buffer("input_mean", torch.zeros(INPUTS, dtype=torch.float64))
+        self.register_buffer("input_std", torch.ones(INPUTS, dtype=torch.float64))
+        self.register_buffer("torque_scale", torch.ones((), dtype=torch.float64))
+
+    def prepare(self, samples: DriveState) -> None:
+        """Take the normalisation from the training data.
+
+        Args:
+            samples: Training samples as numpy arrays of shape (samples, nv).
+        """
+        mean, std = zip(*(_mean_and_std(signal) for signal in network_inputs(samples)), strict=True)
+        self.input_mean.copy_(torch.tensor(mean))
+        self.input_std.copy_(torch.tensor(std))
+        self.torque_scale.fill_(_mean_and_std(samples.motor_torque)[1])
+
+    def normalised(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> Any:
+        """The inputs as multiples of their standard deviation from their mean, of shape (..., nv, inputs).
+
+        Args:
+            xp: Array namespace.
+            values: Arrays of this namespace under the names of `state_dict`.
+            state: What the drive is doing, arrays of shape (..., nv).
+        """
+        return (xp.stack(network_inputs(state), -1) - values["input_mean"]) / values["input_std"]
+
+    def bounded(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> Any:
+        """The normalised inputs, held within `SPAN`: far outside the training data the network is constant.
+
+        Arguments are as in `normalised`.
+        """
+        return xp.clip(self.normalised(xp, values, state), -SPAN, SPAN)
+
+    def network(self, xp: Any, values: Mapping[str, Any], x: Any) -> Any:
+        """The network's answer, of shape (..., outputs).
+
+        Args:
+            xp: Array namespace.
+            values: Arrays of this namespace under the names of `state_dict`.
+            x: Normalised inputs, of shape (..., inputs).
+        """
+        last = len(self.layers) - 1
+        for layer in range(last + 1):
+            x = xp.matmul(x, values[f"layers.{layer}.weight"].T) + values[f"layers.{layer}.bias"]
+            if layer < last:
+                # Not maximum(x, 0), whose gradient at a tie is 1/2; this one is 0 there and lets NaN through.
+                x = xp.where(x <= 0, 0.0, x)
+        return x
+
+
+def network_inputs(state: DriveState) -> list[Any]:
+    """What the network sees of the drive, in the order of `input_mean`."""
+    return [state.qpos, state.qvel, state.ctrl, state.external_torque]
+
+
+def _linear(inputs: int, outputs: int, generator: torch.Generator) -> torch.nn.Linear:
+    """A linear layer with PyTorch's usual initial distribution, drawn from this generator."""
+    # On the meta device, because the constructor would draw from the global generator.
+    layer = torch.nn.Linear(inputs, outputs, device="meta", dtype=torch.float64).to_empty(device="cpu")
+    for weights in layer.parameters():
+        torch.nn.init.uniform_(weights, -(inputs**-0.5), inputs**-0.5, generator=generator)
+    return layer
+
+
+def _mean_and_std(signal: Float[np.ndarray, "samples nv"]) -> tuple[float, float]:
+    """Mean and standard deviation; 1 instead of the deviation where the signal is constant but for rounding."""
+    mean, std = float(np.mean(signal)), float(np.std(signal))
+    constant = std <= 1e-9 * float(np.max(np.abs(signal)))
+    return mean, 1.0 if constant else std
