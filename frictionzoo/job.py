@@ -153,7 +153,7 @@ def run_job(config: DictConfig, name: str, folder: Path) -> tuple[dict[str, Any]
 
     judged = time.perf_counter()
     judgement = problem.evaluation.judge(problem.drive.rollout.compiled, outcome.values)
-    baseline = _judge_baseline(problem, settings["dtype"])
+    baseline = _judge_baseline(problem, settings["dtype"], cache_folder(settings["compilation_cache"]))
     timing |= {"evaluate": time.perf_counter() - judged}
 
     _write_drive(folder, problem, outcome, judgement, baseline)
@@ -274,12 +274,13 @@ def _motor_torque(problem: Problem, segments: Segments) -> Float[np.ndarray, "ba
     return np.asarray(state.motor_torque, np.float64)
 
 
-def _judge_baseline(problem: Problem, dtype: str) -> Judgement:
+def _judge_baseline(problem: Problem, dtype: str, cache: Path | None) -> Judgement:
     """The best that the bench does without friction, on the same segments and the same rollouts."""
     drive = Drive.assemble(problem.bench, Baseline(problem.bench.nv), problem.drive.engine.name, problem.sampling)
     space = Space(problem.bench, drive.model, dtype)
     if space.names:
-        values = fit_reference(problem.objective.for_drive(space, drive.rollout))
+        folder = None if cache is None else cache / "reference"
+        values = fit_reference(problem.objective.for_drive(space, drive.rollout), folder)
     else:
         values = jax.tree.map(np.asarray, space.values(space.start))
     return problem.evaluation.judge(drive.rollout.compiled, values)

@@ -1,5 +1,6 @@
 """Objective, coordinates and methods on segments whose truth is known."""
 
+import copy
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -189,6 +190,20 @@ def test_reference_is_the_optimum_of_the_recipe(pose: Callable[..., Problem], tm
     assert isinstance(problem.model, Baseline)
     adam = identified(run(problem, Adam(400, 0.02, 0.9, "auto"), tmp_path).values)
     assert reference["armature"] == pytest.approx(adam["armature"], rel=5e-3)
+
+
+def test_reference_is_kept_for_the_same_objective_alone(
+    pose: Callable[..., Problem], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    objective = pose("baseline").objective
+    first = identified(fit_reference(objective, tmp_path))
+    monkeypatch.setattr("frictionzoo.fit.reference.LevenbergMarquardt", None)  # it is not asked again
+    assert identified(fit_reference(objective, tmp_path)) == first
+    other = copy.copy(objective)
+    other.data = objective.data._replace(weight=0.5 * objective.data.weight)
+    with pytest.raises(TypeError):
+        fit_reference(other, tmp_path)
+    assert len(list(tmp_path.iterdir())) == 1
 
 
 def test_reverse_mode_through_a_loop_is_refused(pose: Callable[..., Problem]) -> None:
