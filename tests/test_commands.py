@@ -107,7 +107,11 @@ MARKS = [  # of the tests of commands that match
     (rf"{JOB}.*(experiment|data)=(sts3215|xl330).*", needs_data),
     (rf"{JOB}.*experiment=.*", pytest.mark.slow),
     (rf"{JOB}.*data=(sts3215|xl330).*", pytest.mark.slow),
-    (rf"{JOB}-m (?!'model=glob\(\*\)'$).*", pytest.mark.slow),  # of the sweeps, the quick tests do one
+    (rf"{JOB}-m .*", pytest.mark.slow),
+    (
+        r"python -m frictionzoo\.export RUN target=(?!onnx).*",
+        pytest.mark.slow,
+    ),  # of the targets, the quick tests do one
 ]
 
 

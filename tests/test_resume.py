@@ -90,10 +90,10 @@ def assert_same(run: Path, other: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "moment"),
     [
-        ("coulomb_smooth", has_begun),
+        pytest.param("coulomb_smooth", has_begun, marks=pytest.mark.slow),
         ("coulomb_smooth", is_halfway),
-        ("coulomb_smooth", is_fitted),
-        ("neural_friction", is_halfway),
+        pytest.param("coulomb_smooth", is_fitted, marks=pytest.mark.slow),
+        pytest.param("neural_friction", is_halfway, marks=pytest.mark.slow),
     ],
     ids=["before the first checkpoint", "in the fit", "after the fit", "network"],
 )

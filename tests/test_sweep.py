@@ -152,7 +152,8 @@ def holder_of(path: Path, process: psutil.Process) -> psutil.Process | None:
     return None
 
 
-@pytest.mark.parametrize("launcher", ["joblib", pytest.param("submitit_local", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("launcher", ["joblib", "submitit_local"])
 def test_a_killed_job_is_listed(start: Callable, tiny: tuple[str, ...], tmp_path: Path, launcher: str) -> None:
     sweep = start(*SWEEP, *tiny, f"hydra/launcher={launcher}", "model=coulomb_smooth", "fit.iterations=1000000,3")
     endless = tmp_path / "sweep" / "0_coulomb_smooth"
@@ -183,10 +184,8 @@ def addresses_of(process: psutil.Process) -> set[str]:
     return found
 
 
-@pytest.mark.parametrize(
-    "launcher",
-    ["joblib", pytest.param("submitit_local", marks=pytest.mark.slow), pytest.param("ray", marks=pytest.mark.slow)],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("launcher", ["joblib", "submitit_local", "ray"])
 def test_launchers_agree(start: Callable, call: Callable, tiny: tuple[str, ...], tmp_path: Path, launcher: str) -> None:
     sweep = start(*SWEEP, *tiny, *PAIR, f"hydra/launcher={launcher}")
     processes, children, addresses = psutil.Process(sweep.pid), [], set()
@@ -252,6 +251,7 @@ def test_a_count_of_threads_that_makes_no_sense_is_refused(call: Callable, threa
     assert f"threads={threads}; expected" in complaints(finished.err)[0]
 
 
+@pytest.mark.slow
 def test_a_search_takes_the_job_with_the_least_error_on_the_training_part(
     start: Callable, tiny: tuple[str, ...], tmp_path: Path
 ) -> None:
