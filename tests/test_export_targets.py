@@ -2,6 +2,7 @@
 
 import ast
 import functools
+import itertools
 import json
 import os
 import shutil
@@ -31,7 +32,7 @@ from frictionzoo.export.module import load_module, write_module
 from frictionzoo.export.mujoco_c import MujocoC
 from frictionzoo.export.nearest import find_nearest
 from frictionzoo.export.write import write_exports
-from frictionzoo.models import FrictionModel, MujocoDefault, get_model, model_names
+from frictionzoo.models import FrictionModel, MujocoDefault, model_names
 from frictionzoo.models.network import NetworkModel
 from frictionzoo.types import FrictionTerms, Payload, Segments
 
@@ -101,8 +102,7 @@ FRICTION = {
     name: {"init": size, "low": 1e-6, "high": 10.0, "scale": "log", "identify": True}
     for name, size in {"frictionloss": 0.2, "damping": 0.03}.items()
 }
-REMEMBER = [name for name in model_names() if get_model(name).settle is not FrictionModel.settle]
-LAWS = [*(name for name in model_names() if name not in REMEMBER), Rubbing(1)]
+LAWS = [*model_names(), Rubbing(1)]
 BENCHES = {
     "a late command": (
         "coulomb_stribeck",
@@ -117,10 +117,10 @@ def name_of(law):
 
 
 def pairs():
-    """Every law in MuJoCo C, and in MJX, which takes seconds to compile, one that has all terms."""
+    """Every law in MuJoCo C, and in MJX, which takes seconds to compile, one with all terms and one with a memory."""
     for law in LAWS:
         yield pytest.param(MujocoC, law, id=f"mujoco-{name_of(law)}")
-        marks = [] if name_of(law) == "rubbing" else [pytest.mark.slow]
+        marks = [] if name_of(law) in ("rubbing", "lugre") else [pytest.mark.slow]
         yield pytest.param(Mjx, law, id=f"mjx-{name_of(law)}", marks=marks)
 
 
@@ -213,7 +213,7 @@ def test_another_law_is_refitted_and_says_what_that_costs(tmp_path):
     assert rms == pytest.approx(after, rel=1e-2)  # three digits are printed
 
 
-@pytest.mark.parametrize("target", ["mjx", "mujoco", "onnx", "torchscript"])
+@pytest.mark.parametrize("target", ["onnx", "torchscript"])
 def test_a_law_that_remembers_is_no_function_of_an_instant(target, tmp_path, monkeypatch):
     monkeypatch.setattr(Fitted, "load", lambda folder: make_fitted("lugre"))
     with pytest.raises(ExportError, match=f"target={target}: lugre remembers what was before, expected"):
@@ -250,11 +250,45 @@ def test_an_installed_drive_acts_in_mj_step(tmp_path):
     assert data.qpos[0] == pytest.approx(fitted.rollout()[0][0, -1, 0], abs=EXACT)
 
 
+def test_a_module_remembers_steps_and_not_calls(tmp_path):
+    """mj_forward between steps changes nothing; a reset, by MuJoCo or by hand, begins as the first step does."""
+    fitted = make_fitted("lugre")
+    MujocoC().write(fitted, tmp_path, {})
+    module = load_module(tmp_path / "drive.py")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "bench.xml"))
+    data, drive = mujoco.MjData(model), module.Drive(model)
+    commands, expected = fitted.segments.commands[0], fitted.rollout()[0][0]
+
+    def run(forward: bool) -> np.ndarray:
+        data.qpos[:], data.qvel[:] = fitted.segments.qpos[0, 0], fitted.segments.qvel[0, 0]
+        found = []
+        for command in commands:
+            data.ctrl[:] = command
+            if forward:
+                mujoco.mj_forward(model, data)
+            mujoco.mj_step(model, data)
+            found.append(data.qpos.copy())
+        return np.array(found)
+
+    drive.install()
+    try:
+        runs = {"plain": run(False)}
+        mujoco.mj_resetData(model, data)
+        runs["forward"] = run(True)
+        drive.reset()
+        runs["reset by hand"] = run(False)
+        runs["no reset"] = run(False)
+    finally:
+        mujoco.set_mjcb_control(None)
+    distance = {name: np.abs(qpos - expected).max() for name, qpos in runs.items()}
+    assert max(distance[name] for name in ("plain", "forward", "reset by hand")) < EXACT
+    assert distance["no reset"] > 1e-6  # the bristles are still bent
+
+
 def test_a_module_needs_nothing_of_this_package(tmp_path):
-    fitted = make_fitted("neural_friction")
-    for target in (MujocoC, Mjx):
-        folder = tmp_path / target.name
-        folder.mkdir()
+    for target, law in itertools.product((MujocoC, Mjx), ("neural_friction", "history_network")):
+        fitted, folder = make_fitted(law), tmp_path / target.name / law
+        folder.mkdir(parents=True)
         names = write_module(
             *(fitted, folder, f"{target.name}_drive.py.jinja", "drive.py"),
             **dict.fromkeys(("example_inputs", "example_install", "late_remark"), ""),

@@ -23,7 +23,6 @@ class Mjx(Target):
     """A Python module, of jax and mujoco-mjx alone, that brings the law itself into MJX's step."""
 
     packages: ClassVar[tuple[str, ...]] = ("mujoco", "jax", "numpy")
-    instant: ClassVar[bool] = True
 
     def write(self, fitted: Fitted, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
@@ -45,18 +44,25 @@ def _run(folder: Path, fitted: Fitted) -> Float[np.ndarray, "batch time nv"]:
     model = mujoco.MjModel.from_xml_path(str(folder / BENCH))
     segments = fitted.segments
 
+    remembers = fitted.model.memory > 0
+
+    def act(before: Any, channels: Any) -> tuple[Any, Any, Mapping[str, Any]]:
+        command, *rest = jnp.split(channels, 1 + len(module.INPUTS))
+        before = jnp.concatenate([before[1:], command[None]])
+        return before, module.late(before, fitted.timestep), dict(zip(module.INPUTS, rest, strict=True))
+
     @jax.jit
     def rollout(model: mjx.Model, data: mjx.Data, commands: Any) -> Any:
-        def step(state: tuple[Any, Any], channels: Any) -> tuple[Any, Any]:
-            data, before = state
-            command, *rest = jnp.split(channels, 1 + len(module.INPUTS))
-            before = jnp.concatenate([before[1:], command[None]])
-            acting = module.late(before, fitted.timestep)
-            data = module.step(model, data, acting, dict(zip(module.INPUTS, rest, strict=True)))
-            return (data, before), data.qpos
+        def step(state: tuple[Any, ...], channels: Any) -> tuple[Any, Any]:
+            before, *drive = state
+            before, *acting = act(before, channels)
+            drive = module.step(model, *drive, *acting)
+            data, *memory = drive if remembers else (drive,)
+            return (before, data, *memory), data.qpos
 
         now, before = commands
-        return jax.lax.scan(step, (data, before), now)[1]
+        memory = [module.reset(model, data, *act(before, now[0])[1:])] if remembers else []
+        return jax.lax.scan(step, (before, data, *memory), now)[1]
 
     found = []
     for number in range(segments.count):

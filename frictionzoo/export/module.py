@@ -54,9 +54,10 @@ def write_module(fitted: Fitted, folder: Path, template: str, name: str, **more:
 
 
 def _describe(fitted: Fitted, values: str, weights: bool) -> Mapping[str, Any]:
-    law, actuator = read_source(fitted.model, "terms"), read_source(fitted.bench.actuator, "control")
-    shared = merge(law, actuator)
     model = fitted.model
+    law = read_source(model, *(("terms", "settle", "advance") if model.memory else ("terms",)))
+    actuator = read_source(fitted.bench.actuator, "control")
+    shared = merge(law, actuator)
     return {
         "title": f"The friction law {model.name} of {', '.join(fitted.bench.joints)}, with identified values.",
         "version": __version__,
@@ -72,6 +73,7 @@ def _describe(fitted: Fitted, values: str, weights: bool) -> Mapping[str, Any]:
         "weights": WEIGHTS if weights else "",
         "actuator": write_values(fitted.values["bench"])[0],
         "constraint": model.constraint,
+        "memory": model.memory,
         "controls": controls(fitted),
         "delayed": "delay" in fitted.values["bench"],
     }

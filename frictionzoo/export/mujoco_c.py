@@ -20,7 +20,6 @@ class MujocoC(Target):
     """A Python module, of numpy and mujoco alone, that brings the law itself into MuJoCo C's step."""
 
     packages: ClassVar[tuple[str, ...]] = ("mujoco", "numpy")
-    instant: ClassVar[bool] = True
 
     def write(self, fitted: Fitted, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""

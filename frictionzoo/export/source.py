@@ -24,7 +24,7 @@ _MODULES: Mapping[ModuleType, str] = {np: "numpy", math: "math"}
 
 @dataclass
 class Source:
-    """What a module needs so that one method of an object can be called there.
+    """What a module needs so that methods of an object can be called there.
 
     Attributes:
         imports: Import statements.
@@ -50,18 +50,19 @@ class Source:
         return f"class {name}:\n" + textwrap.indent("\n\n".join(body), 4 * " ") + "\n"
 
 
-def read_source(owner: Any, method: str) -> Source:
-    """What stands behind one method of an object, in numbers and Python over an array namespace.
+def read_source(owner: Any, *methods: str) -> Source:
+    """What stands behind methods of an object, in numbers and Python over an array namespace.
 
     Args:
         owner: A friction law or an actuator law.
-        method: Its name.
+        methods: Their names.
 
     Raises:
-        ExportError: The method needs something that cannot be written down: another package, a closure, an object.
+        ExportError: A method needs something that cannot be written down: another package, a closure, an object.
     """
     source = Source()
-    _add_method(source, owner, method)
+    for method in methods:
+        _add_method(source, owner, method)
     return source
 
 

@@ -97,7 +97,7 @@ def _write(fitted: Fitted, name: str, place: Path, timestep: float | None, optio
     if target.instant and fitted.model.memory:
         raise ExportError(
             f"target={name}: {fitted.model.name} remembers what was before, expected a law of the present state; take "
-            "target=mjcf, which writes the nearest friction of MuJoCo's own, or fit another model"
+            "target=mujoco or mjx, whose modules remember too, or fit another model"
         )
     moved = fitted if timestep is None else fitted.at(timestep)
     own = {option: value for option, value in options.items() if option in target.options}

@@ -1,0 +1,104 @@
+"""Friction as a neural network that remembers."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+
+from frictionzoo.errors import ConfigError
+from frictionzoo.models.network import NetworkModel
+from frictionzoo.models.registry import register_model
+from frictionzoo.types import DriveState, FrictionTerms
+
+
+@register_model("history_network")
+class HistoryNetwork(NetworkModel):
+    """A gated recurrent unit of what the drive is doing, in continuous time: friction may depend on what was before.
+
+    torque = s (N_0(x) + h_1 + ... + h_n),  dh_i/dt = (N_i(x) - h_i) / t_i(x),  x = (q, v, a, tau_e)
+    t_i(x) = t_long (t_short / t_long)^sigmoid(N_(n+i)(x))
+
+        q       joint position [rad or m]
+        v       joint velocity [rad/s or m/s]
+        a       command of the joint's actuator, in the actuator's unit
+        tau_e   external torque [N m or N]
+        N       multilayer perceptron of 1 + 2 n outputs, of the inputs less their mean, over their standard deviation
+                in the training data, and held within 5 of them; the joints share it, and each is seen alone
+        h_i     the law's memory, n = memory numbers a joint
+        t_i     time constant of h_i [s], between t_short and t_long, which are known
+        s       torque_scale [N m or N], standard deviation of the actuator's torque in the training data
+
+    In a step dt, h_i moves by the share 1 - exp(-dt / t_i) towards N_i: the exact solution for an x that is constant in
+    the step, and a gated recurrent unit whose update gate is this share. The memory is hence one of time and not of
+    steps: fitted at one time step it is the same law at another, but for an error of the first order in the step.
+    N_i and t_i see x and not h, so that what a long constant state leads to, with which a rollout begins, is N_i(x)
+    itself. There the law is s (N_0 + N_1 + ... + N_n), a network without memory.
+
+    Dahl's spring that yields is a special case, t_1 = f_c / (stiffness |v|) and N_1 = f_c sign(v) / s.
+
+    The law starts near zero, and the time constants of the units start evenly on a logarithmic scale. A memory is
+    learned from what lies within a segment: one of 5 ms teaches nothing about a time constant of 1 s.
+
+    Cannot represent: sticking, coupling between joints, a memory whose rate depends on the memory itself, such as
+    elements that slip at a limit of their own force. It extrapolates without sense outside the training data, may give
+    energy to the drive, and takes up any other error of the simulation, lags of motor and sensors among them.
+
+    Source: L. Feng, F. Tung, M. O. Ahmed, Y. Bengio, H. Hajimirsadeghi, "Were RNNs All We Needed?", 2024, minGRU: a
+    gated recurrent unit whose gate and candidate see the inputs alone; time constants that depend on the inputs: R.
+    Hasani, M. Lechner, A. Amini, D. Rus, R. Grosu, "Liquid Time-constant Networks", AAAI 2021. V. Kovalev et al., Proc.
+    MIPT 18(2), 2026, leave a short history of states open; this form of it is this package's.
+
+    Args:
+        nv: Number of joints.
+        hidden: Width of each hidden layer.
+        memory: How many numbers it remembers of each joint.
+        time_constants: t_short and t_long [s].
+        seed: Of the initial weights; torch's global generator is not touched.
+
+    Raises:
+        ConfigError: A width is below 1, there is no memory, or the time constants are not two positive ones, the
+            shorter first.
+    """
+
+    time_constants: torch.Tensor
+
+    def __init__(self, nv: int, hidden: Sequence[int], memory: int, time_constants: Sequence[float], seed: int) -> None:
+        if memory < 1:
+            raise ConfigError(f"model.memory={memory}; expected at least 1")
+        super().__init__(nv, hidden, 1 + 2 * memory, seed)
+        if len(time_constants) != 2 or not 0 < time_constants[0] < time_constants[1] < float("inf"):
+            raise ConfigError(f"model.time_constants={list(time_constants)}; expected two above 0 s, the shorter first")
+        self.memory = memory
+        # With the values, since the bounds are part of the law.
+        self.register_buffer("time_constants", torch.tensor(list(time_constants), dtype=torch.float64))
+        shares = (torch.arange(memory, dtype=torch.float64) + 0.5) / memory
+        with torch.no_grad():
+            self.layers[-1].get_parameter("bias")[1 + memory :] = torch.logit(shares)
+
+    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+        """The explicit torque once the memory has settled."""
+        return self._torque(xp, values, *self._answer(xp, values, state)[:2])
+
+    def settle(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> Any:
+        """The candidates, which a constant state leads to."""
+        return self._answer(xp, values, state)[1]
+
+    def advance(
+        self, xp: Any, values: Mapping[str, Any], state: DriveState, memory: Any, timestep: float
+    ) -> tuple[FrictionTerms, Any]:
+        """The explicit torque with the memory in this state."""
+        present, candidate, gate = self._answer(xp, values, state)
+        short, long = values["time_constants"][0], values["time_constants"][1]
+        # sigmoid(x) = (1 + tanh(x / 2)) / 2: torch and jax.numpy share tanh alone.
+        time = long * xp.exp(0.5 * (1 + xp.tanh(0.5 * gate)) * xp.log(short / long))
+        memory = memory - xp.expm1(-timestep / time) * (candidate - memory)
+        return self._torque(xp, values, present, memory), memory
+
+    def _answer(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> tuple[Any, Any, Any]:
+        """What acts at once, and of each unit the candidate and the gate."""
+        answer = self.network(xp, values, self.bounded(xp, values, state))
+        split = 1 + self.memory
+        return answer[..., 0], answer[..., 1:split], answer[..., split:]
+
+    def _torque(self, xp: Any, values: Mapping[str, Any], present: Any, memory: Any) -> FrictionTerms:
+        return FrictionTerms(torque=values["torque_scale"] * (present + xp.sum(memory, -1)))
