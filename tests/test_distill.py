@@ -14,7 +14,8 @@ import torch
 from conftest import Finished
 from jax.experimental.compilation_cache import compilation_cache as jax_cache
 
-from frictionzoo.compare.__main__ import main as compare
+from frictionzoo.compare.comparison import compare_runs
+from frictionzoo.compare.runs import read_runs
 from frictionzoo.config import compose_config
 from frictionzoo.distill.__main__ import main
 from frictionzoo.export.__main__ import main as export
@@ -136,9 +137,8 @@ def test_a_networks_student_is_a_run(identify: Callable, distill: Callable, tmp_
     assert read(student)["fit"]["method"] == "lm" and read(student)["settings"]["teacher"] == str(network)
     assert not export([str(student), "target=mjcf"])
     assert json.loads((student / "export" / "mjcf" / "export.json").read_text())["model"] == "mujoco_default"
-    compare([str(network), str(student), "--output", str(tmp_path / "comparison")])
-    comparison = json.loads((tmp_path / "comparison" / "comparison.json").read_text())
-    assert {run["label"] for run in comparison["runs"]} == {"neural_friction", "mujoco_default"}
+    compared = compare_runs(*read_runs([network, student]))
+    assert {run["label"] for run in compared["runs"]} == {"neural_friction", "mujoco_default"}
 
 
 def test_a_student_may_be_the_larger_law(teacher: Path, distill: Callable, tmp_path: Path) -> None:
