@@ -57,13 +57,13 @@ def summarise_distillation(
         note: What `distillation.json` holds.
         folder: The student's.
     """
-    tests = (run["metrics"]["test"] for run in (student, teacher))
+    test, expected = (run["metrics"]["test"] for run in (student, teacher))
     rows = [("student and teacher differ by, RMS", "", "unit")]
     rows += [(f"{d['quantity']}, {d['over']}", _format_value(d["rms"]), d["unit"]) for d in note["differences"]]
     blocks = [
         f"{student['model']} in place of {teacher['model']} on {student['data']['name']}. {_say_kind(student['data'])}",
         align(_list_parameters(student)),
-        align(_list_errors(*tests, ("student", "teacher"))),
+        align(_list_errors(test, expected, ("student", "teacher"))),
         align(rows),
         *_warn(student),
         *note["notes"],
