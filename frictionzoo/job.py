@@ -5,7 +5,7 @@ import logging
 import os
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -20,8 +20,9 @@ from frictionzoo.bench import Bench
 from frictionzoo.build import build
 from frictionzoo.config import list_options
 from frictionzoo.engine import Engine, friction_of, make_engine
-from frictionzoo.errors import ConfigError
+from frictionzoo.errors import ConfigError, RunError
 from frictionzoo.evaluate import Evaluation, Judgement
+from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.mjcf import export_mjcf
 from frictionzoo.fit import Fit, Objective, Outcome, Space, fit_reference, run_fit
 from frictionzoo.logs.cache import cache_folder, digest
@@ -110,14 +111,42 @@ class Problem:
         fit = build(settings["fit"])
         return cls(bench, dataset, sampling, segments, evaluation, drive, samples, objective, fit, device)
 
+    def following(self, teacher: Fitted, settings: Mapping[str, Any]) -> "Problem":
+        """The same problem with a fitted drive's rollouts in place of the measured segments, judged as before.
 
-def run_job(config: DictConfig, name: str, folder: Path) -> tuple[dict[str, Any], str | None]:
+        The bench starts with the fitted values; its armature alone is free.
+
+        Args:
+            teacher: The drive, from a run with the same bench, data and evaluation.
+            settings: Those of this problem.
+
+        Raises:
+            RunError: The recordings are not those of the teacher's run any more, or the teacher diverges.
+        """
+        came = {"data": describe_data(self.dataset)["sha256"], "evaluation": self.evaluation.sha256}
+        for what, sha256 in came.items():
+            if sha256 != (expected := teacher.result[what]["sha256"]):
+                raise RunError(
+                    f"{teacher.folder}: {what} with SHA-256 {sha256[:12]}, expected {expected[:12]} as when it ran; "
+                    "restore its recordings or run it again"
+                )
+        bench, segments = self.bench.restarted(teacher.values["bench"]), teacher.follow(self.segments)
+        drive = Drive.assemble(bench, self.drive.model, settings["engine"], self.sampling)
+        space = Space(bench, drive.model, settings["dtype"])
+        objective = Objective(space, drive.rollout, segments, **settings["loss"])
+        return replace(self, bench=bench, segments=segments, drive=drive, objective=objective)
+
+
+def run_job(
+    config: DictConfig, name: str, folder: Path, teacher: Fitted | None = None
+) -> tuple[dict[str, Any], str | None]:
     """Identify a drive and write what a run leaves behind.
 
     Args:
         config: The composed configuration.
         name: The chosen model, as in conf/model.
         folder: The run's folder.
+        teacher: The fitted drive that this one is to follow instead of the measured training segments; None for none.
 
     Returns:
         What `result.json` holds, and one line of complaint if the fit diverged.
@@ -128,7 +157,8 @@ def run_job(config: DictConfig, name: str, folder: Path) -> tuple[dict[str, Any]
     began = time.perf_counter()
     settings = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
     logger = build(settings["logger"])
-    problem = Problem.pose(settings)
+    measured = Problem.pose(settings)
+    problem = measured if teacher is None else measured.following(teacher, settings)
     timing = {"setup": time.perf_counter() - began}
     segments = problem.segments
     engine = problem.drive.engine
@@ -153,7 +183,7 @@ def run_job(config: DictConfig, name: str, folder: Path) -> tuple[dict[str, Any]
 
     judged = time.perf_counter()
     judgement = problem.evaluation.judge(problem.drive.rollout.compiled, outcome.values)
-    baseline = _judge_baseline(problem, settings["dtype"], cache_folder(settings["compilation_cache"]))
+    baseline = _judge_baseline(measured, settings["dtype"], cache_folder(settings["compilation_cache"]))
     timing |= {"evaluate": time.perf_counter() - judged}
 
     _write_drive(folder, problem, outcome, judgement, baseline)

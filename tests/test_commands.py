@@ -236,6 +236,14 @@ def export(command: str, place: Place) -> None:
     assert written and all(json.loads(path.read_text())["files"] for path in written)
 
 
+@rule(r"python -m frictionzoo\.distill RUN .*")
+def distill(command: str, place: Place) -> None:
+    place.do("model=coulomb_stribeck", "hydra.run.dir=RUN")
+    place.run(command)
+    (path,) = place.folder.rglob("distillation.json")
+    assert len(json.loads(path.read_text())["differences"]) == 2
+
+
 @rule(r"python -m frictionzoo\.export\.read_bam FILE\.json")
 def read_bam(command: str, place: Place) -> None:
     (place.folder / "FILE.json").write_text(json.dumps(M1))

@@ -8,14 +8,14 @@ import pytest
 
 PACKAGE = Path(__file__).parent.parent / "frictionzoo"
 LEVELS = {
-    **dict.fromkeys(("types", "errors", "params", "output", "registry", "threads"), 0),
+    **dict.fromkeys(("types", "errors", "params", "options", "output", "registry", "threads"), 0),
     **dict.fromkeys(("logs", "segments"), 1),
     **dict.fromkeys(("models", "build"), 2),
     **dict.fromkeys(("bench", "engine", "rollout"), 3),
     **dict.fromkeys(("bridge", "check"), 4),
     **dict.fromkeys(("fit",), 5),
     **dict.fromkeys(("evaluate", "compare", "report", "export"), 6),
-    **dict.fromkeys(("config", "job", "sweep", "run", "inspect"), 7),
+    **dict.fromkeys(("config", "job", "sweep", "run", "inspect", "distill"), 7),
 }
 FORBIDDEN = {0: {"torch", "jax", "mujoco"}, 1: {"torch", "jax"}, 2: {"jax"}, 3: {"torch"}}
 FILES = [path for path in sorted(PACKAGE.rglob("*.py")) if path != PACKAGE / "__init__.py"]

@@ -1,5 +1,6 @@
 """A bench: the MJCF around the drive, the joints that are identified, and the actuator that drives them."""
 
+import copy
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -22,6 +23,7 @@ NO_PAYLOAD = Payload(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 _TIMESTEP_TOLERANCE = 0.01  # share by which the log's interval may differ from a whole number of simulation steps
 _PARAMS = {"armature": "inertia", "delay": "time", "position_offset": "position"}
 _OPTIONAL = ("delay", "position_offset")
+_HEAVIER = 100.0  # times a fitted armature, or a part of it, within which it may move where a bench starts again
 
 
 class Bench:
@@ -69,6 +71,7 @@ class Bench:
         self.params: dict[str, Param] = {**read_params("bench", _PARAMS, params, _OPTIONAL), **actuator.params}
         if "delay" in self.params and self.params["delay"].low < 0:
             raise ConfigError(f"bench.params.delay.low={self.params['delay'].low:g}; expected 0 s or more")
+        self._start: dict[str, np.ndarray] = {}  # initial values that are not those of `params`
         self._solreffriction = [float(number) for number in solreffriction]
         self._template = _read_template(mjcf)
         if timestep is not None:
@@ -98,7 +101,25 @@ class Bench:
 
     def initial_values(self) -> dict[str, np.ndarray]:
         """Initial value of each parameter, of shape (nv,)."""
-        return {name: np.full(self.nv, param.init) for name, param in self.params.items()}
+        return {name: np.full(self.nv, param.init) for name, param in self.params.items()} | self._start
+
+    def restarted(self, values: Mapping[str, Float[np.ndarray, "nv"]]) -> "Bench":
+        """The same test stand for another law in place of one that was fitted: the armature alone is free.
+
+        What else was identified stays: another law's rollouts would move it to make up for what the law cannot.
+
+        Args:
+            values: Fitted value of each of `params`, with which it starts.
+        """
+        armature = np.asarray(values["armature"])
+        bounds = {"low": float(armature.min()) / _HEAVIER, "high": float(armature.max()) * _HEAVIER}
+        free = Param("armature", "inertia", float(armature[0]), **bounds, scale="log", identify=True)
+        other = copy.copy(self)
+        other.params = {name: replace(param, identify=False) for name, param in self.params.items()} | {
+            "armature": free
+        }
+        other._start = {name: np.array(value) for name, value in values.items()}
+        return other
 
     def mjcf(
         self,

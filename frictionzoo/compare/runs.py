@@ -20,7 +20,7 @@ from frictionzoo.report.result import SCHEMA_VERSION, read_schema
 MOST_NAMED = 2  # options in a label
 # Options that may differ between runs that are compared, and are then named. A law's own options belong to the law, and
 # data and evaluation must not differ.
-NAMED = ("seed", "dtype", "engine", "segments", "loss", "fit", "bench")
+NAMED = ("seed", "dtype", "engine", "segments", "loss", "fit", "bench", "teacher")
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from frictionzoo.errors import ConfigError, FrictionzooError
+from frictionzoo.errors import FrictionzooError
+from frictionzoo.options import read_options
 
 _OPTIONS = """options: target=NAME or target=all; timestep=SECONDS of the simulation, that of the run where it is left
 out; output=FOLDER, export/NAME in the run's where it is left out; and those of the target."""
@@ -23,7 +24,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from frictionzoo.export.write import write_exports
 
     try:
-        print(summarise_exports(write_exports(parsed.folder, _read_options(parsed.options))))
+        print(summarise_exports(write_exports(parsed.folder, read_options(parsed.options, "target=mjcf"))))
     except FrictionzooError as error:
         print(f"frictionzoo: {error}", file=sys.stderr)
         return 2
@@ -40,18 +41,6 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("folder", metavar="RUN", type=Path, help="the folder of a finished run")
     parser.add_argument("options", metavar="KEY=VALUE", nargs="*", help="target=NAME, and more")
     return parser.parse_args(arguments)
-
-
-def _read_options(texts: Sequence[str]) -> dict[str, str]:
-    options: dict[str, str] = {}
-    for text in texts:
-        key, equals, value = text.partition("=")
-        if not equals or not key or not value:
-            raise ConfigError(f"{text}: expected KEY=VALUE, such as target=mjcf")
-        if key in options:
-            raise ConfigError(f"{text}: {key} is given twice; give it once")
-        options[key] = value
-    return options
 
 
 if __name__ == "__main__":

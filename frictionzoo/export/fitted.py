@@ -129,6 +129,26 @@ class Fitted:
             qpos, qvel = (np.array(part, np.float64) for part in found)
         return qpos, qvel
 
+    def follow(self, segments: Segments) -> Segments:
+        """The segments with the states of this drive, from their first ones on, in place of the measured ones.
+
+        Args:
+            segments: Initial states and commands.
+
+        Raises:
+            RunError: The drive diverges in one of them.
+        """
+        measured = segments.qpos, segments.qvel
+        pairs = zip(measured, self.rollout(segments), strict=True)
+        qpos, qvel = (np.concatenate([states[:, :1], own], axis=1) for states, own in pairs)
+        lost = np.logical_not((np.isfinite(qpos) & np.isfinite(qvel)).all(axis=(1, 2)))
+        if lost.any():
+            raise RunError(
+                f"{self.folder}: the fitted drive diverges in {lost.sum()} of {segments.count} rollouts of "
+                f"{segments.length * segments.timestep:g} s, expected none to follow it; fit it again"
+            )
+        return replace(segments, qpos=qpos, qvel=qvel)
+
     def commands(
         self, segments: Segments | None = None, late: bool = True
     ) -> Float[np.ndarray, "batch time substeps channels"]:

@@ -1,26 +1,24 @@
 """MuJoCo's own joint friction that moves a bench most like a law that MuJoCo does not have."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import jax
 import numpy as np
 import torch
 from jaxtyping import Float
 
-from frictionzoo.bench import Bench
 from frictionzoo.engine import friction_of, make_engine
-from frictionzoo.errors import ExportError
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.mjcf import evaluate_law, is_constant, nearest_frictionloss_and_damping
 from frictionzoo.fit import LevenbergMarquardt, Objective, Space
 from frictionzoo.models import MujocoDefault
 from frictionzoo.models.base import sliding_torque
-from frictionzoo.params import UNITS, Param
+from frictionzoo.params import UNITS
 from frictionzoo.rollout import make_rollout
+from frictionzoo.types import Segments
 
 _ITERATIONS = 50  # a dozen is usual
 _SMALLEST, _LARGEST = 1e-6, 1e3  # of the typical torque, between which friction is looked for
-_HEAVIER = 100.0  # times the identified armature, or a part of it, within which it may move
 
 
 @dataclass(frozen=True)
@@ -61,26 +59,8 @@ def find_nearest(fitted: Fitted) -> Nearest:
     return _refit(fitted, *start)
 
 
-class _Restarted(Bench):
-    """A bench whose initial values are a fitted drive's, and of which the armature alone is free."""
-
-    def __init__(self, fitted: Fitted) -> None:
-        self.__dict__.update(fitted.bench.__dict__)  # the template that was read, and what came of it
-        self._values = dict(fitted.values["bench"])
-        armature = self._values["armature"]
-        bounds = {"low": float(armature.min()) / _HEAVIER, "high": float(armature.max()) * _HEAVIER}
-        known = {name: replace(param, identify=False) for name, param in self.params.items()}
-        free = Param("armature", "inertia", float(armature[0]), **bounds, scale="log", identify=True)
-        self.params = {**known, "armature": free}
-
-    def initial_values(self) -> dict[str, np.ndarray]:
-        return dict(self._values)
-
-
 def _refit(fitted: Fitted, loss: Float[np.ndarray, "nv"], damping: Float[np.ndarray, "nv"]) -> Nearest:
-    followed = fitted.rollout()
-    if not all(np.isfinite(part).all() for part in followed):
-        raise ExportError(f"{fitted.folder}: the fitted drive diverges in its own long rollouts; fit it again")
+    followed = fitted.follow(fitted.segments)
     with jax.enable_x64(True):
         objective = _pose(fitted, followed, loss, damping)
         fit = LevenbergMarquardt(_ITERATIONS, 1e-8)
@@ -93,13 +73,10 @@ def _refit(fitted: Fitted, loss: Float[np.ndarray, "nv"], damping: Float[np.ndar
 
 
 def _pose(
-    fitted: Fitted,
-    followed: tuple[np.ndarray, np.ndarray],
-    loss: Float[np.ndarray, "nv"],
-    damping: Float[np.ndarray, "nv"],
+    fitted: Fitted, followed: Segments, loss: Float[np.ndarray, "nv"], damping: Float[np.ndarray, "nv"]
 ) -> Objective:
     """The mean square distance of MuJoCo's friction from these rollouts, from this friction on."""
-    bench, segments = _Restarted(fitted), fitted.segments
+    bench = fitted.bench.restarted(fitted.values["bench"])
     torque = float(np.std(fitted.samples.motor_torque)) or 1.0
     sizes = {"frictionloss": torque, "damping": torque / (float(np.std(fitted.samples.qvel)) or 1.0)}
     model = MujocoDefault(bench.nv, {name: _free(size) for name, size in sizes.items()})
@@ -107,12 +84,7 @@ def _pose(
         start = np.clip(value, 2 * _SMALLEST * sizes[name], _LARGEST * sizes[name])
         model.get_parameter(name).data.copy_(torch.from_numpy(start))
     rollout = make_rollout(make_engine("auto", bench, friction_of(model), model.constraint), fitted.sampling)
-    qpos, qvel = (
-        np.concatenate([measured[:, :1], part], axis=1)
-        for measured, part in zip((segments.qpos, segments.qvel), followed, strict=True)
-    )
-    own = replace(segments, qpos=qpos, qvel=qvel)
-    return Objective(Space(bench, model, "float64"), rollout, own, 1.0, 0.0, "none", 1.0, False)
+    return Objective(Space(bench, model, "float64"), rollout, followed, 1.0, 0.0, "none", 1.0, False)
 
 
 def _free(size: float) -> dict[str, float | bool]:

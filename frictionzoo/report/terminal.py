@@ -35,11 +35,38 @@ def summarise_in_markdown(result: Mapping[str, Any], folder: Path) -> str:
 
 
 def _arrange(result: Mapping[str, Any], folder: Path, tabulate: Callable[[Rows], str]) -> str:
+    metrics = result["metrics"]
     blocks = [
         _say_origin(result),
         tabulate(_list_parameters(result)),
-        tabulate(_list_errors(result["metrics"])),
+        tabulate(_list_errors(metrics["test"], metrics["baseline"], ("this model", "no friction"))),
         *_warn(result),
+        f"files: {folder}",
+    ]
+    return "\n\n".join(blocks)
+
+
+def summarise_distillation(
+    student: Mapping[str, Any], teacher: Mapping[str, Any], note: Mapping[str, Any], folder: Path
+) -> str:
+    """The student's parameters, its errors beside its teacher's, how far the two are apart, and where the files are.
+
+    Args:
+        student: What its `result.json` holds.
+        teacher: What its `result.json` holds.
+        note: What `distillation.json` holds.
+        folder: The student's.
+    """
+    test, expected = (run["metrics"]["test"] for run in (student, teacher))
+    rows = [("student and teacher differ by, RMS", "", "unit")]
+    rows += [(f"{d['quantity']}, {d['over']}", _format_value(d["rms"]), d["unit"]) for d in note["differences"]]
+    blocks = [
+        f"{student['model']} in place of {teacher['model']} on {student['data']['name']}. {_say_kind(student['data'])}",
+        align(_list_parameters(student)),
+        align(_list_errors(test, expected, ("student", "teacher"))),
+        align(rows),
+        *_warn(student),
+        *note["notes"],
         f"files: {folder}",
     ]
     return "\n\n".join(blocks)
@@ -119,13 +146,13 @@ def _list_parameters(result: Mapping[str, Any]) -> Rows:
     return rows
 
 
-def _list_errors(metrics: Mapping[str, Any]) -> Rows:
-    test, baseline = metrics["test"], metrics["baseline"]
-    rows = [(f"test, {test['rollouts']} x {test['horizon']:g} s", "this model", "no friction", "unit", "change")]
+def _list_errors(test: Mapping[str, Any], reference: Mapping[str, Any], names: tuple[str, str]) -> Rows:
+    """Errors of one drive beside those of another, and the change from that to it."""
+    rows = [(f"test, {test['rollouts']} x {test['horizon']:g} s", *names, "unit", "change")]
     for row, (key, unit) in ERRORS.items():
-        change = _format_change(test[key], baseline[key])
-        rows.append((row, _format_value(test[key]), _format_value(baseline[key]), test[unit], change))
-    rows.append(("diverged", str(test["diverged"]), str(baseline["diverged"]), "rollouts", ""))
+        change = _format_change(test[key], reference[key])
+        rows.append((row, _format_value(test[key]), _format_value(reference[key]), test[unit], change))
+    rows.append(("diverged", str(test["diverged"]), str(reference["diverged"]), "rollouts", ""))
     return rows
 
 

@@ -1,0 +1,1 @@
+"""A fitted drive's nearest one with a simpler law: `python -m frictionzoo.distill RUN model=NAME`."""

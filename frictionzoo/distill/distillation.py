@@ -1,0 +1,175 @@
+"""From a run's drive, the teacher, to the nearest with another law, the student, and what is lost on the way."""
+
+import json
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from omegaconf import DictConfig, OmegaConf
+
+from frictionzoo.build import build
+from frictionzoo.compare.runs import read_runs
+from frictionzoo.config import check_overrides, compose_config, list_choices
+from frictionzoo.errors import ConfigError, OutputError, closest
+from frictionzoo.export.fitted import Fitted
+from frictionzoo.export.mjcf import evaluate_law
+from frictionzoo.fit.lm import MOST_COORDINATES
+from frictionzoo.job import run_job
+from frictionzoo.models import FrictionModel
+from frictionzoo.models.base import sliding_torque
+from frictionzoo.output import to_json, write_atomically
+from frictionzoo.params import UNITS
+from frictionzoo.run import refuse_no_choice
+
+NOTE = "distillation.json"
+_GROUPS = ("model", "fit")  # what a student may choose anew, by the name of a file
+_SHARED = ("bench", "data", "scale", "evaluation", "resume", "experiment", "logger")  # what it has from its teacher
+
+
+@dataclass(frozen=True)
+class Distillation:
+    """A student beside its teacher.
+
+    Attributes:
+        folder: The student's.
+        teacher: What the teacher's `result.json` holds.
+        student: What the student's `result.json` holds.
+        note: What `distillation.json` holds: the teacher's folder, how far the two are apart, and what else there is to
+            say.
+        complaint: For a fit that diverged, one line.
+    """
+
+    folder: Path
+    teacher: Mapping[str, Any]
+    student: Mapping[str, Any]
+    note: Mapping[str, Any]
+    complaint: str | None
+
+
+def distill(folder: Path, options: Mapping[str, str]) -> Distillation:
+    """Fit a law to a drive's rollouts under the recorded training commands, and judge both on the test recordings.
+
+    The student's folder is that of a run, with `distillation.json` besides.
+
+    Args:
+        folder: Of the teacher's run.
+        options: `model`, a name; `output`, a folder; and options of a run that tell how to fit, all as text.
+
+    Raises:
+        FrictionzooError: The run or its recordings cannot be read any more, an option is impossible, or the teacher
+            diverges. Then nothing is left behind.
+    """
+    teacher = Fitted.load(folder)
+    own = {key: value for key, value in options.items() if key != "output"}
+    config = compose_student(teacher, own)
+    name = options["model"]
+    place = Path(options["output"]) if "output" in options else folder / "distilled" / name
+    if place.exists():
+        raise OutputError(f"{place}: it exists already, expected a new folder; remove it or set output to another")
+    try:
+        student, complaint = run_job(config, name, place, teacher)
+        note = to_json(_compare(teacher, place))
+        write_atomically(place / NOTE, (json.dumps(note, indent=2, allow_nan=False) + "\n").encode())
+    except BaseException:
+        shutil.rmtree(place, ignore_errors=True)
+        raise
+    return Distillation(place, teacher.result, student, note, complaint)
+
+
+def compose_student(teacher: Fitted, options: Mapping[str, str]) -> DictConfig:
+    """The configuration of the student's job: the teacher's, with another law and another fit.
+
+    Args:
+        teacher: The drive to follow.
+        options: `model`, and options of a run.
+
+    Raises:
+        ConfigError: One is missing, unknown, impossible or not the student's to choose.
+    """
+    if "model" not in options:
+        raise ConfigError(f"model is missing; give model=NAME, {closest('', list_choices('model'))}")
+    for option in options:
+        if option.partition(".")[0] in _SHARED:
+            raise ConfigError(f"{option}: teacher and student share it; leave it out")
+    chosen = {group: options[group] for group in _GROUPS if group in options}
+    refuse_no_choice([f"{group}={name}" for group, name in chosen.items()])
+    plain = _replace_choices(teacher, {"fit": "lm"} | chosen)
+    if "fit" not in chosen and _count(build(_resolve(plain)["model"], nv=teacher.bench.nv)) > MOST_COORDINATES:
+        plain = _replace_choices(teacher, {"fit": "adam"} | chosen)
+    values = [f"{option}={value}" for option, value in options.items() if option not in chosen]
+    config = OmegaConf.merge(plain, OmegaConf.from_dotlist(values))
+    assert isinstance(config, DictConfig)
+    check_overrides(config, plain)
+    config["teacher"] = str(teacher.folder.resolve())
+    return config
+
+
+def _replace_choices(teacher: Fitted, choices: Mapping[str, str]) -> DictConfig:
+    """The teacher's settings with these files of conf/ in place of their own; scales, say, are the settings'.
+
+    A drive's rollouts have neither noise nor outliers. So nothing is done against these, and the segments need not be
+    short: they are as long as the rollouts that judge, as many as hold no more states than the teacher's did.
+    """
+    settings = teacher.result["settings"]
+    composed = compose_config(*(f"{group}={name}" for group, name in choices.items()))
+    sections = {group: OmegaConf.to_container(composed[group], resolve=False) for group in choices}
+    count, length = (settings["segments"][key] for key in ("count", "length"))
+    longer = max(length, round(settings["evaluation"]["horizons"][0] / teacher.segments.timestep))
+    own = {
+        "loss": {**settings["loss"], "robust": "none", "refine": False},
+        "segments": {"count": None if count is None else max(1, count * length // longer), "length": longer},
+        "resume": None,
+    }
+    return OmegaConf.create({**settings, **sections, **own})
+
+
+def _resolve(config: DictConfig) -> dict[str, Any]:
+    resolved = OmegaConf.to_container(config, resolve=True)
+    assert isinstance(resolved, dict)
+    return {str(key): value for key, value in resolved.items()}
+
+
+def _count(model: FrictionModel) -> int:
+    """Numbers that make this law, known ones among them."""
+    return sum(values.numel() for values in model.parameters())
+
+
+def _compare(teacher: Fitted, folder: Path) -> dict[str, Any]:
+    """What `distillation.json` says: who followed whom, and how far apart they are."""
+    student = Fitted.load(folder)
+    qpos, own = (run.curves.qpos for run in read_runs([teacher.folder, folder])[0])
+    kept = np.isfinite(qpos).all(axis=(1, 2)) & np.isfinite(own).all(axis=(1, 2))
+    states, units = teacher.samples, UNITS[teacher.bench.joint_type]
+    torques = [sliding_torque(np, evaluate_law(model, states), states.qvel) for model in (teacher.model, student.model)]
+    return {
+        "teacher": str(teacher.folder.resolve()),
+        "differences": [
+            {
+                "quantity": "qpos",
+                "unit": units["position"],
+                "over": f"{kept.sum()} of {teacher.over}",
+                "rms": _rms((own - qpos)[kept]) if kept.any() else None,
+            },
+            {
+                "quantity": "friction torque",
+                "unit": units["torque"],
+                "over": f"{len(states.qvel)} recorded states of these",
+                "rms": _rms(torques[1] - torques[0]),
+            },
+        ],
+        "notes": _note(teacher.model, student.model),
+    }
+
+
+def _rms(difference: np.ndarray) -> float:
+    return float(np.sqrt(np.square(difference).mean()))
+
+
+def _note(teacher: FrictionModel, student: FrictionModel) -> list[str]:
+    before, after = _count(teacher), _count(student)
+    if after <= before:
+        return []
+    return [f"{student.name} is not the simpler law: it has {after} parameters, {teacher.name} {before}."]
