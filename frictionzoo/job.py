@@ -24,7 +24,7 @@ from frictionzoo.errors import ConfigError, RunError
 from frictionzoo.evaluate import Evaluation, Judgement
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.mjcf import export_mjcf
-from frictionzoo.fit import Fit, Objective, Outcome, Space, fit_reference, run_fit
+from frictionzoo.fit import Fit, Objective, Outcome, Space, estimate_uncertainty, fit_reference, run_fit
 from frictionzoo.logs.cache import cache_folder, digest
 from frictionzoo.models import Baseline, FrictionModel
 from frictionzoo.output import write_atomically
@@ -181,6 +181,10 @@ def run_job(
     )
     timing |= {"compile": outcome.compile_seconds, "fit": outcome.fit_seconds}
 
+    asked = time.perf_counter()
+    uncertainty = estimate_uncertainty(problem.objective, outcome.vector)
+    timing |= {"uncertainty": time.perf_counter() - asked}
+
     judged = time.perf_counter()
     judgement = problem.evaluation.judge(problem.drive.rollout.compiled, outcome.values)
     baseline = _judge_baseline(measured, settings["dtype"], cache_folder(settings["compilation_cache"]))
@@ -202,6 +206,7 @@ def run_job(
         settings=settings,
         engine=engine.name,
         device=problem.device,
+        uncertainty=uncertainty,
     )
     write_report(
         folder / "report.html",

@@ -4,7 +4,12 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from frictionzoo.errors import ConfigError, closest
+
+AT_BOUND = 1e-4
+"""Share of the bounds' distance, in the optimiser's coordinate, that counts as reaching a bound."""
 
 UNITS: dict[str, dict[str, str]] = {
     "hinge": {
@@ -119,6 +124,11 @@ class Param:
     def from_coordinate(self, coordinate: Any, xp: Any) -> Any:
         """The physical value of an optimiser's coordinate; `xp` is the array namespace."""
         return xp.exp(coordinate) if self.scale == "log" else coordinate * self.scale
+
+    def is_at_bound(self, value: Any) -> Any:
+        """Whether a physical value, or each one of an array, has reached a bound."""
+        at, low, high = (self.to_coordinate(np.asarray(x, np.float64), np) for x in (value, self.low, self.high))
+        return np.minimum(at - low, high - at) <= AT_BOUND * (high - low)
 
     def unit(self, joint_type: str) -> str:
         """Its unit on a `hinge` or a `slide`."""

@@ -261,3 +261,22 @@ class FrictionTerms(NamedTuple):
     torque: Any = None
     frictionloss: Any = None
     damping: Any = None
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """How far data determine what was identified from them.
+
+    Attributes:
+        intervals: Lower and upper end of the 95 % interval of each identified parameter by full name, `bench.armature`,
+            in its unit, of shape (nv, 2); NaN where there is none.
+        identifiable: Whether the data determine the parameter, in all joints.
+        indistinct: Groups of parameters that the data cannot tell apart. Of several joints, a name ends in `/` and the
+            joint's number.
+        missing: Why there are no intervals at all; None where there are.
+    """
+
+    intervals: Mapping[str, Float[np.ndarray, "nv 2"]] = field(default_factory=dict)
+    identifiable: Mapping[str, bool] = field(default_factory=dict)
+    indistinct: tuple[tuple[str, ...], ...] = ()
+    missing: str | None = None

@@ -219,10 +219,10 @@ def _make_result(place: int, label: str, curves: Curves, grid: bool) -> dict[str
             {
                 **{"name": "damping", "owner": "friction", "unit": "N m s/rad", "low": 0.1, "high": 100.0},
                 "value": damping.tolist() if joints > 1 else float(damping[0]),
-                **{"identified": True, "at_bound": False},
+                **{"identified": True, "at_bound": False, "interval": None, "identifiable": None},
             }
         ],
-        "network": None,
+        **{"indistinct": [], "no_intervals": "nobody asked", "network": None},
         "metrics": metrics,
         "by_horizon": [{"horizon": 0.5, **metrics}],
         "paper": {"a": paper, "b": paper},
@@ -231,7 +231,7 @@ def _make_result(place: int, label: str, curves: Curves, grid: bool) -> dict[str
             **{"method": "grid" if grid else "adam", "iterations": 3, "best_iteration": 3, "loss": 1.0},
             "stopped": "finished",
         },
-        "timing": {"setup": 1.0, "compile": 2.0, "fit": 3.25, "evaluate": 0.5, "total": 6.75},
+        "timing": {"setup": 1.0, "compile": 2.0, "fit": 3.25, "uncertainty": 0.25, "evaluate": 0.5, "total": 7.0},
         **{"seed": place, "dtype": "float32", "engine": "specialised"},
         "settings": {"seed": place},
     }

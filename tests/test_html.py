@@ -80,6 +80,15 @@ def test_the_page_answers_the_three_questions(record, tmp_path):
     assert links == ["result.json", "identified.xml"]  # what is there, and what is written next
 
 
+def test_intervals_stand_beside_the_values(record, tmp_path):
+    record["parameters"][0] |= {"value": [0.04, 0.05], "interval": [[0.03, 0.07], None], "identifiable": False}
+    record["parameters"][3] |= {"interval": [0.25, 0.35], "identifiable": True}
+    curves = {"bench.armature": np.ones((3, 2))}
+    page = Page(report(tmp_path / "report.html", record, joints=("a", "b"), **curves))
+    assert page.text.count("0.03 to 0.07") == page.text.count("0.25 to 0.35") == 1
+    assert page.text.count("not identifiable on these data") == 1
+
+
 def test_every_figure_has_a_heading_and_a_text(record, tmp_path):
     source = report(tmp_path / "report.html", record)
     canvases = Page(source).with_attribute("data-figure")
@@ -156,6 +165,13 @@ def test_no_doubts_about_a_good_run(record):
         ({"fit.stopped": "finished", "fit.method": "grid"}, "Fit", "good", "3 combinations"),
         ({"fit.stopped": "finished", "fit.method": "known"}, "Fit", "note", "Nothing was identified"),
         ({"parameters.0.at_bound": True}, "Bounds", "caution", "bench.armature ended at a bound of [0.001, 1] kg m²"),
+        (
+            {"no_intervals": None},
+            "Identifiability",
+            "caution",
+            "Not identifiable on these data: bench.armature, friction.",
+        ),
+        ({"indistinct": [["a.b", "c.d"]], "no_intervals": None}, "Identifiability", "caution", "apart a.b and c.d."),
         ({"metrics.train.position_mae": 1e-3}, "Test against train", "caution", "learnt its own data"),
         ({"metrics.train.position_mae": None}, "Test against train", "caution", "cannot be compared"),
         ({"metrics.baseline.position_mae": 1e-3}, "Gain", "bad", "no better than"),

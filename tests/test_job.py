@@ -72,7 +72,10 @@ def check_result(result: dict, name: str) -> None:
     assert result["fit"]["iterations"] == ITERATIONS[name]
     assert result["fit"]["stopped"] == "finished"
     assert 0 <= result["fit"]["best_iteration"] < ITERATIONS[name]
-    assert sum(result["timing"][part] for part in ("setup", "compile", "fit", "evaluate")) <= result["timing"]["total"]
+    assert (
+        sum(result["timing"][part] for part in ("setup", "compile", "fit", "uncertainty", "evaluate"))
+        <= result["timing"]["total"]
+    )
 
 
 def check_friction(run: Path, module: FrictionModel, result: dict) -> None:

@@ -18,15 +18,16 @@ from frictionzoo.evaluate import Evaluation, Prediction
 from frictionzoo.models.coulomb_stribeck import CoulombStribeck
 from frictionzoo.models.neural_friction import NeuralFriction
 from frictionzoo.output import write_atomically
+from frictionzoo.params import Param
 from frictionzoo.report.figures import draw_error, draw_parameters, draw_trajectory, save_figure, write_figures
-from frictionzoo.report.result import build_result, read_schema, write_result
+from frictionzoo.report.result import _list_parameters, build_result, read_schema, write_result
 from frictionzoo.report.terminal import summarise
-from frictionzoo.types import Dataset, Log, Segments
+from frictionzoo.types import Dataset, Log, Segments, Uncertainty
 
 TIMESTEP = 0.001
 FIT = {"method": "adam", "iterations": 3, "best_iteration": 2, "loss": 1e-6, "stopped": "all iterations made"}
 SETTINGS = {"seed": 0, "dtype": "float64", "segments": {"count": 20, "length": 5}}
-TIMING = {"setup": 1.0, "compile": 2.0, "fit": 3.0, "evaluate": 0.5, "total": 6.5}
+TIMING = {"setup": 1.0, "compile": 2.0, "fit": 3.0, "uncertainty": 0.25, "evaluate": 0.25, "total": 6.5}
 PARAMS = {
     "static_torque": {"init": 0.3, "low": 1e-3, "high": 1.0, "scale": "log", "identify": True},
     "kinetic_torque": {"init": 0.2, "low": 1e-3, "high": 1.0, "scale": "log", "identify": True},
@@ -101,6 +102,7 @@ def build(bench, model, dataset, evaluation, friction, offset=0.01, **changes):
         "settings": SETTINGS,
         "engine": "mjx",
         "device": "cpu",
+        "uncertainty": Uncertainty(missing="nobody asked"),
     }
     shared = {"bench": bench, "model": model, "dataset": dataset, "evaluation": evaluation}
     return build_result(name=model.name, **shared, **(options | changes))
@@ -152,6 +154,8 @@ def test_result_says_what_was_done(result):
         "high": 1.0,
         "identified": True,
         "at_bound": False,
+        "interval": None,
+        "identifiable": None,
     }
     assert parameters["bench", "armature"]["unit"] == "kg m^2"
     assert result["network"] is None
@@ -220,6 +224,9 @@ def breakages():
         (("parameters", 0, "unit"), ...),
         (("parameters", 0, "value"), None),
         (("parameters", 0, "value"), [0.1]),
+        (("parameters", 0, "interval"), [0.1]),
+        (("parameters", 0, "interval"), [[0.1, 0.2]]),
+        (("indistinct",), [["friction.damping"]]),
         (("network",), {"weights": 0}),
         (("metrics", "test", "position_mae"), -1.0),
         (("metrics", "test", "rollouts"), 2.5),
@@ -312,6 +319,42 @@ def test_summary_warns_at_a_bound(bench, model, dataset, evaluation):
         build(bench, model, dataset, evaluation, VALUES | {"kinetic_torque": np.array([1.0])}), Path("run")
     )
     assert "warning: friction.kinetic_torque ended at a bound of [0.001, 1] N m" in text
+
+
+def test_a_result_says_what_the_data_determine(bench, model, dataset, evaluation):
+    name, group = "friction.static_torque", ("friction.kinetic_torque", "friction.stribeck_velocity")
+    intervals = {name: np.array([[0.25, 0.35]])} | dict.fromkeys(group, np.full((1, 2), np.nan))
+    identifiable = {name: True} | dict.fromkeys(group, False)
+    found = Uncertainty(intervals, identifiable, (group,))
+    result = build(bench, model, dataset, evaluation, VALUES, uncertainty=found)
+    validate(result)
+    told = {p["name"]: (p["interval"], p["identifiable"]) for p in result["parameters"]}
+    assert told["static_torque"] == ([0.25, 0.35], True)
+    assert told["kinetic_torque"] == told["stribeck_velocity"] == (None, False)
+    assert told["kp"] == (None, None)
+    assert result["indistinct"] == [list(group)] and result["no_intervals"] is None
+    text = summarise(result, Path("run"))
+    lines = {line.split("  ")[0]: line for line in text.splitlines()}
+    assert "0.25 to 0.35" in lines[name] and lines[name].endswith(" identified")
+    assert lines["friction.kinetic_torque"].endswith("not identifiable")
+    assert f"warning: not identifiable on these data: {', '.join(group)}" in lines
+    assert f"the data cannot tell apart {' and '.join(group)}" in text
+
+
+def test_each_joint_has_its_interval(result):
+    record = copy.deepcopy(result)
+    ends = {"bench.armature": np.array([[0.03, 0.05], [np.nan, np.nan]])}
+    (row,) = _list_parameters(
+        "bench",
+        {"armature": Param.from_config("armature", "inertia", ARMATURE["armature"])},
+        {"armature": np.array([0.04, 0.03])},
+        "hinge",
+        Uncertainty(ends, {"bench.armature": False}),
+    )
+    assert row["interval"] == [[0.03, 0.05], None]
+    record["parameters"][0] = row
+    validate(record)
+    assert "0.03 to 0.05, none" in summarise(record, Path("run"))
 
 
 def history(**values):

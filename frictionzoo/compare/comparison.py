@@ -23,7 +23,7 @@ from frictionzoo.compare.statistics import (
 from frictionzoo.output import to_json
 from frictionzoo.report.result import read_schema as result_schema
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 SHARED = ("data", "joints", "parameters", "network", "fit", "timing")  # sections taken over from result.json
 LONGEST_LAG = 0.5  # s, of the residuals' autocorrelation
 FEW = 8  # rollouts below which an interval over them says little

@@ -10,6 +10,7 @@ from frictionzoo.fit.loop import Outcome, run_fit
 from frictionzoo.fit.objective import Objective
 from frictionzoo.fit.reference import fit_reference
 from frictionzoo.fit.space import Space
+from frictionzoo.fit.uncertainty import estimate_uncertainty
 
 __all__ = [
     "Adam",
@@ -21,6 +22,7 @@ __all__ = [
     "Outcome",
     "RunLogger",
     "Space",
+    "estimate_uncertainty",
     "fit_reference",
     "run_fit",
 ]

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import lightning.pytorch as pl
 import numpy as np
 import torch
-from jaxtyping import Shaped
+from jaxtyping import Float, Shaped
 from lightning.pytorch.plugins import TorchCheckpointIO
 from lightning.pytorch.plugins.environments import LightningEnvironment
 from tqdm import tqdm
@@ -38,7 +38,8 @@ class Outcome:
 
     Attributes:
         method: The fit's name.
-        values: Physical values of all parameters at the best iteration, by owner and name.
+        vector: Coordinates of the best iteration.
+        values: Physical values of all parameters there, by owner and name.
         iterations: Iterations done.
         best_iteration: The one with the lowest loss on the whole training set, from 0.
         loss: That loss.
@@ -51,6 +52,7 @@ class Outcome:
     """
 
     method: str
+    vector: Float[np.ndarray, "coordinates"]
     values: Values
     iterations: int
     best_iteration: int
@@ -211,6 +213,7 @@ class FitModule(pl.LightningModule):
         trace = self._whole_history()
         return Outcome(
             method=self._fit.name,
+            vector=np.asarray(self.progress.best),
             values=jax.tree.map(np.asarray, self._objective.space.values(self.progress.best)),
             iterations=self.iteration,
             best_iteration=int(self.progress.best_iteration),

@@ -20,6 +20,9 @@ from frictionzoo.types import Segments
 BLOCK_STATES = 25_000
 """States that are simulated at once: they fit into a processor's cache, and memory does not grow with the log."""
 
+MOST_STRETCHES = 50
+"""Stretches into which the segments are divided at most, in their order in time."""
+
 _REFINEMENTS = 5  # steps for an initial state; rollouts are nearly linear in it but for sticking and sliding
 _ROBUST: Mapping[str, Callable[[Any], Any]] = {
     "none": lambda z: z,
@@ -39,6 +42,7 @@ class Blocks(NamedTuple):
         ctrl: Command, (blocks, segments, time, nu).
         load: What payloads change in the bench's model, (blocks, segments, load).
         weight: 1; 0 for a segment that only fills the last block.
+        stretch: Number of the stretch of consecutive segments to which a segment belongs, from 0.
     """
 
     qpos: Any
@@ -46,6 +50,7 @@ class Blocks(NamedTuple):
     ctrl: Any
     load: Any
     weight: Any
+    stretch: Any
 
 
 class NormalEquations(NamedTuple):
@@ -72,6 +77,7 @@ class Objective:
         space: The coordinates.
         data: What the functions below take as their last argument: the segments, spread over all local devices.
         devices: How many these are.
+        stretches: Into how many stretches of consecutive segments the data are divided, one after the other in time.
         compile: `jax.jit` for functions that call these.
 
     Args:
@@ -114,19 +120,22 @@ class Objective:
             raise ConfigError("loss.refine=true with a weight of 0; expected loss.position and loss.velocity above 0")
         self.space = space
         self.compile = rollout.compile
-        self.data = _into_blocks(segments, space.start.dtype)
+        self.stretches = min(segments.count, MOST_STRETCHES)
+        self.data = _into_blocks(segments, self.stretches, space.start.dtype)
         self.devices = len(self.data.weight.sharding.device_set)
         self._first = min(self.data.weight.sharding.device_set, key=lambda device: device.id)
         self._rollout = rollout
         self._roots = np.sqrt([position, velocity])
         self._robust, self._scale = _ROBUST[robust], robust_scale
         self._refine = refine
+        self._programs: dict[bool, Any] = {}  # compiled equations: a fit's own serve again when it is judged
         self._terms = segments.count * (segments.length + refine) * segments.qpos.shape[2]
 
     def for_drive(self, space: Space, rollout: Rollout) -> "Objective":
         """The same objective of another drive on the same bench, on the data that the devices hold already."""
         other = copy.copy(self)
         other.space, other.compile, other._rollout = space, rollout.compile, rollout
+        other._programs = {}
         return other
 
     def spread(self, tree: Any) -> Any:
@@ -180,15 +189,33 @@ class Objective:
         They are summed block by block, so that no Jacobian of all residuals is ever kept; the sum over blocks is in
         float64. With refined initial states these are eliminated (Schur complement).
         """
-        traced = self.compile(
-            lambda vector, data: jax.lax.map(lambda block: self._block_equations(vector, block), data)
-        )
-        compiled = traced.lower(self.spread(self.space.start), self.data).compile()
+        evaluate = self._compile_equations(exact=False)
+        return lambda vector: evaluate(vector)[0]
 
-        def evaluate(vector: Float[np.ndarray, "coordinates"]) -> NormalEquations:
+    def compile_scores(
+        self,
+    ) -> Callable[
+        [Float[np.ndarray, "coordinates"]], tuple[NormalEquations, Float[np.ndarray, "stretches coordinates"]]
+    ]:
+        """As `compile_normal_equations`, with the part of the gradient that comes from each stretch of segments.
+
+        For a robust loss a residual counts in the second derivative by that of its loss, which can be negative, and not
+        by the loss's slope, which keeps the step of a fit a descent.
+        """
+        return self._compile_equations(exact=self._robust is not _ROBUST["none"])
+
+    def _compile_equations(self, exact: bool) -> Callable[[np.ndarray], tuple[NormalEquations, np.ndarray]]:
+        if exact not in self._programs:
+            traced = self.compile(
+                lambda vector, data: jax.lax.map(lambda block: self._block_equations(vector, block, exact), data)
+            )
+            self._programs[exact] = traced.lower(self.spread(self.space.start), self.data).compile()
+        compiled = self._programs[exact]
+
+        def evaluate(vector: Float[np.ndarray, "coordinates"]) -> tuple[NormalEquations, np.ndarray]:
             parts = compiled(self.spread(jnp.asarray(vector, self.space.start.dtype)), self.data)
-            loss, gradient, hessian = (np.asarray(part, np.float64).sum(axis=0) for part in parts)
-            return NormalEquations(float(loss), gradient, hessian)
+            loss, scores, hessian = (np.asarray(part, np.float64).sum(axis=0) for part in parts)
+            return NormalEquations(float(loss), scores.sum(axis=0), hessian), scores
 
         return evaluate
 
@@ -259,7 +286,8 @@ class Objective:
         units = jnp.eye(state.shape[1], dtype=state.dtype)[:, None, :] * jnp.ones_like(state[:, :1])
         return residuals(state), jax.vmap(lambda unit: jax.jvp(residuals, (state,), (unit,))[1])(units)
 
-    def _block_equations(self, vector: Array, block: Blocks) -> tuple[Array, Array, Array]:
+    def _block_equations(self, vector: Array, block: Blocks, exact: bool) -> tuple[Array, Array, Array]:
+        """Loss, gradient of each stretch, and second derivative."""
         qpos, qvel = self._initial(self.space.values(vector), block)
 
         def residuals(vector: Array) -> Array:
@@ -271,21 +299,27 @@ class Objective:
         )
         loss = self._sum(jnp.square(errors))
         # For a robust loss every residual counts by the slope of its loss, as in iteratively reweighted least squares.
-        share = jax.vmap(jax.vmap(jax.grad(self._robust)))(jnp.square(errors) / self._scale**2)
-        gradient = jnp.einsum("isk,sk->i", slopes, share * errors)
-        hessian = jnp.einsum("isk,jsk->ij", slopes, share * slopes)
+        squares = jnp.square(errors) / self._scale**2
+        share = curvature = jax.vmap(jax.vmap(jax.grad(self._robust)))(squares)
+        if exact:
+            curvature = share + 2 * squares * jax.vmap(jax.vmap(jax.grad(jax.grad(self._robust))))(squares)
+        # A GPU rounds the factors of a product to 10 bits unless told otherwise: too few to see what is collinear.
+        of_segment = jnp.einsum("isk,sk->si", slopes, share * errors, precision="highest")
+        hessian = jnp.einsum("isk,jsk->ij", slopes, curvature * slopes, precision="highest")
         if self._refine:
             _, own = self._with_slopes(self.space.values(vector), jnp.concatenate([qpos, qvel], axis=1), block)
             inverse_of = jnp.einsum("isk,jsk->sij", own, own) + jnp.eye(len(own)) * (1 - block.weight[:, None, None])
             mixed = jnp.einsum("isk,jsk->sji", own, slopes)
             right = jnp.einsum("isk,sk->si", own, errors)
             solved = jax.vmap(jax.vmap(solve_spd, in_axes=(None, 0)))(inverse_of, mixed)
-            gradient = gradient - jnp.einsum("sji,si->j", solved, right)
+            of_segment = of_segment - jnp.einsum("sji,si->sj", solved, right)
             hessian = hessian - jnp.einsum("sji,ski->jk", solved, mixed)
-        return loss / self._terms, gradient / self._terms, hessian / self._terms
+        members = jax.nn.one_hot(block.stretch, self.stretches, dtype=vector.dtype)
+        scores = jnp.einsum("sg,si->gi", members, of_segment, precision="highest")
+        return loss / self._terms, scores / self._terms, hessian / self._terms
 
 
-def _into_blocks(segments: Segments, dtype: Any) -> Blocks:
+def _into_blocks(segments: Segments, stretches: int, dtype: Any) -> Blocks:
     """Equal blocks; where the segments do not fill the last, its rest repeats the last segment with no weight."""
     device = jax.config.jax_default_device
     devices = jax.local_devices(backend=device.platform if device is not None else None)
@@ -299,7 +333,8 @@ def _into_blocks(segments: Segments, dtype: Any) -> Blocks:
         return signal[index].astype(dtype).reshape(blocks, size, *signal.shape[1:])
 
     weight = (np.arange(blocks * size) < segments.count).astype(dtype).reshape(blocks, size)
-    host = Blocks(cut(segments.qpos), cut(segments.qvel), cut(segments.ctrl), cut(segments.loads), weight)
+    stretch = (index * stretches // segments.count).astype(np.int32).reshape(blocks, size)
+    host = Blocks(cut(segments.qpos), cut(segments.qvel), cut(segments.ctrl), cut(segments.loads), weight, stretch)
     if len(devices) == 1:
         return jax.tree.map(jnp.asarray, host)
     sharding = NamedSharding(Mesh(np.array(devices), ("segments",)), PartitionSpec(None, "segments"))

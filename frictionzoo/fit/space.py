@@ -6,7 +6,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Shaped
 
 from frictionzoo.bench import Bench
 from frictionzoo.bridge import to_jax
@@ -25,6 +25,7 @@ class Space:
         params: The identified physical parameters by their full name, `bench.armature`.
         names: All that is identified, physical parameters first, then a network's weights.
         weights: The network's weights among them.
+        labels: Name of each coordinate of a physical parameter: its full name; of several joints with `/` and a number.
         start: Coordinates of the initial values, as one vector.
         low: Lower bound of each coordinate; minus infinity where there is none.
         high: Upper bound of each coordinate.
@@ -45,6 +46,10 @@ class Space:
         self.weights = [name for name in free if name not in specs]
         self.names = [*self.params, *self.weights]
         coordinates = [self._to_coordinate(name, self._get(self._values, name)) for name in self.names]
+        sizes = {name: coordinate.size for name, coordinate in zip(self.names, coordinates, strict=True)}
+        self.labels = [
+            name if sizes[name] == 1 else f"{name}/{joint}" for name in self.params for joint in range(sizes[name])
+        ]
         start, self._unravel = ravel_pytree(coordinates)
         self.start = jnp.asarray(start, dtype)  # of no coordinates, ravel_pytree makes float32
         self.low, self.high = (ravel_pytree(self._bounds(coordinates, side))[0] for side in ("low", "high"))
@@ -61,6 +66,12 @@ class Space:
         """Physical values of the identified parameters by full name; a network's weights are left out."""
         values = self.values(vector)
         return {name: self._get(values, name) for name in self.params}
+
+    def split(self, vector: Shaped[np.ndarray, "coordinates ..."]) -> dict[str, Shaped[np.ndarray, "nv ..."]]:
+        """Entries of an array with one row a coordinate, by the full name of the physical parameter they belong to."""
+        sizes = [len(entries) for _, entries in self._split(self.start)]
+        ends = np.cumsum(sizes)[: len(self.params)]
+        return dict(zip(self.params, np.split(np.asarray(vector), ends), strict=False))
 
     def first_nonfinite(self, vector: Float[np.ndarray, "coordinates"]) -> str | None:
         """Name of the first parameter whose entry in this vector (a gradient, say) is not finite."""

@@ -121,6 +121,7 @@ def check_result(
     yield _check_train(result["metrics"])
     yield _check_fit(result["fit"], history["loss"])
     yield _check_bounds(result)
+    yield _check_identifiability(result)
     yield _check_divergence(result)
     yield check_origin(result["data"])
 
@@ -211,6 +212,17 @@ def _check_bounds(result: Mapping[str, Any]) -> Check:
     if ended:
         return Check("caution", "Bounds", f"{'; '.join(ended)}. Widen the bounds or doubt the model.")
     return Check("good", "Bounds", f"No identified parameter, of {len(identified)}, ended at a bound.")
+
+
+def _check_identifiability(result: Mapping[str, Any]) -> Check:
+    if result["no_intervals"] is not None:
+        return Check("note", "Identifiability", f"No parameter has an interval: {result['no_intervals']}.")
+    identified = [parameter for parameter in result["parameters"] if parameter["identified"]]
+    doubtful = [f"{p['owner']}.{p['name']}" for p in identified if not p["identifiable"]]
+    text = [f"Not identifiable on these data: {', '.join(doubtful)}. Do not read a property of the drive into them."]
+    text = text if doubtful else [f"The data determine each of the {len(identified)} identified parameters."]
+    text += [f"They cannot tell apart {' and '.join(group)}." for group in result["indistinct"]]
+    return Check("caution" if doubtful or result["indistinct"] else "good", "Identifiability", " ".join(text))
 
 
 def _check_divergence(result: Mapping[str, Any]) -> Check:

@@ -16,11 +16,10 @@ from frictionzoo.evaluate import Evaluation, Judgement, Values
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.output import to_json, write_atomically
 from frictionzoo.params import Param
-from frictionzoo.types import Dataset, Payload
+from frictionzoo.types import Dataset, Payload, Uncertainty
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 PACKAGES = ("frictionzoo", "mujoco", "mujoco-mjx", "jax", "torch", "optax", "lightning", "numpy")
-AT_BOUND = 1e-4  # share of the bounds' distance, in the optimiser's coordinate, that counts as reaching a bound
 
 
 def read_schema() -> dict[str, Any]:
@@ -43,6 +42,7 @@ def build_result(
     settings: Mapping[str, Any],
     engine: str,
     device: str,
+    uncertainty: Uncertainty,
 ) -> dict[str, Any]:
     """The record of a run, ready for JSON: no NaN, no numpy types.
 
@@ -60,6 +60,7 @@ def build_result(
         settings: All options of the run, among them `seed` and `dtype`.
         engine: What simulated.
         device: Where it ran.
+        uncertainty: How far the data determine what was identified.
     """
     result = {
         "schema_version": SCHEMA_VERSION,
@@ -67,9 +68,11 @@ def build_result(
         "joints": list(bench.joints),
         "data": describe_data(dataset),
         "parameters": [
-            *_list_parameters("bench", bench.params, values["bench"], bench.joint_type),
-            *_list_parameters("friction", model.params, values["friction"], bench.joint_type),
+            *_list_parameters("bench", bench.params, values["bench"], bench.joint_type, uncertainty),
+            *_list_parameters("friction", model.params, values["friction"], bench.joint_type, uncertainty),
         ],
+        "indistinct": [list(group) for group in uncertainty.indistinct],
+        "no_intervals": uncertainty.missing,
         "network": _describe_network(model),
         **_describe_metrics(judgement, baseline),
         "evaluation": {"sha256": evaluation.sha256, "window": evaluation.window},
@@ -153,7 +156,11 @@ def _flat(payload: Payload | None) -> list[float] | None:
 
 
 def _list_parameters(
-    owner: str, params: Mapping[str, Param], values: Mapping[str, np.ndarray], joint_type: str
+    owner: str,
+    params: Mapping[str, Param],
+    values: Mapping[str, np.ndarray],
+    joint_type: str,
+    uncertainty: Uncertainty,
 ) -> list[dict[str, Any]]:
     return [
         {
@@ -164,7 +171,9 @@ def _list_parameters(
             "low": param.low,
             "high": param.high,
             "identified": param.identify,
-            "at_bound": param.identify and _is_at_bound(param, values[name]),
+            "at_bound": param.identify and bool(param.is_at_bound(values[name]).any()),
+            "interval": _interval(uncertainty.intervals.get(f"{owner}.{name}")),
+            "identifiable": uncertainty.identifiable.get(f"{owner}.{name}"),
         }
         for name, param in params.items()
     ]
@@ -176,9 +185,12 @@ def _number_or_list(value: np.ndarray) -> float | list[float]:
     return float(flat[0]) if flat.size == 1 else flat.tolist()
 
 
-def _is_at_bound(param: Param, value: np.ndarray) -> bool:
-    at, low, high = (param.to_coordinate(np.asarray(x, dtype=np.float64), np) for x in (value, param.low, param.high))
-    return bool((np.minimum(at - low, high - at) <= AT_BOUND * (high - low)).any())
+def _interval(ends: np.ndarray | None) -> list[Any] | None:
+    """One joint's interval, or a list of several joints'; None where no joint has one."""
+    if ends is None or not np.isfinite(ends).any():
+        return None
+    by_joint = [pair.tolist() if np.isfinite(pair).all() else None for pair in ends]
+    return by_joint if len(by_joint) > 1 else by_joint[0]
 
 
 def _describe_network(model: FrictionModel) -> dict[str, int] | None:

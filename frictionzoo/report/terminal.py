@@ -136,13 +136,13 @@ def _say_kind(data: Mapping[str, Any]) -> str:
 
 
 def _list_parameters(result: Mapping[str, Any]) -> Rows:
-    rows = [("parameter", "value", "unit", "")]
+    rows = [("parameter", "value", "95 % interval", "unit", "")]
     for parameter in result["parameters"]:
-        status = "identified" if parameter["identified"] else "known"
         name = f"{parameter['owner']}.{parameter['name']}"
-        rows.append((name, _format_value(parameter["value"]), parameter["unit"], status))
+        value, interval = _format_value(parameter["value"]), format_interval(parameter["interval"])
+        rows.append((name, value, interval, parameter["unit"], say_status(parameter)))
     if result["network"]:
-        rows.append(("friction network", str(result["network"]["weights"]), "weights", "identified"))
+        rows.append(("friction network", str(result["network"]["weights"]), "", "weights", "identified"))
     return rows
 
 
@@ -157,12 +157,19 @@ def _list_errors(test: Mapping[str, Any], reference: Mapping[str, Any], names: t
 
 
 def _warn(result: Mapping[str, Any]) -> list[str]:
-    """One line a parameter that ended at a bound."""
+    """A line for each parameter at a bound, one for all not identifiable, and one for each indistinct group."""
     lines = [
         f"warning: {parameter['owner']}.{parameter['name']} ended at a bound of [{parameter['low']:g}, "
         f"{parameter['high']:g}] {parameter['unit']}; widen the bounds or doubt the model"
         for parameter in result["parameters"]
         if parameter["at_bound"]
+    ]
+    doubtful = [f"{p['owner']}.{p['name']}" for p in result["parameters"] if p["identifiable"] is False]
+    if doubtful:
+        lines.append(f"warning: not identifiable on these data: {', '.join(doubtful)}")
+    lines += [
+        f"warning: the data cannot tell apart {' and '.join(group)}; make all but one of them known, or record others"
+        for group in result["indistinct"]
     ]
     return ["\n".join(lines)] if lines else []
 
@@ -171,6 +178,22 @@ def _format_value(value: float | Sequence[float] | None) -> str:
     if value is None:
         return "none"
     return f"{value:.4g}" if isinstance(value, int | float) else " ".join(f"{joint:.4g}" for joint in value)
+
+
+def say_status(parameter: Mapping[str, Any]) -> str:
+    """Where the value of a parameter, as in `result.json`, comes from, and whether the data determine it."""
+    if not parameter["identified"]:
+        return "known"
+    return "not identifiable" if parameter["identifiable"] is False else "identified"
+
+
+def format_interval(interval: Sequence[Any] | None) -> str:
+    """A parameter's interval, or those of its joints, as in `result.json`; empty where there is none."""
+    if interval is None:
+        return ""
+    if not isinstance(interval[0], int | float):
+        return ", ".join(format_interval(joint) or "none" for joint in interval)
+    return f"{interval[0]:.4g} to {interval[1]:.4g}"
 
 
 def _format_change(value: float | None, reference: float | None) -> str:

@@ -1,0 +1,170 @@
+"""How far the data determine what was identified: intervals, and parameters that cannot be told apart."""
+
+from typing import NamedTuple
+
+import numpy as np
+import scipy.special
+from jaxtyping import Bool, Float, Int
+from scipy.sparse.csgraph import connected_components
+
+from frictionzoo.fit.lm import MOST_COORDINATES
+from frictionzoo.fit.objective import NormalEquations, Objective
+from frictionzoo.fit.space import Space
+from frictionzoo.types import Uncertainty
+
+LEVEL = 0.95
+WIDEST = np.log(1.5)
+"""Half an interval in the optimiser's coordinate from which on a parameter is not identifiable.
+
+In logarithms it is a factor of 1.5, elsewhere 41 % of the parameter's scale.
+"""
+COLLINEAR = 1e-4
+"""Eigenvalue of J' J, with columns scaled to length 1, below which a combination has no effect.
+
+Two columns then agree to about 1 %: a difference of which a time step or a neglected effect is as large a part.
+"""
+TAKES_PART = 0.1  # entry of a combination of length 1 from which on a parameter belongs to it
+CORRELATED = 0.99  # magnitude from which on the estimates of two parameters are one
+_NOTHING = 1e-12  # curvature, as a share of the largest, below which a parameter has no effect at all
+
+
+def estimate_uncertainty(objective: Objective, vector: Float[np.ndarray, "coordinates"]) -> Uncertainty:
+    """Intervals of the identified parameters from the curvature of the objective and the spread of its gradient.
+
+    C = H^-1 (G / (G - 1) sum_g (s_g - s) (s_g - s)') H^-1,  interval = x +- t sqrt(diag C)
+
+        x    the best vector, in the optimiser's coordinates
+        H    J' J, of all residuals
+        s_g  J_g' r_g, the part of the gradient that comes from the stretch g of consecutive segments; s is their mean
+        G    number of stretches, at most `MOST_STRETCHES`
+        t    Student's quantile with G - 1 degrees of freedom
+
+    Residuals within a rollout are strongly correlated, and what a law lacks correlates those of neighbouring rollouts,
+    which besides share a noisy sample: sigma^2 H^-1 would be several times too narrow. Stretches of many segments are
+    nearly independent of each other, and few enough for the quantile to matter. An interval is stretched by the step
+    H^-1 s that a fit has left undone, so that it also holds for the best point of a grid. Its ends are brought back
+    into the bounds and into the parameter's unit.
+
+    A parameter is not identifiable where it has no effect, where only a combination with others has one, where it ended
+    at a bound, or where its interval reaches a bound or is wider than `WIDEST`. At a bound, without effect and in a
+    combination it has no interval. Those of one combination, and others that are not identifiable and whose estimates
+    follow each other, are told as a group. What ended at a bound is taken as known by the others.
+
+    The interval speaks of the value that fits best, not of the drive's: a law that is wrong in the same way throughout
+    the data, and the bias of noisy initial states, are not in it.
+
+    Source: P. Huber, "The behavior of maximum likelihood estimates under nonstandard conditions", 1967; H. White, "A
+    heteroskedasticity-consistent covariance matrix estimator and a direct test for heteroskedasticity", 1980; K.-Y.
+    Liang, S. Zeger, "Longitudinal data analysis using generalized linear models", 1986, for clusters; C. Bester, T.
+    Conley, C. Hansen, "Inference with dependent data using cluster covariance estimators", 2011, for few stretches of
+    time as clusters.
+
+    Args:
+        objective: What was minimised.
+        vector: Its best vector.
+    """
+    space = objective.space
+    if not space.names:
+        return Uncertainty(missing="nothing was identified")
+    if space.weights:
+        return Uncertainty(missing="a network's weights can stand for its physical parameters and for each other")
+    if len(vector) > MOST_COORDINATES:
+        return Uncertainty(missing=f"{len(vector)} numbers were identified, more than {MOST_COORDINATES}")
+    if objective.stretches < 2:
+        return Uncertainty(missing="there is one segment only, and no spread between segments")
+    equations, scores = objective.compile_scores()(vector)
+    if not all(np.isfinite(part).all() for part in (equations.gradient, equations.hessian, scores)):
+        return Uncertainty(missing="the derivative of the objective is not finite at the result")
+    return assess(space, vector, equations, scores)
+
+
+def assess(
+    space: Space,
+    vector: Float[np.ndarray, "coordinates"],
+    equations: NormalEquations,
+    scores: Float[np.ndarray, "stretches coordinates"],
+) -> Uncertainty:
+    """The same from the normal equations at the best vector.
+
+    Args:
+        space: The coordinates, all of physical parameters.
+        vector: The best one.
+        equations: There, with the second derivative of a robust loss as it is.
+        scores: Part of the gradient that comes from each stretch of segments.
+    """
+    vector, low, high = (np.asarray(side, np.float64) for side in (vector, space.low, space.high))
+    curvature = np.diag(equations.hessian)
+    at_bound = np.concatenate(
+        [np.ravel(space.params[name].is_at_bound(value)) for name, value in _physical(space, vector).items()]
+    )
+    seen = np.flatnonzero(~at_bound & (curvature > _NOTHING * curvature.max()))
+    found = _solve(equations, scores, seen, np.finfo(space.start.dtype).eps)
+
+    ends = np.full((len(vector), 2), np.nan)
+    own = seen[~found.combined]
+    centre, half = vector[own], found.half[~found.combined]
+    step = found.step[~found.combined]
+    ends[own] = np.stack([centre + np.minimum(step, 0) - half, centre + np.maximum(step, 0) + half], axis=1)
+    inside = (ends[:, 0] > low) & (ends[:, 1] < high)  # of NaN, False
+    identifiable = inside & (ends[:, 1] - ends[:, 0] < 2 * WIDEST)
+    groups = _list_groups(found.joined & ~np.logical_or.outer(identifiable[seen], identifiable[seen]))
+
+    physical = _physical(space, np.clip(ends, low[:, None], high[:, None]))
+    return Uncertainty(
+        # Once more, for the logarithm of a bound and back is the bound but for rounding.
+        {name: np.clip(value, space.params[name].low, space.params[name].high) for name, value in physical.items()},
+        {name: bool(value.all()) for name, value in space.split(identifiable).items()},
+        tuple(tuple(space.labels[seen[i]] for i in group) for group in groups),
+    )
+
+
+class _Solution(NamedTuple):
+    """Of the coordinates that have an effect.
+
+    Attributes:
+        half: Half of each interval.
+        step: From the best vector to the minimum, as far as the curvature tells.
+        combined: Whether only a combination with others has an effect.
+        joined: Which two have an effect in one combination only, or estimates that follow each other.
+    """
+
+    half: Float[np.ndarray, "seen"]
+    step: Float[np.ndarray, "seen"]
+    combined: Bool[np.ndarray, "seen"]
+    joined: Bool[np.ndarray, "seen seen"]
+
+
+def _solve(equations: NormalEquations, scores: np.ndarray, seen: np.ndarray, precision: float) -> _Solution:
+    scale = np.sqrt(np.diag(equations.hessian)[seen])
+    eigenvalues, axes = np.linalg.eigh(equations.hessian[np.ix_(seen, seen)] / np.outer(scale, scale))
+    # An eigenvalue near the precision of its matrix is rounding: its combination counts as having no effect.
+    kept = eigenvalues > 100 * precision
+    inverse = (axes[:, kept] / eigenvalues[kept]) @ axes[:, kept].T / np.outer(scale, scale)
+    stretches, centred = len(scores), scores[:, seen] - scores[:, seen].mean(axis=0)
+    spread = stretches / (stretches - 1) * centred.T @ centred
+    quantile = scipy.special.stdtrit(stretches - 1, (1 + LEVEL) / 2)
+    half = quantile * np.sqrt(np.diag(inverse @ spread @ inverse))
+
+    null = axes[:, eigenvalues < COLLINEAR]
+    share = null @ null.T
+    combined = np.diag(share) > TAKES_PART**2
+    width = np.sqrt(np.diag(inverse))
+    correlated = np.abs(inverse) > CORRELATED * np.outer(width, width)
+    joined = np.where(
+        np.outer(combined, combined),
+        np.abs(share) > TAKES_PART * np.sqrt(np.outer(np.diag(share), np.diag(share))),
+        correlated & ~np.logical_or.outer(combined, combined),
+    )
+    return _Solution(half, -inverse @ equations.gradient[seen], combined, joined)
+
+
+def _list_groups(joined: Bool[np.ndarray, "seen seen"]) -> list[Int[np.ndarray, "members"]]:
+    """Sets of two and more that are joined to each other, directly or by others."""
+    count, label = connected_components(joined, directed=False)
+    groups = (np.flatnonzero(label == number) for number in range(count))
+    return [group for group in groups if len(group) > 1]
+
+
+def _physical(space: Space, coordinates: np.ndarray) -> dict[str, np.ndarray]:
+    """Physical values by full name, in float64, of an array with one row a coordinate."""
+    return {name: space.params[name].from_coordinate(x, np) for name, x in space.split(coordinates).items()}
