@@ -109,10 +109,9 @@ MARKS = [  # of the tests of commands that match
     (rf"{JOB}.*experiment=.*", pytest.mark.slow),
     (rf"{JOB}.*data=(sts3215|xl330).*", pytest.mark.slow),
     (rf"{JOB}-m .*", pytest.mark.slow),
-    (
-        r"python -m frictionzoo\.export RUN target=(?!onnx).*",
-        pytest.mark.slow,
-    ),  # of the targets, the quick tests do one
+    (r"python -m frictionzoo\.export RUN target=(?!onnx).*", pytest.mark.slow),  # the quick tests do one target,
+    (r"python -m frictionzoo\.compare .* --output .*", pytest.mark.slow),  # one comparison,
+    (r"python -m frictionzoo\.distill RUN (?!model=stribeck$).*", pytest.mark.slow),  # and one distillation
 ]
 
 

@@ -185,6 +185,7 @@ def test_refined_starts_take_the_bias_of_noisy_ones_away(
     assert sum(after for _, after in errors.values()) < 0.5 * sum(before for before, _ in errors.values())
 
 
+@pytest.mark.slow
 def test_both_engines_find_the_same(pose: Pose, tmp_path: Path) -> None:  # noqa: F811
     for model in ("mujoco_default", "coulomb_stribeck"):
         ours, stock = (
