@@ -125,7 +125,7 @@ def test_a_step_equals_mujoco_c(make: Callable[..., Any], knee: Bench, name: str
     rng = np.random.default_rng(0)
     qpos, qvel, ctrl = rng.normal(size=(3, 200, 1))
     qvel[::2] *= 1e-3  # half of them slow enough to stick
-    step = jax.jit(jax.vmap(lambda *state: engine.step(values, *state, jnp.zeros(0))))
+    step = jax.jit(jax.vmap(lambda *state: engine.step(values, *state, jnp.zeros(0), jnp.zeros((1, 0)))[:2]))
     ours = np.stack(step(qpos, qvel, qpos + 0.02 * ctrl))
     model, data = in_c(knee)
     for index in range(200):

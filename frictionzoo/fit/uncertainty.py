@@ -98,7 +98,7 @@ def assess(
         [np.ravel(space.params[name].is_at_bound(value)) for name, value in _physical(space, vector).items()]
     )
     seen = np.flatnonzero(~at_bound & (curvature > _NOTHING * curvature.max()))
-    found = _solve(equations, scores, seen, np.finfo(space.start.dtype).eps)
+    found = _solve(equations, scores, seen, float(np.finfo(space.start.dtype).eps))
 
     ends = np.full((len(vector), 2), np.nan)
     own = seen[~found.combined]
