@@ -81,6 +81,25 @@ def test_ripple_known_values(make: Callable[..., Any]) -> None:
     assert (terms.torque, terms.damping) == (None, 0.3)
 
 
+def test_harmonic_drive_known_values(make: Callable[..., Any]) -> None:
+    model = make("model", "model=harmonic_drive", nv=1)
+    values = {
+        **{"frictionloss": 2.0, "damping": 0.3, "periods": 4.0},
+        **{"sine_1": 0.1, "cosine_1": -0.2, "sine_2": 0.05, "cosine_2": 0.15},
+        **{"load_friction_motor": 0.3, "load_friction_external": 0.1},
+        **{"stribeck_torque": 0.5, "stribeck_velocity": 0.2, "stribeck_exponent": 1.0},
+    }
+    # At rest at phases 0 and pi / 2; at five Stribeck velocities; with ripple alone, which would make it negative.
+    qpos = np.array([[0.0], [np.pi / 8], [0.0], [0.0]])
+    qvel = np.array([[0.0], [0.0], [1.0], [1.0]])
+    motor, external = np.array([[1.0], [-1.0], [1.0], [0.0]]), np.array([[-2.0], [2.0], [2.0], [0.0]])
+    values["cosine_1"] = np.array([[-0.2], [-0.2], [-0.2], [-1.5]])
+    terms = model.terms(np, values, DriveState(qpos, qvel, qpos, motor, external))
+    # 2 (1 - 0.2 + 0.15) + 0.5 + 0.5, 2 (1 + 0.1 - 0.15) + 0.5 + 0.5, 1.9 + 0.1 + 0.5 exp(-5), 2 / 1000
+    assert terms.frictionloss.flatten().tolist() == pytest.approx([2.9, 2.9, 2 + 0.5 * np.exp(-5), 2e-3], rel=1e-5)
+    assert (terms.torque, terms.damping) == (None, 0.3)
+
+
 def write_into_c(name: str, model: mujoco.MjModel, data: mujoco.MjData, values: Mapping[str, float]) -> None:
     """The law in this state in MuJoCo C's own quantities."""
     qpos, qvel = data.qpos.item(), data.qvel.item()

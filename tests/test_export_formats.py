@@ -27,7 +27,7 @@ from frictionzoo.types import DriveState, Payload, Segments
 
 PAYLOAD = Payload(0.5, (0.0, 0.0, -0.1), (1e-4, 1e-4, 1e-4))
 MODELS = [
-    *("mujoco_default", "coulomb_stribeck", "asymmetric", "polynomial_viscous", "ripple"),
+    *("mujoco_default", "coulomb_stribeck", "asymmetric", "polynomial_viscous", "ripple", "harmonic_drive"),
     *("neural_friction", "dissipative_network", "odd_network", "residual_network"),
 ]
 

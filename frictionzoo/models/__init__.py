@@ -8,6 +8,7 @@ from frictionzoo.models.coulomb_stribeck import CoulombStribeck
 from frictionzoo.models.dahl import Dahl
 from frictionzoo.models.directional import Directional
 from frictionzoo.models.dissipative_network import DissipativeNetwork
+from frictionzoo.models.harmonic_drive import HarmonicDrive
 from frictionzoo.models.history_network import HistoryNetwork
 from frictionzoo.models.load_dependent import LoadDependent
 from frictionzoo.models.lugre import LuGre
@@ -32,6 +33,7 @@ __all__ = [
     "Directional",
     "DissipativeNetwork",
     "FrictionModel",
+    "HarmonicDrive",
     "HistoryNetwork",
     "LoadDependent",
     "LuGre",

@@ -1,5 +1,6 @@
 """What state-dependent limits of dry friction are added up from."""
 
+from collections.abc import Mapping
 from typing import Any
 
 from frictionzoo.types import DriveState
@@ -21,6 +22,24 @@ def stribeck_share(xp: Any, qvel: Any, velocity: Any, exponent: Any) -> Any:
     """
     power = exponent / 2 * xp.log(xp.square(qvel / velocity) + _AT_REST)
     return xp.exp(-xp.exp(xp.where(power < _GONE, power, _GONE)))
+
+
+def ripple_share(xp: Any, values: Mapping[str, Any], qpos: Any) -> Any:
+    """What meshing gears change in friction over the position, as a share of its mean: two harmonics.
+
+    s_1 sin(n q) + c_1 cos(n q) + s_2 sin(2 n q) + c_2 cos(2 n q)
+
+    Sine and cosine rather than amplitude and phase: the limit is linear in them, so that a fit finds no local minimum
+    and no phase that jumps.
+
+    Args:
+        xp: Array namespace.
+        values: periods n [1/rad or 1/m], sine_1 s_1, cosine_1 c_1, sine_2 s_2, cosine_2 c_2 [1].
+        qpos: Joint position q [rad or m], of shape (..., nv).
+    """
+    phase = values["periods"] * qpos
+    first = values["sine_1"] * xp.sin(phase) + values["cosine_1"] * xp.cos(phase)
+    return first + values["sine_2"] * xp.sin(2 * phase) + values["cosine_2"] * xp.cos(2 * phase)
 
 
 def gear_load(xp: Any, state: DriveState, motor: Any, external: Any) -> Any:

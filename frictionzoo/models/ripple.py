@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from frictionzoo.models.base import FrictionModel
+from frictionzoo.models.limits import ripple_share
 from frictionzoo.models.registry import register_model
 from frictionzoo.types import DriveState, FrictionTerms
 
@@ -24,9 +25,8 @@ class Ripple(FrictionModel):
         s_1, c_1      sine_1, cosine_1 [1], shares of frictionloss
         s_2, c_2      sine_2, cosine_2 [1], of twice the periods
 
-    Sine and cosine rather than amplitude and phase: the limit is linear in them, so that a fit finds no local minimum
-    and no phase that jumps. Bounds of 0.2 each keep the limit above 1 - 2 sqrt(2) 0.2 = 0.43 of frictionloss;
-    wider ones have to keep it positive.
+    Bounds of 0.2 each keep the limit above 1 - 2 sqrt(2) 0.2 = 0.43 of frictionloss; wider ones have to keep it
+    positive.
 
     Where n is identified it has to start close to the gear's: the loss over n has a local minimum about every
     2 pi / (range of q). Where the joint moves more than pi / (2 n) between two samples, the second harmonic looks like
@@ -55,7 +55,5 @@ class Ripple(FrictionModel):
 
     def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
         """The constraint's limit at this position, and the damping."""
-        phase = values["periods"] * state.qpos
-        first = values["sine_1"] * xp.sin(phase) + values["cosine_1"] * xp.cos(phase)
-        second = values["sine_2"] * xp.sin(2 * phase) + values["cosine_2"] * xp.cos(2 * phase)
-        return FrictionTerms(frictionloss=values["frictionloss"] * (1 + first + second), damping=values["damping"])
+        limit = values["frictionloss"] * (1 + ripple_share(xp, values, state.qpos))
+        return FrictionTerms(frictionloss=limit, damping=values["damping"])

@@ -1,0 +1,70 @@
+"""Dry friction of a loaded gear whose meshing is felt, with the Stribeck effect, as a constraint."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from frictionzoo.models.base import FrictionModel
+from frictionzoo.models.limits import gear_load, ripple_share, stribeck_share
+from frictionzoo.models.registry import register_model
+from frictionzoo.types import DriveState, FrictionTerms
+
+_LEAST = 1e-3  # of frictionloss; at a limit of 0 MuJoCo locks the joint
+
+
+@register_model("harmonic_drive")
+class HarmonicDrive(FrictionModel):
+    """Dry friction of a gear by load, speed and position: what harmonic drives and worn spur gears show together.
+
+    limit = f (1 + r(q)) + |k_m tau_m - k_e tau_e| + s exp(-|v / v_s|^alpha), at least f / 1000
+    r(q) = s_1 sin(n q) + c_1 cos(n q) + s_2 sin(2 n q) + c_2 cos(2 n q)
+
+    The constraint's force makes the joint stick while it is below the limit and is the limit against the motion
+    otherwise; d v adds to it.
+
+        q, v      joint position [rad or m] and velocity [rad/s or m/s]
+        tau_m     torque of the actuator [N m or N]
+        tau_e     external torque [N m or N]: of everything but actuator and friction, counted as tau_m is
+        f         frictionloss [N m or N], mean over the position, without load and well above v_s; strictly positive
+        n         periods [1/rad or 1/m]: the gear's; known by default, see `ripple`
+        s_i, c_i  sine_1, cosine_1, sine_2, cosine_2 [1], shares of f
+        k_m, k_e  load_friction_motor, load_friction_external [1]
+        s         stribeck_torque [N m or N], by which the limit is larger at rest
+        v_s       stribeck_velocity [rad/s or m/s], over which s is lost
+        alpha     stribeck_exponent [1]: 2 is a bell, a large one a step at v_s
+        d         damping [N m s/rad or N s/m]
+
+    Where the drive stays in place, or moves over less than a tenth of a period, ripple and frictionloss are the same.
+
+    Cannot represent: ripple of the motor's torque (cogging), which does not change its sign with the direction; the
+    compliance of the flexspline; friction that lags the velocity.
+
+    Source: H. D. Taghirad, P. R. Belanger, "Modeling and Parameter Identification of Harmonic Drive Systems", Journal
+    of Dynamic Systems, Measurement, and Control 120(4), 1998, on friction by load and position; the terms are those of
+    `ripple` and of M. Duclusaud, G. Passault, V. Padois, O. Ly, "Extended friction models for the physics simulation
+    of servo actuators", 2024.
+    """
+
+    dimensions = {
+        "frictionloss": "torque",
+        "damping": "damping",
+        "stribeck_torque": "torque",
+        "stribeck_velocity": "velocity",
+        "stribeck_exponent": "1",
+        "load_friction_motor": "1",
+        "load_friction_external": "1",
+        "periods": "1/position",
+        "sine_1": "1",
+        "cosine_1": "1",
+        "sine_2": "1",
+        "cosine_2": "1",
+    }
+    constraint = True
+    dissipative = True
+
+    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+        """The constraint's limit in this state, and the damping."""
+        share = stribeck_share(xp, state.qvel, values["stribeck_velocity"], values["stribeck_exponent"])
+        load = gear_load(xp, state, values["load_friction_motor"], values["load_friction_external"])
+        meshing = values["frictionloss"] * (1 + ripple_share(xp, values, state.qpos))
+        limit, least = meshing + load + share * values["stribeck_torque"], _LEAST * values["frictionloss"]
+        return FrictionTerms(frictionloss=xp.where(limit > least, limit, least), damping=values["damping"])
