@@ -11,8 +11,8 @@ install: ## the package with its development tools, in the versions of constrain
 test: ## the quick tests
 	pytest -n 2
 
-slow: ## the experiments at full size, about half an hour; FRICTIONZOO_DATA names the folder of real recordings
-	pytest -m slow
+slow: ## the experiments at full size, about half an hour on two cores; FRICTIONZOO_DATA names the folder of real recordings
+	pytest -m slow -n 2 --dist worksteal
 
 lint: ## what CI checks besides tests
 	ruff format --check

@@ -14,7 +14,8 @@ def parameters(folder: Path) -> dict[str, float]:
     return {item["name"]: item["value"] for item in result["parameters"]}
 
 
-@pytest.mark.parametrize("fit", ["lm", *(pytest.param(fit, marks=pytest.mark.slow) for fit in ("adam", "grid"))])
+@pytest.mark.slow
+@pytest.mark.parametrize("fit", ["lm", "adam", "grid"])
 def test_two_devices_find_what_one_finds(
     start: Callable, tiny: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fit: str
 ) -> None:

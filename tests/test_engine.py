@@ -99,7 +99,8 @@ def test_law_sees_what_mujoco_c_computes(tmp_path: Path) -> None:
     engine = MjxEngine(bench, without_memory(lambda values, state: FrictionTerms()), False)
     case = {name: value[0] for name, value in random_cases(STATES, 1).items()}
     values = {"bench": bench.initial_values()}
-    state = engine.drive_state(values, *(jnp.asarray(case[name]) for name in ("qpos", "qvel", "ctrl")), jnp.zeros(0))
+    signals = (jnp.asarray(case[name]) for name in ("qpos", "qvel", "ctrl"))
+    state = jax.jit(engine.drive_state)(values, *signals, jnp.zeros(0))
     model = bench.compile(constraint=False)
     data = mujoco.MjData(model)
     data.qpos, data.qvel, data.ctrl = case["qpos"], case["qvel"], case["ctrl"]
@@ -116,11 +117,12 @@ def test_rollout_is_the_step_repeated(tmp_path: Path) -> None:
     values = {"bench": {name: jnp.asarray(value) for name, value in bench.initial_values().items()}, "friction": {}}
     rng = np.random.default_rng(1)
     qpos, qvel, ctrl = rng.normal(size=(2, 1)), rng.normal(size=(2, 1)), rng.normal(size=(2, 4, 1))
-    positions, velocities = make_rollout(engine)(values, *map(jnp.asarray, (qpos, qvel, ctrl)))
+    positions, velocities = make_rollout(engine).compiled(values, *map(jnp.asarray, (qpos, qvel, ctrl)))
     assert positions.shape == velocities.shape == (2, 4, 1)
+    step = jax.jit(engine.step)
     for row in range(2):
         q, v = jnp.asarray(qpos[row]), jnp.asarray(qvel[row])
         for i in range(4):
-            q, v, _ = engine.step(values, q, v, jnp.asarray(ctrl[row, i]), jnp.zeros(0), jnp.zeros((1, 0)))
+            q, v, _ = step(values, q, v, jnp.asarray(ctrl[row, i]), jnp.zeros(0), jnp.zeros((1, 0)))
             np.testing.assert_allclose(positions[row, i], q, rtol=1e-13)
             np.testing.assert_allclose(velocities[row, i], v, rtol=1e-13)

@@ -116,4 +116,5 @@ def test_without_the_package_its_name_is_refused(call: Callable[..., Finished]) 
     finished = call(*shlex.split(RUN)[3:])
     assert (finished.status, finished.out) == (2, "")
     (line,) = finished.err.splitlines()
-    assert line.startswith("frictionzoo: model=makkar: no such model; expected one of baseline, ")
+    ours = sorted(path.stem for path in (ROOT / "conf" / "model").glob("*.yaml"))
+    assert line == f"frictionzoo: model=makkar: no such model; expected one of {', '.join(ours)}"

@@ -139,9 +139,17 @@ def stock_step(bench: Bench, constraint: bool) -> Any:
     return step
 
 
+def quick_for(body: str, *values: Any) -> list[Any]:
+    """Every body with every one of the values; this body alone is for the quick tests."""
+    return [
+        pytest.param(name, value, id=f"{name}-{value}", marks=[] if name == body else [pytest.mark.slow])
+        for name in BODIES
+        for value in values
+    ]
+
+
 @pytest.mark.parametrize("constraint", [False, True], ids=["smooth", "frictionloss"])
-@pytest.mark.parametrize("integrator", INTEGRATORS)
-@pytest.mark.parametrize("body", BODIES)
+@pytest.mark.parametrize(("body", "integrator"), quick_for("inclined axis, off-axis mass", *INTEGRATORS))
 def test_ten_thousand_steps_equal_mujoco_c_and_mjx(
     tmp_path: Path, body: str, integrator: str, constraint: bool
 ) -> None:
@@ -154,8 +162,7 @@ def test_ten_thousand_steps_equal_mujoco_c_and_mjx(
     np.testing.assert_allclose(ours, stock, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("constraint", [False, True], ids=["smooth", "frictionloss"])
-@pytest.mark.parametrize("body", BODIES)
+@pytest.mark.parametrize(("body", "constraint"), quick_for("hinge with gravity", False, True))
 def test_gradients_equal_those_of_mjx(tmp_path: Path, body: str, constraint: bool) -> None:
     bench = make_bench(tmp_path, f"<body>{BODIES[body]}</body>")
     cases = random_cases(500, 1)
@@ -170,7 +177,7 @@ def test_gradients_equal_those_of_mjx(tmp_path: Path, body: str, constraint: boo
         np.testing.assert_allclose(gradient, stock[name], rtol=1e-10, atol=1e-10, err_msg=name)
 
 
-@pytest.mark.parametrize("joints", [2, 4, 7])
+@pytest.mark.parametrize("joints", [2, *(pytest.param(joints, marks=pytest.mark.slow) for joints in (4, 7))])
 def test_chains_equal_mujoco_c(tmp_path: Path, joints: int) -> None:
     bench = make_bench(tmp_path, chain(joints), joints=joints)
     cases = random_cases(2000, joints)
@@ -181,6 +188,7 @@ def test_chains_equal_mujoco_c(tmp_path: Path, joints: int) -> None:
         np.testing.assert_allclose(ours, steps_in_c(bench, cases, constraint), rtol=0, atol=tolerance)
 
 
+@pytest.mark.slow
 def test_gradients_of_a_chain_equal_those_of_mjx(tmp_path: Path) -> None:
     bench = make_bench(tmp_path, chain(3), joints=3)
     cases = random_cases(50, 3)
