@@ -84,8 +84,9 @@ def test_ripple_known_values(make: Callable[..., Any]) -> None:
 def test_harmonic_drive_known_values(make: Callable[..., Any]) -> None:
     model = make("model", "model=harmonic_drive", nv=1)
     values = {
-        **{"frictionloss": 2.0, "damping": 0.3, "periods": 4.0},
-        **{"sine_1": 0.1, "cosine_1": -0.2, "sine_2": 0.05, "cosine_2": 0.15},
+        **{"frictionloss": 2.0, "damping": 0.3, "cubic_damping": 0.1, "periods": 4.0},
+        **{"sine_1": 0.1, "sine_2": 0.05, "cosine_2": 0.15},
+        **{"stribeck_load_friction_motor": 0.2, "stribeck_load_friction_external": 0.1},
         **{"load_friction_motor": 0.3, "load_friction_external": 0.1},
         **{"stribeck_torque": 0.5, "stribeck_velocity": 0.2, "stribeck_exponent": 1.0},
     }
@@ -95,9 +96,13 @@ def test_harmonic_drive_known_values(make: Callable[..., Any]) -> None:
     motor, external = np.array([[1.0], [-1.0], [1.0], [0.0]]), np.array([[-2.0], [2.0], [2.0], [0.0]])
     values["cosine_1"] = np.array([[-0.2], [-0.2], [-0.2], [-1.5]])
     terms = model.terms(np, values, DriveState(qpos, qvel, qpos, motor, external))
-    # 2 (1 - 0.2 + 0.15) + 0.5 + 0.5, 2 (1 + 0.1 - 0.15) + 0.5 + 0.5, 1.9 + 0.1 + 0.5 exp(-5), 2 / 1000
-    assert terms.frictionloss.flatten().tolist() == pytest.approx([2.9, 2.9, 2 + 0.5 * np.exp(-5), 2e-3], rel=1e-5)
-    assert (terms.torque, terms.damping) == (None, 0.3)
+    at_rest = 0.5 + 0.4  # under 1 N m of the motor and -2 N m from outside
+    fast = 1.9 + 0.1 + 0.5 * np.exp(-5)  # both torques push, so that 0.3 - 0.2 is left of the load, and 0.2 - 0.2
+    expected = [1.9 + 0.5 + at_rest, 1.9 + 0.5 + at_rest, fast, 2e-3]
+    assert terms.frictionloss.flatten().tolist() == pytest.approx(expected, rel=1e-5)
+    viscous = terms.torque + terms.damping * qvel
+    np.testing.assert_allclose(viscous, 0.3 * qvel + 0.1 * qvel**3, rtol=1e-14)
+    np.testing.assert_allclose(terms.damping, 0.3 + 3 * 0.1 * qvel**2, rtol=1e-14)  # the slope
 
 
 def write_into_c(name: str, model: mujoco.MjModel, data: mujoco.MjData, values: Mapping[str, float]) -> None:

@@ -27,7 +27,7 @@ TRUTH = {
     **{"load_friction_motor": 0.06, "load_friction_external": 0.15},
     **{"stribeck_load_friction_motor": 0.04, "stribeck_load_friction_external": 0.08},
     **{"quadratic_load_friction_motor": 0.05, "quadratic_load_friction_external": 0.08},
-    **{"periods": 12.0, "sine_1": 0.3, "cosine_1": -0.2, "sine_2": 0.1, "cosine_2": 0.05},
+    **{"cubic_damping": 0.002, "periods": 12.0, "sine_1": 0.3, "cosine_1": -0.2, "sine_2": 0.1, "cosine_2": 0.05},
 }
 KNOWN = (
     *("bench.params.delay.init=0", "bench.params.delay.identify=false", "bench.params.position_offset.identify=false"),

@@ -15,11 +15,12 @@ _LEAST = 1e-3  # of frictionloss; at a limit of 0 MuJoCo locks the joint
 class HarmonicDrive(FrictionModel):
     """Dry friction of a gear by load, speed and position: what harmonic drives and worn spur gears show together.
 
-    limit = f (1 + r(q)) + |k_m tau_m - k_e tau_e| + s exp(-|v / v_s|^alpha), at least f / 1000
+    torque = F + d v + d_3 v^3
+    |F| <= f (1 + r(q)) + |k_m tau_m - k_e tau_e| + (s + |l_m tau_m - l_e tau_e|) exp(-|v / v_s|^alpha)
     r(q) = s_1 sin(n q) + c_1 cos(n q) + s_2 sin(2 n q) + c_2 cos(2 n q)
 
-    The constraint's force makes the joint stick while it is below the limit and is the limit against the motion
-    otherwise; d v adds to it.
+    `directional` with a limit that follows the position, and viscous friction that grows faster than the speed. F is
+    the force of MuJoCo's dry-friction constraint; its limit is kept above f / 1000.
 
         q, v      joint position [rad or m] and velocity [rad/s or m/s]
         tau_m     torque of the actuator [N m or N]
@@ -28,30 +29,36 @@ class HarmonicDrive(FrictionModel):
         n         periods [1/rad or 1/m]: the gear's; known by default, see `ripple`
         s_i, c_i  sine_1, cosine_1, sine_2, cosine_2 [1], shares of f
         k_m, k_e  load_friction_motor, load_friction_external [1]
+        l_m, l_e  stribeck_load_friction_motor, stribeck_load_friction_external [1], which count at rest besides
         s         stribeck_torque [N m or N], by which the limit is larger at rest
-        v_s       stribeck_velocity [rad/s or m/s], over which s is lost
+        v_s       stribeck_velocity [rad/s or m/s], over which s, l_m and l_e are lost
         alpha     stribeck_exponent [1]: 2 is a bell, a large one a step at v_s
         d         damping [N m s/rad or N s/m]
+        d_3       cubic_damping [N m s^3/rad^3 or N s^3/m^3]
 
     Where the drive stays in place, or moves over less than a tenth of a period, ripple and frictionloss are the same.
 
     Cannot represent: ripple of the motor's torque (cogging), which does not change its sign with the direction; the
     compliance of the flexspline; friction that lags the velocity.
 
-    Source: H. D. Taghirad, P. R. Belanger, "Modeling and Parameter Identification of Harmonic Drive Systems", Journal
-    of Dynamic Systems, Measurement, and Control 120(4), 1998, on friction by load and position; the terms are those of
-    `ripple` and of M. Duclusaud, G. Passault, V. Padois, O. Ly, "Extended friction models for the physics simulation
-    of servo actuators", 2024.
+    Source: T. D. Tuttle, W. P. Seering, "A nonlinear model of a harmonic drive gear transmission", IEEE Transactions on
+    Robotics and Automation 12(3), 1996, on friction over the position and with the cube of the speed; H. D. Taghirad,
+    P. R. Belanger, "Modeling and Parameter Identification of Harmonic Drive Systems", Journal of Dynamic Systems,
+    Measurement, and Control 120(4), 1998, on friction by load; the limit's terms are those of M. Duclusaud,
+    G. Passault, V. Padois, O. Ly, "Extended friction models for the physics simulation of servo actuators", 2024.
     """
 
     dimensions = {
         "frictionloss": "torque",
         "damping": "damping",
+        "cubic_damping": "damping/velocity^2",
         "stribeck_torque": "torque",
         "stribeck_velocity": "velocity",
         "stribeck_exponent": "1",
         "load_friction_motor": "1",
         "load_friction_external": "1",
+        "stribeck_load_friction_motor": "1",
+        "stribeck_load_friction_external": "1",
         "periods": "1/position",
         "sine_1": "1",
         "cosine_1": "1",
@@ -62,9 +69,17 @@ class HarmonicDrive(FrictionModel):
     dissipative = True
 
     def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
-        """The constraint's limit in this state, and the damping."""
+        """The constraint's limit in this state, the viscous part's slope as damping, and what remains of that part."""
         share = stribeck_share(xp, state.qvel, values["stribeck_velocity"], values["stribeck_exponent"])
         load = gear_load(xp, state, values["load_friction_motor"], values["load_friction_external"])
+        at_rest = values["stribeck_torque"] + gear_load(
+            xp, state, values["stribeck_load_friction_motor"], values["stribeck_load_friction_external"]
+        )
         meshing = values["frictionloss"] * (1 + ripple_share(xp, values, state.qpos))
-        limit, least = meshing + load + share * values["stribeck_torque"], _LEAST * values["frictionloss"]
-        return FrictionTerms(frictionloss=xp.where(limit > least, limit, least), damping=values["damping"])
+        limit, least = meshing + load + share * at_rest, _LEAST * values["frictionloss"]
+        cubic = values["cubic_damping"] * xp.square(state.qvel)
+        return FrictionTerms(
+            torque=-2 * cubic * state.qvel,
+            frictionloss=xp.where(limit > least, limit, least),
+            damping=values["damping"] + 3 * cubic,
+        )
