@@ -30,6 +30,7 @@ PAYLOAD = Payload(0.5, (0.0, 0.0, -0.1), (1e-4, 1e-4, 1e-4))
 MODELS = [
     *("mujoco_default", "coulomb_stribeck", "asymmetric", "polynomial_viscous", "ripple"),
     *("neural_friction", "dissipative_network", "odd_network", "residual_network"),
+    *("temperature_linear", "temperature_arrhenius"),
 ]
 
 
