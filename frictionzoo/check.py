@@ -21,6 +21,7 @@ from frictionzoo.types import DriveState, FrictionTerms
 TOLERANCE = 1e-12  # of torch against JAX in float64, relative to the largest entry of an array, absolute below 1
 SAMPLES = 64
 TIMESTEP = 1e-3  # s
+INPUT_SPREAD = 20.0  # of drawn inputs about the value at which the law acts without; degC of a temperature
 SETTLED = 1e-6  # share of a settled memory by which a step may still change it
 
 Values = Mapping[str, Any]
@@ -29,7 +30,8 @@ Values = Mapping[str, Any]
 def check_model(model: FrictionModel, samples: DriveState | None = None) -> None:
     """See that a friction model keeps the contract of `FrictionModel`; the model itself is left as it was.
 
-    The clauses, in order: it is registered under its own name; its dimensions have units; its values are within bounds;
+    The clauses, in order: it is registered under its own name; its dimensions have units; its inputs are signals of
+    `DriveState`; its values are within bounds;
     `terms` gives terms of the right kind and shape, is pure, deterministic and reads `values` only, also under
     `jax.jit`, and keeps the floating-point type; torch and JAX agree in value and gradient; gradients are finite, at
     standstill too; a law with a memory keeps its shape, agrees in torch and JAX over a step, has finite gradients, and
@@ -51,8 +53,9 @@ def check_model(model: FrictionModel, samples: DriveState | None = None) -> None
         )
     _check_name(model)
     _check_units(model)
+    _check_inputs(model)
     _check_bounds(model)
-    samples = _draw_samples(model.nv) if samples is None else samples
+    samples = _draw_samples(model) if samples is None else samples
     prepared = copy.deepcopy(model)
     prepared.prepare(samples)
     _check_bounds(prepared)
@@ -91,6 +94,16 @@ def _check_units(model: FrictionModel) -> None:
                 )
 
 
+def _check_inputs(model: FrictionModel) -> None:
+    """What the law looks at besides the state is a signal that recordings can have, with a value where they lack it."""
+    recorded = tuple(DriveState._field_defaults)
+    for name, value in model.inputs.items():
+        if name not in recorded:
+            _fail(model, "inputs", f"{name} is no recorded signal of DriveState; {closest(name, recorded)}")
+        if not np.isfinite(value):
+            _fail(model, "inputs", f"{name} is {value} where recordings lack it; give a finite number")
+
+
 def _check_bounds(model: FrictionModel) -> None:
     """Physical values lie within bounds, and every number is finite."""
     for name, tensor in model.state_dict().items():
@@ -108,7 +121,7 @@ def _check_bounds(model: FrictionModel) -> None:
 def _check_terms(model: FrictionModel, samples: DriveState) -> None:
     """The right terms, arrays of the namespace asked for, of the state's shape, whatever the batch dimensions."""
     for batch in ((), (3,), (2, 3)):
-        state = DriveState(*(np.resize(signal, (*batch, model.nv)) for signal in samples))
+        state = _resized(samples, (*batch, model.nv))
         for namespace, terms in (("torch", _torch_terms(model, state)), ("jax.numpy", _jax_terms(model, state))):
             _check_kinds(model, terms, namespace)
             for name, term in _given(terms).items():
@@ -148,7 +161,7 @@ def _check_purity(model: FrictionModel, samples: DriveState) -> None:
     first = model.terms(torch, values, state)
     if not _same(first, model.terms(torch, values, state)):
         _fail(model, "deterministic", "two calls with the same inputs differ; take no random number in terms")
-    unwritten = _equal(kept_values, values) and _equal(kept_state._asdict(), state._asdict())
+    unwritten = _equal(kept_values, values) and _equal(kept_state.given(), state.given())
     if not unwritten or not _equal(before, _saved(model)):
         _fail(model, "pure", "terms writes into values, state or the module; return new arrays instead")
     if not _same(first, _changed(model).terms(torch, values, state)):
@@ -247,16 +260,23 @@ def _check_dissipation(model: FrictionModel, samples: DriveState) -> None:
         _fail(model, "dissipative", "damping is negative; keep it at 0 or above, or drop the claim")
 
 
-def _draw_samples(nv: int) -> DriveState:
-    """States of order 1, of both signs and many magnitudes, some at standstill."""
+def _draw_samples(model: FrictionModel) -> DriveState:
+    """States of order 1, of both signs and many magnitudes, some at standstill; what else it looks at varies widely."""
     random = np.random.default_rng(0)
+    names = [name for name in DriveState._fields if name not in DriveState._field_defaults]
     signals = (
-        random.standard_normal((len(DriveState._fields), SAMPLES, nv))
-        * random.choice([1e-3, 0.1, 1.0], SAMPLES)[:, None]
+        random.standard_normal((len(names), SAMPLES, model.nv)) * random.choice([1e-3, 0.1, 1.0], SAMPLES)[:, None]
     )
-    state = DriveState(*signals)
+    others = {
+        name: value + INPUT_SPREAD * random.standard_normal((SAMPLES, model.nv)) for name, value in model.inputs.items()
+    }
+    state = DriveState(*signals, **others)
     state.qvel[: SAMPLES // 8] = 0.0
     return state
+
+
+def _resized(state: DriveState, shape: tuple[int, ...]) -> DriveState:
+    return state.map(lambda signal: np.resize(signal, shape))
 
 
 def _given(terms: FrictionTerms) -> dict[str, Any]:
@@ -293,11 +313,11 @@ def _torch_values(model: FrictionModel, dtype: torch.dtype = torch.float64) -> d
 
 
 def _torch_state(state: DriveState, dtype: torch.dtype = torch.float64) -> DriveState:
-    return DriveState(*(torch.tensor(signal, dtype=dtype) for signal in state))
+    return state.map(lambda signal: torch.tensor(signal, dtype=dtype))
 
 
 def _jax_state(state: DriveState, dtype: Any = jnp.float64) -> DriveState:
-    return DriveState(*(jnp.asarray(signal, dtype) for signal in state))
+    return state.map(lambda signal: jnp.asarray(signal, dtype))
 
 
 def _torch_terms(model: FrictionModel, state: DriveState) -> Any:
@@ -317,7 +337,8 @@ def _called(model: FrictionModel, namespace: str, call: Callable[[], Any]) -> An
     except jax.errors.ConcretizationTypeError as error:
         _fail(model, "pure", f"jax.jit cannot compile terms ({_in_short(error)}); use xp.where, not if", error)
     except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
-        message = f"fails over {namespace} ({_in_short(error)}); use values and what torch and jax.numpy share"
+        advice = "use values, declared inputs and what torch and jax.numpy share"
+        message = f"fails over {namespace} ({_in_short(error)}); {advice}"
         _fail(model, "terms", message, error)
 
 
@@ -332,7 +353,7 @@ def _weighted(terms: FrictionTerms, weights: Any) -> Any:
 
 def _moving(model: FrictionModel, values: Values, state: DriveState) -> dict[str, Any]:
     """What a gradient is taken with respect to: all parameters, and the state."""
-    return {name: values[name] for name, _ in model.named_parameters()} | state._asdict()
+    return {name: values[name] for name, _ in model.named_parameters()} | state.given()
 
 
 def _torch_gradient(model: FrictionModel, state: DriveState, weights: np.ndarray) -> dict[str, np.ndarray]:
@@ -351,7 +372,7 @@ def _jax_gradient(model: FrictionModel, state: DriveState, weights: np.ndarray) 
     values, drive = to_jax(model, jnp.float64), _jax_state(state)
 
     def total(moving: dict[str, jax.Array]) -> jax.Array:
-        moved = DriveState(*(moving[name] for name in DriveState._fields))
+        moved = drive._replace(**{name: moving[name] for name in drive.given()})
         return jnp.zeros(()) + _weighted(model.terms(jnp, {**values, **moving}, moved), jnp.asarray(weights))
 
     return _numpy(jax.grad(total)(_moving(model, values, drive)))

@@ -220,7 +220,7 @@ class Evaluation:
         digest = hashlib.sha256()
         for segments in (*cut, self.trajectories, self._places, self.local):
             loads = (segments.loads,) if segments.loads.size else ()
-            for signal in (segments.qpos, segments.qvel, segments.commands, *loads):
+            for signal in (segments.qpos, segments.qvel, segments.driven, *loads):
                 digest.update(str(signal.shape).encode() + np.ascontiguousarray(signal, np.float64).tobytes())
         return digest.hexdigest()
 

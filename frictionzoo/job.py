@@ -98,12 +98,13 @@ class Problem:
         """
         device = _configure_jax(settings["dtype"], settings["device"], settings["compilation_cache"])
         bench, dataset = build(settings["bench"]), build(settings["data"]).load()
-        train, test = (tuple(map(bench.accept, logs)) for logs in (dataset.train, dataset.test))
-        dataset = Dataset(dataset.name, train, test)
+        model = build(settings["model"], nv=bench.nv)
+        bench = bench.observing(model.inputs)
+        dataset = bench.accept_all(dataset)
         sampling = bench.sampling(dataset.logs[0].timestep)
         segments = cut_segments(dataset.train, **settings["segments"], history=sampling.history)
         evaluation = Evaluation(dataset, bench.joint_type, **settings["evaluation"], history=sampling.history)
-        drive = Drive.assemble(bench, build(settings["model"], nv=bench.nv), settings["engine"], sampling)
+        drive = Drive.assemble(bench, model, settings["engine"], sampling)
         samples = _training_samples(drive, bench, dataset)
         drive.model.prepare(samples)
         space = Space(bench, drive.model, settings["dtype"])
@@ -130,7 +131,11 @@ class Problem:
                     f"{teacher.folder}: {what} with SHA-256 {sha256[:12]}, expected {expected[:12]} as when it ran; "
                     "restore its recordings or run it again"
                 )
-        bench, segments = self.bench.restarted(teacher.values["bench"]), teacher.follow(self.segments)
+        # The teacher's law may look at something that the student's does not, and the other way round.
+        train = tuple(map(teacher.bench.accept, self.dataset.train))
+        followed = teacher.follow(cut_segments(train, **settings["segments"], history=self.sampling.history))
+        segments = replace(self.segments, qpos=followed.qpos, qvel=followed.qvel)
+        bench = self.bench.restarted(teacher.values["bench"])
         drive = Drive.assemble(bench, self.drive.model, settings["engine"], self.sampling)
         space = Space(bench, drive.model, settings["dtype"])
         objective = Objective(space, drive.rollout, segments, **settings["loss"])
@@ -298,7 +303,7 @@ def _training_samples(drive: Drive, bench: Bench, dataset: Dataset) -> DriveStat
     state = drive.rollout.compile(jax.vmap(drive.engine.drive_state, in_axes=(None, 0, 0, 0, None)))
     signals = [(log.qpos, log.qvel, log.channels, log.load) for log in dataset.train]
     parts = [jax.tree.map(np.asarray, state(values, *of_log)) for of_log in signals]
-    return DriveState(*(np.concatenate(signals) for signals in zip(*parts, strict=True)))
+    return jax.tree.map(lambda *signals: np.concatenate(signals), *parts)
 
 
 def _motor_torque(problem: Problem, segments: Segments) -> Float[np.ndarray, "batch time nv"]:

@@ -177,4 +177,5 @@ def _windows(logs: Sequence[Log], places: Int[np.ndarray, "segments 2"], length:
     qpos, qvel, channels = (np.concatenate([getattr(log, signal) for log in logs]) for signal in signals)
     load = np.stack([log.load for log in logs])[places[:, 0]]
     ctrl = channels[np.concatenate([before, index[:, :-1]], axis=1)]
-    return Segments(qpos[index], qvel[index], ctrl, logs[0].timestep, load, history)
+    observed = 0 if logs[0].observed is None else logs[0].observed.shape[1]
+    return Segments(qpos[index], qvel[index], ctrl, logs[0].timestep, load, history, observed)

@@ -1,6 +1,6 @@
 """What flows between the parts: logs, segments, the state a friction law sees, and the terms it answers with."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -43,6 +43,7 @@ class Log:
         extras: Other signals that were recorded with it, by name: supply [V], enable (0 or 1), temperature [degC], each
             of shape (time, columns).
         inputs: Those that the bench's actuator law needs besides the command; `Bench.accept` picks them.
+        observed: Those that the friction law looks at; `Bench.accept` picks them too.
         repairs: What cleaning changed, a sentence each.
         metadata: What else the source says about it (gains, notes).
 
@@ -61,6 +62,7 @@ class Log:
     load: Float[np.ndarray, "load"] = field(default_factory=lambda: np.zeros(0))
     extras: Mapping[str, Float[np.ndarray, "time _"]] = field(default_factory=dict)
     inputs: Float[np.ndarray, "time inputs"] | None = None
+    observed: Float[np.ndarray, "time observed"] | None = None
     repairs: tuple[str, ...] = ()
     metadata: Mapping[str, Any] = field(default_factory=dict)
 
@@ -122,8 +124,9 @@ class Log:
 
     @property
     def channels(self) -> Float[np.ndarray, "time channels"]:
-        """What drives a simulation: the command, then the actuator law's other inputs."""
-        return self.ctrl if self.inputs is None else np.concatenate([self.ctrl, self.inputs], axis=1)
+        """What drives a simulation: the command, the actuator law's other inputs, what the friction law looks at."""
+        parts = (self.ctrl, self.inputs, self.observed)
+        return np.concatenate([part for part in parts if part is not None], axis=1)
 
     def between(self, start: int, stop: int, part: str) -> "Log":
         """The samples from start up to, not including, stop, under the name `NAME[part]`."""
@@ -137,6 +140,7 @@ class Log:
             ctrl=self.ctrl[cut],
             extras={name: values[cut] for name, values in self.extras.items()},
             inputs=None if self.inputs is None else self.inputs[cut],
+            observed=None if self.observed is None else self.observed[cut],
         )
 
 
@@ -174,11 +178,12 @@ class Segments:
     Attributes:
         qpos: Measured position [rad or m].
         qvel: Measured velocity [rad/s or m/s].
-        ctrl: Command, one column an actuator, then the other inputs of the actuator law; `history` samples before the
-            first state, and the samples from there on.
+        ctrl: Command, one column an actuator, then the other inputs of the actuator law, then what the friction law
+            looks at; `history` samples before the first state, and the samples from there on.
         timestep: Sample interval [s].
         load: What each one's payload changes in the bench's model; None where there is none.
         history: Samples of `ctrl` before the first state.
+        observed: Columns at the end of `ctrl` that the friction law looks at.
     """
 
     qpos: Float[np.ndarray, "batch states nv"]
@@ -187,11 +192,17 @@ class Segments:
     timestep: float
     load: Float[np.ndarray, "batch load"] | None = None
     history: int = 0
+    observed: int = 0
 
     @property
     def commands(self) -> Float[np.ndarray, "batch time channels"]:
         """The samples of `ctrl` from the first state on."""
         return self.ctrl[:, self.history :]
+
+    @property
+    def driven(self) -> Float[np.ndarray, "batch time driving"]:
+        """`commands` without what only the friction law looks at: the same for all laws."""
+        return self.commands[:, :, : self.ctrl.shape[2] - self.observed]
 
     @property
     def loads(self) -> Float[np.ndarray, "batch load"]:
@@ -240,6 +251,7 @@ class DriveState(NamedTuple):
         motor_torque: Torque or force of the joint's actuator [N m or N].
         external_torque: Torque or force of everything but actuator and friction: gravity, springs, payload, Coriolis
             [N m or N]; the paper's tau_e.
+        temperature: Recorded temperature of the drive [degC]; None unless the law has it among its `inputs`.
     """
 
     qpos: Any
@@ -247,6 +259,19 @@ class DriveState(NamedTuple):
     ctrl: Any
     motor_torque: Any
     external_torque: Any
+    temperature: Any = None
+
+    def given(self) -> dict[str, Any]:
+        """The signals that are there, by name."""
+        return {name: signal for name, signal in self._asdict().items() if signal is not None}
+
+    def map(self, change: Callable[[Any], Any]) -> "DriveState":
+        """The state with each signal that is there changed.
+
+        Args:
+            change: From a signal to what takes its place.
+        """
+        return DriveState(**{**dict.fromkeys(self._fields), **{n: change(s) for n, s in self.given().items()}})
 
 
 class FrictionTerms(NamedTuple):

@@ -33,6 +33,19 @@ class Unit(Sound):
     dimensions = {"dry": "torqe"}
 
 
+class Humid(Sound):
+    inputs = {"humidity": 0.5}
+
+
+class Endless(Sound):
+    inputs = {"temperature": float("inf")}
+
+
+class LooksUnasked(Sound):
+    def terms(self, xp, values, state):
+        return FrictionTerms(torque=values["dry"] * xp.tanh(state.qvel) * state.temperature)
+
+
 class OutOfBounds(Sound):
     def __init__(self) -> None:
         super().__init__()
@@ -182,6 +195,9 @@ class NegativeDamping(Sound):
 
 BROKEN = {
     Unit: "units: dry has dimension torqe on a hinge; did you mean torque?",
+    Humid: "inputs: humidity is no recorded signal of DriveState; .*temperature",
+    Endless: "inputs: temperature is inf where recordings lack it",
+    LooksUnasked: "terms: fails over torch .*NoneType.* declared inputs",
     OutOfBounds: r"bounds: dry=\[2.0, 2.0\] outside \[0.1, 1\]",
     NotFinite: "values: velocity_scale is NaN or infinite",
     WrongShape: r"values: dry is no parameter of shape \(2,\)",

@@ -25,10 +25,12 @@ from frictionzoo.export.targets import __all__ as _registered  # noqa: F401 - im
 from frictionzoo.models import FrictionModel
 from frictionzoo.types import DriveState, Payload, Segments
 
+SIGNALS = ["qpos", "qvel", "ctrl", "motor_torque", "external_torque"]
 PAYLOAD = Payload(0.5, (0.0, 0.0, -0.1), (1e-4, 1e-4, 1e-4))
 MODELS = [
     *("mujoco_default", "coulomb_stribeck", "asymmetric", "polynomial_viscous", "ripple", "harmonic_drive"),
     *("neural_friction", "dissipative_network", "odd_network", "residual_network"),
+    *("temperature_linear", "temperature_arrhenius"),
 ]
 
 
@@ -38,18 +40,20 @@ def fit(make: Callable[..., Any]) -> Callable[..., Fitted]:
 
     @cache  # with what a drive has compiled
     def fit(*overrides: str) -> Fitted:
-        bench, model = make("bench", *overrides), make("model", *overrides, nv=1)
+        model = make("model", *overrides, nv=1)
+        bench = make("bench", *overrides).observing(model.inputs)
         rng, interval = np.random.default_rng(0), 0.01
         sampling = bench.sampling(interval)
         samples = sampling.history + 50
         phase = 5 * interval * np.arange(samples)[:, None] + np.arange(2)[:, None, None]
         extras = [np.full((2, samples, 1), value) for value in (16.0, 12.0, 1.0)[: len(bench.actuator.inputs)]]
-        ctrl = np.concatenate([0.5 * np.sin(phase), *extras], axis=2)
+        observed = [value + 10 * np.cos(phase) for value in model.inputs.values()]
+        ctrl = np.concatenate([0.5 * np.sin(phase), *extras, *observed], axis=2)
         qpos, qvel = rng.normal(size=(2, 2, 51, 1))
         load = None if bench.payload is None else np.stack(2 * [bench.load(PAYLOAD)])
         model.prepare(DriveState(*rng.normal(size=(5, 100, 1))))
         values = {"bench": bench.initial_values(), "friction": state(model)}
-        segments = Segments(qpos, qvel, ctrl, interval, load, sampling.history)
+        segments = Segments(qpos, qvel, ctrl, interval, load, sampling.history, len(observed))
         return Fitted(Path("run"), {"model": model.name}, bench, model.double(), values, segments, sampling)
 
     return fit
@@ -91,13 +95,13 @@ def test_an_onnx_file_stands_alone(fit: Callable[..., Fitted]) -> None:
     import onnx
     import onnxruntime
 
-    content = export_onnx(fit("model=neural_friction").model, 1, "float64")
+    content = export_onnx(fit("model=neural_friction").model, "float64")
     onnx.checker.check_model(onnx.load_from_string(content), full_check=True)
     assert b".py" not in content
     session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
-    assert [given.name for given in session.get_inputs()] == list(DriveState._fields)
+    assert [given.name for given in session.get_inputs()] == SIGNALS
     for batch in (1, 7):
-        terms = session.run(None, {name: np.ones((batch, 1)) for name in DriveState._fields})
+        terms = session.run(None, {name: np.ones((batch, 1)) for name in SIGNALS})
         assert [term.shape for term in terms] == 3 * [(batch, 1)]
 
 

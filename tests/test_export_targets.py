@@ -78,18 +78,24 @@ def make_fitted(model: str | FrictionModel, *overrides: str, steps: int = 150) -
     settings = OmegaConf.to_container(compose_config(f"model={chosen}", "data=twin", *overrides), resolve=True)
     bench: Bench = build(settings["bench"])
     law = model if isinstance(model, FrictionModel) else build(settings["model"], nv=bench.nv)
-    if isinstance(law, NetworkModel):
-        with torch.no_grad():  # so that it matters
+    bench = bench.observing(law.inputs)
+    with torch.no_grad():  # so that it matters
+        if isinstance(law, NetworkModel):
             law.layers[-1].weight.mul_(100.0)
+        for name, param in law.params.items():
+            if param.init == 0:
+                law.get_parameter(name).fill_(0.3 * param.high)
     interval = bench.timestep
     history = bench.sampling(interval).history
     time = interval * np.arange(-history, steps)[:, None]
     swings = np.stack([0.5 * np.sin(30 * time + phase + np.arange(bench.nv)) for phase in (0.3, 2.0)])
-    inputs = {"gain": 5.0, "supply": 12.0, "enable": 1.0}
-    more = [np.full_like(swings, inputs[name]) for name in bench.actuator.inputs]
+    inputs = {"gain": 5.0, "supply": 12.0, "enable": 1.0, "temperature": 40 + 10 * np.sin(20 * time)}
+    more = [np.full_like(swings, inputs[name]) for name in bench.inputs]
     states = np.random.default_rng(0).normal(scale=0.2, size=(2, 2, steps + 1, bench.nv))
     load = None if bench.payload is None else np.stack(2 * [bench.load(PAYLOAD)])
-    segments = Segments(*states, np.concatenate([swings, *more], axis=2), interval, load, history)
+    segments = Segments(
+        *states, np.concatenate([swings, *more], axis=2), interval, load, history, len(law.inputs) * bench.nv
+    )
     values = {
         "bench": bench.initial_values(),
         "friction": {name: value.detach().double().numpy() for name, value in law.state_dict().items()},
@@ -291,7 +297,7 @@ def test_a_module_needs_nothing_of_this_package(tmp_path):
         folder.mkdir(parents=True)
         names = write_module(
             *(fitted, folder, f"{target.name}_drive.py.jinja", "drive.py"),
-            **dict.fromkeys(("example_inputs", "example_install", "late_remark"), ""),
+            **dict.fromkeys(("example_install", "late_remark"), ""),
         )
         assert names == ("drive.py", "weights.npz")
         imported = {name.split(".")[0] for name in imports(ast.parse((folder / "drive.py").read_text()))}
@@ -300,10 +306,10 @@ def test_a_module_needs_nothing_of_this_package(tmp_path):
 
 def test_friction_torque_over_jax_is_the_laws(tmp_path):
     fitted = make_fitted("coulomb_stribeck")
-    write_module(fitted, tmp_path, "mjx_drive.py.jinja", "drive.py", example_inputs="", late_remark="")
+    write_module(fitted, tmp_path, "mjx_drive.py.jinja", "drive.py", late_remark="")
     module, samples = load_module(tmp_path / "drive.py"), fitted.samples
     with jax.enable_x64(True):
-        torque = np.asarray(module.friction_torque(*map(np.asarray, samples)))
+        torque = np.asarray(module.friction_torque(**samples.given()))
     expected = fitted.model.terms(np, fitted.values["friction"], samples).torque
     np.testing.assert_allclose(torque, expected, rtol=1e-12)
 

@@ -33,7 +33,9 @@ def make_trace(count: int, steps: int, seed: int, timestep: float = STEP) -> lis
 
 
 def stack(trace: list[DriveState]) -> DriveState:
-    return DriveState(*(torch.stack(signals) for signals in zip(*trace, strict=True)))
+    return DriveState(
+        *(torch.stack(signals) for signals in zip(*(state.given().values() for state in trace), strict=True))
+    )
 
 
 def along(law: FrictionModel, trace: list[DriveState], timestep: float = STEP) -> torch.Tensor:
@@ -102,7 +104,7 @@ def test_far_outside_the_training_data_it_is_constant():
 def test_it_starts_near_zero_with_time_constants_over_the_whole_range():
     law, state = HistoryNetwork(1, [16], 4, TIMES, 0), DriveState(*np.random.default_rng(1).normal(size=(5, 200, 1)))
     law.prepare(state)
-    trace = [DriveState(*(torch.tensor(signal) for signal in state))]
+    trace = [state.map(torch.tensor)]
     torque = along(law, trace)
     assert 0 < torque.abs().max() < 0.05 * law.torque_scale  # five outputs, each near zero
     torque.square().sum().backward()
@@ -140,7 +142,7 @@ def test_it_learns_hysteresis_that_no_network_without_memory_does():
     truth, trace, unseen = Dahl(1, YIELDS), make_trace(48, 50, 0), make_trace(48, 50, 1)
     with torch.no_grad():
         target, expected = along(truth, trace), along(truth, unseen)
-    samples = DriveState(*(signal.reshape(-1, 1).numpy() for signal in stack(trace)))
+    samples = stack(trace).map(lambda signal: signal.reshape(-1, 1).numpy())
     errors = []
     for law in (HistoryNetwork(1, [16], 2, TIMES, 0), NeuralFriction(1, [16], 0)):
         law.prepare(samples._replace(motor_torque=target.reshape(-1, 1).numpy()))

@@ -91,7 +91,7 @@ def check_friction(run: Path, module: FrictionModel, result: dict) -> None:
     # One iteration moves weights by a hundredth: a state that stayed as it was built would show.
     if before and result["fit"]["best_iteration"] > 0:
         assert any(not torch.equal(before[key], tensor) for key, tensor in module.state_dict().items())
-    state = DriveState(*torch.linspace(-1, 1, 10, dtype=torch.float64).reshape(5, 2, 1))
+    state = DriveState(*torch.linspace(-1, 1, 12, dtype=torch.float64).reshape(6, 2, 1))
     assert all(
         torch.isfinite(term).all() for term in module.terms(torch, module.state_dict(), state) if term is not None
     )

@@ -60,11 +60,11 @@ def build(compose: Compose) -> Callable[..., FrictionModel]:
 
 
 def random_state(*shape: int, seed: int = 0) -> DriveState:
-    return DriveState(*np.random.default_rng(seed).standard_normal((5, *shape)))
+    return DriveState(*np.random.default_rng(seed).standard_normal((len(DriveState._fields), *shape)))
 
 
 def in_torch(state: DriveState) -> DriveState:
-    return DriveState(*(torch.tensor(signal) for signal in state))
+    return state.map(torch.tensor)
 
 
 def anywhere_in_bounds(model: FrictionModel, seed: int) -> dict[str, torch.Tensor]:
@@ -104,7 +104,8 @@ def test_parameters_have_bounds_and_units(build, name):
     assert set(model.params) == set(get_model(name).dimensions)
     for param in model.params.values():
         assert param.low < param.init < param.high
-        assert param.low > 0 or param.dimension == "1"  # a share may have either sign
+        # A share and what changes with the temperature may have either sign.
+        assert param.low > 0 or param.dimension in ("1", "temperature", "1/temperature")
         assert all(param.unit(joint_type) in UNITS[joint_type].values() for joint_type in ("hinge", "slide"))
 
 
@@ -113,7 +114,7 @@ def test_torch_equals_jax(build, name):
     model, state = build(name, 2), random_state(50, 2)
     model.prepare(state)
     values = {key: value.detach().clone().requires_grad_() for key, value in model.state_dict().items()}
-    drive = DriveState(*(signal.requires_grad_() for signal in in_torch(state)))
+    drive = in_torch(state).map(torch.Tensor.requires_grad_)
     ours = model.terms(torch, values, drive)
     with jax.enable_x64(True):
         theirs, pull = jax.vjp(lambda *inputs: model.terms(jnp, *inputs), to_jax(model, jnp.float64), state)
@@ -157,7 +158,7 @@ def test_gradient_equals_central_differences(build, name, seed):
 @pytest.mark.parametrize("name", [name for name in OURS if name != "baseline"])
 def test_gradient_at_standstill_is_finite(build, name):
     model = build(name)
-    drive = DriveState(*(torch.zeros(4, 1, dtype=torch.float64, requires_grad=True) for _ in range(5)))
+    drive = DriveState(*(torch.zeros(4, 1, dtype=torch.float64, requires_grad=True) for _ in DriveState._fields))
     total(model(drive)).backward()
     slopes = [weights.grad for weights in model.parameters() if weights.grad is not None]
     assert slopes and all(torch.isfinite(slope).all() for slope in slopes)
@@ -412,7 +413,7 @@ def test_neural_friction_without_actuation_stays_finite():
 
 def test_neural_friction_shares_its_weights_over_joints():
     model, state = NeuralFriction(nv=3, hidden=[4], seed=0), random_state(10, 3)
-    swapped = DriveState(*(signal[:, ::-1].copy() for signal in state))
+    swapped = state.map(lambda signal: signal[:, ::-1].copy())
     assert torch.equal(model(in_torch(state)).torque.flip(-1), model(in_torch(swapped)).torque)
 
 

@@ -75,7 +75,7 @@ def answer(law: FrictionModel, namespace: str, state: DriveState) -> FrictionTer
         terms = over_jax(type(law))(to_jax(law, dtype), state)
     else:
         values = {key: value.to(getattr(torch, dtype)) for key, value in law.state_dict().items()}
-        terms = law.terms(torch, values, DriveState(*map(torch.from_numpy, state)))
+        terms = law.terms(torch, values, state.map(torch.from_numpy))
     return FrictionTerms(*(None if term is None else np.asarray(term) for term in terms))
 
 
@@ -99,7 +99,7 @@ def test_a_dissipative_network_never_drives_the_joint(namespace, dtype):
 @compiled
 def test_an_odd_network_mirrors_to_the_last_bit(namespace, dtype):
     state = states(dtype)
-    mirrored = DriveState(*(-signal for signal in state))
+    mirrored = state.map(np.negative)
     for seed in range(8):
         law = fitted("odd_network", seed)
         there, back = (answer(law, namespace, side).torque for side in (state, mirrored))
@@ -125,7 +125,7 @@ def test_a_residual_network_stays_within_its_limit(namespace, dtype):
 def test_the_promises_are_the_new_laws_own():
     """The same look at the paper's network finds what it may do: the tests above can fail."""
     law, state = NeuralFriction(1, [8, 8], 0), states("float64")
-    there, back = (answer(law, "torch", DriveState(*(sign * s for s in state))).torque for sign in (1, -1))
+    there, back = (answer(law, "torch", state.map(move)).torque for move in (np.positive, np.negative))
     assert (there * np.sign(state.qvel) < 0).mean() > 0.1 and (there != -back).mean() > 0.9
     assert np.abs(there).max() > 1e3
 
@@ -133,7 +133,7 @@ def test_the_promises_are_the_new_laws_own():
 @pytest.mark.parametrize("name", LAWS)
 def test_far_outside_the_training_data_the_network_is_constant(name):
     law = fitted(name, 1)
-    edge = DriveState(*(np.full((1, 1), 1e6) for _ in DriveState._fields))
+    edge = DriveState(*(5 * [np.full((1, 1), 1e6)]))
     beyond = edge._replace(qpos=1e3 * edge.qpos, ctrl=1e9 * edge.ctrl, external_torque=1e200 * edge.external_torque)
     faster = beyond._replace(qvel=3.0 * edge.qvel)
     torques = [answer(law, "torch", state).torque.item() for state in (edge, beyond, faster)]
@@ -146,7 +146,7 @@ def test_friction_starts_near_zero(name):
     """At most 0.02 of the torque, as much again at the usual speed; yet each layer has a gradient."""
     law, state = LAWS[name](0), DriveState(*np.random.default_rng(1).normal(size=(5, 200, 1)))
     law.prepare(state)
-    torque = law(DriveState(*map(torch.from_numpy, state))).torque
+    torque = law(state.map(torch.from_numpy)).torque
     assert (torque.abs() < 0.02 * law.torque_scale * (1 + torch.tensor(np.abs(state.qvel)))).all()
     torque.square().sum().backward()
     assert all(layer.weight.grad.abs().max() > 0 for layer in law.layers)
@@ -205,7 +205,7 @@ def test_a_dissipative_network_can_be_coulomb_stribeck_viscous_and_load_dependen
     dry = 0.1 + 0.06 * torch.exp(-((state.qvel / 0.2) ** 2)) + 0.05 * state.external_torque.abs()
     truth = dry * torch.tanh(state.qvel / V_0) + 0.05 * state.qvel
     law = DissipativeNetwork(1, [32, 32], 0, SMOOTHING)
-    law.prepare(DriveState(*(signal.numpy() for signal in state)))
+    law.prepare(state.map(torch.Tensor.numpy))
     optimiser = torch.optim.Adam(law.parameters(), lr=0.01)
     for _ in range(300):
         optimiser.zero_grad()

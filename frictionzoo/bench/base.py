@@ -1,12 +1,13 @@
 """A bench: the MJCF around the drive, the joints that are identified, and the actuator that drives them."""
 
 import copy
+import logging
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -15,7 +16,9 @@ from jaxtyping import Float
 from frictionzoo.bench.actuators import Actuator, Affine
 from frictionzoo.errors import BenchError, ConfigError, closest
 from frictionzoo.params import Param, read_params
-from frictionzoo.types import Log, Payload, Sampling
+from frictionzoo.types import Dataset, DriveState, Log, Payload, Sampling
+
+_log = logging.getLogger(__name__)
 
 _JOINT_TYPES = {mujoco.mjtJoint.mjJNT_HINGE: "hinge", mujoco.mjtJoint.mjJNT_SLIDE: "slide"}
 _INTEGRATORS = {mujoco.mjtIntegrator.mjINT_EULER: "Euler", mujoco.mjtIntegrator.mjINT_IMPLICITFAST: "implicitfast"}
@@ -24,6 +27,20 @@ _TIMESTEP_TOLERANCE = 0.01  # share by which the log's interval may differ from 
 _PARAMS = {"armature": "inertia", "delay": "time", "position_offset": "position"}
 _OPTIONAL = ("delay", "position_offset")
 _HEAVIER = 100.0  # times a fitted armature, or a part of it, within which it may move where a bench starts again
+
+
+class Channels(NamedTuple):
+    """What drives a simulation, by its parts, each of shape (..., nv).
+
+    Attributes:
+        command: Of each joint's actuator.
+        inputs: Each other input of the actuator law, by name.
+        observed: What the friction law looks at, by name.
+    """
+
+    command: Any
+    inputs: dict[str, Any]
+    observed: dict[str, Any]
 
 
 class Bench:
@@ -39,6 +56,8 @@ class Bench:
         timestep: Simulation step [s].
         own_damping: The template's own damping of each joint [N m s/rad or N s/m].
         payload: Index of the body that carries payloads, or None.
+        observed: What the friction law looks at besides the state, a name among `Log.extras` each, and what it is where
+            recordings lack it; see `observing`.
 
     Args:
         mjcf: Path of the template, or the name of one that the package ships (`knee_rod.xml`, `emps.xml`).
@@ -86,6 +105,7 @@ class Bench:
         self.timestep = float(model.opt.timestep)
         self.own_damping = model.dof_damping.copy()
         self.payload = None if payload is None else self._find_body(model, payload)
+        self.observed: dict[str, float] = {}
         self._loads: dict[Payload, np.ndarray] = {}  # many recordings have the same
 
     @property
@@ -120,6 +140,42 @@ class Bench:
         }
         other._start = {name: np.array(value) for name, value in values.items()}
         return other
+
+    def observing(self, inputs: Mapping[str, float]) -> "Bench":
+        """The same test stand, for a friction law that looks at more of a recording than the state.
+
+        Args:
+            inputs: The law's `inputs`.
+
+        Raises:
+            ConfigError: `DriveState` has no such signal.
+        """
+        recorded = tuple(DriveState._field_defaults)
+        for name in inputs:
+            if name not in recorded:
+                raise ConfigError(f"the friction law's input {name}: unknown; {closest(name, recorded)}")
+        other = copy.copy(self)
+        other.observed = dict(inputs)
+        return other
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """What both laws need in each sample besides the command, in the order of the channels."""
+        return (*self.actuator.inputs, *self.observed)
+
+    def split(self, channels: Any) -> Channels:
+        """The parts of what drives a simulation.
+
+        Args:
+            channels: An array of shape (..., channels), as `Log.channels` has it.
+        """
+        parts = [channels[..., at * self.nv : (at + 1) * self.nv] for at in range(1 + len(self.inputs))]
+        named = dict(zip(self.inputs, parts[1:], strict=True))
+        return Channels(
+            parts[0],
+            {name: named[name] for name in self.actuator.inputs},
+            {name: named[name] for name in self.observed},
+        )
 
     def mjcf(
         self,
@@ -193,20 +249,42 @@ class Bench:
         return model
 
     def accept(self, log: Log) -> Log:
-        """The same log with what its payload changes in the model, and what the actuator law needs to know of it.
+        """The same log with what its payload changes in the model, and what both laws need to know of it.
 
         Raises:
             BenchError: This bench cannot have produced it: it has another number of joints or actuators, another time
-                step, a payload that no body carries, or lacks an input of the actuator law.
+                step, a payload that no body carries, lacks an input of the actuator law, or has one of a wrong shape.
         """
         self._check_log(log)
-        log = replace(log, inputs=self._pick_inputs(log))
+        log = replace(log, inputs=self._pick_inputs(log), observed=self._pick_observed(log))
         if self.payload is None and log.payload is not None:
             raise BenchError(
                 f"{log.name}: a payload of {log.payload.mass:g} kg, but bench.payload=null; name the body of "
                 f"{self.source} that carries it"
             )
         return log if self.payload is None else replace(log, load=self.load(log.payload or NO_PAYLOAD))
+
+    def accept_all(self, dataset: Dataset) -> Dataset:
+        """The same data set with each log accepted.
+
+        What the friction law looks at has to be in all of its recordings or in none. In none, the law acts as at the
+        value of `observed`, and what it says of other values is not identifiable.
+
+        Raises:
+            BenchError: A log is not accepted, or some have what the friction law looks at and others do not.
+        """
+        for name, value in self.observed.items():
+            having = [log.name for log in dataset.logs if name in log.extras]
+            lacking = [log.name for log in dataset.logs if name not in log.extras]
+            if having and lacking:
+                raise BenchError(
+                    f"{lacking[0]}: no {name}, which {having[0]} has and the friction law looks at; map a column "
+                    f"(data.columns.{name}), leave out one of them, or take another model"
+                )
+            if lacking:
+                _log.info("%s: no %s in it; the friction law acts as at %g throughout", dataset.name, name, value)
+        train, test = (tuple(map(self.accept, logs)) for logs in (dataset.train, dataset.test))
+        return Dataset(dataset.name, train, test)
 
     def load(self, payload: Payload) -> Float[np.ndarray, "load"]:
         """What a payload changes in the model; empty for a bench that carries none.
@@ -263,8 +341,29 @@ class Bench:
                     f"{log.name}: no {name}, which {type(self.actuator).__name__} needs; map a column "
                     f"(data.columns.{name}), or give a field or a number (data.inputs.{name})"
                 )
-            columns.append(np.broadcast_to(log.extras[name], log.qpos.shape))
+            columns.append(self._for_each_joint(log, name))
         return np.concatenate(columns, axis=1)
+
+    def _pick_observed(self, log: Log) -> Float[np.ndarray, "time observed"] | None:
+        columns = [
+            self._for_each_joint(log, name) if name in log.extras else np.full(log.qpos.shape, value)
+            for name, value in self.observed.items()
+        ]
+        return np.concatenate(columns, axis=1) if columns else None
+
+    def _for_each_joint(self, log: Log, name: str) -> Float[np.ndarray, "time nv"]:
+        signal = log.extras[name]
+        if signal.shape[1] not in (1, self.nv):
+            raise BenchError(
+                f"{log.name}: {name} has {signal.shape[1]} columns, expected 1 for all joints or {self.nv}, one a "
+                f"joint; choose other columns (data.columns.{name})"
+            )
+        if not np.isfinite(signal).all():
+            raise BenchError(
+                f"{log.name}: {name} is NaN or infinite in {(~np.isfinite(signal)).any(axis=1).sum()} of {len(signal)} "
+                "samples, expected finite values; cut or repair the log"
+            )
+        return np.broadcast_to(signal, log.qpos.shape)
 
     def _angle_unit(self) -> float:
         """What the template's joint positions are in [rad or m]: MuJoCo's default for hinges is degrees."""

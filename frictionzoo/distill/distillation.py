@@ -143,7 +143,9 @@ def _compare(teacher: Fitted, folder: Path) -> dict[str, Any]:
     qpos, own = (run.curves.qpos for run in read_runs([teacher.folder, folder])[0])
     kept = np.isfinite(qpos).all(axis=(1, 2)) & np.isfinite(own).all(axis=(1, 2))
     states, units = teacher.samples, UNITS[teacher.bench.joint_type]
-    torques = [sliding_torque(np, evaluate_law(model, states), states.qvel) for model in (teacher.model, student.model)]
+    own_inputs = {name: getattr(student.samples, name) for name in student.model.inputs}
+    laws = (teacher.model, states), (student.model, states._replace(**own_inputs))
+    torques = [sliding_torque(np, evaluate_law(*law), states.qvel) for law in laws]
     return {
         "teacher": str(teacher.folder.resolve()),
         "differences": [

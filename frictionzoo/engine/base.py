@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from frictionzoo.bench import Bench
+from frictionzoo.bench import Bench, Channels
 from frictionzoo.types import DriveState, FrictionTerms
 
 Values = Mapping[str, Mapping[str, Any]]
@@ -63,7 +63,8 @@ class Engine(ABC):
             values: Bench and friction parameters.
             qpos: Position [rad or m].
             qvel: Velocity [rad/s or m/s].
-            ctrl: The command of each joint's actuator, then each other input of the actuator law, one a joint.
+            ctrl: The command of each joint's actuator, then each other input of the actuator law, then what the
+                friction law looks at, one a joint each; see `Bench.split`.
             load: What the recording's payload changes in the model, from `Bench.load`.
             memory: The friction law's, from `start` or the step before.
         """
@@ -91,11 +92,11 @@ class Engine(ABC):
         """What a friction law would see in this state; arguments as in `step`."""
 
 
-def control(bench: Bench, values: Values, qpos: Array, qvel: Array, ctrl: Array) -> tuple[Array, Array]:
-    """The commands alone, and what the actuator law's controller makes of them; arguments as in `Engine.step`."""
-    command, *rest = jnp.split(ctrl, 1 + len(bench.actuator.inputs), axis=-1)
-    inputs = dict(zip(bench.actuator.inputs, rest, strict=True))
-    return command, bench.actuator.control(jnp, values["bench"], qpos, qvel, command, inputs)
+def control(bench: Bench, values: Values, qpos: Array, qvel: Array, ctrl: Array) -> tuple[Channels, Array]:
+    """The channels, and what the actuator law's controller makes of the commands; arguments as in `Engine.step`."""
+    channels = bench.split(ctrl)
+    command, inputs, _ = channels
+    return channels, bench.actuator.control(jnp, values["bench"], qpos, qvel, command, inputs)
 
 
 def friction_of(module: Any) -> Friction:

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
-from frictionzoo.bench import Bench
+from frictionzoo.bench import Bench, Channels
 from frictionzoo.bench.base import rigid_inertia
 from frictionzoo.engine.base import Engine, Friction, Values, control
 from frictionzoo.engine.linear import solve_spd
@@ -107,9 +107,9 @@ class MjxEngine(Engine):
         memory: Float[Array, "nv memory"],
     ) -> tuple[Float[Array, "nv"], Float[Array, "nv"], Float[Array, "nv memory"]]:
         """See `Engine.step`."""
-        command, effective = control(self._bench, values, qpos, qvel, ctrl)
+        channels, effective = control(self._bench, values, qpos, qvel, ctrl)
         model, data = self._drive(self.model_inputs(values, load), qpos, qvel, effective)
-        state = _drive_state(data, command)
+        state = _drive_state(data, channels)
         terms, memory = self._friction.advance(values["friction"], state, memory, self._timestep)
         model, data = self._apply(terms, model, data)
         data = mjx.fwd_acceleration(model, data)
@@ -127,8 +127,8 @@ class MjxEngine(Engine):
         load: Float[Array, "load"],
     ) -> DriveState:
         """See `Engine.drive_state`."""
-        command, effective = control(self._bench, values, qpos, qvel, ctrl)
-        return _drive_state(self._drive(self.model_inputs(values, load), qpos, qvel, effective)[1], command)
+        channels, effective = control(self._bench, values, qpos, qvel, ctrl)
+        return _drive_state(self._drive(self.model_inputs(values, load), qpos, qvel, effective)[1], channels)
 
     def model_inputs(self, values: Values, load: Float[Array, "load"]) -> ModelInputs:
         """What these values and this load change in the model."""
@@ -153,7 +153,6 @@ class MjxEngine(Engine):
     ) -> Dynamics:
         """What a step needs to know of this state, friction left out; arguments as in `step`, but ctrl is MuJoCo's."""
         model, data = self._drive(inputs, qpos, qvel, ctrl)
-        state = _drive_state(data, ctrl)
         if model.opt.integrator != mujoco.mjtIntegrator.mjINT_EULER:
             slope = derivative.deriv_smooth_vel(model, data)
             implicit = jnp.zeros((model.nv, model.nv)) if slope is None else -model.opt.timestep * slope
@@ -163,8 +162,8 @@ class MjxEngine(Engine):
             implicit = jnp.diag(model.opt.timestep * model.dof_damping)
         return Dynamics(
             support.full_m(model, data) if support.is_sparse(model) else data._impl.M,
-            state.motor_torque,
-            state.external_torque,
+            data.qfrc_actuator,
+            _external_torque(data),
             implicit,
             data._impl.efc_D,
             data._impl.efc_aref,
@@ -206,6 +205,10 @@ class MjxEngine(Engine):
         return model, data
 
 
-def _drive_state(data: mjx.Data, command: Array) -> DriveState:
-    external = data.qfrc_passive + data.qfrc_applied - data.qfrc_bias
-    return DriveState(data.qpos, data.qvel, command, data.qfrc_actuator, external)
+def _drive_state(data: mjx.Data, channels: Channels) -> DriveState:
+    torques = data.qfrc_actuator, _external_torque(data)
+    return DriveState(data.qpos, data.qvel, channels.command, *torques, **channels.observed)
+
+
+def _external_torque(data: mjx.Data) -> Array:
+    return data.qfrc_passive + data.qfrc_applied - data.qfrc_bias

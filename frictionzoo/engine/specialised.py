@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
-from frictionzoo.bench import Bench
+from frictionzoo.bench import Bench, Channels
 from frictionzoo.bench.base import NO_PAYLOAD
 from frictionzoo.engine.base import Engine, Friction, Values, control, without_memory
 from frictionzoo.engine.dry_friction import dry_friction
@@ -65,8 +65,8 @@ class SpecialisedEngine(Engine):
         memory: Float[Array, "nv memory"],
     ) -> tuple[Float[Array, "nv"], Float[Array, "nv"], Float[Array, "nv memory"]]:
         """See `Engine.step`."""
-        command, here = self._at(values, qpos, qvel, ctrl, load)
-        state = DriveState(qpos, qvel, command, here.motor_torque, here.external_torque)
+        channels, here = self._at(values, qpos, qvel, ctrl, load)
+        state = _drive_state(qpos, qvel, channels, here)
         terms, memory = self._friction.advance(values["friction"], state, memory, self._timestep)
         force = here.motor_torque + here.external_torque
         implicit = here.inertia + here.implicit
@@ -93,12 +93,16 @@ class SpecialisedEngine(Engine):
         load: Float[Array, "load"],
     ) -> DriveState:
         """See `Engine.drive_state`."""
-        command, here = self._at(values, qpos, qvel, ctrl, load)
-        return DriveState(qpos, qvel, command, here.motor_torque, here.external_torque)
+        return _drive_state(qpos, qvel, *self._at(values, qpos, qvel, ctrl, load))
 
-    def _at(self, values: Values, qpos: Array, qvel: Array, ctrl: Array, load: Array) -> tuple[Array, Dynamics]:
-        command, effective = control(self._bench, values, qpos, qvel, ctrl)
-        return command, self._dynamics(self._model_inputs(values, load), qpos, qvel, effective)
+    def _at(self, values: Values, qpos: Array, qvel: Array, ctrl: Array, load: Array) -> tuple[Channels, Dynamics]:
+        channels, effective = control(self._bench, values, qpos, qvel, ctrl)
+        return channels, self._dynamics(self._model_inputs(values, load), qpos, qvel, effective)
+
+
+def _drive_state(qpos: Array, qvel: Array, channels: Channels, here: Dynamics) -> DriveState:
+    torques = here.motor_torque, here.external_torque
+    return DriveState(qpos, qvel, channels.command, *torques, **channels.observed)
 
 
 _known: dict[tuple[str, bool], tuple[Callable[[Values, Array], ModelInputs], Specialised]] = {}

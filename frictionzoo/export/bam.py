@@ -187,9 +187,13 @@ def _compare(fitted: Fitted, paths: list[Path]) -> tuple[Difference, ...]:
 
 def _budgets(files: list[dict[str, Any]], state: DriveState) -> FrictionTerms:
     """Friction of all joints, along the last axis."""
-    terms = [friction_budget(data, DriveState(*(s[..., joint] for s in state))) for joint, data in enumerate(files)]
+    terms = [friction_budget(data, _state_of(state, joint)) for joint, data in enumerate(files)]
     loss, damping = (np.stack([getattr(term, name) for term in terms], -1) for name in ("frictionloss", "damping"))
     return FrictionTerms(frictionloss=loss, damping=damping)
+
+
+def _state_of(state: DriveState, joint: int) -> DriveState:
+    return state.map(lambda signal: signal[..., joint])
 
 
 def _compile(written: Fitted) -> mujoco.MjModel:

@@ -12,6 +12,7 @@ from frictionzoo.bench import Actuator
 from frictionzoo.errors import ConfigError
 from frictionzoo.export.base import Export, Target, measure, register_target
 from frictionzoo.export.fitted import Fitted
+from frictionzoo.export.mjcf import say_exact
 from frictionzoo.export.nearest import Nearest, find_nearest
 from frictionzoo.export.robot import ACTUATORS, Robot, compare_torque, put_into
 from frictionzoo.export.simulate import commands_before, simulate, step_with_control
@@ -86,7 +87,7 @@ def _say_robot(robot: Robot, fitted: Fitted, nearest: Nearest, actuators: str) -
 def write_bench(fitted: Fitted, nearest: Nearest) -> str:
     """The bench's MJCF with these values, in steps of the drive's length."""
     loss = nearest.frictionloss if nearest.frictionloss.any() else None  # 0 would be a constraint without effect
-    remark = nearest.remark or f"{fitted.model.name}: represented exactly by the frictionloss and damping below."
+    remark = nearest.remark or say_exact(fitted.model)
     return fitted.bench.mjcf(nearest.bench, loss, nearest.damping, (remark,))
 
 

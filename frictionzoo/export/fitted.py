@@ -64,6 +64,7 @@ class Fitted:
         settings = run.result["settings"]
         bench = build(settings["bench"])
         model = build(settings["model"], nv=bench.nv)
+        bench = bench.observing(model.inputs)
         _load_law(model, folder / LAW)
         friction = {name: value.detach().double().numpy().copy() for name, value in model.state_dict().items()}
         segments = _read_segments(run, bench)
@@ -105,7 +106,7 @@ class Fitted:
                 "them within a rollout"
             )
         every = round(timestep / interval) if timestep > interval else 1
-        bench = build({**self.result["settings"]["bench"], "timestep": timestep})
+        bench = build({**self.result["settings"]["bench"], "timestep": timestep}).observing(self.bench.observed)
         sampling = bench.sampling(every * interval)
         return replace(self, bench=bench, segments=_thin(self.segments, every, sampling.history), sampling=sampling)
 
@@ -152,7 +153,7 @@ class Fitted:
     def commands(
         self, segments: Segments | None = None, late: bool = True
     ) -> Float[np.ndarray, "batch time substeps channels"]:
-        """What acts in each step of the simulation: the commands, and the other inputs of the actuator law.
+        """What acts in each step of the simulation: the commands, and the other inputs of both laws.
 
         Args:
             segments: Whose; None for the run's long test rollouts.
@@ -171,7 +172,7 @@ class Fitted:
         with jax.enable_x64(True):
             states = jax.jit(make_observer(self.engine, self.sampling))
             seen = states(self.jax_values, qpos, qvel, segments.ctrl, segments.loads)
-            return DriveState(*(np.array(signal, np.float64).reshape(-1, self.bench.nv) for signal in seen))
+            return seen.map(lambda signal: np.array(signal, np.float64).reshape(-1, self.bench.nv))
 
     @cached_property
     def engine(self) -> Engine:
@@ -229,7 +230,8 @@ def _read_segments(run: Run, bench: Bench) -> Segments:
         )
     load = curves.load if curves.load.shape[1] else None
     interval, history = run.result["data"]["timestep"], samples - (states - 1)
-    return Segments(curves.measured_qpos, curves.measured_qvel, curves.ctrl, interval, load, history)
+    observed = len(bench.observed) * bench.nv
+    return Segments(curves.measured_qpos, curves.measured_qvel, curves.ctrl, interval, load, history, observed)
 
 
 def _thin(segments: Segments, every: int, history: int) -> Segments:

@@ -20,10 +20,11 @@ LIMITS = (
     "Outputs torque, frictionloss and damping of shape (batch, nv). Subtract torque + damping * qvel from the drive's "
     "torque; dry friction is whatever stops the joint, at most frictionloss. What the law does not use is 0.",
 )
+_OBSERVED = "Besides, the inputs {names} of the same shape: the friction law looks at them too."
 
 
 class Graph(torch.nn.Module):
-    """A law with its values as constants: the five signals of a `DriveState` to the three of `FrictionTerms`.
+    """A law with its values as constants: the signals of a `DriveState` to the three of `FrictionTerms`.
 
     Args:
         model: The law; it is copied.
@@ -42,22 +43,32 @@ class Graph(torch.nn.Module):
         ctrl: torch.Tensor,
         motor_torque: torch.Tensor,
         external_torque: torch.Tensor,
+        temperature: torch.Tensor | None = None,
     ) -> tuple[torch.Tensor, ...]:
         """Each of the terms, of shape (batch, nv), 0 where the law does not use it."""
-        terms = self.law(DriveState(qpos, qvel, ctrl, motor_torque, external_torque))
+        terms = self.law(DriveState(qpos, qvel, ctrl, motor_torque, external_torque, temperature))
         shape = qvel.shape
         return tuple(torch.zeros_like(qvel) if term is None else torch.broadcast_to(term, shape) for term in terms)
 
 
-def example(nv: int, dtype: torch.dtype) -> tuple[torch.Tensor, ...]:
+def signals(model: FrictionModel) -> tuple[str, ...]:
+    """Names of what a law looks at, in order."""
+    return tuple(name for name in DriveState._fields if name in model.inputs or name not in DriveState._field_defaults)
+
+
+def limits(model: FrictionModel) -> tuple[str, ...]:
+    """What a user of the law alone has to know."""
+    return (*LIMITS, _OBSERVED.format(names=", ".join(model.inputs))) if model.inputs else LIMITS
+
+
+def example(model: FrictionModel, dtype: torch.dtype) -> tuple[torch.Tensor, ...]:
     """Inputs to record a graph with: two rows, since one would be taken for a constant."""
-    return tuple(torch.ones(2, nv, dtype=dtype) for _ in DriveState._fields)
+    return tuple(torch.ones(2, model.nv, dtype=dtype) for _ in signals(model))
 
 
 def inputs(samples: DriveState, dtype: torch.dtype) -> dict[str, torch.Tensor]:
     """The samples by name."""
-    arrays = (np.asarray(signal, np.float64) for signal in samples)
-    return {name: torch.tensor(array, dtype=dtype) for name, array in zip(DriveState._fields, arrays, strict=True)}
+    return samples.map(lambda signal: torch.tensor(np.asarray(signal, np.float64), dtype=dtype)).given()
 
 
 def compare(fitted: Fitted, came: FrictionTerms, how: str) -> Difference:

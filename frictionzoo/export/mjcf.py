@@ -19,6 +19,7 @@ def export_mjcf(bench: Bench, values: Values, model: FrictionModel, samples: Dri
 
     A law is represented exactly if it answers with a constant `frictionloss` and `damping` and no torque of its own.
     The nearest to any other law is the least-squares one over the training samples with frictionloss and damping >= 0.
+    A law that looks at more than the state is written as it is where recordings lack that.
 
     Args:
         bench: The bench.
@@ -27,11 +28,11 @@ def export_mjcf(bench: Bench, values: Values, model: FrictionModel, samples: Dri
         samples: Training samples as numpy arrays of shape (samples, nv).
     """
     velocity = np.asarray(samples.qvel, dtype=np.float64)
-    terms = evaluate_law(model, samples)
+    terms = evaluate_law(model, without_inputs(model, samples))
     _, frictionloss, damping = (np.zeros(velocity.shape) if term is None else term for term in terms)
     if terms.torque is None and is_constant(frictionloss) and is_constant(damping):
         loss, viscous = frictionloss[0], damping[0]
-        comment = f"{model.name}: represented exactly by the frictionloss and damping below."
+        comment = say_exact(model)
     else:
         total = sliding_torque(np, terms, velocity)
         loss, viscous = nearest_frictionloss_and_damping(total, velocity)
@@ -70,9 +71,25 @@ def evaluate_law(model: FrictionModel, samples: DriveState) -> FrictionTerms:
         samples: Numpy arrays of shape (samples, nv).
     """
     double = copy.deepcopy(model).double()
-    terms = double(DriveState(*(torch.as_tensor(np.asarray(signal, dtype=np.float64)) for signal in samples)))
+    terms = double(samples.map(lambda signal: torch.as_tensor(np.asarray(signal, dtype=np.float64))))
     shape = np.shape(samples.qvel)
     return FrictionTerms(*(None if term is None else np.broadcast_to(term.detach().numpy(), shape) for term in terms))
+
+
+def without_inputs(model: FrictionModel, samples: DriveState) -> DriveState:
+    """The samples as if the recordings lacked what the law looks at besides the state.
+
+    Args:
+        model: The law.
+        samples: Numpy arrays of shape (samples, nv).
+    """
+    return samples._replace(**{name: np.full(np.shape(samples.qvel), value) for name, value in model.inputs.items()})
+
+
+def say_exact(model: FrictionModel) -> str:
+    """In words, that a frictionloss and a damping are the law, and where."""
+    where = "".join(f", at {name} {value:g} and at no other" for name, value in model.inputs.items())
+    return f"{model.name}: represented exactly by the frictionloss and damping below{where}."
 
 
 def is_constant(values: Float[np.ndarray, "samples nv"]) -> bool:

@@ -31,7 +31,6 @@ class Mjx(Target):
         (folder / BENCH).write_text(write_bare_bench(fitted, loss))
         written = write_module(
             *(fitted, folder, "mjx_drive.py.jinja", MODULE),
-            example_inputs="".join(f', {{"{name}": ...}}' for name in fitted.bench.actuator.inputs[:1]),
             late_remark="commands act late." if "delay" in fitted.values["bench"] else "they act at once.",
         )
         with jax.enable_x64(True):
@@ -47,9 +46,9 @@ def _run(folder: Path, fitted: Fitted) -> Float[np.ndarray, "batch time nv"]:
     remembers = fitted.model.memory > 0
 
     def act(before: Any, channels: Any) -> tuple[Any, Any, Mapping[str, Any]]:
-        command, *rest = jnp.split(channels, 1 + len(module.INPUTS))
+        command, inputs, observed = fitted.bench.split(channels)
         before = jnp.concatenate([before[1:], command[None]])
-        return before, module.late(before, fitted.timestep), dict(zip(module.INPUTS, rest, strict=True))
+        return before, module.late(before, fitted.timestep), inputs | observed
 
     @jax.jit
     def rollout(model: mjx.Model, data: mjx.Data, commands: Any) -> Any:

@@ -13,6 +13,7 @@ import numpy as np
 from frictionzoo import __version__
 from frictionzoo.bench import Actuator
 from frictionzoo.export.fitted import Fitted
+from frictionzoo.export.graph import signals
 from frictionzoo.export.source import merge, read_source, write_values
 from frictionzoo.params import UNITS
 
@@ -69,6 +70,9 @@ def _describe(fitted: Fitted, values: str, weights: bool) -> Mapping[str, Any]:
         "joints": repr(fitted.bench.joints),
         "timestep": repr(fitted.timestep),
         "inputs": repr(tuple(fitted.bench.actuator.inputs)),
+        "observed": fitted.bench.observed,
+        "signals": signals(model),
+        "example_inputs": "".join(f', {{"{name}": ...}}' for name in fitted.bench.inputs[:1]),
         "values": values,
         "weights": WEIGHTS if weights else "",
         "actuator": write_values(fitted.values["bench"])[0],

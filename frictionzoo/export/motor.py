@@ -74,8 +74,8 @@ class Joint(NamedTuple):
 def read_inputs(fitted: Fitted, options: Mapping[str, str]) -> dict[str, float]:
     """Gain and supply of a drive that needs them, as given or as the median over the long test rollouts."""
     names = fitted.bench.actuator.inputs
-    signals = np.split(fitted.segments.commands, 1 + len(names), axis=2)[1:]
-    medians = {name: float(np.median(signal)) for name, signal in zip(names, signals, strict=True)}
+    signals = fitted.bench.split(fitted.segments.commands).inputs
+    medians = {name: float(np.median(signal)) for name, signal in signals.items()}
     given = {name: read_number(options, name) for name in INPUTS}
     return medians | {name: value for name, value in given.items() if value is not None and name in names}
 

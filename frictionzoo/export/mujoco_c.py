@@ -26,7 +26,6 @@ class MujocoC(Target):
         (folder / BENCH).write_text(write_bare_bench(fitted))
         written = write_module(
             *(fitted, folder, "mujoco_drive.py.jinja", MODULE),
-            example_inputs="".join(f', {{"{name}": ...}}' for name in fitted.bench.actuator.inputs[:1]),
             example_install="drive.command[:] = ..." if controls(fitted) else "data.ctrl[...] = ...",
         )
         qpos = _run(folder, fitted)
@@ -48,8 +47,8 @@ def _run(folder: Path, fitted: Fitted) -> np.ndarray:
         drive.start_late(commands_before(fitted, rollout))
 
     def step(model: mujoco.MjModel, data: mujoco.MjData, channels: np.ndarray) -> None:
-        command, *rest = np.split(channels, 1 + len(module.INPUTS))
-        drive.step(data, command, dict(zip(module.INPUTS, rest, strict=True)))
+        command, inputs, observed = fitted.bench.split(channels)
+        drive.step(data, command, inputs | observed)
 
     return simulate(model, fitted, step, prepare, late=False)
 

@@ -9,7 +9,13 @@ from jaxtyping import Float
 
 from frictionzoo.engine import friction_of, make_engine
 from frictionzoo.export.fitted import Fitted
-from frictionzoo.export.mjcf import evaluate_law, is_constant, nearest_frictionloss_and_damping
+from frictionzoo.export.mjcf import (
+    evaluate_law,
+    is_constant,
+    nearest_frictionloss_and_damping,
+    say_exact,
+    without_inputs,
+)
 from frictionzoo.fit import LevenbergMarquardt, Objective, Space
 from frictionzoo.models import MujocoDefault
 from frictionzoo.models.base import sliding_torque
@@ -30,7 +36,7 @@ class Nearest:
         frictionloss: [N m or N].
         damping: [N m s/rad or N s/m].
         exact: Whether the law is MuJoCo's own.
-        remark: In words, what was done and what that costs; empty where it is exact.
+        remark: In words, what was done and what that costs; empty where it is exact anywhere.
     """
 
     bench: dict[str, Float[np.ndarray, "nv"]]
@@ -49,12 +55,14 @@ def find_nearest(fitted: Fitted) -> Nearest:
     Args:
         fitted: The drive.
     """
-    terms = evaluate_law(fitted.model, fitted.samples)
+    # What a law looks at besides the state, MuJoCo's joints do not know.
+    terms = evaluate_law(fitted.model, without_inputs(fitted.model, fitted.samples))
     velocity = fitted.samples.qvel
     _, loss, viscous = (np.zeros(velocity.shape) if term is None else term for term in terms)
     bench = dict(fitted.values["bench"])
     if terms.torque is None and is_constant(loss) and is_constant(viscous):
-        return Nearest(bench, loss[0], viscous[0], exact=True)
+        remark = say_exact(fitted.model) if fitted.model.inputs else ""
+        return Nearest(bench, loss[0], viscous[0], exact=not remark, remark=remark)
     start = nearest_frictionloss_and_damping(sliding_torque(np, terms, velocity), velocity)
     return _refit(fitted, *start)
 

@@ -11,7 +11,7 @@ import torch
 
 from frictionzoo.export.base import Export, Target, register_target
 from frictionzoo.export.fitted import Fitted
-from frictionzoo.export.graph import DTYPES, LIMITS, Graph, compare, example, inputs, read_dtype
+from frictionzoo.export.graph import DTYPES, Graph, compare, example, inputs, limits, read_dtype, signals
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.output import write_atomically
 from frictionzoo.types import DriveState, FrictionTerms
@@ -30,17 +30,16 @@ class Onnx(Target):
     def write(self, fitted: Fitted, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
         dtype = read_dtype(options)
-        write_atomically(folder / FILE, export_onnx(fitted.model, fitted.bench.nv, dtype))
+        write_atomically(folder / FILE, export_onnx(fitted.model, dtype))
         difference = compare(fitted, run_onnx(folder / FILE, fitted.samples, dtype), "ONNX Runtime")
-        return Export((FILE,), (difference,), LIMITS)
+        return Export((FILE,), (difference,), limits(fitted.model))
 
 
-def export_onnx(model: FrictionModel, nv: int, dtype: str) -> bytes:
+def export_onnx(model: FrictionModel, dtype: str) -> bytes:
     """The law as a serialised ONNX model.
 
     Args:
         model: The law, holding its identified values.
-        nv: Number of joints.
         dtype: `float64` or `float32`.
     """
     chosen = DTYPES[dtype]
@@ -54,10 +53,10 @@ def export_onnx(model: FrictionModel, nv: int, dtype: str) -> bytes:
         try:
             program: Any = torch.onnx.export(
                 Graph(model, chosen),
-                example(nv, chosen),
-                input_names=DriveState._fields,
+                example(model, chosen),
+                input_names=signals(model),
                 output_names=FrictionTerms._fields,
-                dynamic_shapes=tuple({0: batch} for _ in DriveState._fields),
+                dynamic_shapes=tuple({0: batch} for _ in signals(model)),
                 dynamo=True,
                 verbose=False,
             )

@@ -84,10 +84,7 @@ def compare_torque(robot: Robot, fitted: Fitted, nearest: Nearest, actuators: bo
     states = _pick_states(fitted)
     data, column = mujoco.MjData(robot.model), list(robot.column)
     expected = -(nearest.damping + fitted.bench.own_damping) * states.qvel + (states.motor_torque if actuators else 0.0)
-    came = [
-        _torque_in(robot, data, DriveState(*(signal[row, column] for signal in states)), actuators)
-        for row in range(len(expected))
-    ]
+    came = [_torque_in(robot, data, _state_of(states, row, column), actuators) for row in range(len(expected))]
     what = "actuator and damping" if actuators else "damping"
     over = f"{what} of {', '.join(robot.joints)} in {len(expected)} recorded states"
     return measure("torque", fitted, np.array(came), expected[:, column], over)
@@ -96,13 +93,14 @@ def compare_torque(robot: Robot, fitted: Fitted, nearest: Nearest, actuators: bo
 def _pick_states(fitted: Fitted) -> DriveState:
     """Some of the recorded states, with what MuJoCo's actuators get in them as `ctrl`."""
     bench, samples = fitted.bench, fitted.samples
-    command, *rest = np.split(
-        fitted.commands()[:, :, 0].reshape(len(samples.qpos), -1), 1 + len(bench.actuator.inputs), 1
-    )
-    inputs = dict(zip(bench.actuator.inputs, rest, strict=True))
+    command, inputs, _ = bench.split(fitted.commands()[:, :, 0].reshape(len(samples.qpos), -1))
     ctrl = bench.actuator.control(np, fitted.values["bench"], samples.qpos, samples.qvel, command, inputs)
     every = max(1, len(samples.qpos) // _STATES)
-    return DriveState(*(np.asarray(signal)[::every] for signal in samples._replace(ctrl=ctrl)))
+    return samples._replace(ctrl=ctrl).map(lambda signal: np.asarray(signal)[::every])
+
+
+def _state_of(states: DriveState, row: int, column: Sequence[int]) -> DriveState:
+    return states.map(lambda signal: signal[row, column])
 
 
 def _torque_in(robot: Robot, data: mujoco.MjData, state: DriveState, actuators: bool) -> Float[np.ndarray, "joints"]:

@@ -11,7 +11,7 @@ from frictionzoo.export.fitted import Fitted
 from frictionzoo.types import Segments
 
 Step = Callable[[mujoco.MjModel, mujoco.MjData, Float[np.ndarray, "channels"]], None]
-"""Advances a model by one time step under one sample of the commands and the actuator law's other inputs."""
+"""Advances a model by one time step under one sample of the commands and both laws' other inputs."""
 
 
 def simulate(
@@ -52,8 +52,7 @@ def step_with_control(fitted: Fitted) -> Step:
     bench = fitted.bench
 
     def step(model: mujoco.MjModel, data: mujoco.MjData, channels: Float[np.ndarray, "channels"]) -> None:
-        command, *rest = np.split(channels, 1 + len(bench.actuator.inputs))
-        inputs = dict(zip(bench.actuator.inputs, rest, strict=True))
+        command, inputs, _ = bench.split(channels)
         data.ctrl[:] = bench.actuator.control(np, fitted.values["bench"], data.qpos, data.qvel, command, inputs)
         mujoco.mj_step(model, data)
 

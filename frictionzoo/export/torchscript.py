@@ -11,7 +11,7 @@ import torch
 
 from frictionzoo.export.base import Export, Target, register_target
 from frictionzoo.export.fitted import Fitted
-from frictionzoo.export.graph import DTYPES, LIMITS, Graph, compare, example, inputs, read_dtype
+from frictionzoo.export.graph import DTYPES, Graph, compare, example, inputs, limits, read_dtype
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.output import write_atomically
 from frictionzoo.types import DriveState, FrictionTerms
@@ -34,23 +34,22 @@ class TorchScript(Target):
     def write(self, fitted: Fitted, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
         dtype = read_dtype(options)
-        write_atomically(folder / FILE, export_torchscript(fitted.model, fitted.bench.nv, dtype))
+        write_atomically(folder / FILE, export_torchscript(fitted.model, dtype))
         difference = compare(fitted, run_torchscript(folder / FILE, fitted.samples, dtype), "torch.jit.load")
-        return Export((FILE,), (difference,), (*LIMITS, _DEPRECATED))
+        return Export((FILE,), (difference,), (*limits(fitted.model), _DEPRECATED))
 
 
-def export_torchscript(model: FrictionModel, nv: int, dtype: str) -> bytes:
+def export_torchscript(model: FrictionModel, dtype: str) -> bytes:
     """The law as a serialised script module.
 
     Args:
         model: The law, holding its identified values.
-        nv: Number of joints.
         dtype: `float64` or `float32`.
     """
     buffer = io.BytesIO()
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", r"`torch\.jit", DeprecationWarning)
-        traced = torch.jit.trace(Graph(model, DTYPES[dtype]), example(nv, DTYPES[dtype]))
+        traced = torch.jit.trace(Graph(model, DTYPES[dtype]), example(model, DTYPES[dtype]))
         torch.jit.save(traced, buffer)
     return buffer.getvalue()
 

@@ -23,6 +23,8 @@ from frictionzoo.models.residual_network import ResidualNetwork
 from frictionzoo.models.ripple import Ripple
 from frictionzoo.models.stribeck import Stribeck
 from frictionzoo.models.stribeck_load_dependent import StribeckLoadDependent
+from frictionzoo.models.temperature_arrhenius import TemperatureArrhenius
+from frictionzoo.models.temperature_linear import TemperatureLinear
 
 __all__ = [
     "Asymmetric",
@@ -47,6 +49,8 @@ __all__ = [
     "Ripple",
     "Stribeck",
     "StribeckLoadDependent",
+    "TemperatureArrhenius",
+    "TemperatureLinear",
     "get_model",
     "model_names",
     "register_model",

@@ -25,6 +25,8 @@ class FrictionModel(torch.nn.Module, ABC):
         dissipative: Whether the law promises never to give energy to the drive, whatever its values within bounds: all
             its terms together oppose the motion while the joint slides, and hold it where it stands still. Of a law
             with a memory: at constant velocity, for what bends springs back.
+        inputs: What the law looks at in each sample besides the state, a field of `DriveState` that recordings have
+            among their extras, and the value at which it acts where they lack it.
         memory: Numbers that the law remembers of each joint from step to step; 0 for a function of the present state.
         params: Each physical parameter's initial value, bounds and scale.
 
@@ -40,6 +42,7 @@ class FrictionModel(torch.nn.Module, ABC):
     dimensions: ClassVar[Mapping[str, str]] = {}
     constraint: ClassVar[bool] = False
     dissipative: ClassVar[bool] = False
+    inputs: Mapping[str, float] = {}
     memory: int = 0
 
     def __init__(self, nv: int, params: Mapping[str, Mapping[str, Any]] | None = None) -> None:

@@ -123,7 +123,7 @@ def sample_friction(
     Returns:
         Velocities, evenly spaced over the recorded speeds in both directions, and the three curves.
     """
-    thinned = DriveState(*(signal[:: max(1, len(signal) // SAMPLES)] for signal in samples))
+    thinned = samples.map(lambda signal: signal[:: max(1, len(signal) // SAMPLES)])
     fastest = float(np.abs(thinned.qvel).max()) or 1.0
     share = np.linspace(-1, 1, POINTS)
     velocity = fastest * np.sign(share) * share**2  # dense around standstill, where laws differ most
@@ -134,7 +134,7 @@ def sample_friction(
 def _torque_near(model: FrictionModel, samples: DriveState, velocity: float) -> Float[np.ndarray, "3 nv"]:
     distance = np.abs(samples.qvel - velocity).max(axis=1)
     nearest = np.argpartition(distance, min(NEIGHBOURS, len(distance)) - 1)[:NEIGHBOURS]
-    states = DriveState(*(torch.from_numpy(np.asarray(signal[nearest], np.float64)) for signal in samples))
+    states = samples.map(lambda signal: torch.from_numpy(np.asarray(signal[nearest], np.float64)))
     states = states._replace(qvel=torch.full_like(states.qvel, velocity))
     with torch.no_grad():
         torque = sliding_torque(torch, model(states), states.qvel)

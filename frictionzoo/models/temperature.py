@@ -1,0 +1,55 @@
+"""What laws whose friction depends on the temperature share."""
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import Any
+
+from frictionzoo.errors import ConfigError
+from frictionzoo.models.base import FrictionModel
+from frictionzoo.types import DriveState, FrictionTerms
+
+ABSOLUTE_ZERO = -273.15  # degC
+
+
+class TemperatureModel(FrictionModel):
+    """Dry friction as MuJoCo's constraint and viscous friction, each a coefficient times a share of the temperature.
+
+    A law says what the two shares are; they are positive, and 1 at the reference temperature.
+
+    Attributes:
+        reference: Temperature at which the coefficients hold [degC]; a drive whose recordings lack the temperature acts
+            as there.
+
+    Args:
+        nv: Number of joints.
+        reference: As above.
+        params: Section of each physical parameter.
+
+    Raises:
+        ConfigError: The reference is not above absolute zero, or a parameter is missing, unknown, or out of bounds.
+    """
+
+    constraint = True
+    dissipative = True
+
+    def __init__(self, nv: int, reference: float, params: Mapping[str, Mapping[str, Any]] | None = None) -> None:
+        super().__init__(nv, params)
+        if not ABSOLUTE_ZERO < reference < float("inf"):
+            raise ConfigError(f"model.reference={reference}; expected a temperature above {ABSOLUTE_ZERO} degC")
+        self.reference = float(reference)
+        self.inputs = {"temperature": self.reference}
+
+    @abstractmethod
+    def shares(self, xp: Any, values: Mapping[str, Any], temperature: Any) -> tuple[Any, Any]:
+        """What frictionloss and damping are multiplied by at a temperature.
+
+        Args:
+            xp: As in `terms`.
+            values: As in `terms`.
+            temperature: [degC], of shape (..., nv).
+        """
+
+    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+        """The constraint's limit and the damping at this temperature."""
+        dry, viscous = self.shares(xp, values, state.temperature)
+        return FrictionTerms(frictionloss=values["frictionloss"] * dry, damping=values["damping"] * viscous)

@@ -1,0 +1,50 @@
+"""Dry and viscous friction that follow the temperature as the viscosity of a lubricant does."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from frictionzoo.models.registry import register_model
+from frictionzoo.models.temperature import ABSOLUTE_ZERO, TemperatureModel
+
+
+@register_model("temperature_arrhenius")
+class TemperatureArrhenius(TemperatureModel):
+    """Dry friction as MuJoCo's constraint and viscous friction, both by an Arrhenius factor of the temperature.
+
+    torque = f + damping A(D) v,  |f| <= frictionloss A(F),  A(E) = exp(E (1/T - 1/T_0))
+
+        v             joint velocity [rad/s or m/s]
+        f             force of MuJoCo's dry-friction constraint [N m or N]
+        T             absolute temperature [K]; recordings have it in degC
+        T_0           reference, known; without a recorded temperature T = T_0
+        frictionloss  limit of the dry friction at T_0 [N m or N], strictly positive
+        damping       viscous coefficient at T_0 [N m s/rad or N s/m]
+        F             frictionloss_activation [K], activation temperature: the activation energy over the gas constant
+        D             damping_activation [K], the same of damping; 1000 K are 8.314 kJ/mol
+
+    A positive activation temperature is friction that falls when the drive warms up. Both coefficients are positive at
+    any temperature.
+
+    Cannot represent: friction with a minimum over the temperature; a temperature of the lubricant that is not the
+    recorded one, say because it lags the motor's; a breakaway torque above the sliding one, friction that depends on
+    direction, load or position; true sticking (MuJoCo's constraint creeps).
+
+    Source: E. N. da C. Andrade, "The Viscosity of Liquids", Nature 125, 1930, A exp(b / T) for the viscosity; A.
+    Carvalho Bittencourt, S. Gunnarsson, "Static Friction in a Robot Joint - Modeling and Identification of Load and
+    Temperature Effects", Journal of Dynamic Systems, Measurement, and Control 134(5), 2012, for a robot's viscous
+    friction that falls exponentially with the temperature.
+    """
+
+    dimensions = {
+        "frictionloss": "torque",
+        "damping": "damping",
+        "frictionloss_activation": "temperature",
+        "damping_activation": "temperature",
+    }
+
+    def shares(self, xp: Any, values: Mapping[str, Any], temperature: Any) -> tuple[Any, Any]:
+        """See `TemperatureModel.shares`."""
+        # 1/T - 1/T_0 written so that float32 does not cancel.
+        absolute, reference = temperature - ABSOLUTE_ZERO, self.reference - ABSOLUTE_ZERO
+        colder = (self.reference - temperature) / (absolute * reference)
+        return xp.exp(values["frictionloss_activation"] * colder), xp.exp(values["damping_activation"] * colder)

@@ -1,0 +1,50 @@
+"""Dry and viscous friction that change in proportion to the temperature."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from frictionzoo.models.registry import register_model
+from frictionzoo.models.temperature import TemperatureModel
+
+_LEAST = 0.05  # share at which a falling line ends: at a limit of 0 MuJoCo locks the joint
+
+
+@register_model("temperature_linear")
+class TemperatureLinear(TemperatureModel):
+    """Dry friction as MuJoCo's constraint and viscous friction, both linear in the temperature.
+
+    torque = f + damping (1 + b (T - T_0)) v,  |f| <= frictionloss (1 + a (T - T_0))
+
+        v             joint velocity [rad/s or m/s]
+        f             force of MuJoCo's dry-friction constraint [N m or N]
+        T             recorded temperature [degC]
+        T_0           reference [degC], known; without a recorded temperature T = T_0
+        frictionloss  limit of the dry friction at T_0 [N m or N], strictly positive
+        damping       viscous coefficient at T_0 [N m s/rad or N s/m]
+        a             frictionloss_slope [1/K], share of frictionloss by which it grows with each kelvin
+        b             damping_slope [1/K], the same of damping
+
+    A falling line ends at 0.05 of its coefficient, so that both stay strictly positive; with bounds of 0.05/K that is
+    19 K from T_0 at the earliest.
+
+    Cannot represent: a coefficient that bends with the temperature, as viscosity does over tens of kelvins; a
+    temperature of the lubricant that is not the recorded one, say because it lags the motor's; a breakaway torque above
+    the sliding one, friction that depends on direction, load or position; true sticking (MuJoCo's constraint creeps).
+
+    Source: A. Carvalho Bittencourt, S. Gunnarsson, "Static Friction in a Robot Joint - Modeling and Identification of
+    Load and Temperature Effects", Journal of Dynamic Systems, Measurement, and Control 134(5), 2012, on friction terms
+    that grow or fall with the temperature; their Stribeck and load terms are left out here.
+    """
+
+    dimensions = {
+        "frictionloss": "torque",
+        "damping": "damping",
+        "frictionloss_slope": "1/temperature",
+        "damping_slope": "1/temperature",
+    }
+
+    def shares(self, xp: Any, values: Mapping[str, Any], temperature: Any) -> tuple[Any, Any]:
+        """See `TemperatureModel.shares`."""
+        warmer = temperature - self.reference
+        dry, viscous = 1 + values["frictionloss_slope"] * warmer, 1 + values["damping_slope"] * warmer
+        return xp.where(dry > _LEAST, dry, _LEAST), xp.where(viscous > _LEAST, viscous, _LEAST)
