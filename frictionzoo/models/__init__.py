@@ -22,6 +22,7 @@ from frictionzoo.models.residual_network import ResidualNetwork
 from frictionzoo.models.ripple import Ripple
 from frictionzoo.models.stribeck import Stribeck
 from frictionzoo.models.stribeck_load_dependent import StribeckLoadDependent
+from frictionzoo.models.torch_friction import TorchFriction
 
 __all__ = [
     "Asymmetric",
@@ -45,6 +46,7 @@ __all__ = [
     "Ripple",
     "Stribeck",
     "StribeckLoadDependent",
+    "TorchFriction",
     "get_model",
     "model_names",
     "register_model",
