@@ -195,6 +195,6 @@ def _to_tensor(array: jax.Array, device: torch.device) -> torch.Tensor:
     return torch.from_dlpack(array).to(device).clone()
 
 
-def _default_device() -> jax.Device:
+def _default_device() -> Any:
     chosen = jax.config.jax_default_device
     return chosen if isinstance(chosen, jax.Device) else jax.devices(chosen)[0]
