@@ -54,7 +54,31 @@ def load_from_jax(module: torch.nn.Module, arrays: Mapping[str, jax.Array]) -> N
             state[name].copy_(_to_tensor(array, state[name].device))
 
 
-def as_torch_function(function: Callable[..., Any]) -> Callable[..., Any]:
+def to_tensors(tree: Any) -> Any:
+    """Copies of a pytree's arrays, numpy or JAX, as torch tensors in the precision in which JAX computes.
+
+    They lie on the GPU if JAX computes there and torch has one, and in the processor's memory otherwise.
+
+    Args:
+        tree: Arrays.
+    """
+    on_gpu = _default_device().platform == "gpu" and torch.cuda.is_available()
+    device = torch.device("cuda" if on_gpu else "cpu")
+    return jax.tree.map(lambda array: _to_tensor(jnp.asarray(array), device), tree)
+
+
+def to_arrays(tree: Any) -> Any:
+    """Copies of a pytree's tensors on JAX's default device.
+
+    Args:
+        tree: Torch tensors.
+    """
+    return jax.tree.map(_to_array, tree)
+
+
+def as_torch_function(
+    function: Callable[..., Any], compiler_options: Mapping[str, Any] | None = None
+) -> Callable[..., Any]:
     """Make a pure JAX function a torch operation with JAX's reverse-mode gradient.
 
     It computes in x64 if one of the tensors is float64, and as JAX is configured otherwise. Second derivatives are not
@@ -62,12 +86,13 @@ def as_torch_function(function: Callable[..., Any]) -> Callable[..., Any]:
 
     Args:
         function: From pytrees of arrays to a pytree of arrays.
+        compiler_options: For `jax.jit` of it.
 
     Returns:
         The same function over pytrees of torch tensors. Its outputs lie on the device of the first tensor; integer and
         boolean ones carry no gradient.
     """
-    operation = _Operation(function)
+    operation = _Operation(function, dict(compiler_options or {}))
 
     def torch_function(*arguments: Any) -> Any:
         leaves, structure = jax.tree.flatten(arguments)
@@ -81,10 +106,10 @@ def as_torch_function(function: Callable[..., Any]) -> Callable[..., Any]:
 class _Operation:
     """A JAX function over leaves, compiled once for each structure of its arguments and choice of moving leaves."""
 
-    def __init__(self, function: Callable[..., Any]) -> None:
+    def __init__(self, function: Callable[..., Any], compiler_options: dict[str, Any]) -> None:
         self._function = function
-        self.linearise = jax.jit(self._linearise, static_argnums=(0, 1))
-        self.pull_back = jax.jit(lambda pull, cotangents: pull(cotangents))
+        self.linearise = jax.jit(self._linearise, static_argnums=(0, 1), compiler_options=compiler_options)
+        self.pull_back = jax.jit(lambda pull, cotangents: pull(cotangents), compiler_options=compiler_options)
 
     def _linearise(self, structure: Any, moving: tuple[int, ...], leaves: list[Any]) -> tuple[Any, Any]:
         """The outputs, and what pulls a cotangent of the floating-point ones back to the moving leaves."""
@@ -153,15 +178,23 @@ def _is_floating(array: Any) -> bool:
 def _to_array(tensor: torch.Tensor, dtype: Any = None) -> jax.Array:
     """A copy of a tensor on JAX's default device, floating-point values as `dtype` if given.
 
-    `jnp.from_dlpack` shares memory, even asked to copy; `jnp.array` of it does not. It reads compact strides only.
+    The copy is torch's, in compact strides, and JAX alone has it then: `jnp.from_dlpack` shares memory, even asked to
+    copy.
     """
-    shared = jnp.from_dlpack(tensor.detach().contiguous())
-    copied = jnp.array(shared, dtype=dtype if _is_floating(shared) else None)
-    return jax.device_put(copied, jnp.zeros(()).device)
+    array = jnp.from_dlpack(tensor.detach().clone(memory_format=torch.contiguous_format))
+    own = dtype if dtype is not None and _is_floating(array) else jax.dtypes.canonicalize_dtype(array.dtype)
+    array = array if array.dtype == own else jnp.array(array, own)
+    default = _default_device()
+    return array if array.device == default else jax.device_put(array, default)
 
 
 def _to_tensor(array: jax.Array, device: torch.device) -> torch.Tensor:
     """A copy of an array on this device: JAX's arrays must not change, torch's may."""
-    if device.type == "cpu":
+    if device.type == "cpu" and array.device.platform != "cpu":
         array = jax.device_put(array, jax.devices("cpu")[0])
     return torch.from_dlpack(array).to(device).clone()
+
+
+def _default_device() -> Any:
+    chosen = jax.config.jax_default_device
+    return chosen if isinstance(chosen, jax.Device) else jax.devices(chosen)[0]

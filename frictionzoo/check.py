@@ -15,6 +15,7 @@ from frictionzoo.bridge import to_jax
 from frictionzoo.errors import ModelError, UnknownModelError, closest
 from frictionzoo.models.base import FrictionModel, sliding_torque
 from frictionzoo.models.registry import get_model
+from frictionzoo.models.torch_friction import TorchFriction
 from frictionzoo.params import UNITS
 from frictionzoo.types import DriveState, FrictionTerms
 
@@ -37,7 +38,8 @@ def check_model(model: FrictionModel, samples: DriveState | None = None) -> None
     standstill too; a law with a memory keeps its shape, agrees in torch and JAX over a step, has finite gradients, and
     its memory settles; a saved state is complete; a law that declares `dissipative` gives no energy to the drive: all
     its terms together oppose the motion, at standstill its torque is within its frictionloss, and no damping is
-    negative.
+    negative. A law that exists only in torch keeps the same contract in torch alone; it has no memory, and its terms in
+    one state do not depend on the others of a batch.
 
     Args:
         model: An instance of the model.
@@ -65,6 +67,7 @@ def check_model(model: FrictionModel, samples: DriveState | None = None) -> None
         _check_agreement(prepared, samples)
         _check_types(prepared, samples)
         _check_memory(prepared, samples)
+    _check_rows(prepared, samples)
     _check_saved_state(model, prepared, samples)
     _check_dissipation(prepared, samples)
 
@@ -122,7 +125,8 @@ def _check_terms(model: FrictionModel, samples: DriveState) -> None:
     """The right terms, arrays of the namespace asked for, of the state's shape, whatever the batch dimensions."""
     for batch in ((), (3,), (2, 3)):
         state = _resized(samples, (*batch, model.nv))
-        for namespace, terms in (("torch", _torch_terms(model, state)), ("jax.numpy", _jax_terms(model, state))):
+        for namespace, evaluate in _namespaces(model).items():
+            terms = evaluate(model, state)
             _check_kinds(model, terms, namespace)
             for name, term in _given(terms).items():
                 _check_shape(model, f"{name} over {namespace}", tuple(term.shape), (*batch, model.nv))
@@ -172,22 +176,26 @@ def _check_agreement(model: FrictionModel, samples: DriveState) -> None:
     """Torch equals JAX in value and gradient, and the gradient is finite, on the samples and at standstill."""
     standstill = samples._replace(qvel=np.zeros_like(samples.qvel))
     for where, state in (("on the samples", samples), ("at qvel = 0", standstill)):
-        ours, theirs = _torch_terms(model, state), _jax_terms(model, state)
-        _compare(model, f"value {where}", _numpy(_given(ours)), _numpy(_given(theirs)))
+        if "jax.numpy" in _namespaces(model):
+            ours, theirs = _torch_terms(model, state), _jax_terms(model, state)
+            _compare(model, f"value {where}", _numpy(_given(ours)), _numpy(_given(theirs)))
         weights = np.random.default_rng(0).standard_normal((len(FrictionTerms._fields), *state.qvel.shape))
         gradient = _torch_gradient(model, state, weights)
         for name, slope in gradient.items():
             if not np.isfinite(slope).all():
                 _fail(model, "gradient", f"with respect to {name} is not finite {where}; smooth the law there")
-        _compare(model, f"gradient {where}", gradient, _jax_gradient(model, state, weights))
+        if "jax.numpy" in _namespaces(model):
+            _compare(model, f"gradient {where}", gradient, _jax_gradient(model, state, weights))
 
 
 def _check_types(model: FrictionModel, samples: DriveState) -> None:
     """float32 in, float32 out: a constant of another type would break a compiled rollout."""
-    for namespace, terms in (
-        ("torch", model.terms(torch, _torch_values(model, torch.float32), _torch_state(samples, torch.float32))),
-        ("jax.numpy", model.terms(jnp, to_jax(model, jnp.float32), _jax_state(samples, jnp.float32))),
-    ):
+    inputs = {
+        "torch": (torch, _torch_values(model, torch.float32), _torch_state(samples, torch.float32)),
+        "jax.numpy": (jnp, to_jax(model, jnp.float32), _jax_state(samples, jnp.float32)),
+    }
+    for namespace in _namespaces(model):
+        terms = model.terms(*inputs[namespace])
         for name, term in _given(terms).items():
             if not str(term.dtype).endswith("float32"):
                 _fail(model, "type", f"{name} is {term.dtype} of float32 inputs over {namespace}; use Python constants")
@@ -197,6 +205,8 @@ def _check_memory(model: FrictionModel, samples: DriveState) -> None:
     """A step of a law with a memory, from its settled memory on; one that has settled in motion stays there."""
     if not model.memory:
         return
+    if isinstance(model, TorchFriction):
+        _fail(model, "memory", "a law that exists only in torch has none; derive it from FrictionModel")
     shape = (*samples.qvel.shape, model.memory)
     standstill = samples._replace(qvel=np.zeros_like(samples.qvel))
     for where, state in (("on the samples", samples), ("at qvel = 0", standstill)):
@@ -224,6 +234,19 @@ def _check_memory(model: FrictionModel, samples: DriveState) -> None:
     change = float((after - settled).abs().max() / settled.abs().max())
     if not change <= SETTLED:
         _fail(model, "memory", f"settled in motion it still changes by {change:.3g} of itself in a step; see settle")
+
+
+def _check_rows(model: FrictionModel, samples: DriveState) -> None:
+    """A law in torch is given all segments at once and answers for each alone; in JAX, `vmap` sees to that."""
+    if not isinstance(model, TorchFriction):
+        return
+    whole = _numpy(_given(_torch_terms(model, samples)))
+    for row in (0, len(samples.qvel) - 1):
+        alone = _given(_torch_terms(model, samples.map(lambda signal, row=row: signal[row])))
+        for name, term in _numpy(alone).items():
+            error = np.abs(term - np.broadcast_to(whole[name], samples.qvel.shape)[row]).max()
+            if not error <= TOLERANCE * max(1.0, np.abs(term).max()):
+                _fail(model, "batch", f"{name} of one state changes by {error:.3g} with the others; compute it alone")
 
 
 def _check_saved_state(fresh: FrictionModel, prepared: FrictionModel, samples: DriveState) -> None:
@@ -318,6 +341,11 @@ def _torch_state(state: DriveState, dtype: torch.dtype = torch.float64) -> Drive
 
 def _jax_state(state: DriveState, dtype: Any = jnp.float64) -> DriveState:
     return state.map(lambda signal: jnp.asarray(signal, dtype))
+
+
+def _namespaces(model: FrictionModel) -> Mapping[str, Callable[[FrictionModel, DriveState], Any]]:
+    """What gives the law's terms, by the array namespaces in which the law exists."""
+    return {"torch": _torch_terms} | ({} if isinstance(model, TorchFriction) else {"jax.numpy": _jax_terms})
 
 
 def _torch_terms(model: FrictionModel, state: DriveState) -> Any:

@@ -19,46 +19,25 @@ from frictionzoo import __version__
 from frictionzoo.bench import Bench
 from frictionzoo.build import build
 from frictionzoo.config import list_options
-from frictionzoo.engine import Engine, friction_of, make_engine
+from frictionzoo.drive import Drive
 from frictionzoo.errors import ConfigError, RunError
 from frictionzoo.evaluate import Evaluation, Judgement
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.mjcf import export_mjcf
 from frictionzoo.fit import Fit, Objective, Outcome, Space, estimate_uncertainty, fit_reference, run_fit
 from frictionzoo.logs.cache import cache_folder, digest
-from frictionzoo.models import Baseline, FrictionModel
+from frictionzoo.models import Baseline
 from frictionzoo.output import write_atomically
 from frictionzoo.report.curves import Curves, sample_friction, write_curves
 from frictionzoo.report.figures import write_figures
 from frictionzoo.report.html import write_report
 from frictionzoo.report.result import build_result, describe_data, pick_metrics, write_result
 from frictionzoo.report.terminal import summarise_in_markdown
-from frictionzoo.rollout import Rollout, make_observer, make_rollout
+from frictionzoo.rollout import make_observer
 from frictionzoo.segments import cut_segments
 from frictionzoo.types import Dataset, DriveState, Sampling, Segments
 
 _log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class Drive:
-    """A bench with a friction law, ready to be simulated.
-
-    Attributes:
-        model: The friction law.
-        engine: One step.
-        rollout: Many open-loop rollouts.
-    """
-
-    model: FrictionModel
-    engine: Engine
-    rollout: Rollout
-
-    @classmethod
-    def assemble(cls, bench: Bench, model: FrictionModel, engine: str, sampling: Sampling | None = None) -> "Drive":
-        """The drive of this bench and this law, simulated by the engine of this name."""
-        simulated = make_engine(engine, bench, friction_of(model), model.constraint)
-        return cls(model, simulated, make_rollout(simulated, sampling))
 
 
 @dataclass(frozen=True)

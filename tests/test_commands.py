@@ -199,7 +199,7 @@ def name_the_data(command: str, place: Place) -> None:
     assert "oc.env:FRICTIONZOO_DATA" in (CONF_DIR / "data" / "emps.yaml").read_text()
 
 
-@rule(r"pip install \./experiments/\w+|python -m pytest experiments/\w+|.*\bmakkar\b.*")
+@rule(r"pip install \./experiments/\w+|python -m pytest experiments/\w+|.*\b(makkar|layer_norm_network)\b.*")
 def leave_to_the_packages_test(command: str, place: Place) -> None:
     """tests/test_out_of_tree.py runs it where the package is installed."""
     assert command in WITH_PACKAGE

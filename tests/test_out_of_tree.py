@@ -18,7 +18,7 @@ from pages import PACKAGE, ROOT, blocks_of
 
 from frictionzoo.models import model_names
 
-INSTALL, CHECK, RUN, COMPARE = COMMANDS = blocks_of(PACKAGE / "README.md")
+INSTALL, CHECK, RUN, COMPARE, TORCH = COMMANDS = blocks_of(PACKAGE / "README.md")
 PARAMETERS = {
     "stribeck_torque": "N m",
     "stribeck_rise": "s/rad",
@@ -78,6 +78,16 @@ def test_it_is_run_and_exported_by_its_name(command: Command, tiny: tuple[str, .
 
 
 @pytest.mark.slow
+def test_a_law_in_torch_alone_is_run_and_exported(command: Command, tiny: tuple[str, ...], tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    command(TORCH, *tiny, "fit.iterations=4", f"hydra.run.dir={folder}")
+    result = json.loads((folder / "result.json").read_text())
+    assert result["metrics"]["test"]["diverged"] == 0
+    command(f"python -m frictionzoo.export {folder} target=torchscript")
+    assert (folder / "export" / "torchscript" / "friction.pt").exists()
+
+
+@pytest.mark.slow
 def test_it_is_compared_with_other_laws(command: Command, tiny: tuple[str, ...], tmp_path: Path) -> None:
     command(COMPARE, *tiny, "fit.iterations=2", f"hydra.sweep.dir={tmp_path}")
     comparison = json.loads((tmp_path / "comparison" / "comparison.json").read_text())
@@ -89,7 +99,7 @@ def test_all_models_are_all_with_it(command: Command, tmp_path: Path) -> None:
     refused = "seed=-1"  # each job ends before it begins
     command("python -m frictionzoo.run -m 'model=glob(*)'", refused, f"hydra.sweep.dir={tmp_path}", status=2)
     names = {path.parent.name.partition("_")[2] for path in tmp_path.glob("*/failure.json")}
-    assert names == {"makkar", *(path.stem for path in (ROOT / "conf" / "model").glob("*.yaml"))}
+    assert names == {"makkar", "layer_norm_network", *(path.stem for path in (ROOT / "conf" / "model").glob("*.yaml"))}
 
 
 @pytest.mark.slow

@@ -16,13 +16,14 @@ from jaxtyping import Float
 from frictionzoo.bench import Bench
 from frictionzoo.build import build
 from frictionzoo.compare.runs import Run, read_runs
-from frictionzoo.engine import Engine, friction_of, make_engine
+from frictionzoo.drive import Drive
+from frictionzoo.engine import Engine
 from frictionzoo.errors import ConfigError, RunError
 from frictionzoo.evaluate import Values
 from frictionzoo.models import FrictionModel
 from frictionzoo.output import RESULT
 from frictionzoo.report.curves import FILE as CURVES
-from frictionzoo.rollout import Rollout, applied, make_observer, make_rollout
+from frictionzoo.rollout import applied, make_observer
 from frictionzoo.types import DriveState, Sampling, Segments
 
 LAW = "friction.safetensors"
@@ -126,7 +127,7 @@ class Fitted:
         segments = drive.segments if segments is None else segments
         with jax.enable_x64(True):
             start = segments.qpos[:, 0], segments.qvel[:, 0]
-            found = drive._compiled(drive.jax_values, *start, segments.ctrl, segments.load)
+            found = drive._drive.rollout.compiled(drive.jax_values, *start, segments.ctrl, segments.load)
             qpos, qvel = (np.array(part, np.float64) for part in found)
         return qpos, qvel
 
@@ -174,11 +175,10 @@ class Fitted:
             seen = states(self.jax_values, qpos, qvel, segments.ctrl, segments.loads)
             return seen.map(lambda signal: np.array(signal, np.float64).reshape(-1, self.bench.nv))
 
-    @cached_property
+    @property
     def engine(self) -> Engine:
         """One step of the simulation."""
-        with jax.enable_x64(True):
-            return make_engine("auto", self.bench, friction_of(self.model), self.model.constraint)
+        return self._drive.engine
 
     @cached_property
     def jax_values(self) -> Mapping[str, Mapping[str, Any]]:
@@ -187,9 +187,9 @@ class Fitted:
             return jax.tree.map(lambda value: jnp.asarray(value, jnp.float64), self.values)
 
     @cached_property
-    def _compiled(self) -> Any:
-        rollout: Rollout = make_rollout(self.engine, self.sampling)
-        return rollout.compiled
+    def _drive(self) -> Drive:
+        with jax.enable_x64(True):
+            return Drive.assemble(self.bench, self.model, "auto", self.sampling)
 
 
 def _read_run(folder: Path) -> Run:

@@ -12,9 +12,11 @@ import numpy as np
 
 from frictionzoo import __version__
 from frictionzoo.bench import Actuator
+from frictionzoo.errors import ExportError
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.graph import signals
 from frictionzoo.export.source import merge, read_source, write_values
+from frictionzoo.models import TorchFriction
 from frictionzoo.params import UNITS
 
 WEIGHTS = "weights.npz"
@@ -36,6 +38,11 @@ def write_module(fitted: Fitted, folder: Path, template: str, name: str, **more:
     Raises:
         ExportError: The law cannot be written down.
     """
+    if isinstance(fitted.model, TorchFriction):
+        raise ExportError(
+            f"{fitted.model.name}: it exists only in torch, expected a formula that can be written down; take "
+            "target=torchscript or onnx"
+        )
     values, large = write_values(fitted.values["friction"])
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("frictionzoo.export", "."),

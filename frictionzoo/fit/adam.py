@@ -1,5 +1,8 @@
 """Adam on the whole training set, the paper's recipe for every gradient model."""
 
+from collections.abc import Callable
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import optax
@@ -55,6 +58,21 @@ class Adam(Fit):
     def chunk(self, objective: Objective, size: int) -> Chunk:
         """See `Fit.chunk`."""
         value_and_grad = objective.value_and_grad(self._derivative)
+        repeat: Callable[..., Any] = jax.lax.fori_loop
+
+        def record(row: Array, carry: tuple[Progress, Trace], loss: Array, gradient: Array) -> tuple[Progress, Trace]:
+            progress, trace = carry
+            here = objective.space.identified(progress.vector)
+            written = Trace(
+                trace.loss.at[row].set(loss),
+                trace.grad_norm.at[row].set(jnp.linalg.norm(gradient)),
+                {name: values.at[row].set(here[name]) for name, values in trace.params.items()},
+            )
+            return self._update(objective, progress, loss, gradient), written
+
+        if objective.torch_law:
+            value_and_grad(objective.space.start, objective.data)  # compiles it
+            repeat, record = _repeat, objective.compile(record)
 
         def run(progress: Progress, count: Array, data: Blocks) -> tuple[Progress, Trace]:
             empty = jnp.zeros(size, progress.vector.dtype)
@@ -62,17 +80,9 @@ class Adam(Fit):
             params = {name: jnp.zeros((size, *shape.shape), shape.dtype) for name, shape in shapes.items()}
 
             def body(row: Array, carry: tuple[Progress, Trace]) -> tuple[Progress, Trace]:
-                progress, trace = carry
-                here = objective.space.identified(progress.vector)
-                loss, gradient = value_and_grad(progress.vector, data)
-                written = Trace(
-                    trace.loss.at[row].set(loss),
-                    trace.grad_norm.at[row].set(jnp.linalg.norm(gradient)),
-                    {name: values.at[row].set(here[name]) for name, values in trace.params.items()},
-                )
-                return self._update(objective, progress, loss, gradient), written
+                return record(row, carry, *value_and_grad(carry[0].vector, data))
 
-            return jax.lax.fori_loop(0, count, body, (progress, Trace(empty, empty, params)))
+            return repeat(0, count, body, (progress, Trace(empty, empty, params)))
 
         return compile_chunk(self, objective, run)
 
@@ -91,3 +101,10 @@ class Adam(Fit):
         return kept._replace(
             broken=following.broken, gradient=jnp.where(progress.broken, progress.gradient, following.gradient)
         )
+
+
+def _repeat(start: int, stop: Array, body: Callable[[Any, Any], Any], carry: Any) -> Any:
+    """`jax.lax.fori_loop` for a body that cannot be compiled."""
+    for row in range(start, int(stop)):
+        carry = body(jnp.asarray(row), carry)
+    return carry

@@ -99,6 +99,22 @@ def refuse_nothing(objective: Objective) -> None:
         )
 
 
+def refuse_torch(objective: Objective, name: str) -> None:
+    """Refuse a law that exists only in torch, of which there is a gradient and nothing else.
+
+    Args:
+        objective: With the law.
+        name: Of the method.
+
+    Raises:
+        ConfigError: It is such a law.
+    """
+    if objective.torch_law:
+        raise ConfigError(
+            f"fit={name}: {objective.torch_law} exists only in torch, expected a formula over xp; use fit=adam"
+        )
+
+
 def begin(objective: Objective, vector: Float[Array, "coordinates"], method: Any) -> Progress:
     """Progress before the first iteration, at this vector."""
     return Progress(
@@ -127,8 +143,11 @@ def keep_best(progress: Progress, loss: Float[Array, ""]) -> Progress:
 def compile_chunk(fit: Fit, objective: Objective, run: Callable[..., tuple[Progress, Trace]]) -> Chunk:
     """A chunk from a JAX function (progress, count, data) to (progress, trace).
 
-    The count is an argument and not a constant: a chunk cut short runs the same machine code.
+    The count is an argument and not a constant: a chunk cut short runs the same machine code. Where the law exists only
+    in torch, the function is called as it is.
     """
+    if objective.torch_law:
+        return lambda progress, count: run(progress, jnp.asarray(count), objective.data)
     example = objective.spread((fit.start(objective), jnp.asarray(0)))
     compiled = objective.compile(run).lower(*example, objective.data).compile()
 

@@ -5,7 +5,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from frictionzoo.errors import ConfigError
-from frictionzoo.fit.base import Chunk, Fit, Progress, Trace, begin, compile_chunk, keep_best, refuse_nothing
+from frictionzoo.fit.base import (
+    Chunk,
+    Fit,
+    Progress,
+    Trace,
+    begin,
+    compile_chunk,
+    keep_best,
+    refuse_nothing,
+    refuse_torch,
+)
 from frictionzoo.fit.objective import Blocks, Objective
 
 
@@ -32,8 +42,12 @@ class Grid(Fit):
         self._points = points
 
     def total(self, objective: Objective) -> int:
-        """See `Fit.total`; raises ConfigError for a network, which has no bounds, and for nothing at all."""
+        """See `Fit.total`; raises ConfigError for a network, which has no bounds, and for nothing at all.
+
+        And for a law that exists only in torch.
+        """
         refuse_nothing(objective)
+        refuse_torch(objective, self.name)
         if objective.space.weights:
             raise ConfigError(
                 f"fit=grid: {objective.space.weights[0]} has no bounds; expected physical parameters only, use fit=adam"

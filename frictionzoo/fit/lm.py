@@ -10,7 +10,7 @@ import scipy.optimize
 from jaxtyping import Float
 
 from frictionzoo.errors import ConfigError
-from frictionzoo.fit.base import Chunk, Fit, Progress, Trace, begin, refuse_nothing
+from frictionzoo.fit.base import Chunk, Fit, Progress, Trace, begin, refuse_nothing, refuse_torch
 from frictionzoo.fit.objective import NormalEquations, Objective
 
 MOST_COORDINATES = 200  # a Jacobian has a column for each: more are a network's weights
@@ -63,8 +63,12 @@ class LevenbergMarquardt(Fit):
         self._tolerance = tolerance
 
     def total(self, objective: Objective) -> int:
-        """See `Fit.total`; raises ConfigError for a network, whose Jacobian has too many columns, and for nothing."""
+        """See `Fit.total`; raises ConfigError for a network, whose Jacobian has too many columns, and for nothing.
+
+        And for a law that exists only in torch.
+        """
         refuse_nothing(objective)
+        refuse_torch(objective, self.name)
         coordinates = len(objective.space.start)
         if coordinates > MOST_COORDINATES:
             raise ConfigError(

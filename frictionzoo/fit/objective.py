@@ -1,20 +1,24 @@
 """What a fit minimises."""
 
 import copy
-from collections.abc import Callable, Mapping
+import operator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import torch
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float
 
+from frictionzoo.bridge import as_torch_function, to_arrays, to_tensors
 from frictionzoo.engine import Values
 from frictionzoo.engine.linear import solve_spd
 from frictionzoo.errors import ConfigError, closest
 from frictionzoo.fit.space import Space
 from frictionzoo.rollout import Rollout
+from frictionzoo.torch_rollout import TorchRollout
 from frictionzoo.types import Segments
 
 BLOCK_STATES = 25_000
@@ -79,6 +83,8 @@ class Objective:
         devices: How many these are.
         stretches: Into how many stretches of consecutive segments the data are divided, one after the other in time.
         compile: `jax.jit` for functions that call these.
+        torch_law: Name of the friction law if it exists only in torch, None for any other. Its functions below are
+            called with arrays and cannot be compiled, and it has a gradient and no Jacobian.
 
     Args:
         space: The coordinates.
@@ -92,7 +98,8 @@ class Objective:
             follows (multiple shooting), instead of being taken as measured.
 
     Raises:
-        ConfigError: A weight is negative, or both are 0; the robust loss is unknown or cannot be combined.
+        ConfigError: A weight is negative, or both are 0; the robust loss is unknown or cannot be combined; initial
+            states are to be refined with a law that exists only in torch.
     """
 
     def __init__(
@@ -118,10 +125,14 @@ class Objective:
             raise ConfigError(f"loss.robust={robust} with loss.refine=true; expected one of them, set the other off")
         if refine and not position * velocity:
             raise ConfigError("loss.refine=true with a weight of 0; expected loss.position and loss.velocity above 0")
+        if refine and isinstance(rollout, TorchRollout):
+            raise ConfigError(
+                f"loss.refine=true: {rollout.law} exists only in torch, with no forward mode; set loss.refine=false"
+            )
         self.space = space
         self.compile = rollout.compile
         self.stretches = min(segments.count, MOST_STRETCHES)
-        self.data = _into_blocks(segments, self.stretches, space.start.dtype)
+        self.data = _into_blocks(segments, self.stretches, space.start.dtype, _devices(rollout))
         self.devices = len(self.data.weight.sharding.device_set)
         self._first = min(self.data.weight.sharding.device_set, key=lambda device: device.id)
         self._rollout = rollout
@@ -138,6 +149,11 @@ class Objective:
         other._programs = {}
         return other
 
+    @property
+    def torch_law(self) -> str | None:
+        """Name of a law that exists only in torch."""
+        return self._rollout.law if isinstance(self._rollout, TorchRollout) else None
+
     def spread(self, tree: Any) -> Any:
         """The same arrays on every device that holds data, as functions compiled for several expect them."""
         sharding = self.data.weight.sharding
@@ -151,6 +167,8 @@ class Objective:
 
     def loss(self, vector: Float[Array, "coordinates"], data: Blocks) -> Float[Array, ""]:
         """The objective."""
+        if self.torch_law:
+            return jnp.sum(jnp.stack([self._block_loss(vector, block) for block in _each(data)]))
         return jnp.sum(jax.lax.map(lambda block: self._block_loss(vector, block), data))
 
     def value_and_grad(self, derivative: str) -> Callable[[Array, Blocks], tuple[Array, Array]]:
@@ -160,8 +178,10 @@ class Objective:
             derivative: `forward` (a tangent for each coordinate), `reverse`, or `auto` for the cheaper one.
 
         Raises:
-            ConfigError: The engine has no reverse mode for this bench.
+            ConfigError: The engine has no reverse mode for this bench, or the law has no other.
         """
+        if isinstance(self._rollout, TorchRollout):
+            return self._value_and_grad_in_torch(self._rollout, derivative)
         if derivative == "reverse" and not self._rollout.reverse:
             raise ConfigError(
                 "fit.derivative=reverse: engine=mjx solves the constraints of several joints in a loop, which reverse "
@@ -180,6 +200,37 @@ class Objective:
         def of_all(vector: Array, data: Blocks) -> tuple[Array, Array]:
             losses, gradients = jax.lax.map(lambda block: of_block(vector, block), data)
             return jnp.sum(losses), jnp.sum(gradients, axis=0)
+
+        return of_all
+
+    def _value_and_grad_in_torch(
+        self, rollout: TorchRollout, derivative: str
+    ) -> Callable[[Array, Blocks], tuple[Array, Array]]:
+        """The same for a law that exists only in torch, block by block: what lies in JAX is a torch operation."""
+        if derivative == "forward":
+            raise ConfigError(
+                f"fit.derivative=forward: {rollout.law} exists only in torch, where there is a reverse mode alone; set "
+                "fit.derivative=reverse or auto"
+            )
+        if not rollout.reverse:
+            raise ConfigError(
+                f"{rollout.law} exists only in torch and needs reverse mode, which engine=mjx has not where it solves "
+                "the constraints of several joints; set engine=specialised"
+            )
+        values_of, loss_of = map(as_torch_function, (self.space.values, self._loss_of_prediction))
+
+        def of_block(vector: torch.Tensor, block: Blocks) -> torch.Tensor:
+            start = block.qpos[:, 0], block.qvel[:, 0]
+            return loss_of(rollout.in_torch(values_of(vector), *start, block.ctrl, block.load), block)
+
+        def of_all(vector: Array, data: Blocks) -> tuple[Array, Array]:
+            moving = to_tensors(vector).requires_grad_()
+            losses = []
+            for block in _each(data):
+                loss = of_block(moving, to_tensors(block))
+                loss.backward()  # at once, so that the steps of one block are kept and not those of all
+                losses.append(loss.detach())
+            return to_arrays((torch.stack(losses).sum(), moving.grad))
 
         return of_all
 
@@ -224,13 +275,22 @@ class Objective:
         residuals = self._residuals(values, *self._initial(values, block), block)
         return self._sum(jnp.square(residuals)) / self._terms
 
+    def _loss_of_prediction(self, predicted: tuple[Array, Array], block: Blocks) -> Float[Array, ""]:
+        """A block's part of the objective where initial states are not refined."""
+        errors = self._errors(block.qpos[:, 0], block.qvel[:, 0], predicted, block)
+        return self._sum(jnp.square(errors)) / self._terms
+
     def _sum(self, squares: Array) -> Array:
         square = self._scale**2
         return jnp.sum(self._robust(squares / square)) * square
 
     def _residuals(self, values: Values, qpos: Array, qvel: Array, block: Blocks) -> Float[Array, "segments terms 2"]:
+        return self._errors(qpos, qvel, self._rollout(values, qpos, qvel, block.ctrl, block.load), block)
+
+    def _errors(
+        self, qpos: Array, qvel: Array, predicted: tuple[Array, Array], block: Blocks
+    ) -> Float[Array, "segments terms 2"]:
         """Weighted errors of position and velocity, with that of the initial state first where it is refined."""
-        predicted = self._rollout(values, qpos, qvel, block.ctrl, block.load)
         errors = []
         for root, start, after, measured in zip(
             self._roots, (qpos, qvel), predicted, (block.qpos, block.qvel), strict=True
@@ -319,10 +379,21 @@ class Objective:
         return loss / self._terms, scores / self._terms, hessian / self._terms
 
 
-def _into_blocks(segments: Segments, stretches: int, dtype: Any) -> Blocks:
-    """Equal blocks; where the segments do not fill the last, its rest repeats the last segment with no weight."""
+def _devices(rollout: Rollout) -> list[Any]:
+    """Over which the segments are spread; torch works on one."""
     device = jax.config.jax_default_device
     devices = jax.local_devices(backend=device.platform if device is not None else None)
+    return devices[:1] if isinstance(rollout, TorchRollout) else devices
+
+
+def _each(data: Blocks) -> Iterator[Blocks]:
+    """The blocks one after the other."""
+    for index in range(len(data.weight)):
+        yield jax.tree.map(operator.itemgetter(index), data)
+
+
+def _into_blocks(segments: Segments, stretches: int, dtype: Any, devices: list[Any]) -> Blocks:
+    """Equal blocks; where the segments do not fill the last, its rest repeats the last segment with no weight."""
     largest = max(1, BLOCK_STATES // segments.length)
     blocks = -(-segments.count // largest)
     size = -(-segments.count // blocks)

@@ -68,6 +68,8 @@ def estimate_uncertainty(objective: Objective, vector: Float[np.ndarray, "coordi
         return Uncertainty(missing="nothing was identified")
     if space.weights:
         return Uncertainty(missing="a network's weights can stand for its physical parameters and for each other")
+    if objective.torch_law:
+        return Uncertainty(missing=f"{objective.torch_law} exists only in torch, where no Jacobian is taken")
     if len(vector) > MOST_COORDINATES:
         return Uncertainty(missing=f"{len(vector)} numbers were identified, more than {MOST_COORDINATES}")
     if objective.stretches < 2:

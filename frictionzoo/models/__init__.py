@@ -25,6 +25,7 @@ from frictionzoo.models.stribeck import Stribeck
 from frictionzoo.models.stribeck_load_dependent import StribeckLoadDependent
 from frictionzoo.models.temperature_arrhenius import TemperatureArrhenius
 from frictionzoo.models.temperature_linear import TemperatureLinear
+from frictionzoo.models.torch_friction import TorchFriction
 
 __all__ = [
     "Asymmetric",
@@ -51,6 +52,7 @@ __all__ = [
     "StribeckLoadDependent",
     "TemperatureArrhenius",
     "TemperatureLinear",
+    "TorchFriction",
     "get_model",
     "model_names",
     "register_model",

@@ -1,0 +1,75 @@
+"""Viscous friction and a network of parts that exist in torch alone."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+
+from frictionzoo.models import TorchFriction, register_model
+from frictionzoo.types import DriveState, FrictionTerms
+
+
+@register_model("layer_norm_network")
+class LayerNormNetwork(TorchFriction):
+    """Viscous friction, and a network with layer normalisation for the rest.
+
+    torque = d v + s N(x),  x = (q, v, a, tau_e) over their root mean square in the training data
+
+        v      joint velocity [rad/s or m/s]
+        d      viscous_coefficient [N m s/rad or N s/m]
+        s      standard deviation of the actuator's torque in the training data [N m or N]
+        q      joint position [rad or m]
+        a      command, in the actuator's unit
+        tau_e  torque of everything but actuator and friction [N m or N]
+
+    N is a linear layer, layer normalisation, the activation GELU, and a linear layer; it starts near zero.
+
+    Cannot represent: sticking, a memory, coupling between joints. It may give energy to the drive, and d and the
+    network can stand for each other.
+
+    Source: J. L. Ba, J. R. Kiros, G. E. Hinton, "Layer Normalization", 2016; D. Hendrycks, K. Gimpel, "Gaussian Error
+    Linear Units (GELUs)", 2016; the sum is an example's.
+
+    Args:
+        nv: Number of joints.
+        width: Of the hidden layer.
+        seed: Of the initial weights.
+        params: Section of each physical parameter.
+    """
+
+    dimensions = {"viscous_coefficient": "damping"}
+    viscous_coefficient: torch.Tensor
+    input_size: torch.Tensor
+    torque_scale: torch.Tensor
+
+    def __init__(self, nv: int, width: int, seed: int, params: Mapping[str, Mapping[str, Any]]) -> None:
+        super().__init__(nv, params)
+        with torch.random.fork_rng():  # torch's global generator is not touched
+            torch.manual_seed(seed)
+            last = torch.nn.Linear(width, 1)
+            self.network = torch.nn.Sequential(
+                torch.nn.Linear(4, width), torch.nn.LayerNorm(width), torch.nn.GELU(), last
+            )
+        with torch.no_grad():
+            last.weight.mul_(0.01)
+            last.bias.zero_()
+        # What comes from the data is a buffer, so that a saved state is complete.
+        self.register_buffer("input_size", torch.ones(4))
+        self.register_buffer("torque_scale", torch.ones(()))
+
+    def prepare(self, samples: DriveState) -> None:
+        """Take the normalisation from the training data."""
+        sizes = [float(np.sqrt(np.mean(np.square(signal)))) or 1.0 for signal in _inputs(samples)]
+        self.input_size.copy_(torch.tensor(sizes))
+        self.torque_scale.fill_(float(np.std(samples.motor_torque)) or 1.0)
+
+    def forward(self, state: DriveState) -> FrictionTerms:
+        """The explicit torque."""
+        seen = torch.stack(_inputs(state), dim=-1) / self.input_size
+        learned = self.torque_scale * self.network(seen).squeeze(-1)
+        return FrictionTerms(torque=self.viscous_coefficient * state.qvel + learned)
+
+
+def _inputs(state: DriveState) -> list[Any]:
+    return [state.qpos, state.qvel, state.ctrl, state.external_torque]

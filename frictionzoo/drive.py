@@ -1,0 +1,45 @@
+"""A bench with a friction law: what an identification simulates."""
+
+from dataclasses import dataclass
+
+from frictionzoo.bench import Bench
+from frictionzoo.engine import Engine, friction_of, make_engine
+from frictionzoo.models import FrictionModel, TorchFriction
+from frictionzoo.rollout import Rollout, make_rollout
+from frictionzoo.torch_rollout import AS_GIVEN, make_torch_rollout
+from frictionzoo.types import Sampling
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A bench with a friction law, ready to be simulated.
+
+    Attributes:
+        model: The friction law.
+        engine: One step; of a law that exists only in torch, with friction terms in place of the law's values.
+        rollout: Many open-loop rollouts.
+    """
+
+    model: FrictionModel
+    engine: Engine
+    rollout: Rollout
+
+    @classmethod
+    def assemble(cls, bench: Bench, model: FrictionModel, engine: str, sampling: Sampling | None = None) -> "Drive":
+        """The drive of this bench and this law, simulated by the engine of this name.
+
+        Args:
+            bench: The test stand.
+            model: The law; one that exists only in torch is made float64.
+            engine: As `make_engine` takes it.
+            sampling: As `make_rollout` takes it.
+
+        Raises:
+            ConfigError: No such engine, or it does not apply.
+            ModelError: The law exists only in torch and has a memory.
+        """
+        if isinstance(model, TorchFriction):
+            simulated = make_engine(engine, bench, AS_GIVEN, model.constraint)
+            return cls(model, simulated, make_torch_rollout(bench, simulated, model, sampling))
+        simulated = make_engine(engine, bench, friction_of(model), model.constraint)
+        return cls(model, simulated, make_rollout(simulated, sampling))

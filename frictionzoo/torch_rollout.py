@@ -1,0 +1,140 @@
+"""Rollouts with a friction law that exists only in torch: a loop in torch around the engine's compiled step."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import torch
+from jaxtyping import Array, Float
+
+from frictionzoo.bench import Bench
+from frictionzoo.bridge import as_torch_function, to_arrays, to_tensors
+from frictionzoo.engine import Engine, Friction, Values, without_memory
+from frictionzoo.errors import ModelError
+from frictionzoo.models import TorchFriction
+from frictionzoo.rollout import Rollout, applied
+from frictionzoo.types import DriveState, FrictionTerms, Sampling
+
+AS_GIVEN: Friction = without_memory(lambda values, state: FrictionTerms(**values))
+"""Friction for an engine whose law is evaluated elsewhere: its values are the friction terms of the step."""
+
+
+@dataclass(frozen=True)
+class TorchRollout(Rollout):
+    """Many open-loop rollouts with a law that exists only in torch.
+
+    Called, it takes and gives arrays as every `Rollout` does, yet JAX can neither compile nor differentiate it.
+
+    Attributes:
+        in_torch: The same over torch tensors, with torch's gradient.
+        law: The law's name, for messages.
+    """
+
+    in_torch: Callable[..., tuple[torch.Tensor, torch.Tensor]]
+    law: str
+
+    @property
+    def compiled(self) -> Callable[..., tuple[Any, Any]]:
+        """Itself: only its steps are compiled."""
+        return self.function
+
+
+def make_torch_rollout(
+    bench: Bench, engine: Engine, model: TorchFriction, sampling: Sampling | None = None
+) -> TorchRollout:
+    """The rollouts of an engine with a law in torch.
+
+    A step of all segments is compiled once. What the law sees, its terms and the next state cross between JAX and torch
+    through DLPack; the gradient goes the same way back, through the vector-Jacobian product of the engine's step.
+
+    Args:
+        bench: What the engine simulates.
+        engine: With the friction `AS_GIVEN`.
+        model: The law; it is made float64.
+        sampling: As in `make_rollout`.
+
+    Raises:
+        ModelError: The law has a memory.
+    """
+    if model.memory:
+        raise ModelError(
+            f"{model.name}: a memory of {model.memory} in a law that exists only in torch, expected 0; derive it from "
+            "FrictionModel"
+        )
+    model.double()
+    sampling = Sampling(0.0, 1, 0) if sampling is None else sampling
+    operation = partial(as_torch_function, compiler_options=engine.compiler_options)
+    commands_of = operation(partial(_commands, sampling))
+    observe = operation(jax.vmap(partial(_observe, engine), in_axes=(None, 0, 0, 0, 0)))
+    step = operation(jax.vmap(partial(_step, engine), in_axes=(None, 0, 0, 0, 0, 0, 0)))
+
+    def in_torch(
+        values: Any, qpos: torch.Tensor, qvel: torch.Tensor, ctrl: torch.Tensor, load: torch.Tensor | None = None
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        known = values["bench"]
+        load = qpos.new_zeros((len(qpos), 0)) if load is None else load
+        commands = commands_of(known, ctrl).unbind()
+        torques = observe(known, qpos, qvel, commands[0], load)
+        states = []
+        for command, following in zip(commands, [*commands[1:], commands[-1]], strict=True):
+            channels = bench.split(command)
+            seen = DriveState(qpos, qvel, channels.command, *torques, **channels.observed)
+            terms = _whole(model.terms(torch, values["friction"], seen), qvel)
+            qpos, qvel, *torques = step(known, terms, qpos, qvel, command, following, load)
+            states.append((qpos, qvel))
+        positions, velocities = zip(*states[sampling.substeps - 1 :: sampling.substeps], strict=True)
+        return torch.stack(positions, dim=1), torch.stack(velocities, dim=1)
+
+    def in_arrays(values: Values, qpos: Any, qvel: Any, ctrl: Any, load: Any = None) -> tuple[Any, Any]:
+        with torch.no_grad():
+            return to_arrays(in_torch(*to_tensors((values, qpos, qvel, ctrl, load))))
+
+    return TorchRollout(in_arrays, engine.compiler_options, 0, engine.reverse, in_torch, model.name)
+
+
+def _commands(
+    sampling: Sampling, bench: Mapping[str, Any], ctrl: Float[Array, "batch samples channels"]
+) -> Float[Array, "steps batch channels"]:
+    """What acts in each step of the simulation."""
+    acting = applied({"bench": bench}, ctrl, sampling)
+    return jnp.moveaxis(acting.reshape(len(ctrl), -1, ctrl.shape[2]), 0, 1)
+
+
+def _observe(
+    engine: Engine,
+    bench: Mapping[str, Any],
+    qpos: Float[Array, "nv"],
+    qvel: Float[Array, "nv"],
+    ctrl: Float[Array, "channels"],
+    load: Float[Array, "load"],
+) -> tuple[Float[Array, "nv"], Float[Array, "nv"]]:
+    """Those signals that the law sees and torch does not have yet."""
+    state = engine.drive_state({"bench": bench}, qpos, qvel, ctrl, load)
+    return state.motor_torque, state.external_torque
+
+
+def _step(
+    engine: Engine,
+    bench: Mapping[str, Any],
+    terms: Mapping[str, Float[Array, "nv"]],
+    qpos: Float[Array, "nv"],
+    qvel: Float[Array, "nv"],
+    ctrl: Float[Array, "channels"],
+    following: Float[Array, "channels"],
+    load: Float[Array, "load"],
+) -> tuple[Float[Array, "nv"], ...]:
+    """The state after a step with these friction terms, and the torques that the law sees there.
+
+    One operation for both, because what crosses between JAX and torch costs more than a small bench's physics.
+    """
+    memory = jnp.zeros((*qvel.shape, 0), qvel.dtype)
+    qpos, qvel, _ = engine.step({"bench": bench, "friction": terms}, qpos, qvel, ctrl, load, memory)
+    return qpos, qvel, *_observe(engine, bench, qpos, qvel, following, load)
+
+
+def _whole(terms: FrictionTerms, qvel: torch.Tensor) -> dict[str, torch.Tensor]:
+    """The terms that the law answers with, one row a segment."""
+    return {name: term.broadcast_to(qvel.shape) for name, term in terms._asdict().items() if term is not None}

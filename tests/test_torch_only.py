@@ -1,0 +1,302 @@
+"""Friction laws that exist only in torch: the same numbers as in JAX, whole runs, and what they are refused."""
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import torch
+from conftest import Finished
+
+from frictionzoo.bench import Bench
+from frictionzoo.check import check_model
+from frictionzoo.drive import Drive
+from frictionzoo.errors import ConfigError, ExportError, ModelError
+from frictionzoo.export.fitted import Fitted
+from frictionzoo.export.write import write_exports
+from frictionzoo.fit import Adam, Known, Objective, Space, loop
+from frictionzoo.models import FrictionModel, TorchFriction, register_model
+from frictionzoo.models.registry import REGISTRY
+from frictionzoo.report.curves import read_curves
+from frictionzoo.types import DriveState, FrictionTerms, Sampling, Segments
+
+LOSS = {"position": 1.0, "velocity": 1.0, "robust": "none", "robust_scale": 1.0, "refine": False}
+DRY = {"dry": {"init": 0.1, "low": 0.01, "high": 1.0, "scale": "log", "identify": True}}
+STRIBECK = "test_torch_only.TorchStribeck"
+
+
+class TorchStribeck(TorchFriction):
+    """`coulomb_stribeck`, written again in torch alone."""
+
+    dimensions = {
+        "static_torque": "torque",
+        "kinetic_torque": "torque",
+        "stribeck_velocity": "velocity",
+        "viscous_coefficient": "damping",
+        "smoothing_velocity": "velocity",
+    }
+    dissipative = True
+
+    def forward(self, state: DriveState) -> FrictionTerms:
+        share = torch.exp(-((state.qvel / self.stribeck_velocity) ** 2))
+        dry = torch.lerp(self.kinetic_torque.expand_as(share), self.static_torque.expand_as(share), share)
+        sign = (state.qvel / self.smoothing_velocity).tanh_()
+        return FrictionTerms(torque=torch.addcmul(dry * sign, self.viscous_coefficient, state.qvel))
+
+
+class TorchConstraint(TorchFriction):
+    """MuJoCo's own friction, and a network of parts that JAX does not have beside it."""
+
+    dimensions = {"dry": "torque"}
+    constraint = True
+
+    def __init__(self, nv: int = 1) -> None:
+        super().__init__(nv, DRY)
+        torch.manual_seed(0)
+        self.network = torch.nn.Sequential(
+            *(torch.nn.Linear(3, 4), torch.nn.LayerNorm(4), torch.nn.GELU(), torch.nn.Linear(4, 1))
+        )
+        self.register_buffer("updates", torch.zeros((), dtype=torch.int64))  # a number that is no floating-point one
+
+    def forward(self, state: DriveState) -> FrictionTerms:
+        seen = torch.stack([state.qpos, state.qvel, state.ctrl], dim=-1)
+        return FrictionTerms(torque=0.1 * self.network(seen)[..., 0], frictionloss=self.dry)
+
+
+class Remembers(TorchConstraint):
+    memory = 2
+
+
+class NormalisesTheBatch(TorchConstraint):
+    def forward(self, state: DriveState) -> FrictionTerms:
+        return FrictionTerms(torque=state.qvel - state.qvel.mean(), frictionloss=self.dry)
+
+
+class NotFiniteAtRest(TorchConstraint):
+    def forward(self, state: DriveState) -> FrictionTerms:
+        return FrictionTerms(torque=self.dry * state.qvel.abs().sqrt(), frictionloss=self.dry)
+
+
+LAWS = {
+    "torch_stribeck": TorchStribeck,
+    "torch_constraint": TorchConstraint,
+    "remembers": Remembers,
+    "normalises": NormalisesTheBatch,
+    "not_finite": NotFiniteAtRest,
+}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def registered() -> Iterator[None]:
+    """The laws above, for the tests of this file alone."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(REGISTRY, "entries", dict(REGISTRY.entries))
+        for name, law in LAWS.items():
+            register_model(name)(law)
+        yield
+
+
+@pytest.fixture
+def x64() -> Iterator[None]:
+    with jax.enable_x64(True):
+        yield
+
+
+@pytest.fixture(scope="module")
+def segments() -> Segments:
+    """Random states, commands with a sample of history, of a drive that carries nothing."""
+    rng = np.random.default_rng(0)
+    qpos, qvel = rng.normal(size=(2, 40, 4, 1))
+    return Segments(qpos, qvel, qpos[:, :1] + rng.normal(scale=0.1, size=(40, 4, 1)), 0.002, None, 1)
+
+
+def pose(bench: Bench, law: FrictionModel, segments: Segments, engine: str, dtype: str = "float64") -> Objective:
+    drive = Drive.assemble(bench, law, engine, Sampling(segments.timestep, 2, segments.history))
+    return Objective(Space(bench, law, dtype), drive.rollout, segments, **LOSS)
+
+
+@pytest.fixture(scope="module")
+def pair(make: Callable[..., Any], segments: Segments) -> Callable[..., tuple[Objective, Objective]]:
+    """The same objective of `coulomb_stribeck` in torch and in JAX, of a drive whose commands act late."""
+
+    def pair(engine: str, dtype: str = "float64") -> tuple[Objective, Objective]:
+        delay = {"init": 3e-4, "low": 0.0, "high": 1e-3, "scale": 1e-3, "identify": True}
+        bench = make("bench", *(f"bench.params.delay.{key}={value}" for key, value in delay.items()))
+        laws = make("model", nv=1), make("model", f"model._target_={STRIBECK}", nv=1)
+        assert isinstance(laws[1], TorchStribeck)
+        jaxed, torched = (pose(bench, law, segments, engine, dtype) for law in laws)
+        return torched, jaxed
+
+    return pair
+
+
+@pytest.mark.parametrize("engine", ["specialised", pytest.param("mjx", marks=pytest.mark.slow)])
+@pytest.mark.usefixtures("x64")
+def test_loss_and_gradient_are_those_of_the_law_in_jax(
+    pair: Callable[..., tuple[Objective, Objective]], engine: str
+) -> None:
+    torched, jaxed = pair(engine)
+    assert torched.space.labels == jaxed.space.labels
+    assert "bench.delay" in torched.space.labels
+    vector = jaxed.space.start + jnp.asarray(np.random.default_rng(1).normal(scale=0.1, size=len(jaxed.space.start)))
+    expected, slope = jax.jit(jaxed.value_and_grad("reverse"))(vector, jaxed.data)
+    loss, gradient = torched.value_and_grad("auto")(vector, torched.data)
+    assert float(loss) == pytest.approx(float(expected), rel=1e-10)
+    # The two differ in the order of their sums.
+    np.testing.assert_allclose(gradient, slope, rtol=1e-10, atol=1e-10 * float(jnp.abs(slope).max()))
+    assert float(torched.loss(vector, torched.data)) == pytest.approx(float(expected), rel=1e-10)
+
+
+@pytest.mark.usefixtures("x64")
+def test_a_fit_takes_the_same_way(pair: Callable[..., tuple[Objective, Objective]]) -> None:
+    fit = Adam(8, 0.05, 0.9, "auto")
+    traces = [fit.chunk(objective, 5)(fit.start(objective), 5) for objective in pair("specialised")]
+    (progress, torched), (_, jaxed) = traces
+    assert int(progress.iteration) == 5
+    assert (np.diff(torched.loss) < 0).all()
+    np.testing.assert_allclose(torched.loss, jaxed.loss, rtol=1e-10)
+    for name, values in jaxed.params.items():
+        np.testing.assert_allclose(torched.params[name], values, rtol=1e-10)
+
+
+@pytest.mark.usefixtures("x64")
+def test_the_gradient_reaches_weights(knee: Bench, segments: Segments) -> None:
+    law = TorchConstraint()
+    objective = pose(knee, law, segments, "specialised")
+    assert objective.space.weights == [f"friction.{name}" for name, _ in law.named_parameters() if name != "dry"]
+    value_and_grad, vector = objective.value_and_grad("reverse"), objective.space.start
+    gradient = value_and_grad(vector, objective.data)[1]
+    assert (jnp.abs(gradient) > 0).all()
+    rng = np.random.default_rng(2)
+    for direction in (rng.normal(size=len(vector)) for _ in range(2)):
+        ahead, behind = (float(objective.loss(vector + step * direction, objective.data)) for step in (1e-5, -1e-5))
+        # A central difference errs by the square of its step and by rounding over it, both below this.
+        assert float(gradient @ direction) == pytest.approx((ahead - behind) / 2e-5, rel=1e-6)
+
+
+def test_given_values_are_judged(make: Callable[..., Any], segments: Segments) -> None:
+    known = [f"model.params.{name}.identify=false" for name in TorchStribeck.dimensions]
+    choices = (f"model._target_={STRIBECK}", "bench.params.armature.identify=false", *known)
+    objective = pose(make("bench", *choices), make("model", *choices, nv=1), segments, "specialised", "float32")
+    fit = Known()
+    progress, trace = fit.chunk(objective, fit.total(objective))(fit.start(objective), 1)
+    assert float(progress.best_loss) == trace.loss[0] == float(objective.loss(objective.space.start, objective.data))
+
+
+@pytest.mark.parametrize("law", [TorchConstraint, TorchStribeck])
+@pytest.mark.parametrize("nv", [1, 3])
+def test_they_keep_the_contract(make: Callable[..., Any], law: type[TorchFriction], nv: int) -> None:
+    model = TorchConstraint(nv) if law is TorchConstraint else make("model", f"model._target_={STRIBECK}", nv=nv)
+    check_model(model.double())
+
+
+@pytest.mark.parametrize(
+    ("law", "message"),
+    [
+        (Remembers, "remembers: memory: a law that exists only in torch has none"),
+        (NormalisesTheBatch, "normalises: batch: torque of one state changes by .* with the others"),
+        (NotFiniteAtRest, "not_finite: gradient: with respect to qvel is not finite"),
+    ],
+)
+def test_a_broken_law_is_named(law: type[TorchConstraint], message: str) -> None:
+    with pytest.raises(ModelError, match=message):
+        check_model(law())
+
+
+def test_a_memory_is_refused_before_a_rollout(knee: Bench) -> None:
+    with pytest.raises(ModelError, match="remembers: a memory of 2 in a law that exists only in torch, expected 0"):
+        Drive.assemble(knee, Remembers(), "specialised")
+
+
+def test_there_is_no_formula_over_other_namespaces() -> None:
+    state = DriveState(*(np.zeros((5, 2, 1))))
+    with pytest.raises(ModelError, match=r"torch_constraint: it exists only in torch, not in jax\.numpy"):
+        TorchConstraint().terms(jnp, {}, state)
+
+
+def test_what_needs_more_than_a_gradient_is_refused_in_one_line(
+    make: Callable[..., Any], knee: Bench, segments: Segments
+) -> None:
+    law = TorchConstraint()
+    objective = pose(knee, law, segments, "specialised", "float32")
+    for name in ("lm", "grid"):
+        with pytest.raises(ConfigError, match=rf"fit={name}: torch_constraint exists only in torch, .*; use fit=adam"):
+            make("fit", f"fit={name}").total(objective)
+    with pytest.raises(ConfigError, match=r"fit\.derivative=forward: torch_constraint exists only in torch"):
+        objective.value_and_grad("forward")
+    rollout = Drive.assemble(knee, law, "specialised").rollout
+    with pytest.raises(ConfigError, match=r"loss\.refine=true: torch_constraint exists only in torch"):
+        Objective(objective.space, rollout, segments, **(LOSS | {"refine": True}))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of the run below."""
+    return tmp_path_factory.mktemp("run") / "whole"
+
+
+def job(tiny: tuple[str, ...], folder: Path, *more: str) -> tuple[str, ...]:
+    own = ("model=coulomb_stribeck", f"model._target_={STRIBECK}", "segments.length=3", "dtype=float32")
+    return (*tiny, *own, "fit.iterations=6", f"hydra.run.dir={folder}", *more)
+
+
+@pytest.fixture
+def whole(call: Callable[..., Finished], tiny: tuple[str, ...], folder: Path) -> Path:
+    """A run that nobody interrupted, made once."""
+    if not folder.exists():
+        finished = call(*job(tiny, folder))
+        assert finished.status == 0, finished.err
+    return folder
+
+
+def test_a_run_leaves_what_every_run_leaves(whole: Path) -> None:
+    result = json.loads((whole / "result.json").read_text())
+    assert result["fit"]["iterations"] == 6
+    assert result["metrics"]["test"]["diverged"] == 0
+    assert result["no_intervals"] == "torch_stribeck exists only in torch, where no Jacobian is taken"
+    assert (whole / "report.html").exists()
+    fitted = Fitted.load(whole)
+    # The run computed in float32, the fitted drive does in float64: some hundred steps of a tenth of a radian.
+    np.testing.assert_allclose(fitted.rollout()[0], read_curves(whole).qpos, atol=1e-5)
+
+
+def test_an_interrupted_run_ends_as_if_nothing_had_happened(
+    call: Callable[..., Finished], tiny: tuple[str, ...], whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    saved = loop._Saver.on_train_epoch_end
+
+    def save_and_fall(saver: Any, trainer: Any, module: Any) -> None:
+        saved(saver, trainer, module)
+        if module.iteration == 4:
+            raise RuntimeError("the power is gone")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(loop._Saver, "on_train_epoch_end", save_and_fall)
+        with pytest.raises(RuntimeError, match="the power is gone"):
+            call(*job(tiny, tmp_path / "torn"))
+    assert not (tmp_path / "torn" / "result.json").exists()
+    finished = call(f"resume={tmp_path / 'torn'}")
+    assert finished.status == 0, finished.err
+    assert "resuming from" in finished.err
+    for name in ("friction.safetensors", "identified.xml"):
+        assert (tmp_path / "torn" / name).read_bytes() == (whole / name).read_bytes()
+
+
+def test_it_is_exported_where_torch_goes_and_refused_elsewhere(whole: Path, tmp_path: Path) -> None:
+    (written,) = write_exports(whole, {"target": "torchscript", "output": str(tmp_path / "torchscript")})
+    assert written.export is not None
+    assert written.export.differences[0].largest < 1e-12  # rounding of a torque of a tenth of a newton metre
+    for target in ("mujoco", "mjx"):
+        with pytest.raises(ExportError, match=r"torch_stribeck: it exists only in torch, .* take target=torchscript"):
+            write_exports(whole, {"target": target, "output": str(tmp_path / target)})
+
+
+@pytest.mark.slow
+def test_every_other_target_holds_it_or_says_why_not(whole: Path, tmp_path: Path) -> None:
+    written = write_exports(whole, {"target": "all", "output": str(tmp_path)})
+    assert {entry.target for entry in written if entry.export} >= {"mjcf", "onnx", "torchscript"}
+    assert all("\n" not in entry.reason for entry in written)
