@@ -36,10 +36,9 @@ class Backlash(FrictionModel):
         s    smoothing [1], share of the play over which contact sets in; known
 
     The measured position is the load's, behind the play. The bench's `armature` is then what moves with the load
-    besides the bench's bodies; where the motor's inertia is all the armature there is, it is the rotor's, and the
-    bench's is to be set to what is left, or identified. Through a closed gap and a stiff coupling both move as one, and
-    no recording tells one from the other: they are then reported as indistinct. A recording in which the coupling's
-    torque never changes its sign does not know the gap.
+    besides the bench's bodies; the motor's inertia is the rotor's. Through a stiff coupling without play, or in contact
+    throughout, both move as one and no recording tells one from the other: they are then reported as indistinct. A
+    recording in which the coupling's torque never changes its sign does not know the gap.
 
     A rollout begins in steady motion: the rotor as fast as the load, in contact on the side to which the motor pushes.
     A step is implicit in the coupling, for the rotor as for the load, which gets its part by way of MuJoCo's implicit
