@@ -250,8 +250,8 @@ def test_a_load_on_one_side_hides_the_gap(law: Backlash, twin: Callable[..., Two
     oracle = twin("data.samples=1701", "data.substeps=5", *QUIET)
     time = 1e-3 * np.arange(oracle.samples)
     ctrl = 1.2 + 0.1 * np.sin(4 * time)
-    states = [part[500:] for part in oracle.simulate(ctrl)]  # from when it hangs in the coupling on
-    log = Log("raised", time[:-500], *states, ctrl[500:, None], "", simulated=True)
+    qpos, qvel = (part[500:] for part in oracle.simulate(ctrl))  # from when it hangs in the coupling on
+    log = Log("raised", time[:-500], qpos, qvel, ctrl[500:, None], "", simulated=True)
     with jax.enable_x64(True):
         found = assess(knee, law, log, drive_values(knee, oracle, law), 300)
     assert not found.identifiable["friction.gap"] and found.identifiable["friction.damping"]
@@ -266,8 +266,8 @@ def test_without_play_rotor_and_load_are_one(law: Backlash, twin: Callable[..., 
     with jax.enable_x64(True):
         rollout = make_rollout(make_engine("auto", knee, friction_of(law), False)).compiled
         after = rollout(values, np.full((1, 1), ctrl[0]), np.zeros((1, 1)), ctrl[None, :, None])
-        states = [np.asarray(part)[0, 499:-1] for part in after]  # from when it hangs in the coupling on
-        log = Log("stiff", time[:-500], *states, ctrl[500:, None], "", simulated=True)
+        qpos, qvel = (np.asarray(part)[0, 499:-1] for part in after)  # from when it hangs in the coupling on
+        log = Log("stiff", time[:-500], qpos, qvel, ctrl[500:, None], "", simulated=True)
         found = assess(knee, law, log, values, 300)
     assert not found.identifiable["bench.armature"] and not found.identifiable["friction.rotor_inertia"]
     assert ("bench.armature", "friction.rotor_inertia") in [tuple(sorted(group)) for group in found.indistinct]

@@ -284,7 +284,7 @@ class Twin:
         return spec
 
 
-Part = TypeVar("Part")
+Part = TypeVar("Part", bound=Any)  # any dataclass
 
 
 def _section(part: type[Part], name: str, given: Mapping[str, Any]) -> Part:
