@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from importlib import resources
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import mujoco
 import numpy as np
@@ -171,6 +171,9 @@ class Twin:
         ConfigError: An option is missing, unknown or impossible.
     """
 
+    hidden: ClassVar[type] = HiddenDrive
+    drive: Any
+
     def __init__(
         self,
         name: str,
@@ -195,7 +198,7 @@ class Twin:
         self.mjcf = _packaged_bench(mjcf)
         self.excitation = _section(Excitation, "excitation", excitation)
         self.controller = _section(Controller, "controller", controller)
-        self.drive = _section(HiddenDrive, "drive", drive)
+        self.drive = _section(self.hidden, "drive", drive)
         self.sensor = _section(Sensor, "sensor", sensor)
         self.split = dict(split)
         self.cache_dir = cache_folder(cache_dir)
@@ -207,7 +210,7 @@ class Twin:
             LogError: The simulation diverges, or the split leaves a part empty.
         """
         arrays = cached(self.cache_file(), SIGNALS, self._record)
-        metadata = {"controller": asdict(self.controller), "seed": self.seed}
+        metadata = {"controller": asdict(self.controller), "drive": asdict(self.drive), "seed": self.seed}
         time, qpos, qvel, ctrl = (arrays[name] for name in SIGNALS)
         log = Log(self.name, time, qpos, qvel, ctrl, digest(arrays), simulated=True, metadata=metadata)
         train, test = split_by_time(log, **self.split)
@@ -248,7 +251,7 @@ class Twin:
         Raises:
             LogError: The simulation diverges.
         """
-        model = self._model()
+        model = self._spec().compile()
         data = mujoco.MjData(model)
         data.qpos[0] = ctrl[0]
         states = np.empty((self.samples, 2))
@@ -261,24 +264,27 @@ class Twin:
                 command = commands[max(step - late, 0) // self.substeps]
                 torque = self.controller.kp * (command - qpos) - self.controller.kd * qvel
                 torque -= self.drive.friction(qpos, qvel, torque)
-                if not abs(torque) < DIVERGED:
-                    raise LogError(
-                        f"{self.name}: the simulation diverged at sample {sample}; expected a drive that a step of "
-                        f"{model.opt.timestep:g} s holds; raise data.substeps or lower the friction in data.drive"
-                    )
+                self._refuse_divergence(torque, sample)
                 data.qfrc_applied[0] = torque
                 mujoco.mj_step(model, data)
         return states[:, :1], states[:, 1:]
 
-    def _model(self) -> mujoco.MjModel:
+    def _refuse_divergence(self, torque: float, sample: int) -> None:
+        if not abs(torque) < DIVERGED:
+            raise LogError(
+                f"{self.name}: the simulation diverged at sample {sample}; expected a drive that a step of "
+                f"{self.timestep / self.substeps:g} s holds; raise data.substeps or lower the friction in data.drive"
+            )
+
+    def _spec(self) -> mujoco.MjSpec:
         """The bench with the hidden armature, at the simulation's step."""
         spec = mujoco.MjSpec.from_string(self.mjcf)
         spec.option.timestep = self.timestep / self.substeps
         spec.joints[0].armature = self.drive.armature
-        return spec.compile()
+        return spec
 
 
-Part = TypeVar("Part", Excitation, Controller, HiddenDrive, Sensor)
+Part = TypeVar("Part", bound=Any)  # any dataclass
 
 
 def _section(part: type[Part], name: str, given: Mapping[str, Any]) -> Part:

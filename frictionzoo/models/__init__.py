@@ -1,6 +1,7 @@
 """Friction laws, one a file; importing this package registers all of them."""
 
 from frictionzoo.models.asymmetric import Asymmetric
+from frictionzoo.models.backlash import Backlash
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.models.baseline import Baseline
 from frictionzoo.models.coulomb_smooth import CoulombSmooth
@@ -29,6 +30,7 @@ from frictionzoo.models.torch_friction import TorchFriction
 
 __all__ = [
     "Asymmetric",
+    "Backlash",
     "Baseline",
     "CoulombSmooth",
     "CoulombStribeck",

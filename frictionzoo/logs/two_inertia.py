@@ -1,0 +1,107 @@
+"""A simulated drive with play: motor and load are joints of their own, coupled through a gap that is known."""
+
+import math
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from frictionzoo.errors import ConfigError
+from frictionzoo.logs.twin import Twin
+
+
+@dataclass(frozen=True)
+class HiddenCoupling:
+    """What the identification does not know: a rotor, and the coupling that turns the bench's joint.
+
+    Coupling torque = stiffness (x - gap / 2) + coupling_damping dx/dt in contact ahead, x >= gap / 2, the same behind,
+    x <= -gap / 2, and 0 in between; x is the rotor's angle ahead of the load. Friction torque of the rotor
+    = frictionloss w / sqrt(w^2 + smoothing_velocity^2) + damping w, w its velocity.
+
+    Attributes:
+        armature: Inertia of the load besides the bench's bodies [kg m^2].
+        rotor_inertia: Inertia of the rotor, seen from the load [kg m^2].
+        gap: From contact to contact [rad].
+        stiffness: Of the coupling [N m/rad].
+        coupling_damping: Of the coupling [N m s/rad].
+        frictionloss: Dry friction of the rotor [N m].
+        damping: Viscous friction of the rotor [N m s/rad].
+        smoothing_velocity: Speed over which dry friction changes its sign [rad/s].
+    """
+
+    armature: float
+    rotor_inertia: float
+    gap: float
+    stiffness: float
+    coupling_damping: float
+    frictionloss: float
+    damping: float
+    smoothing_velocity: float
+
+    def __post_init__(self) -> None:
+        for name in ("rotor_inertia", "stiffness", "smoothing_velocity"):
+            if not getattr(self, name) > 0:
+                raise ConfigError(f"data.drive.{name}={getattr(self, name):g}: expected a positive number")
+        for name in ("armature", "gap", "coupling_damping", "frictionloss", "damping"):
+            if not getattr(self, name) >= 0:
+                raise ConfigError(f"data.drive.{name}={getattr(self, name):g}: expected 0 or more")
+
+    def coupling(self, ahead: float, faster: float) -> float:
+        """Torque from the rotor to the load [N m].
+
+        Args:
+            ahead: Angle of the rotor ahead of the load [rad].
+            faster: Velocity of the rotor less that of the load [rad/s].
+        """
+        bend = ahead - math.copysign(min(abs(ahead), self.gap / 2), ahead)
+        return self.stiffness * bend + self.coupling_damping * faster if bend else 0.0
+
+    def friction(self, rotor_velocity: float) -> float:
+        """Friction torque of the rotor [N m], positive against positive velocity [rad/s]."""
+        dry = self.frictionloss * rotor_velocity / math.hypot(rotor_velocity, self.smoothing_velocity)
+        return dry + self.damping * rotor_velocity
+
+
+class TwoInertia(Twin):
+    """The paper's bench driven by a rotor through a coupling with play, simulated by MuJoCo C; the load is measured.
+
+    Source: of bench, controller and excitation as `Twin`; of the coupling M. Nordin, P.-O. Gutman, "Controlling
+    mechanical systems with backlash - a survey", Automatica 38(10), 2002, the dead-zone model.
+
+    Arguments are those of `Twin`, with the section of `HiddenCoupling` for `drive`.
+    """
+
+    hidden = HiddenCoupling
+
+    drive: HiddenCoupling
+
+    def simulate(
+        self, ctrl: Float[np.ndarray, "time"]
+    ) -> tuple[Float[np.ndarray, "time 1"], Float[np.ndarray, "time 1"]]:
+        """See `Twin.simulate`: true position [rad] and velocity [rad/s] of the load."""
+        model = self._spec().compile()
+        data = mujoco.MjData(model)
+        load, rotor = (model.joint(name).dofadr[0] for name in (model.joint(0).name, "rotor"))
+        data.qpos[:] = ctrl[0]
+        states = np.empty((self.samples, 2))
+        for sample, command in enumerate(ctrl.tolist()):
+            states[sample] = data.qpos[load], data.qvel[load]
+            for _ in range(self.substeps):
+                qpos, qvel = data.qpos.tolist(), data.qvel.tolist()
+                motor = self.controller.kp * (command - qpos[load]) - self.controller.kd * qvel[load]
+                passed = self.drive.coupling(qpos[rotor] - qpos[load], qvel[rotor] - qvel[load])
+                self._refuse_divergence(passed, sample)
+                data.qfrc_applied[load] = passed
+                data.qfrc_applied[rotor] = motor - passed - self.drive.friction(qvel[rotor])
+                mujoco.mj_step(model, data)
+        return states[:, :1], states[:, 1:]
+
+    def _spec(self) -> mujoco.MjSpec:
+        """The bench, and a balanced rotor beside it, on which gravity has no effect."""
+        spec = super()._spec()
+        axis = spec.joints[0].axis.copy()
+        rotor = spec.worldbody.add_body(name="rotor", mass=1.0, inertia=3 * [self.drive.rotor_inertia])
+        rotor.explicitinertial = True
+        rotor.add_joint(name="rotor", type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis)
+        return spec
