@@ -225,7 +225,7 @@ def _check_memory(model: FrictionModel, samples: DriveState) -> None:
         def total(values: Values, drive: DriveState) -> jax.Array:
             return sum((part.sum() for part in step(jnp, values, drive).values()), jnp.zeros(()))
 
-        for name, slope in jax.grad(total)(to_jax(model, jnp.float64), _jax_state(state)).items():
+        for name, slope in jax.jit(jax.grad(total))(to_jax(model, jnp.float64), _jax_state(state)).items():
             if not np.isfinite(slope).all():
                 _fail(model, "memory", f"gradient with respect to {name} is not finite {where}; smooth the law there")
     fast = _torch_state(samples._replace(qvel=np.sign(samples.qvel) + (samples.qvel == 0)))
@@ -403,7 +403,7 @@ def _jax_gradient(model: FrictionModel, state: DriveState, weights: np.ndarray) 
         moved = drive._replace(**{name: moving[name] for name in drive.given()})
         return jnp.zeros(()) + _weighted(model.terms(jnp, {**values, **moving}, moved), jnp.asarray(weights))
 
-    return _numpy(jax.grad(total)(_moving(model, values, drive)))
+    return _numpy(jax.jit(jax.grad(total))(_moving(model, values, drive)))
 
 
 def _compare(model: FrictionModel, what: str, ours: dict[str, np.ndarray], theirs: dict[str, np.ndarray]) -> None:

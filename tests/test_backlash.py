@@ -163,7 +163,7 @@ def test_torch_equals_jax_across_the_gap(law: Backlash, twin: Callable[..., TwoI
 
     def along(xp: Any, convert: Callable[[Any], Any]) -> np.ndarray:
         own = {name: convert(value) for name, value in values.items()}
-        drive = [DriveState(*map(convert, state)) for state in states]
+        drive = [state.map(convert) for state in states]
         memory, found = law.settle(xp, own, drive[0]), []
         for state in drive:
             terms, memory = law.advance(xp, own, state, memory, 1e-3)

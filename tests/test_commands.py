@@ -109,8 +109,7 @@ MARKS = [  # of the tests of commands that match
     (rf"{JOB}.*experiment=.*", pytest.mark.slow),
     (rf"{JOB}.*data=(sts3215|xl330).*", pytest.mark.slow),
     (rf"{JOB}-m .*", pytest.mark.slow),
-    (r"python -m frictionzoo\.(export|distill) RUN .*", pytest.mark.slow),
-    (r"python -m frictionzoo\.compare .* --output .*", pytest.mark.slow),  # the quick tests do one comparison
+    (r"python -m frictionzoo\.(export|distill|compare) .*", pytest.mark.slow),
 ]
 
 

@@ -100,6 +100,7 @@ def test_a_law_of_the_same_family_is_found_again(teacher: Path, distill: Callabl
     assert note["notes"] == []
 
 
+@pytest.mark.slow
 def test_mujocos_friction_is_near_what_slides(teacher: Path, distill: Callable) -> None:
     """And the printed loss is that of both records."""
     finished = distill(teacher, "model=mujoco_default")
@@ -126,6 +127,7 @@ def test_mujocos_friction_is_near_what_slides(teacher: Path, distill: Callable) 
     assert read(folder) == student
 
 
+@pytest.mark.slow
 def test_a_networks_student_is_a_run(identify: Callable, distill: Callable, tmp_path: Path) -> None:
     small = ("fit.iterations=3", "model.hidden=[4,4]")
     network, student = identify("neural_friction", *small), tmp_path / "student"

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from conftest import slow_but
 from test_specialised import KNOWN, random_cases
 
 from frictionzoo.bench import Bench, PositionPD
@@ -68,7 +69,10 @@ def step_in_c(bench: Bench, case: dict[str, np.ndarray], constraint: bool) -> tu
 @pytest.mark.parametrize("constraint", [False, True], ids=["smooth", "frictionloss"])
 @pytest.mark.parametrize(
     ("body", "integrator"),
-    [*(("hinge", integrator) for integrator in INTEGRATORS), *((body, "euler") for body in BODIES if body != "hinge")],
+    slow_but(
+        [("hinge", "implicitfast"), ("offset slide", "euler"), ("inclined", "euler")],
+        [*(("hinge", name) for name in INTEGRATORS), *((body, "euler") for body in BODIES if body != "hinge")],
+    ),
 )
 def test_step_equals_mujoco_c(tmp_path: Path, body: str, integrator: str, constraint: bool) -> None:
     bench = make_bench(tmp_path, body, integrator)

@@ -28,7 +28,16 @@ from frictionzoo.types import DriveState, Payload, Segments
 SIGNALS = ["qpos", "qvel", "ctrl", "motor_torque", "external_torque"]
 PAYLOAD = Payload(0.5, (0.0, 0.0, -0.1), (1e-4, 1e-4, 1e-4))
 MODELS = [
-    *("mujoco_default", "coulomb_stribeck", "asymmetric", "polynomial_viscous", "ripple", "harmonic_drive"),
+    *(
+        "mujoco_default",
+        "coulomb_stribeck",
+        "asymmetric",
+        "polynomial_viscous",
+        "ripple",
+        "stribeck",
+        "directional",
+        "harmonic_drive",
+    ),
     *("neural_friction", "dissipative_network", "odd_network", "residual_network"),
     *("temperature_linear", "temperature_arrhenius"),
 ]
@@ -75,8 +84,9 @@ def write(target: str, fitted: Fitted, folder: Path, **options: str) -> Export:
 def test_a_graph_gives_the_laws_torque(fit: Callable[..., Fitted], tmp_path: Path, target: str, model: str) -> None:
     (difference,) = write(target, fit(f"model={model}"), tmp_path).differences
     assert (difference.quantity, difference.unit) == ("torque", "N m")
-    # The same operations on the same numbers, but for the order in which a runtime sums.
-    assert difference.largest < 1e-12
+    # The same operations on the same numbers, but for the order in which a runtime sums. ONNX Runtime's exponential is
+    # good to 3e-13 of its value, and here it weighs loads of tens of N m.
+    assert difference.largest < (1e-11 if model in ("directional", "harmonic_drive") else 1e-12)
 
 
 @pytest.mark.parametrize("target", ["onnx", "torchscript"])

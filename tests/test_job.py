@@ -11,6 +11,7 @@ import pytest
 import safetensors
 import safetensors.torch
 import torch
+from conftest import slow_but
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from frictionzoo import __version__
@@ -37,7 +38,7 @@ ITERATIONS = dict.fromkeys(JOBS, 3) | {"mujoco_grid_search": 2**3}
 FIGURES = ("figure3_parameters.png", "figure4_trajectory.png", "figure5_error.png")
 
 
-@pytest.mark.parametrize("name", JOBS)
+@pytest.mark.parametrize("name", slow_but(["mujoco_default", "neural_friction"], JOBS))
 def test_a_job_leaves_a_whole_record(
     call: Callable, make: Callable, tiny: tuple[str, ...], tmp_path: Path, name: str
 ) -> None:

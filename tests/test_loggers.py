@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
+from conftest import slow_but
 from matplotlib.image import imread
 from tensorboard.backend.event_processing.plugin_event_multiplexer import EventMultiplexer
 from tensorboard.plugins.hparams import metadata
@@ -228,7 +229,7 @@ def run_with(call: Callable, homes: Path, tiny: tuple[str, ...], logger: str) ->
     return run
 
 
-@pytest.mark.parametrize("logger", READERS)
+@pytest.mark.parametrize("logger", slow_but(["tensorboard", "csv"], READERS))
 def test_a_job_is_recorded(call: Callable, tiny: tuple[str, ...], homes: Path, logger: str) -> None:
     run = run_with(call, homes, tiny, logger)
     check(run, READERS[logger](run))
@@ -237,7 +238,7 @@ def test_a_job_is_recorded(call: Callable, tiny: tuple[str, ...], homes: Path, l
     assert f'href="{logger}/"' in (run / "report.html").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("logger", READERS)
+@pytest.mark.parametrize("logger", slow_but(["tensorboard"], READERS))
 def test_an_interrupted_and_resumed_run_is_recorded_once(
     call: Callable, tiny: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, logger: str
 ) -> None:

@@ -1,6 +1,7 @@
 """Every friction law of this package, built from its YAML."""
 
 from collections.abc import Callable
+from itertools import product
 from pathlib import Path
 
 import hydra
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 import safetensors.torch
 import torch
+from conftest import slow_but
 from omegaconf import DictConfig, OmegaConf
 
 from frictionzoo.bridge import to_jax
@@ -91,8 +93,10 @@ def test_every_yaml_is_tested():
     assert {path.stem for path in (CONF / "model").glob("*.yaml")} == {*OURS, "mujoco_grid_search"}
 
 
-@pytest.mark.parametrize("bench", BENCHES)
-@pytest.mark.parametrize("nv", [1, 3])
+@pytest.mark.parametrize(
+    ("bench", "nv"),
+    slow_but([("knee", 3), *((bench, 1) for bench in BENCHES)], product(BENCHES, [1, 3])),
+)
 @pytest.mark.parametrize("name", OURS)
 def test_law_keeps_the_contract(build, name, nv, bench):
     check_model(build(name, nv, bench))

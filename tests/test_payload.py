@@ -2,12 +2,14 @@
 
 import json
 from collections.abc import Callable, Iterator
+from itertools import product
 from pathlib import Path
 
 import jax
 import mujoco
 import numpy as np
 import pytest
+from conftest import slow_but
 from test_specialised import BODIES, KNOWN, chain, law, random_cases, step_of
 
 from frictionzoo.bench import Bench, PositionPD
@@ -54,8 +56,10 @@ def welded(bench: Bench, payload: Payload, constraint: bool, case: dict[str, np.
 
 
 @pytest.mark.usefixtures("x64")
-@pytest.mark.parametrize("constraint", [False, True], ids=["smooth", "frictionloss"])
-@pytest.mark.parametrize("body", [*BODIES, "simple slide", "chain"])
+@pytest.mark.parametrize(
+    ("body", "constraint"),
+    slow_but([("chain", False), ("simple slide", True)], product([*BODIES, "simple slide", "chain"], [False, True])),
+)
 def test_a_step_with_a_payload_is_that_of_a_welded_body(tmp_path: Path, body: str, constraint: bool) -> None:
     joints = 2 if body == "chain" else 1
     simple = '<joint name="j0" type="slide"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'

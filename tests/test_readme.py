@@ -1,5 +1,6 @@
 """What the documentation tells a newcomer to type: commands compose, options exist, pages agree with their source."""
 
+import functools
 import re
 import runpy
 import shlex
@@ -39,6 +40,12 @@ JOBS = [
     for job in jobs_of(page)
     if not any(map(PLACEHOLDER.search, job))
 ]
+
+
+@pytest.fixture(scope="module")
+def compose(compose):
+    """The same, each composition once: pages share most of them, and nothing here changes one."""
+    return functools.cache(compose)
 
 
 @pytest.mark.parametrize("page, job", JOBS, ids=lambda value: value.parent.name if isinstance(value, Path) else None)

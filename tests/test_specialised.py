@@ -1,6 +1,7 @@
 """The specialised engine against MuJoCo C, which is the oracle, and against stock MJX, whose gradients it must have."""
 
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from conftest import slow_but
 from mujoco import mjx
 
 from frictionzoo.bench import Bench, PositionPD
@@ -139,17 +141,11 @@ def stock_step(bench: Bench, constraint: bool) -> Any:
     return step
 
 
-def quick_for(body: str, *values: Any) -> list[Any]:
-    """Every body with every one of the values; this body alone is for the quick tests."""
-    return [
-        pytest.param(name, value, id=f"{name}-{value}", marks=[] if name == body else [pytest.mark.slow])
-        for name in BODIES
-        for value in values
-    ]
-
-
 @pytest.mark.parametrize("constraint", [False, True], ids=["smooth", "frictionloss"])
-@pytest.mark.parametrize(("body", "integrator"), quick_for("inclined axis, off-axis mass", *INTEGRATORS))
+@pytest.mark.parametrize(
+    ("body", "integrator"),
+    slow_but([("inclined axis, off-axis mass", name) for name in INTEGRATORS], product(BODIES, INTEGRATORS)),
+)
 def test_ten_thousand_steps_equal_mujoco_c_and_mjx(
     tmp_path: Path, body: str, integrator: str, constraint: bool
 ) -> None:
@@ -162,7 +158,9 @@ def test_ten_thousand_steps_equal_mujoco_c_and_mjx(
     np.testing.assert_allclose(ours, stock, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize(("body", "constraint"), quick_for("hinge with gravity", False, True))
+@pytest.mark.parametrize(
+    ("body", "constraint"), slow_but([("hinge with gravity", True)], product(BODIES, [False, True]))
+)
 def test_gradients_equal_those_of_mjx(tmp_path: Path, body: str, constraint: bool) -> None:
     bench = make_bench(tmp_path, f"<body>{BODIES[body]}</body>")
     cases = random_cases(500, 1)
@@ -177,7 +175,7 @@ def test_gradients_equal_those_of_mjx(tmp_path: Path, body: str, constraint: boo
         np.testing.assert_allclose(gradient, stock[name], rtol=1e-10, atol=1e-10, err_msg=name)
 
 
-@pytest.mark.parametrize("joints", [2, *(pytest.param(joints, marks=pytest.mark.slow) for joints in (4, 7))])
+@pytest.mark.parametrize("joints", slow_but([2], [2, 4, 7]))
 def test_chains_equal_mujoco_c(tmp_path: Path, joints: int) -> None:
     bench = make_bench(tmp_path, chain(joints), joints=joints)
     cases = random_cases(2000, joints)

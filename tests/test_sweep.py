@@ -67,6 +67,7 @@ def test_jobs_that_cannot_be_compared_are_no_mistake(call: Callable, tiny: tuple
     assert not (tmp_path / "sweep" / "comparison").exists()
 
 
+@pytest.mark.slow
 def test_a_diverged_fit_counts_as_failed_and_keeps_its_result(
     call: Callable, tiny: tuple[str, ...], tmp_path: Path
 ) -> None:
