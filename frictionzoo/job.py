@@ -88,7 +88,7 @@ class Problem:
         drive.model.prepare(samples)
         space = Space(bench, drive.model, settings["dtype"])
         objective = Objective(space, drive.rollout, segments, **settings["loss"])
-        fit = build(settings["fit"])
+        fit = build(settings["fit"]).choose(objective)
         return cls(bench, dataset, sampling, segments, evaluation, drive, samples, objective, fit, device)
 
     def following(self, teacher: Fitted, settings: Mapping[str, Any]) -> "Problem":

@@ -13,6 +13,7 @@ import absl.logging
 import jax
 import numpy as np
 import pytest
+import torch
 from jax.experimental.compilation_cache import compilation_cache as jax_cache
 from omegaconf import DictConfig, OmegaConf
 
@@ -22,6 +23,9 @@ from frictionzoo.compare import Run
 from frictionzoo.config import compose_config
 from frictionzoo.report.curves import Curves
 from frictionzoo.run import main
+
+# torch's threads wait for each other by turning on their core, which the other process of the tests needs.
+torch.set_num_threads(1)
 
 DATA = os.environ.get("FRICTIONZOO_DATA")
 needs_data = pytest.mark.skipif(DATA is None, reason="FRICTIONZOO_DATA is not set; it names the folder of recordings")
@@ -79,6 +83,12 @@ def knee(make: Callable[..., Any]) -> Bench:
 def compilation_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder in which the programs that tests start share compiled functions."""
     return tmp_path_factory.mktemp("xla")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compiled_once(compilation_cache: Path) -> None:
+    """Most of a test's time goes into compiling: what was compiled before, with other parameters say, is read."""
+    _configure_jax({"jax_compilation_cache_dir": str(compilation_cache), **CACHE_OPTIONS})
 
 
 @pytest.fixture(scope="session")

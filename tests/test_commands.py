@@ -53,6 +53,7 @@ SMALL = {  # options that make a job quick, where it has them and the page does 
     "evaluation.trajectory": "0.1",
     "evaluation.window": "0.02",
 }
+FEWER = ("'model=glob(*)'", "model=baseline,mujoco_default")  # every law runs in the README's plain sweep over them
 STAND = """<mujoco><option timestep="0.001"><flag contact="disable"/></option><worldbody><body name="arm">
 <joint name="shaft" axis="0 1 0"/>
 <geom type="capsule" fromto="0 0 0 0 0 -0.2254" size="0.01" mass="0.26"/></body></worldbody></mujoco>"""
@@ -258,8 +259,14 @@ def compose_for_a_cluster(command: str, place: Place) -> None:
 def sweep_in_processes(command: str, place: Place) -> None:
     """Launchers and sweepers hand jobs to other processes, to which nothing of this one goes."""
     trials = ["hydra.sweeper.n_trials=2"] if "sweeper=" in command else []
+    command = command.replace(*FEWER)
     place.run(f"{command} {shlex.join([*shrink(arguments_of(command), place.cache), *trials])}")
     assert len(list(place.folder.glob("multirun/**/result.json"))) > 1
+
+
+@rule(rf"{JOB}-m .*experiment=.*")
+def sweep_over_an_experiment(command: str, place: Place) -> None:
+    place.do(*arguments_of(command.replace(*FEWER)))
 
 
 @rule(rf"{JOB}.*")

@@ -18,6 +18,7 @@ MEASURED = [
     *(pytest.param(name, marks=needs_data) for name in ("emps", "emps_stiff", "sts3215", "xl330")),
     "twin_clean",
     "kovalev2026",
+    "zoo",
 ]
 ENTRY = {
     "label": "law",

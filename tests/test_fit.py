@@ -117,7 +117,7 @@ def test_space_names_values_and_bounds(pose: Callable[..., Problem]) -> None:
     assert low["damping"] == pose("mujoco_default").model.params["damping"].init
 
 
-@pytest.mark.parametrize("fit", ["adam", "grid", "lm"])
+@pytest.mark.parametrize("fit", ["adam", "auto", "grid", "lm"])
 def test_a_space_with_nothing_to_identify_is_not_searched(
     pose: Callable[..., Problem], make: Callable[..., Any], fit: str
 ) -> None:
@@ -163,6 +163,21 @@ def test_adam_recovers_a_known_drive(pose: Callable[..., Problem], tmp_path: Pat
     assert outcome.stopped == "finished"
     assert outcome.loss == np.min(outcome.history["loss"]) == outcome.history["loss"][outcome.best_iteration]
     np.testing.assert_array_equal(outcome.history["friction.damping"][outcome.best_iteration], found["damping"])
+
+
+def test_a_falling_rate_comes_to_rest(pose: Callable[..., Problem], tmp_path: Path) -> None:
+    """The step of an iteration is the rate, from all of it to none; at a constant rate the loss goes on jumping."""
+    problem = pose("coulomb_smooth")
+    traces = {
+        schedule: run(problem, Adam(300, 0.05, 0.9, "auto", schedule), tmp_path / schedule).history
+        for schedule in ("constant", "cosine")
+    }
+    steps = {key: np.abs(np.diff(np.log(h["bench.armature"][:, 0]))) for key, h in traces.items()}
+    assert steps["cosine"][0] == pytest.approx(0.05, rel=1e-3) == steps["constant"][0]
+    assert steps["cosine"][-1] < 1e-6
+    jumps = {key: np.ptp(history["loss"][-10:]) / history["loss"][-1] for key, history in traces.items()}
+    assert jumps["cosine"] < 1e-4 < jumps["constant"]
+    assert traces["cosine"]["loss"][-1] == traces["cosine"]["loss"].min()
 
 
 def test_adam_moves_physical_parameters_and_weights_together(pose: Callable[..., Problem], tmp_path: Path) -> None:
@@ -231,8 +246,8 @@ def test_reverse_mode_through_a_loop_is_refused(pose: Callable[..., Problem]) ->
 @pytest.mark.parametrize("chunk", [1, 7, 100])
 def test_chunks_change_no_bit(pose: Callable[..., Problem], tmp_path: Path, chunk: int) -> None:
     problem = pose("coulomb_smooth")
-    ours = run(problem, Adam(20, 0.01, 0.9, "auto"), tmp_path / "a", chunk=chunk)
-    whole = run(problem, Adam(20, 0.01, 0.9, "auto"), tmp_path / "b", chunk=20)
+    adam = Adam(20, 0.01, 0.9, "auto", "cosine")
+    ours, whole = (run(problem, adam, tmp_path / str(size), chunk=size) for size in (chunk, 20))
     for name, history in whole.history.items():
         np.testing.assert_array_equal(ours.history[name], history)
 
@@ -277,6 +292,7 @@ def test_a_fit_that_never_starts_says_so(pose: Callable[..., Problem], tmp_path:
         ((1, 0.0, 0.9, "auto"), "fit.learning_rate=0.0"),
         ((1, 0.01, 1.0, "auto"), "fit.b2=1.0"),
         ((1, 0.01, 0.9, "both"), "fit.derivative=both; expected auto, forward or reverse"),
+        ((1, 0.01, 0.9, "auto", "cosin"), r"fit.schedule=cosin: unknown; did you mean cosine\?"),
     ],
 )
 def test_impossible_options_are_refused(arguments: tuple, line: str) -> None:

@@ -19,6 +19,7 @@ from frictionzoo.types import Segments
 
 Pose = Callable[..., Problem]
 LM = LevenbergMarquardt(100, 1e-12)
+ADAM = ("fit=adam", "fit.iterations=5", "fit.learning_rate=1e-3")
 
 
 @pytest.fixture(autouse=True)
@@ -212,6 +213,18 @@ def test_impossible_losses_are_refused(pose: Pose, options: dict[str, Any], line
 def test_a_network_is_refused(pose: Pose, tmp_path: Path) -> None:  # noqa: F811
     with pytest.raises(ConfigError, match=r"fit=lm: \d+ coordinates .*, expected at most 200; use fit=adam"):
         run(pose("neural_friction"), LM, tmp_path)
+
+
+def test_auto_takes_the_method_that_suits_the_law(pose: Pose, make: Callable[..., Any], tmp_path: Path) -> None:  # noqa: F811
+    few, many = pose("mujoco_default"), pose("neural_friction")
+    auto = make("fit", "fit=auto", "fit.tries=50", "fit.tolerance=1e-12", "fit.iterations=5", "fit.learning_rate=1e-3")
+    assert auto.choose(few.objective).name == "lm" and auto.total(few.objective) == 50
+    assert auto.choose(many.objective).name == "adam" and auto.total(many.objective) == 5
+    assert_recovered(run(few, auto, tmp_path / "few").values, 1e-6)
+    found, adam = (run(many, fit, tmp_path / fit.name) for fit in (auto, make("fit", *ADAM)))
+    np.testing.assert_array_equal(found.vector, adam.vector)
+    with pytest.raises(ConfigError, match=r"fit\.tries=0; expected at least 1"):
+        make("fit", "fit=auto", "fit.tries=0")
 
 
 @pytest.mark.parametrize(("arguments", "line"), [((0, 1e-8), r"fit\.iterations=0"), ((9, 0.0), r"fit\.tolerance=0\.0")])

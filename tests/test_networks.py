@@ -13,6 +13,7 @@ from frictionzoo.bridge import to_jax
 from frictionzoo.errors import ConfigError
 from frictionzoo.models import DissipativeNetwork, FrictionModel, NeuralFriction, OddNetwork, ResidualNetwork
 from frictionzoo.models.dissipative_network import softplus
+from frictionzoo.models.odd_network import reverse
 from frictionzoo.types import DriveState, FrictionTerms
 
 STATES = 125_000  # times 8 seeds of weights make a million
@@ -99,13 +100,12 @@ def test_a_dissipative_network_never_drives_the_joint(namespace, dtype):
 @compiled
 def test_an_odd_network_mirrors_to_the_last_bit(namespace, dtype):
     state = states(dtype)
-    mirrored = state.map(np.negative)
     for seed in range(8):
         law = fitted("odd_network", seed)
-        there, back = (answer(law, namespace, side).torque for side in (state, mirrored))
+        there, back = (answer(law, namespace, side).torque for side in (state, reverse(state)))
         assert there.dtype == dtype and np.isfinite(there).all()
         np.testing.assert_array_equal(there, -back)
-        assert (there != 0).mean() > 0.9
+        assert (there != 0)[::2].mean() > 0.9  # of ordinary states; the smallest motions drown beside the position
 
 
 @everywhere
@@ -125,7 +125,7 @@ def test_a_residual_network_stays_within_its_limit(namespace, dtype):
 def test_the_promises_are_the_new_laws_own():
     """The same look at the paper's network finds what it may do: the tests above can fail."""
     law, state = NeuralFriction(1, [8, 8], 0), states("float64")
-    there, back = (answer(law, "torch", state.map(move)).torque for move in (np.positive, np.negative))
+    there, back = (answer(law, "torch", side).torque for side in (state, reverse(state)))
     assert (there * np.sign(state.qvel) < 0).mean() > 0.1 and (there != -back).mean() > 0.9
     assert np.abs(there).max() > 1e3
 
@@ -142,12 +142,13 @@ def test_far_outside_the_training_data_the_network_is_constant(name):
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_friction_starts_near_zero(name):
-    """At most 0.02 of the torque, as much again at the usual speed; yet each layer has a gradient."""
+def test_friction_starts_small(name):
+    """At most this share of the torque, as much again at the usual speed; yet each layer has a gradient."""
+    share = 0.06 if name == "dissipative_network" else 0.02
     law, state = LAWS[name](0), DriveState(*np.random.default_rng(1).normal(size=(5, 200, 1)))
     law.prepare(state)
     torque = law(state.map(torch.from_numpy)).torque
-    assert (torque.abs() < 0.02 * law.torque_scale * (1 + torch.tensor(np.abs(state.qvel)))).all()
+    assert (torque.abs() < share * law.torque_scale * (1 + torch.tensor(np.abs(state.qvel)))).all()
     torque.square().sum().backward()
     assert all(layer.weight.grad.abs().max() > 0 for layer in law.layers)
 
@@ -166,7 +167,8 @@ def test_dissipative_network_known_values():
     law.load_state_dict(
         {
             "smoothing_velocity": torch.tensor([0.5]),
-            "layers.0.weight": torch.tensor([[0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]]),
+            # The four signals, sines of 1, 2, 4 and 8 times the position, then cosines.
+            "layers.0.weight": torch.tensor([[0.0, 1.0, *10 * [0.0]], [1.0, 0, 0, 0, 0, 0, 0.5, 0, 0, 2.0, 0, 0]]),
             "layers.0.bias": torch.tensor([0.0, -1.0]),
             "input_mean": torch.zeros(4),
             "input_std": torch.tensor([1.0, 2.0, 1.0, 1.0]),
@@ -175,18 +177,19 @@ def test_dissipative_network_known_values():
     )
     one = torch.ones(1, dtype=torch.float64)
     torque = law(DriveState(one, -one, one, one, one)).torque.item()
-    # N_1 = -1 / 2, N_2 = 1 - 1
-    assert torque == pytest.approx(-10 * (np.log1p(np.exp(-0.5)) * np.tanh(2) + np.log(2) / 2))
+    # N_1 = -1 / 2, N_2 = 1 - 1 + sin(4) / 2 + 2 cos(2)
+    sizes = np.log1p(np.exp([-0.5, np.sin(4) / 2 + 2 * np.cos(2)]))
+    assert torque == pytest.approx(-10 * (sizes[0] * np.tanh(2) + sizes[1] / 2))
 
 
-def test_odd_network_takes_scales_and_no_mean():
+def test_odd_network_takes_scales_and_no_mean_but_the_position():
     rng = np.random.default_rng(0)
     samples = DriveState(*rng.normal(3.0, 1.0, size=(5, 1000, 2)))._replace(external_torque=np.zeros((1000, 2)))
     law = OddNetwork(2, [4], 0)
     law.prepare(samples)
-    assert law.input_mean.tolist() == 4 * [0.0]
-    expected = [np.sqrt(np.mean(np.square(signal))) for signal in samples[:3]]
-    assert law.input_std.tolist() == pytest.approx([*expected, 1.0])
+    assert law.input_mean.tolist() == pytest.approx([np.mean(samples.qpos), 0.0, 0.0, 0.0])
+    root_mean_squares = [np.sqrt(np.mean(np.square(signal))) for signal in (samples.qvel, samples.motor_torque)]
+    assert law.input_std.tolist() == pytest.approx([np.std(samples.qpos), *root_mean_squares, 1.0])
     assert law.torque_scale.item() == pytest.approx(np.std(samples.motor_torque))
 
 
@@ -207,7 +210,7 @@ def test_a_dissipative_network_can_be_coulomb_stribeck_viscous_and_load_dependen
     law = DissipativeNetwork(1, [32, 32], 0, SMOOTHING)
     law.prepare(state.map(torch.Tensor.numpy))
     optimiser = torch.optim.Adam(law.parameters(), lr=0.01)
-    for _ in range(300):
+    for _ in range(600):
         optimiser.zero_grad()
         (law(state).torque - truth).square().mean().backward()
         optimiser.step()

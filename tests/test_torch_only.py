@@ -19,7 +19,7 @@ from frictionzoo.errors import ConfigError, ExportError, ModelError
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.write import write_exports
 from frictionzoo.fit import Adam, Known, Objective, Space, loop
-from frictionzoo.models import FrictionModel, TorchFriction, register_model
+from frictionzoo.models import CoulombStribeck, FrictionModel, TorchFriction, register_model
 from frictionzoo.models.registry import REGISTRY
 from frictionzoo.report.curves import read_curves
 from frictionzoo.types import DriveState, FrictionTerms, Sampling, Segments
@@ -32,13 +32,7 @@ STRIBECK = "test_torch_only.TorchStribeck"
 class TorchStribeck(TorchFriction):
     """`coulomb_stribeck`, written again in torch alone."""
 
-    dimensions = {
-        "static_torque": "torque",
-        "kinetic_torque": "torque",
-        "stribeck_velocity": "velocity",
-        "viscous_coefficient": "damping",
-        "smoothing_velocity": "velocity",
-    }
+    dimensions = CoulombStribeck.dimensions
     dissipative = True
 
     def forward(self, state: DriveState) -> FrictionTerms:
@@ -226,6 +220,7 @@ def test_what_needs_more_than_a_gradient_is_refused_in_one_line(
     for name in ("lm", "grid"):
         with pytest.raises(ConfigError, match=rf"fit={name}: torch_constraint exists only in torch, .*; use fit=adam"):
             make("fit", f"fit={name}").total(objective)
+    assert make("fit", "fit=auto").choose(objective).name == "adam"
     with pytest.raises(ConfigError, match=r"fit\.derivative=forward: torch_constraint exists only in torch"):
         objective.value_and_grad("forward")
     rollout = Drive.assemble(knee, law, "specialised").rollout

@@ -9,8 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.stats
+from conftest import slow_but
 from test_fit import LOSS, TRUTH, Problem, pose, recording  # noqa: F401 - pose and recording are fixtures
 from test_lm import noisy
+from test_models import ANALYTIC
 from test_servo import record, wander
 
 from frictionzoo.bench import Bench
@@ -26,6 +28,8 @@ from frictionzoo.types import Segments, Uncertainty
 
 Pose = Callable[..., Problem]
 START = np.log([TRUTH["armature"], TRUTH["frictionloss"], TRUTH["damping"]])
+# Those that look at the temperature have tests of their own.
+WITHOUT_INPUTS = [name for name in ANALYTIC if not name.startswith("temperature_")]
 FRICTION = ("static_torque", "kinetic_torque", "stribeck_velocity", "viscous_coefficient")
 
 
@@ -192,6 +196,20 @@ def pair(make: Callable[..., Any]) -> Callable[..., tuple[Bench, FrictionModel, 
         return bench, law, lambda interval: make_rollout(engine, bench.sampling(interval))
 
     return pair
+
+
+@pytest.mark.parametrize("name", slow_but(["harmonic_drive", "lugre"], WITHOUT_INPUTS))
+def test_one_speed_in_one_direction_identifies_no_law(pair: Callable[..., Any], name: str) -> None:
+    """Whatever friction is made of, such a record holds one number of it."""
+    bench, law, rollout = pair(f"model={name}")
+    alike = np.ones((100, 1, 1))
+    started = Segments(0.0 * alike, 0.5 * alike, 0.1 * np.ones((100, 5, 1)), 0.001)
+    objective = Objective(Space(bench, law, "float64"), rollout(0.001), started, **LOSS)
+    segments = simulate(objective, started, 1e-6, 1e-4)
+    objective = Objective(objective.space, objective._rollout, segments, **LOSS)
+    found = estimate_uncertainty(objective, np.asarray(objective.space.start))
+    assert set(found.identifiable) == set(objective.space.params) > {"bench.armature"}
+    assert not any(found.identifiable.values())
 
 
 def test_back_emf_and_damping_of_a_servo_are_one(make: Callable[..., Any], pair: Callable[..., Any]) -> None:

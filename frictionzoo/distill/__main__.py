@@ -10,7 +10,7 @@ from frictionzoo.run import mistakes_in_one_line
 
 _OPTIONS = """options: model=NAME; output=FOLDER, distilled/NAME in the run's where it is left out; and those of a run
 that tell how to fit, such as fit, model.*, fit.*, segments.*, loop.*, seed. What is left out is as in the run, but for
-fit=lm (adam for a network) and segments as long as the rollouts that judge."""
+fit=auto and segments as long as the rollouts that judge."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -10,13 +10,11 @@ from typing import Any
 import numpy as np
 from omegaconf import DictConfig, OmegaConf
 
-from frictionzoo.build import build
 from frictionzoo.compare.runs import read_runs
 from frictionzoo.config import check_overrides, compose_config, list_choices
 from frictionzoo.errors import ConfigError, OutputError, closest
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.mjcf import evaluate_law
-from frictionzoo.fit.lm import MOST_COORDINATES
 from frictionzoo.job import run_job
 from frictionzoo.models import FrictionModel
 from frictionzoo.models.base import sliding_torque
@@ -96,9 +94,7 @@ def compose_student(teacher: Fitted, options: Mapping[str, str]) -> DictConfig:
             raise ConfigError(f"{option}: teacher and student share it; leave it out")
     chosen = {group: options[group] for group in _GROUPS if group in options}
     refuse_no_choice([f"{group}={name}" for group, name in chosen.items()])
-    plain = _replace_choices(teacher, {"fit": "lm"} | chosen)
-    if "fit" not in chosen and _count(build(_resolve(plain)["model"], nv=teacher.bench.nv)) > MOST_COORDINATES:
-        plain = _replace_choices(teacher, {"fit": "adam"} | chosen)
+    plain = _replace_choices(teacher, {"fit": "auto"} | chosen)
     values = [f"{option}={value}" for option, value in options.items() if option not in chosen]
     config = OmegaConf.merge(plain, OmegaConf.from_dotlist(values))
     assert isinstance(config, DictConfig)
@@ -124,12 +120,6 @@ def _replace_choices(teacher: Fitted, choices: Mapping[str, str]) -> DictConfig:
         "resume": None,
     }
     return OmegaConf.create({**settings, **sections, **own})
-
-
-def _resolve(config: DictConfig) -> dict[str, Any]:
-    resolved = OmegaConf.to_container(config, resolve=True)
-    assert isinstance(resolved, dict)
-    return {str(key): value for key, value in resolved.items()}
 
 
 def _count(model: FrictionModel) -> int:

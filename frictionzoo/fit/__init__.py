@@ -1,6 +1,7 @@
 """Fits: from segments and a simulated drive to identified parameters."""
 
 from frictionzoo.fit.adam import Adam
+from frictionzoo.fit.auto import Auto
 from frictionzoo.fit.base import Fit
 from frictionzoo.fit.grid import Grid
 from frictionzoo.fit.known import Known
@@ -14,6 +15,7 @@ from frictionzoo.fit.uncertainty import estimate_uncertainty
 
 __all__ = [
     "Adam",
+    "Auto",
     "Fit",
     "Grid",
     "Known",

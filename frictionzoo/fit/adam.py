@@ -1,6 +1,6 @@
 """Adam on the whole training set, the paper's recipe for every gradient model."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
@@ -8,9 +8,14 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array
 
-from frictionzoo.errors import ConfigError
+from frictionzoo.errors import ConfigError, closest
 from frictionzoo.fit.base import Chunk, Fit, Progress, Trace, begin, compile_chunk, keep_best, refuse_nothing
 from frictionzoo.fit.objective import Blocks, Objective
+
+SCHEDULES: Mapping[str, Callable[[float, int], Any]] = {
+    "constant": lambda rate, iterations: rate,
+    "cosine": optax.cosine_decay_schedule,
+}
 
 
 class Adam(Fit):
@@ -18,13 +23,16 @@ class Adam(Fit):
 
     Projection keeps the gradient at a bound alive, so that a parameter that touched it can come back.
 
-    Source: D. Kingma, J. Ba, "Adam: A Method for Stochastic Optimization", 2015; Kovalev et al. 2026 for the recipe.
+    Source: D. Kingma, J. Ba, "Adam: A Method for Stochastic Optimization", 2015; Kovalev et al. 2026 for the recipe;
+    I. Loshchilov, F. Hutter, "SGDR: Stochastic Gradient Descent with Warm Restarts", 2017, for the cosine.
 
     Args:
         iterations: Number of updates.
         learning_rate: Step of a coordinate; in logarithmic coordinates a share of the value.
         b2: Share that the mean of squared gradients keeps from one iteration to the next, in [0, 1).
         derivative: `forward`, `reverse` or `auto`.
+        schedule: `constant`, or `cosine`: the rate falls to 0 by half a cosine over the iterations. At a constant rate
+            the weights of a network go on jumping about their best values.
 
     Raises:
         ConfigError: An argument is out of range.
@@ -32,7 +40,9 @@ class Adam(Fit):
 
     name = "adam"
 
-    def __init__(self, iterations: int, learning_rate: float, b2: float, derivative: str) -> None:
+    def __init__(
+        self, iterations: int, learning_rate: float, b2: float, derivative: str, schedule: str = "constant"
+    ) -> None:
         if iterations < 1:
             raise ConfigError(f"fit.iterations={iterations}; expected at least 1")
         if not learning_rate > 0:
@@ -41,9 +51,11 @@ class Adam(Fit):
             raise ConfigError(f"fit.b2={b2}; expected a number from 0 to less than 1")
         if derivative not in ("auto", "forward", "reverse"):
             raise ConfigError(f"fit.derivative={derivative}; expected auto, forward or reverse")
+        if schedule not in SCHEDULES:
+            raise ConfigError(f"fit.schedule={schedule}: unknown; {closest(schedule, SCHEDULES)}")
         self._iterations = iterations
         self._derivative = derivative
-        self._optimiser = optax.adam(learning_rate, b2=b2)
+        self._optimiser = optax.adam(SCHEDULES[schedule](learning_rate, iterations), b2=b2)
 
     def total(self, objective: Objective) -> int:
         """See `Fit.total`; raises ConfigError where nothing is to be identified."""

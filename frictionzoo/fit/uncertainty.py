@@ -143,9 +143,9 @@ def _solve(equations: NormalEquations, scores: np.ndarray, seen: np.ndarray, pre
     kept = eigenvalues > 100 * precision
     inverse = (axes[:, kept] / eigenvalues[kept]) @ axes[:, kept].T / np.outer(scale, scale)
     stretches, centred = len(scores), scores[:, seen] - scores[:, seen].mean(axis=0)
-    spread = stretches / (stretches - 1) * centred.T @ centred
     quantile = scipy.special.stdtrit(stretches - 1, (1 + LEVEL) / 2)
-    half = quantile * np.sqrt(np.diag(inverse @ spread @ inverse))
+    # A sum of squares, not the diagonal of a product, which rounds to below 0.
+    half = quantile * np.sqrt(stretches / (stretches - 1) * np.square(centred @ inverse).sum(axis=0))
 
     null = axes[:, eigenvalues < COLLINEAR]
     share = null @ null.T

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from frictionzoo.models.base import FrictionModel
-from frictionzoo.models.limits import gear_load, stribeck_share
+from frictionzoo.models.limits import directional_limit
 from frictionzoo.models.registry import register_model
 from frictionzoo.types import DriveState, FrictionTerms
 
@@ -51,10 +51,5 @@ class Directional(FrictionModel):
 
     def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
         """The constraint's limit in this state, and the damping."""
-        share = stribeck_share(xp, state.qvel, values["stribeck_velocity"], values["stribeck_exponent"])
-        load = gear_load(xp, state, values["load_friction_motor"], values["load_friction_external"])
-        at_rest = gear_load(
-            xp, state, values["stribeck_load_friction_motor"], values["stribeck_load_friction_external"]
-        )
-        limit = values["frictionloss"] + load + share * (values["stribeck_torque"] + at_rest)
+        limit = values["frictionloss"] + directional_limit(xp, values, state)
         return FrictionTerms(frictionloss=limit, damping=values["damping"])

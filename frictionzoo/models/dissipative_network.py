@@ -5,25 +5,26 @@ from typing import Any
 
 import torch
 
-from frictionzoo.models.network import NetworkModel
+from frictionzoo.models.network import GearNetwork
 from frictionzoo.models.registry import register_model
 from frictionzoo.types import DriveState, FrictionTerms
 
-START = -4.0  # bias of both outputs at the start: softplus(-4) = 0.018
+START = -3.0  # bias of both outputs at the start: softplus(-3) = 0.05
 
 
 @register_model("dissipative_network")
-class DissipativeNetwork(NetworkModel):
+class DissipativeNetwork(GearNetwork):
     """A neural network for the size of friction only; its direction is against the motion by construction.
 
-    torque = s softplus(N_1(x)) tanh(v / v_0) + (s / n_v) softplus(N_2(x)) v,  x = (q, v, a, tau_e)
+    torque = s softplus(N_1(x)) tanh(v / v_0) + (s / n_v) softplus(N_2(x)) v,  x = (q, v, tau_m, tau_e)
 
         q      joint position [rad or m]
         v      joint velocity [rad/s or m/s]
-        a      command of the joint's actuator, in the actuator's unit
-        tau_e  external torque [N m or N]
+        tau_m  torque of the actuator [N m or N]
+        tau_e  external torque [N m or N]: of everything but actuator and friction, counted as tau_m is
         N      multilayer perceptron of two outputs, of the inputs less their mean, over their standard deviation in the
-               training data, and held within 5 of them; the joints share it, and each is seen alone
+               training data, and held within 5 of them, and of sines and cosines of the first, as
+               `frictionzoo.models.network.GearNetwork` says; the joints share it, and each is seen alone
         n_v    standard deviation of the velocity in the training data [rad/s or m/s]
         s      torque_scale [N m or N], standard deviation of the actuator's torque in the training data
         v_0    smoothing_velocity [rad/s or m/s], over which the sign changes; it belongs to the simulation rather than
@@ -38,8 +39,8 @@ class DissipativeNetwork(NetworkModel):
         Beyond 5 standard deviations from the training data's mean, torque is constant but for the last factor v: dry
             friction stays bounded and viscous friction grows no faster than the velocity.
 
-    Friction starts near zero, 0.018 of s, hence stable in a step; the torque is explicit, and near standstill a step
-    chatters unless (s softplus(N_1) / v_0 + (s / n_v) softplus(N_2)) timestep / inertia < 2.
+    Friction starts small, 0.05 of s and of s / n_v; from much less, softplus is slow to learn. The torque is explicit,
+    and near standstill a step chatters unless (s softplus(N_1) / v_0 + (s / n_v) softplus(N_2)) timestep / inertia < 2.
 
     Cannot represent: sticking (the torque is 0 at v = 0, so a loaded joint creeps), friction with a memory, coupling
     between joints. It takes up any other loss of the drive that grows with what it sees, such as back-EMF.

@@ -4,8 +4,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from frictionzoo.models.base import FrictionModel
-from frictionzoo.models.limits import gear_load, ripple_share, stribeck_share
+from frictionzoo.models.directional import Directional
+from frictionzoo.models.limits import directional_limit, ripple_share
 from frictionzoo.models.registry import register_model
+from frictionzoo.models.ripple import Ripple
 from frictionzoo.types import DriveState, FrictionTerms
 
 _LEAST = 1e-3  # of frictionloss; at a limit of 0 MuJoCo locks the joint
@@ -48,35 +50,14 @@ class HarmonicDrive(FrictionModel):
     G. Passault, V. Padois, O. Ly, "Extended friction models for the physics simulation of servo actuators", 2024.
     """
 
-    dimensions = {
-        "frictionloss": "torque",
-        "damping": "damping",
-        "cubic_damping": "damping/velocity^2",
-        "stribeck_torque": "torque",
-        "stribeck_velocity": "velocity",
-        "stribeck_exponent": "1",
-        "load_friction_motor": "1",
-        "load_friction_external": "1",
-        "stribeck_load_friction_motor": "1",
-        "stribeck_load_friction_external": "1",
-        "periods": "1/position",
-        "sine_1": "1",
-        "cosine_1": "1",
-        "sine_2": "1",
-        "cosine_2": "1",
-    }
+    dimensions = {**Directional.dimensions, **Ripple.dimensions, "cubic_damping": "damping/velocity^2"}
     constraint = True
     dissipative = True
 
     def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
         """The constraint's limit in this state, the viscous part's slope as damping, and what remains of that part."""
-        share = stribeck_share(xp, state.qvel, values["stribeck_velocity"], values["stribeck_exponent"])
-        load = gear_load(xp, state, values["load_friction_motor"], values["load_friction_external"])
-        at_rest = values["stribeck_torque"] + gear_load(
-            xp, state, values["stribeck_load_friction_motor"], values["stribeck_load_friction_external"]
-        )
         meshing = values["frictionloss"] * (1 + ripple_share(xp, values, state.qpos))
-        limit, least = meshing + load + share * at_rest, _LEAST * values["frictionloss"]
+        limit, least = meshing + directional_limit(xp, values, state), _LEAST * values["frictionloss"]
         cubic = values["cubic_damping"] * xp.square(state.qvel)
         return FrictionTerms(
             torque=-2 * cubic * state.qvel,

@@ -61,6 +61,24 @@ def gear_load(xp: Any, state: DriveState, motor: Any, external: Any) -> Any:
     return xp.abs(motor * state.motor_torque - external * state.external_torque)
 
 
+def directional_limit(xp: Any, values: Mapping[str, Any], state: DriveState) -> Any:
+    """What load and standstill add to the limit of dry friction [N m or N].
+
+    |k_m tau_m - k_e tau_e| + (s + |l_m tau_m - l_e tau_e|) exp(-|v / v_s|^alpha)
+
+    Args:
+        xp: Array namespace.
+        values: load_friction_motor k_m, load_friction_external k_e, stribeck_load_friction_motor l_m,
+            stribeck_load_friction_external l_e, stribeck_exponent alpha [1], stribeck_torque s [N m or N],
+            stribeck_velocity v_s [rad/s or m/s].
+        state: What the drive is doing.
+    """
+    share = stribeck_share(xp, state.qvel, values["stribeck_velocity"], values["stribeck_exponent"])
+    load = gear_load(xp, state, values["load_friction_motor"], values["load_friction_external"])
+    at_rest = gear_load(xp, state, values["stribeck_load_friction_motor"], values["stribeck_load_friction_external"])
+    return load + share * (values["stribeck_torque"] + at_rest)
+
+
 def quadratic_gear_load(xp: Any, state: DriveState, motor: Any, external: Any) -> Any:
     """Friction torque of a gear whose two sides oppose each other, by the square of the weaker one [N m or N].
 

@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -12,17 +12,19 @@ from frictionzoo.errors import ConfigError
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.types import DriveState
 
-INPUTS = 4  # qpos, qvel, ctrl, external_torque
+INPUTS = 4
+OCTAVES = (1, 2, 4, 8)  # radians of phase per standard deviation of the position
 SPAN = 5.0  # standard deviations of the training data, beyond which a bounded input counts as at the edge
 
 
 class NetworkModel(FrictionModel):
-    """A law with a multilayer perceptron of (qpos, qvel, ctrl, external_torque), ReLU between its linear layers.
+    """A law with a multilayer perceptron of four signals of the drive, ReLU between its linear layers.
 
     The joints share the weights, and each is seen alone. The normalisation is kept with the weights, so that a saved
     model is complete.
 
     Attributes:
+        columns: How many numbers the network sees of a joint.
         input_mean: Mean of each input in the training data.
         input_std: Standard deviation of each; 1 where it is constant.
         torque_scale: Standard deviation of the actuator's torque in the training data [N m or N]; 1 where it is
@@ -39,6 +41,7 @@ class NetworkModel(FrictionModel):
         ConfigError: A width is below 1, or a parameter is missing, unknown, or out of bounds.
     """
 
+    columns: ClassVar[int] = INPUTS
     input_mean: torch.Tensor
     input_std: torch.Tensor
     torque_scale: torch.Tensor
@@ -55,7 +58,7 @@ class NetworkModel(FrictionModel):
         if not all(width >= 1 for width in hidden):
             raise ConfigError(f"model.hidden={list(hidden)}; expected widths of at least 1")
         generator = torch.Generator().manual_seed(seed)
-        widths = [INPUTS, *hidden, outputs]
+        widths = [self.columns, *hidden, outputs]
         self.layers = torch.nn.ModuleList(_linear(*pair, generator) for pair in itertools.pairwise(widths))
         with torch.no_grad():
             for weights in self.layers[-1].parameters():
@@ -65,13 +68,17 @@ class NetworkModel(FrictionModel):
         self.register_buffer("input_std", torch.ones(INPUTS, dtype=torch.float64))
         self.register_buffer("torque_scale", torch.ones((), dtype=torch.float64))
 
+    def signals(self, state: DriveState) -> list[Any]:
+        """What the network sees of the drive, in the order of `input_mean`."""
+        return [state.qpos, state.qvel, state.ctrl, state.external_torque]
+
     def prepare(self, samples: DriveState) -> None:
         """Take the normalisation from the training data.
 
         Args:
             samples: Training samples as numpy arrays of shape (samples, nv).
         """
-        mean, std = zip(*(_mean_and_std(signal) for signal in network_inputs(samples)), strict=True)
+        mean, std = zip(*map(_mean_and_std, self.signals(samples)), strict=True)
         self.input_mean.copy_(torch.tensor(mean))
         self.input_std.copy_(torch.tensor(std))
         self.torque_scale.fill_(_mean_and_std(samples.motor_torque)[1])
@@ -84,7 +91,7 @@ class NetworkModel(FrictionModel):
             values: Arrays of this namespace under the names of `state_dict`.
             state: What the drive is doing, arrays of shape (..., nv).
         """
-        return (xp.stack(network_inputs(state), -1) - values["input_mean"]) / values["input_std"]
+        return (xp.stack(self.signals(state), -1) - values["input_mean"]) / values["input_std"]
 
     def bounded(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> Any:
         """The normalised inputs, held within `SPAN`: far outside the training data the network is constant.
@@ -110,9 +117,27 @@ class NetworkModel(FrictionModel):
         return x
 
 
-def network_inputs(state: DriveState) -> list[Any]:
-    """What the network sees of the drive, in the order of `input_mean`."""
-    return [state.qpos, state.qvel, state.ctrl, state.external_torque]
+class GearNetwork(NetworkModel):
+    """A law with a network that sees what a gear's friction depends on.
+
+    Instead of the command it sees the actuator's torque, and beside the position sines and cosines of it. A network of
+    the bare position learns what meshing gears change in friction last, or never: it sees slow changes first.
+
+    Source: M. Tancik et al., "Fourier Features Let Networks Learn High Frequency Functions in Low Dimensional Domains",
+    NeurIPS 2020.
+    """
+
+    columns = INPUTS + 2 * len(OCTAVES)
+
+    def signals(self, state: DriveState) -> list[Any]:
+        """See `NetworkModel.signals`."""
+        return [state.qpos, state.qvel, state.motor_torque, state.external_torque]
+
+    def bounded(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> Any:
+        """See `NetworkModel.bounded`; then sines, then cosines of the position."""
+        x = super().bounded(xp, values, state)
+        phases = [octave * x[..., :1] for octave in OCTAVES]
+        return xp.concatenate([x, *map(xp.sin, phases), *map(xp.cos, phases)], -1)
 
 
 def _linear(inputs: int, outputs: int, generator: torch.Generator) -> torch.nn.Linear:

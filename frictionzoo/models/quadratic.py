@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from frictionzoo.models.base import FrictionModel
-from frictionzoo.models.limits import gear_load, quadratic_gear_load, stribeck_share
+from frictionzoo.models.directional import Directional
+from frictionzoo.models.limits import directional_limit, quadratic_gear_load, stribeck_share
 from frictionzoo.models.registry import register_model
 from frictionzoo.types import DriveState, FrictionTerms
 
@@ -41,15 +42,7 @@ class Quadratic(FrictionModel):
     """
 
     dimensions = {
-        "frictionloss": "torque",
-        "damping": "damping",
-        "stribeck_torque": "torque",
-        "stribeck_velocity": "velocity",
-        "stribeck_exponent": "1",
-        "load_friction_motor": "1",
-        "load_friction_external": "1",
-        "stribeck_load_friction_motor": "1",
-        "stribeck_load_friction_external": "1",
+        **Directional.dimensions,
         "quadratic_load_friction_motor": "1/torque",
         "quadratic_load_friction_external": "1/torque",
     }
@@ -59,12 +52,8 @@ class Quadratic(FrictionModel):
     def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
         """The constraint's limit in this state, and the damping."""
         share = stribeck_share(xp, state.qvel, values["stribeck_velocity"], values["stribeck_exponent"])
-        load = gear_load(xp, state, values["load_friction_motor"], values["load_friction_external"])
-        at_rest = gear_load(
-            xp, state, values["stribeck_load_friction_motor"], values["stribeck_load_friction_external"]
-        )
         squared = quadratic_gear_load(
             xp, state, values["quadratic_load_friction_motor"], values["quadratic_load_friction_external"]
         )
-        limit = values["frictionloss"] + load + share * (values["stribeck_torque"] + at_rest + squared)
+        limit = values["frictionloss"] + directional_limit(xp, values, state) + share * squared
         return FrictionTerms(frictionloss=limit, damping=values["damping"])

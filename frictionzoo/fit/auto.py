@@ -1,0 +1,58 @@
+"""The method that suits the law: what one sweep over laws of all kinds takes."""
+
+from frictionzoo.errors import ConfigError
+from frictionzoo.fit.adam import Adam
+from frictionzoo.fit.base import Chunk, Fit, Progress
+from frictionzoo.fit.lm import MOST_COORDINATES, LevenbergMarquardt
+from frictionzoo.fit.objective import Objective
+
+
+class Auto(Fit):
+    """Levenberg-Marquardt where it can be had; Adam for networks and for laws that exist only in torch.
+
+    Args:
+        tries: `iterations` of `LevenbergMarquardt`.
+        tolerance: Of `LevenbergMarquardt`.
+        iterations: Of `Adam`.
+        learning_rate: Of `Adam`.
+        b2: Of `Adam`.
+        derivative: Of `Adam`.
+        schedule: Of `Adam`.
+
+    Raises:
+        ConfigError: An argument is out of range.
+    """
+
+    name = "auto"
+
+    def __init__(
+        self,
+        tries: int,
+        tolerance: float,
+        iterations: int,
+        learning_rate: float,
+        b2: float,
+        derivative: str,
+        schedule: str,
+    ) -> None:
+        if tries < 1:
+            raise ConfigError(f"fit.tries={tries}; expected at least 1")
+        self._lm = LevenbergMarquardt(tries, tolerance)
+        self._adam = Adam(iterations, learning_rate, b2, derivative, schedule)
+
+    def choose(self, objective: Objective) -> Fit:
+        """See `Fit.choose`."""
+        few = len(objective.space.start) <= MOST_COORDINATES
+        return self._lm if few and not objective.torch_law else self._adam
+
+    def total(self, objective: Objective) -> int:
+        """See `Fit.total`; raises ConfigError where nothing is to be identified."""
+        return self.choose(objective).total(objective)
+
+    def start(self, objective: Objective) -> Progress:
+        """See `Fit.start`."""
+        return self.choose(objective).start(objective)
+
+    def chunk(self, objective: Objective, size: int) -> Chunk:
+        """See `Fit.chunk`."""
+        return self.choose(objective).chunk(objective, size)
