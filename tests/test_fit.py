@@ -41,12 +41,11 @@ class Problem:
     objective: Objective
 
 
-@pytest.fixture(scope="module")
-def recording(make: Callable[..., Any]) -> Segments:
+@pytest.fixture
+def recording(knee: Bench) -> Segments:
     """Segments of a drive with MuJoCo's own friction, made by MuJoCo C, without noise."""
-    bench: Bench = make("bench")
-    values = bench.initial_values() | {"armature": np.array([TRUTH["armature"]])}
-    text = bench.mjcf(values, np.array([TRUTH["frictionloss"]]), np.array([TRUTH["damping"]]))
+    values = knee.initial_values() | {"armature": np.array([TRUTH["armature"]])}
+    text = knee.mjcf(values, np.array([TRUTH["frictionloss"]]), np.array([TRUTH["damping"]]))
     model = mujoco.MjModel.from_xml_string(text)
     rng = np.random.default_rng(0)
     batch, time = 60, 5

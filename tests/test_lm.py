@@ -155,12 +155,9 @@ def test_outliers_do_not_rule_a_robust_fit(
     tmp_path: Path,
     robust: str,
 ) -> None:
-    recording.qvel[::6, 3:] += 2.0  # the fixture is this module's own copy
-    try:
-        plain = run(pose("mujoco_default"), LM, tmp_path / "plain")
-        kept = run(pose("mujoco_default", robust=robust, robust_scale=1e-3), LM, tmp_path / robust)
-    finally:
-        recording.qvel[::6, 3:] -= 2.0
+    recording.qvel[::6, 3:] += 2.0
+    plain = run(pose("mujoco_default"), LM, tmp_path / "plain")
+    kept = run(pose("mujoco_default", robust=robust, robust_scale=1e-3), LM, tmp_path / robust)
     errors = [
         max(abs(identified(outcome.values)[name] / value - 1) for name, value in TRUTH.items())
         for outcome in (plain, kept)

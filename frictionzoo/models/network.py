@@ -135,7 +135,7 @@ class GearNetwork(NetworkModel):
 
     def bounded(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> Any:
         """See `NetworkModel.bounded`; then sines, then cosines of the position."""
-        x = super().bounded(xp, values, state)
+        x = xp.clip(self.normalised(xp, values, state), -SPAN, SPAN)
         phases = [octave * x[..., :1] for octave in OCTAVES]
         return xp.concatenate([x, *map(xp.sin, phases), *map(xp.cos, phases)], -1)
 
