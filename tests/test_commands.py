@@ -27,6 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+import reproduce
 from conftest import Finished, needs_data
 from omegaconf import OmegaConf
 from pages import PAGES, ROOT, blocks_of, commands_of, expand
@@ -34,6 +35,7 @@ from test_bam import M1
 from test_benchmarks import QUICKEST
 from test_experiments import MEASURED
 from test_out_of_tree import COMMANDS as WITH_PACKAGE
+from test_sweep import LAUNCHERS
 from write_logs import WRITERS, write_degrees, write_log
 
 from frictionzoo.config import CONF_DIR, compose_config
@@ -61,6 +63,7 @@ ROBOT = """<mujoco><worldbody><body><joint name="left_knee" axis="0 1 0"/><geom 
 <body><joint name="right_knee" axis="0 1 0"/><geom size="0.1"/></body></body></worldbody></mujoco>"""
 RECORDINGS = ("a", "b", "bare", "loaded", "heavy")
 LOGS = ("kp8_one", "kp8_two", "kp16_one", "kp16_two", "kp32_one")
+REPRODUCED = sorted({getattr(name, "values", (name,))[0] for name in MEASURED})
 CI = (ROOT / ".ci" / "run").read_text()
 PATIENCE = 60.0  # s after which a server that does not answer is a failure
 
@@ -255,6 +258,13 @@ def compose_for_a_cluster(command: str, place: Place) -> None:
     assert "slurm" in place.run(f"python -m frictionzoo.run {shlex.join(options)} --cfg hydra").stdout
 
 
+@rule(rf"{JOB}-m hydra/launcher=\w+ 'model=glob\(\*\)'")
+def leave_launchers_to_their_test(command: str, place: Place) -> None:
+    """tests/test_sweep.py sweeps with each of them and compares what they find."""
+    launcher = options_of(arguments_of(command))[0].partition("=")[2]
+    assert launcher in LAUNCHERS
+
+
 @rule(rf"{JOB}-m hydra/(launcher|sweeper)=.*")
 def sweep_in_processes(command: str, place: Place) -> None:
     """Launchers and sweepers hand jobs to other processes, to which nothing of this one goes."""
@@ -262,6 +272,12 @@ def sweep_in_processes(command: str, place: Place) -> None:
     command = command.replace(*FEWER)
     place.run(f"{command} {shlex.join([*shrink(arguments_of(command), place.cache), *trials])}")
     assert len(list(place.folder.glob("multirun/**/result.json"))) > 1
+
+
+@rule("|".join(re.escape(command) for name in REPRODUCED for command in reproduce.read_expected(name)["commands"]))
+def leave_reproduced_commands_to_ci(command: str, place: Place) -> None:
+    """`python experiments/reproduce.py NAME` runs them at full size."""
+    assert "pytest -m slow " in CI
 
 
 @rule(rf"{JOB}-m .*experiment=.*")
@@ -296,8 +312,7 @@ def compare(command: str, place: Place) -> None:
 @rule(r"python experiments/reproduce\.py \w+")
 def leave_experiment_to_ci(command: str, place: Place) -> None:
     """CI runs it at full size, in tests/test_experiments.py."""
-    run = {getattr(name, "values", (name,))[0] for name in MEASURED}
-    assert command.split()[-1] in run and "pytest -m slow " in CI
+    assert command.split()[-1] in REPRODUCED and "pytest -m slow " in CI
 
 
 @rule(r"python benchmarks/\w+\.py.*")

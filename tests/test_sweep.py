@@ -21,6 +21,7 @@ from frictionzoo.threads import count_cores
 
 ROOT = Path(__file__).parent.parent
 SWEEP = ("-m", "hydra.sweep.dir=sweep")
+LAUNCHERS = ("joblib", "submitit_local", "ray")
 PAIR = ("model=baseline,coulomb_smooth", "fit.iterations=3")
 DONE = {"metrics": {"train": {"position_mae": 0.25, "diverged": 0}}}
 
@@ -186,7 +187,7 @@ def addresses_of(process: psutil.Process) -> set[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("launcher", ["joblib", "submitit_local", "ray"])
+@pytest.mark.parametrize("launcher", LAUNCHERS)
 def test_launchers_agree(start: Callable, call: Callable, tiny: tuple[str, ...], tmp_path: Path, launcher: str) -> None:
     sweep = start(*SWEEP, *tiny, *PAIR, f"hydra/launcher={launcher}")
     processes, children, addresses = psutil.Process(sweep.pid), [], set()
