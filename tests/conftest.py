@@ -81,9 +81,8 @@ def knee(make: Callable[..., Any]) -> Bench:
 
 @pytest.fixture(scope="session")
 def compilation_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder in which the processes of the tests, and the programs they start, share compiled functions."""
-    own = tmp_path_factory.getbasetemp()
-    return (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "xla"
+    """A folder in which the programs that tests start share compiled functions."""
+    return tmp_path_factory.mktemp("xla")
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).parent.parent
 BENCHMARKS = ROOT / "benchmarks"
 QUICKEST = {  # script: its arguments, and the rows that it has to give
-    "gradient": (("--quick", "--joints", "2"), 12),
+    "gradient": (("--quick", "--joints", "1"), 12),
     "sysid": (("--samples", "4000", "--repeats", "1"), 4),
     "end_to_end": (("--models", "baseline", "--iterations", "2", "--", "data.samples=30000"), 1),
     "grid": (("--points", "2", "--sample", "1", "--models", "mujoco_default"), 4),
