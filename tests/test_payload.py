@@ -34,7 +34,9 @@ def x64() -> Iterator[None]:
         yield
 
 
-def make_bench(tmp_path: Path, body: str, joints: int, payload: str | None = "carrier") -> Bench:
+def make_bench(
+    tmp_path: Path, body: str, joints: int, payload: str | None = "carrier", armature: float = 0.02
+) -> Bench:
     path = tmp_path / "bench.xml"
     path.write_text(
         '<mujoco><option timestep="0.001" tolerance="0" iterations="200"><flag contact="disable"/></option>'
@@ -42,7 +44,7 @@ def make_bench(tmp_path: Path, body: str, joints: int, payload: str | None = "ca
     )
     actuator = PositionPD({"kp": {"init": 20.0, **KNOWN}, "kd": {"init": 1.0, **KNOWN}})
     names = [f"j{index}" for index in range(joints)]
-    return Bench(str(path), names, actuator, {"armature": {"init": 0.02, **KNOWN}}, [0.02, 1.0], payload, None)
+    return Bench(str(path), names, actuator, {"armature": {"init": armature, **KNOWN}}, [0.02, 1.0], payload, None)
 
 
 def welded(bench: Bench, payload: Payload, constraint: bool, case: dict[str, np.ndarray]) -> mujoco.MjModel:
@@ -53,6 +55,14 @@ def welded(bench: Bench, payload: Payload, constraint: bool, case: dict[str, np.
         body = spec.body("carrier").add_body(name="payload", mass=payload.mass, ipos=payload.position)
         body.inertia, body.explicitinertial = payload.inertia, True
     return spec.compile()
+
+
+def test_a_load_does_not_know_where_the_armature_begins(tmp_path: Path) -> None:
+    """To the last bit: runs are compared where their rollouts, and the loads in them, have the same hash."""
+    body = chain(2).replace("<body", '<body name="carrier"', 1)
+    benches = [make_bench(tmp_path, body, 2, armature=armature) for armature in (0.02, 0.3, 0.00107)]
+    loads = [[bench.load(payload) for payload in PAYLOADS] for bench in benches]
+    np.testing.assert_array_equal(loads, np.broadcast_to(loads[0], np.shape(loads)))
 
 
 @pytest.mark.usefixtures("x64")

@@ -455,13 +455,16 @@ def _read_template(source: str) -> ET.Element:
 
 
 def rigid_inertia(model: mujoco.MjModel) -> Float[np.ndarray, "nv nv"]:
-    """Joint-space inertia at the reference position without the armature [kg m^2 or kg]."""
-    data = mujoco.MjData(model)
+    """Joint-space inertia at the reference position without the armature [kg m^2 or kg], to the last bit."""
+    model, data = copy.copy(model), mujoco.MjData(model)
+    model.dof_armature[:] = 0  # taken off afterwards, its rounding would stay
     data.qpos[:] = model.qpos0
-    mujoco.mj_forward(model, data)
+    # Not mj_forward, which divides by the inertia: without its armature a joint may have none.
+    for stage in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_tendon, mujoco.mj_makeM):
+        stage(model, data)
     inertia = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, inertia)
-    return inertia - np.diag(model.dof_armature)
+    return inertia
 
 
 def _combine(model: mujoco.MjModel, body: int, payload: Payload) -> Float[np.ndarray, "11"]:
