@@ -455,7 +455,7 @@ def _read_template(source: str) -> ET.Element:
 
 
 def rigid_inertia(model: mujoco.MjModel) -> Float[np.ndarray, "nv nv"]:
-    """Joint-space inertia at the reference position without the armature [kg m^2 or kg], to the last bit."""
+    """Joint-space inertia at the reference position without the armature [kg m^2 or kg], the same bits for any."""
     model, data = copy.copy(model), mujoco.MjData(model)
     model.dof_armature[:] = 0  # taken off afterwards, its rounding would stay
     data.qpos[:] = model.qpos0
