@@ -12,7 +12,7 @@ test: ## the quick tests
 	pytest -n 2
 
 slow: ## the experiments at full size, about half an hour on two cores; FRICTIONZOO_DATA names the folder of real recordings
-	pytest -m slow -n 2 --dist worksteal
+	pytest -m slow -n 2
 
 lint: ## what CI checks besides tests
 	ruff format --check

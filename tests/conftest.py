@@ -24,7 +24,7 @@ from frictionzoo.config import compose_config
 from frictionzoo.report.curves import Curves
 from frictionzoo.run import main
 
-# torch's threads wait for each other by turning on their core, which the other process of the tests needs.
+# torch is loaded above, and no longer looks at the environment.
 torch.set_num_threads(1)
 
 DATA = os.environ.get("FRICTIONZOO_DATA")
@@ -35,6 +35,19 @@ CACHE_OPTIONS = {  # keep every compiled function, however small
     "jax_persistent_cache_min_compile_time_secs": 0,
     "jax_persistent_cache_min_entry_size_bytes": -1,
 }
+UNOPTIMISED = "jax_disable_most_optimizations"  # XLA as JAX's own tests use it: compiling takes two thirds of the time
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Quick tests compile in haste, they and what they start; slow ones, at full size, as users do.
+
+    Workers leave each other their core: threads wait for each other by turning on one.
+    """
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        os.environ.update(PJRT_NPROC="1", OMP_NUM_THREADS="1")  # XLA reads its own when it is first used
+    if config.option.markexpr == "not slow":
+        os.environ[UNOPTIMISED.upper()] = "1"
+        jax.config.update(UNOPTIMISED, True)
 
 
 def slow_but(quick: Collection[Any], values: Iterable[Any]) -> list[Any]:
@@ -81,8 +94,11 @@ def knee(make: Callable[..., Any]) -> Bench:
 
 @pytest.fixture(scope="session")
 def compilation_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder in which the programs that tests start share compiled functions."""
-    return tmp_path_factory.mktemp("xla")
+    """A folder in which the workers of the tests, and the programs that they start, share compiled functions."""
+    folder = tmp_path_factory.getbasetemp()
+    folder = (folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder) / "xla"
+    folder.mkdir(exist_ok=True)
+    return folder
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -118,6 +134,16 @@ def tiny(recording: Path) -> tuple[str, ...]:
         *("evaluation.horizons=[0.1]", "evaluation.rollouts=1", "evaluation.places=1"),
         *("evaluation.trajectory=0.1", "evaluation.window=0.02"),
     )
+
+
+@pytest.fixture
+def in_haste(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Slow tests of many small jobs compile as quick ones do."""
+    monkeypatch.setenv(UNOPTIMISED.upper(), "1")
+    before = jax.config.read(UNOPTIMISED)
+    jax.config.update(UNOPTIMISED, True)
+    yield
+    jax.config.update(UNOPTIMISED, before)
 
 
 @pytest.fixture

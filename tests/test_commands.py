@@ -441,6 +441,7 @@ def fill(command: str) -> str:
 
 
 FOUND = {fill(command): None for page in PAGES for command in commands_of(page)}
+pytestmark = pytest.mark.usefixtures("in_haste")
 CASES = [
     pytest.param(command, marks=[mark for pattern, mark in MARKS if re.fullmatch(pattern, command)], id=command)
     for command in FOUND

@@ -21,6 +21,7 @@ from frictionzoo.threads import count_cores
 
 ROOT = Path(__file__).parent.parent
 SWEEP = ("-m", "hydra.sweep.dir=sweep")
+pytestmark = pytest.mark.usefixtures("in_haste")
 LAUNCHERS = ("joblib", "submitit_local", "ray")
 PAIR = ("model=baseline,coulomb_smooth", "fit.iterations=3")
 DONE = {"metrics": {"train": {"position_mae": 0.25, "diverged": 0}}}
