@@ -35,6 +35,13 @@ CACHE_OPTIONS = {  # keep every compiled function, however small
     "jax_persistent_cache_min_compile_time_secs": 0,
     "jax_persistent_cache_min_entry_size_bytes": -1,
 }
+BRIEF = {  # options of an evaluation that takes no time
+    "evaluation.horizons": "[0.1]",
+    "evaluation.rollouts": "1",
+    "evaluation.places": "1",
+    "evaluation.trajectory": "0.1",
+    "evaluation.window": "0.02",
+}
 UNOPTIMISED = "jax_disable_most_optimizations"  # XLA as JAX's own tests use it: compiling takes two thirds of the time
 
 
@@ -131,8 +138,7 @@ def tiny(recording: Path) -> tuple[str, ...]:
     return (
         *("data=files", f"data.train=[{recording}]", "data.split.gap=0.05", "dtype=float64"),
         *("segments.count=20", "loop.chunk=2", "loop.progress=false"),
-        *("evaluation.horizons=[0.1]", "evaluation.rollouts=1", "evaluation.places=1"),
-        *("evaluation.trajectory=0.1", "evaluation.window=0.02"),
+        *(f"{option}={value}" for option, value in BRIEF.items()),
     )
 
 

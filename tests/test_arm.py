@@ -7,6 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from conftest import BRIEF
 
 JOINTS = [f"joint{index}" for index in range(1, 8)]
 TRUTH = {
@@ -85,6 +86,7 @@ def test_twenty_one_parameters_of_an_arm_in_one_run(call: Callable, tmp_path: Pa
         *(f"data.columns.{signal}=[{','.join(names)}]" for signal, names in headers.items()),
         *("bench.params.armature.init=0.2", "model.params.frictionloss.init=0.5", "model.params.damping.init=0.5"),
         *("segments.length=20", "segments.count=null", "hydra.run.dir=run", "loop.progress=false"),
+        *(f"{option}={value}" for option, value in BRIEF.items()),
     )
     assert finished.status == 0, finished.err
     result = json.loads((tmp_path / "run" / "result.json").read_text())

@@ -187,9 +187,25 @@ def addresses_of(process: psutil.Process) -> set[str]:
     return found
 
 
+@pytest.fixture(scope="module")
+def folder_of_one_process(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the sweep that no launcher hands to other processes is kept, once it is made."""
+    return tmp_path_factory.mktemp("basic") / "sweep"
+
+
+@pytest.fixture
+def in_one_process(call: Callable, tiny: tuple[str, ...], folder_of_one_process: Path) -> Path:
+    """A sweep that no launcher hands to other processes, made once."""
+    if not folder_of_one_process.exists():
+        assert call("-m", *tiny, *PAIR, f"hydra.sweep.dir={folder_of_one_process}").status == 0
+    return folder_of_one_process
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("launcher", LAUNCHERS)
-def test_launchers_agree(start: Callable, call: Callable, tiny: tuple[str, ...], tmp_path: Path, launcher: str) -> None:
+def test_launchers_agree(
+    start: Callable, in_one_process: Path, tiny: tuple[str, ...], tmp_path: Path, launcher: str
+) -> None:
     sweep = start(*SWEEP, *tiny, *PAIR, f"hydra/launcher={launcher}")
     processes, children, addresses = psutil.Process(sweep.pid), [], set()
     while sweep.poll() is None:
@@ -203,10 +219,9 @@ def test_launchers_agree(start: Callable, call: Callable, tiny: tuple[str, ...],
     assert bool(addresses) == (launcher == "ray")
     assert not psutil.wait_procs(children, timeout=30)[1]
 
-    assert call("-m", *tiny, *PAIR, "hydra.sweep.dir=basic").status == 0
     for job in ("0_baseline", "1_coulomb_smooth"):
-        assert read_result(tmp_path / "sweep" / job) == read_result(tmp_path / "basic" / job)
-    first, second = (read_comparison(tmp_path / sweep) for sweep in ("sweep", "basic"))
+        assert read_result(tmp_path / "sweep" / job) == read_result(in_one_process / job)
+    first, second = (read_comparison(sweep) for sweep in (tmp_path / "sweep", in_one_process))
     assert first == second
 
 
