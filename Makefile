@@ -11,7 +11,7 @@ install: ## the package with its development tools, in the versions of constrain
 test: ## the quick tests
 	pytest -n 2
 
-slow: ## the experiments at full size, about half an hour on two cores; FRICTIONZOO_DATA names the folder of real recordings
+slow: ## the experiments at full size, about an hour on two cores; FRICTIONZOO_DATA names the folder of real recordings
 	pytest -m slow -n 2
 
 lint: ## what CI checks besides tests
