@@ -57,6 +57,11 @@ def pytest_configure(config: pytest.Config) -> None:
         jax.config.update(UNOPTIMISED, True)
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Experiments, the longest tests, come first: at the end one worker would wait for the other's."""
+    items.sort(key=lambda item: item.path.stem != "test_experiments")
+
+
 def slow_but(quick: Collection[Any], values: Iterable[Any]) -> list[Any]:
     """Parameters of a test; those that are not among the quick ones make slow tests."""
     return [
