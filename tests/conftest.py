@@ -24,7 +24,7 @@ from frictionzoo.config import compose_config
 from frictionzoo.report.curves import Curves
 from frictionzoo.run import main
 
-# torch is loaded above, and no longer looks at the environment.
+# As for XLA in `pytest_configure`; torch is loaded and no longer looks at the environment.
 torch.set_num_threads(1)
 
 DATA = os.environ.get("FRICTIONZOO_DATA")
