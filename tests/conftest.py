@@ -1,5 +1,9 @@
 """What tests share: configurations, parts built from them, recordings, and jobs, in this process or in their own."""
 
+import contextlib
+import dataclasses
+import io
+import json
 import logging
 import os
 import subprocess
@@ -14,6 +18,7 @@ import jax
 import numpy as np
 import pytest
 import torch
+from filelock import FileLock
 from jax.experimental.compilation_cache import compilation_cache as jax_cache
 from omegaconf import DictConfig, OmegaConf
 
@@ -62,6 +67,18 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: item.path.stem != "test_experiments")
 
 
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """What all tests took together, over all workers: the suite's budget. `--durations` lists the dearest."""
+    reports = [report for kind in terminalreporter.stats.values() for report in kind if hasattr(report, "duration")]
+    files: dict[str, float] = {}
+    for report in reports:
+        name = report.nodeid.partition("::")[0]
+        files[name] = files.get(name, 0.0) + report.duration
+    terminalreporter.section(f"all tests: {sum(files.values()):.0f} s of workers' time; by file")
+    for name, seconds in sorted(files.items(), key=lambda pair: -pair[1])[:10]:
+        terminalreporter.write_line(f"{seconds:.2f}s {name}")
+
+
 def slow_but(quick: Collection[Any], values: Iterable[Any]) -> list[Any]:
     """Parameters of a test; those that are not among the quick ones make slow tests."""
     return [
@@ -105,11 +122,20 @@ def knee(make: Callable[..., Any]) -> Bench:
 
 
 @pytest.fixture(scope="session")
-def compilation_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder in which the workers of the tests, and the programs that they start, share compiled functions."""
+def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder that all workers of the tests see; what is made in it is made once, under a lock."""
     folder = tmp_path_factory.getbasetemp()
-    folder = (folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder) / "xla"
-    folder.mkdir(exist_ok=True)
+    return folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
+
+
+@pytest.fixture(scope="session")
+def compilation_cache(shared_folder: Path) -> Path:
+    """A folder in which the workers of the tests, and the programs that they start, share compiled functions.
+
+    JAX's own variable names one that is kept, so that the next tests find what these compiled.
+    """
+    folder = Path(os.environ.get("JAX_COMPILATION_CACHE_DIR", shared_folder / "xla"))
+    folder.mkdir(parents=True, exist_ok=True)
     return folder
 
 
@@ -120,8 +146,17 @@ def compiled_once(compilation_cache: Path) -> None:
 
 
 @pytest.fixture(scope="session")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recording(shared_folder: Path) -> Path:
     """A CSV recording of 1.5 s at 1 ms: the paper's rod under its controller, with Coulomb and viscous friction."""
+    path = shared_folder / "recording" / "knee.csv"
+    with FileLock(shared_folder / "recording.lock"):
+        if not path.exists():
+            path.parent.mkdir()
+            _record(path)
+    return path
+
+
+def _record(path: Path) -> None:
     samples, timestep, inertia = 1500, 1e-3, 0.0011 + 0.26 * 0.1127**2 + 0.04
     time = timestep * np.arange(samples)
     ctrl = 0.6 * np.sin(2 * np.pi * 1.5 * time) + 0.3 * np.sin(2 * np.pi * 0.7 * time)
@@ -131,10 +166,8 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
         torque = 20 * (ctrl[i] - qpos[i]) - qvel[i] - 0.26 * 9.81 * 0.1127 * np.sin(qpos[i]) - friction
         qvel[i + 1] = qvel[i] + timestep * torque / inertia
         qpos[i + 1] = qpos[i] + timestep * qvel[i + 1]
-    path = tmp_path_factory.mktemp("recording") / "knee.csv"
     table = np.stack([time, qpos, qvel, ctrl], axis=1)
     np.savetxt(path, table, fmt="%.9g", delimiter=",", header="time,qpos,qvel,ctrl", comments="")
-    return path
 
 
 @pytest.fixture(scope="session")
@@ -176,36 +209,76 @@ def start(compilation_cache: Path, tmp_path: Path) -> Iterator[Callable[..., sub
         process.communicate()
 
 
-@pytest.fixture
-def call(
-    compilation_cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Iterator[Callable[..., Finished]]:
-    """Does in this process what `python -m frictionzoo.run` does in its own, in the test's folder."""
+@contextlib.contextmanager
+def job_settings(compilation_cache: Path) -> Iterator[None]:
+    """Undoes what jobs that run in this process leave behind: handlers of logging, Hydra's and JAX's settings."""
     options = {"jax_compilation_cache_dir": str(compilation_cache), **CACHE_OPTIONS}
     before = {name: getattr(jax.config, name) for name in (*options, "jax_enable_x64", "jax_default_device")}
     root = logging.getLogger()
     handlers, level = root.handlers[:], root.level
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("HYDRA_FULL_ERROR", "1")
-    # Hydra closes all handlers before it adds its own, and absl's would close the stream that it began with, pytest's.
-    monkeypatch.setattr(absl.logging.get_absl_handler().python_handler, "stream", sys.__stderr__)
-    _configure_jax(options)
-
-    def call(*overrides: str) -> Finished:
-        monkeypatch.setattr(sys, "argv", ["frictionzoo", *overrides])
-        capsys.readouterr()
-        try:
-            main()
-            status = 0
-        except SystemExit as end:
-            status = int(end.code or 0)
-        written = capsys.readouterr()
-        return Finished(status, written.out, written.err)
-
-    yield call
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("HYDRA_FULL_ERROR", "1")
+        # Hydra closes all handlers before it adds its own; absl's would close the stream that it began with, pytest's.
+        patch.setattr(absl.logging.get_absl_handler().python_handler, "stream", sys.__stderr__)
+        _configure_jax(options)
+        yield
     root.handlers[:] = handlers
     root.setLevel(level)
     _configure_jax(before)
+
+
+def run_main(*overrides: str) -> Finished:
+    """Does in this process, in the present folder, what `python -m frictionzoo.run` does in its own."""
+    out, err, status = io.StringIO(), io.StringIO(), 0
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        patch.setattr(sys, "argv", ["frictionzoo", *overrides])
+        try:
+            main()
+        except SystemExit as end:
+            status = int(end.code or 0)
+    return Finished(status, out.getvalue(), err.getvalue())
+
+
+@pytest.fixture
+def call(compilation_cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Finished]]:
+    """Does in this process what `python -m frictionzoo.run` does in its own, in the test's folder."""
+    monkeypatch.chdir(tmp_path)
+    with job_settings(compilation_cache):
+        yield run_main
+
+
+RUNS = {  # options of the runs of `finished_run`, besides those of `tiny`
+    "mujoco_default": ("model=mujoco_default", "fit=lm"),
+    "coulomb_smooth": ("model=coulomb_smooth", "fit.iterations=3"),
+    "coulomb_stribeck": ("model=coulomb_stribeck", "fit=lm"),
+    "neural_friction": ("model=neural_friction", "model.hidden=[4,4]", "segments.length=3", "fit.iterations=3"),
+    "sweep": ("-m", "model=baseline,coulomb_smooth", "fit.iterations=3"),
+}
+
+
+@pytest.fixture(scope="session")
+def finished_run(
+    shared_folder: Path, compilation_cache: Path, tiny: tuple[str, ...]
+) -> Callable[[str], tuple[Path, Finished]]:
+    """The folder of a run of `RUNS` that ended well, and what it printed; made once for all tests and workers.
+
+    It is there to be read: a test that writes into a run's folder takes a copy.
+    """
+
+    def finished_run(name: str) -> tuple[Path, Finished]:
+        home = shared_folder / "runs" / name
+        told = home / "finished.json"
+        home.mkdir(parents=True, exist_ok=True)
+        with FileLock(home.with_suffix(".lock")):
+            if not told.exists():
+                option = "hydra.sweep.dir" if "-m" in RUNS[name] else "hydra.run.dir"
+                with contextlib.chdir(home), job_settings(compilation_cache):
+                    finished = run_main(*RUNS[name], *tiny, f"{option}={home / 'run'}")
+                assert finished.status == 0, finished.err
+                told.write_text(json.dumps(dataclasses.asdict(finished)))
+        return home / "run", Finished(**json.loads(told.read_text()))
+
+    return finished_run
 
 
 def _configure_jax(options: dict[str, Any]) -> None:
