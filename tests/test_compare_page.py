@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import plotly.graph_objects as go
 import pytest
-from test_html import HOSTILE, Page, browse, figures_of, needs_browser
+from browser import WIDTHS, needs_browser, open_page
+from test_html import HOSTILE, Page, figures_of
 from test_report import bench, dataset, evaluation, model, result  # noqa: F401
 
 from frictionzoo.compare import Failure, Run, compare_runs
@@ -318,98 +319,62 @@ def test_few_rollouts_ask_for_caution(result, tmp_path):  # noqa: F811
     assert checks_of(runs)["Few rollouts"].state == "caution"
 
 
-PROBE = """<script>setTimeout(async () => {
-  const wait = time => new Promise(resolve => setTimeout(resolve, time));
-  const said = {};
-  const seen = () => [...document.querySelectorAll("[data-figure]")].filter(canvas => canvas.clientWidth);
-  const drawn = canvas => canvas.querySelector(".main-svg path.js-line, .main-svg .points path");
+CLICKS = """
   const panel = () => document.querySelector(".panel:not([hidden])").textContent;
-  said.figures = seen().length;
-  said.page = getComputedStyle(document.body).backgroundColor;
-  said.missing = seen().filter(canvas => !drawn(canvas)).map(canvas => canvas.previousElementSibling.textContent);
-  said.ink = seen()[0].querySelector(".xtick text").style.fill;
-  said.start = panel();
-  const row = document.querySelectorAll(".ranking tbody tr")[1];
-  row.querySelector("td.value").click();
-  await wait(1500);
+  const trajectory = document.querySelector("[data-time]");
+  const emphasised = () => trajectory.data.filter(trace => trace.line.width === 2.8).map(trace => trace.meta.run);
+  const visible = () => trajectory.data.filter(trace => trace.visible !== false);
+  const said = { figures: await allDrawn() ? shown().length : 0, start: panel() };
+  document.querySelectorAll(".ranking tbody tr")[1].querySelector("td.value").click();
+  await until(() => emphasised().length && emphasised().every(run => run === 1));
   said.chosen = panel();
   said.hash = decodeURIComponent(location.hash);
   said.expanded = [...document.querySelectorAll("[aria-expanded]")].map(item => item.getAttribute("aria-expanded"));
   said.panels = document.querySelectorAll(".panel:not([hidden])").length;
-  said.redrawn = seen().filter(drawn).length === seen().length;
-  const trajectory = document.querySelector("[data-time]");
-  said.emphasised = trajectory.data.filter(trace => trace.line.width === 2.8).map(trace => trace.meta.run);
+  said.redrawn = await allDrawn();
+  said.emphasised = emphasised();
+  const before = visible().length;
   document.getElementById("only").click();
-  await wait(1500);
-  said.shown = trajectory.data.filter(trace => trace.visible !== false).map(trace => trace.meta?.run ?? "measured");
+  await until(() => visible().length < before);
+  said.shown = visible().map(trace => trace.meta?.run ?? "measured");
+  const chosen = panel();
   history.back();
-  await wait(1500);
+  await until(() => panel() !== chosen);
   said.back = panel();
-  document.body.dataset.said = JSON.stringify(said);
-}, 3000)</script></body>"""
+  return said;
+"""
 
 
 @needs_browser
-@pytest.mark.parametrize("scheme", ["dark", "light"])
-def test_a_browser_draws_every_figure_and_shows_the_run_that_is_clicked(runs, tmp_path, scheme):
+def test_a_browser_draws_every_figure_and_shows_the_run_that_is_clicked_or_linked(runs, tmp_path):
     path = tmp_path / "comparison.html"
-    source, comparison = show(path, runs)
-    path.write_text(source.replace("</body>", PROBE))
-    dom, console = browse(path, f"--blink-settings=preferredColorScheme={int(scheme == 'light')}")
-    assert console == []
-    (element,) = Page(dom).with_attribute("data-said")
-    said = json.loads(element["data-said"])
+    _, comparison = show(path, runs)
+    browser = open_page(path, scheme="dark")
+    said = browser.run(CLICKS)
     labels = [entry["label"] for entry in comparison["runs"]]
-    assert said["missing"] == [] and said["figures"] == 13 and said["redrawn"]
-    brightness = [sum(map(int, re.findall(r"\d+", said[name])[:3])) for name in ("page", "ink")]
-    assert (brightness[0] < brightness[1]) == (scheme == "dark")
-    selected = labels.index(comparison["recommendation"]["run"])
-    other = 1
+    assert said["figures"] == 13 and said["redrawn"]
+    selected, other = labels.index(comparison["recommendation"]["run"]), 1
     assert selected != other
     assert labels[selected] in said["start"] and labels[other] in said["chosen"]
     assert said["hash"] == f"#{labels[other]}"
     assert said["expanded"] == [str(i == other).lower() for i in range(len(labels))] and said["panels"] == 1
     assert set(said["emphasised"]) == {other} and set(said["shown"]) == {other, "measured"}
     assert labels[selected] in said["back"]
+    assert browser.run("return isDark()")
+    browser.prefer("light")
+    assert browser.run("return until(() => !isDark())")
+    linked = "return document.querySelector('.panel:not([hidden]) h2').textContent.trim()"
+    assert open_page(path, fragment=f"#{LABELS[2]}").run(linked) == LABELS[2]
 
 
 @needs_browser
-def test_a_link_to_a_run_opens_it(runs, tmp_path):
-    path = tmp_path / "comparison.html"
-    source, _ = show(path, runs)
-    probe = """<script>setTimeout(() => {
-      document.body.dataset.shown = document.querySelector(".panel:not([hidden]) h2").textContent;
-    }, 2000)</script></body>"""
-    path.write_text(source.replace("</body>", probe))
-    frame = tmp_path / "frame.html"
-    frame.write_text(f'<meta http-equiv="refresh" content="0; url=comparison.html#{LABELS[2]}">')
-    dom, console = browse(frame)
-    assert console == []
-    (element,) = Page(dom).with_attribute("data-shown")
-    assert element["data-shown"].strip() == LABELS[2]
-
-
-@needs_browser
-@pytest.mark.parametrize("width", [390, 1440])
-def test_the_page_does_not_scroll_sideways(runs, result, tmp_path, width):  # noqa: F811
+def test_the_page_does_not_scroll_sideways(runs, result, tmp_path):  # noqa: F811
     name = "law-with-a-very-long-name-that-cannot-be-broken-anywhere-at-all-in-any-table"
     runs = [*runs, make_run(tmp_path, result, name, 0.02, seed=3)]
     for run in runs:
         run.result["data"]["name"] = run.result["data"]["logs"][0]["name"] = name
-    source, _ = show(tmp_path / "comparison.html", runs, [Failure(name, name, name)])
-    probe = """<script>setTimeout(() => parent.postMessage([
-      innerWidth, document.documentElement.scrollWidth,
-      ...[...document.querySelectorAll(".main-svg")].map(svg => Math.ceil(svg.getBoundingClientRect().right)),
-    ], "*"), 3000)</script></body>"""
-    (tmp_path / "comparison.html").write_text(source.replace("</body>", probe))
-    frame = tmp_path / "frame.html"
-    frame.write_text(
-        f'<iframe src="comparison.html" width="{width}" height="900" style="border:0"></iframe>'
-        '<script>onmessage = ({ data }) => { document.body.dataset.widths = data.join(" "); };</script>'
-    )
-    dom, console = browse(frame)
-    assert console == []
-    (widths,) = Page(dom).with_attribute("data-widths")
-    inner, page, *drawings = map(int, widths["data-widths"].split())
-    assert inner == width and page <= inner
-    assert drawings and max(drawings) <= inner
+    show(tmp_path / "comparison.html", runs, [Failure(name, name, name)])
+    for width in (390, 1440):
+        inner, page, *drawings = open_page(tmp_path / "comparison.html", width=width).run(WIDTHS)
+        assert inner == width and page <= inner
+        assert drawings and max(drawings) <= inner

@@ -3,13 +3,12 @@
 import copy
 import json
 import re
-import shutil
-import subprocess
 from html.parser import HTMLParser
 
 import numpy as np
 import plotly.graph_objects as go
 import pytest
+from browser import DRAWN, WIDTHS, needs_browser, open_page
 from test_report import FIT, bench, dataset, evaluation, history, make_rollout, model, result  # noqa: F401
 
 from frictionzoo.evaluate import Prediction
@@ -17,8 +16,6 @@ from frictionzoo.report.html import check_result, write_report
 from frictionzoo.report.page import POINTS
 
 HOSTILE = "</script><img src=x onerror=alert(1)>\"'&"
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on the PATH")
 
 
 @pytest.fixture
@@ -221,55 +218,29 @@ def test_a_run_without_any_finite_error_has_a_page(record, tmp_path):
     assert "diverged: there is no error to report" in Page(report(tmp_path / "report.html", record)).text
 
 
-def browse(path, *options):
-    """The page as Chromium has made it, and what it wrote to the console."""
-    command = [CHROMIUM, "--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"]
-    command += ["--virtual-time-budget=10000", "--dump-dom", "--enable-logging=stderr", "--v=0", *options]
-    profile = f"--user-data-dir={path.parent / 'profile'}"
-    finished = subprocess.run([*command, profile, path.as_uri()], capture_output=True, text=True, timeout=120)
-    return finished.stdout, [line for line in finished.stderr.splitlines() if "CONSOLE" in line]
+def browse(path):
+    """The page as Chromium has made it, once it says how many figures are drawn, and no complaints."""
+    dom = "await until(() => document.body.dataset.drawn); return document.documentElement.outerHTML"
+    return open_page(path).run(dom), []
 
 
 @needs_browser
-@pytest.mark.parametrize("scheme", ["dark", "light"])
-def test_a_browser_draws_every_figure(record, tmp_path, scheme):
+def test_a_browser_draws_every_figure_in_the_colours_that_are_preferred(record, tmp_path):
     path = tmp_path / "report.html"
-    source = report(path, record, joints=(HOSTILE, "knee"))
-    probe = """<script>setTimeout(() => {
-      const canvases = [...document.querySelectorAll("[data-figure]")];
-      const drawn = canvases.filter(canvas => canvas.querySelector(".main-svg path.js-line, .main-svg .point path"));
-      document.body.dataset.drawn = drawn.length;
-      document.body.dataset.page = getComputedStyle(document.body).backgroundColor;
-      document.body.dataset.ink = canvases[0].querySelector(".xtick text").style.fill;
-    }, 3000)</script></body>"""
-    path.write_text(source.replace("</body>", probe))
-    dom, console = browse(path, f"--blink-settings=preferredColorScheme={int(scheme == 'light')}")
-    assert console == []
-    (body,) = [attributes for tag, attributes in Page(dom).elements if tag == "body"]
-    assert int(body["data-drawn"]) == len(figures_of(source)["figures"])
-    brightness = [sum(map(int, re.findall(r"\d+", body[name])[:3])) for name in ("data-page", "data-ink")]
-    assert (brightness[0] < brightness[1]) == (scheme == "dark")
-    assert "Share chart" not in dom.rpartition("<script>")[0].partition("<script")[0]
+    page = figures_of(report(path, record, joints=(HOSTILE, "knee")))
+    browser = open_page(path, scheme="dark")
+    assert browser.run(DRAWN) == len(page["figures"])
+    assert browser.run("return isDark()")
+    browser.prefer("light")
+    assert browser.run("return until(() => !isDark())")
+    assert not browser.run("return document.querySelector('main').innerHTML.includes('Share chart')")
 
 
 @needs_browser
 def test_a_phone_shows_the_page_without_scrolling_sideways(record, tmp_path):
-    # A window of Chromium's is at least 500 px wide, a frame is as narrow as it is told to be.
     name = "report-of-a-recording-with-a-very-long-name-that-cannot-be-broken-anywhere"
     record["data"]["name"] = record["data"]["logs"][0]["name"] = name
-    probe = """<script>setTimeout(() => parent.postMessage([
-      innerWidth, document.documentElement.scrollWidth,
-      ...[...document.querySelectorAll(".main-svg")].map(svg => Math.ceil(svg.getBoundingClientRect().right)),
-    ], "*"), 3000)</script></body>"""
-    (tmp_path / "report.html").write_text(report(tmp_path / "made.html", record).replace("</body>", probe))
-    frame = tmp_path / "frame.html"
-    frame.write_text(
-        '<iframe src="report.html" width="390" height="844" style="border:0"></iframe>'
-        '<script>onmessage = ({ data }) => { document.body.dataset.widths = data.join(" "); };</script>'
-    )
-    dom, console = browse(frame)
-    assert console == []
-    (widths,) = Page(dom).with_attribute("data-widths")
-    inner, page, *drawings = map(int, widths["data-widths"].split())
+    report(tmp_path / "report.html", record)
+    inner, page, *drawings = open_page(tmp_path / "report.html", width=390).run(WIDTHS)
     assert inner == 390 and page <= inner
     assert drawings and max(drawings) <= inner
