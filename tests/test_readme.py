@@ -1,6 +1,7 @@
 """What the documentation tells a newcomer to type: commands compose, options exist, pages agree with their source."""
 
 import functools
+import itertools
 import re
 import runpy
 import shlex
@@ -8,10 +9,11 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
 from pages import PACKAGE, PAGES, ROOT, blocks_of, expand, inline_of
 
-from frictionzoo.config import CONF_DIR, check_overrides
+from frictionzoo.config import CONF_DIR, check_overrides, compose_config, list_options
 
 FLAGS = {"-m", "--cfg", "job"}
 PLACEHOLDER = re.compile(r"[A-Z]{3}")  # FOLDER, NAME, DATE: what a reader has to fill in
@@ -42,21 +44,28 @@ JOBS = [
 ]
 
 
-@pytest.fixture(scope="module")
-def compose(compose):
-    """The same, each composition once: pages share most of them, and nothing here changes one."""
-    return functools.cache(compose)
+compose_once = functools.cache(compose_config)  # pages share most of what they choose; nothing here changes it
+
+
+def is_choice(override):
+    """Whether it chooses a file, or tells Hydra itself something: that has to be composed."""
+    name = override.partition("=")[0]
+    return name.startswith("hydra") or (CONF_DIR / name).is_dir()
 
 
 @pytest.mark.parametrize("page, job", JOBS, ids=lambda value: value.parent.name if isinstance(value, Path) else None)
-def test_a_command_composes(page, job, compose):
+def test_a_command_composes(page, job):
     choices = [expand(argument) for argument in job if argument not in FLAGS]
+    for values in filter(lambda values: is_choice(values[0]) and len(values) > 1, choices):
+        assert all((CONF_DIR / "{}/{}.yaml".format(*value.split("="))).exists() for value in values)
+        del values[1:]  # tests/test_config.py composes every file, and experiments with the laws that change them
     for index in range(max(map(len, choices), default=1)):
         overrides = [values[index % len(values)] for values in choices]
-        config = compose(*overrides)
-        groups = [override for override in overrides if (CONF_DIR / override.partition("=")[0]).is_dir()]
-        check_overrides(config, compose(*groups))
-        OmegaConf.to_container(config, resolve=True)
+        plain = compose_once(*filter(is_choice, overrides))
+        config = OmegaConf.create(OmegaConf.to_container(plain))
+        for override in map(OverridesParser.create().parse_override, itertools.filterfalse(is_choice, overrides)):
+            OmegaConf.update(config, override.key_or_group, override.value(), force_add=True)
+        check_overrides(config, plain)
 
 
 def test_the_pages_have_commands():
@@ -65,18 +74,22 @@ def test_the_pages_have_commands():
     assert {page.name for page, _ in JOBS} >= {"README.md"}
 
 
+@pytest.fixture(scope="module")
+def known_options():
+    """Dotted names of all options and sections in the files of conf/."""
+    known = set()
+    for path in CONF_DIR.glob("**/*.yaml"):
+        whole = path.read_text().startswith("# @package _global_") or path.parent == CONF_DIR
+        for key, _ in list_options(
+            OmegaConf.to_container(OmegaConf.load(path)), "" if whole else f"{path.parent.name}."
+        ):
+            known |= set(itertools.accumulate(key.split("."), "{}.{}".format))
+    return known
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: f"{page.parent.name}-{page.stem}")
-def test_a_named_option_exists(page, compose):
-    groups = [
-        f"{group}={path.stem}" for group in ("data", "model", "bench") for path in (CONF_DIR / group).glob("*.yaml")
-    ]
-    configs = [compose(), *map(compose, groups)]
-    for option in options_of(page):
-        if not option.startswith("hydra."):
-            assert any(OmegaConf.select(config, option, default=missing) is not missing for config in configs), option
-
-
-missing = object()
+def test_a_named_option_exists(page, known_options):
+    assert {option for option in options_of(page) if not option.startswith("hydra.")} <= known_options
 
 
 @pytest.mark.parametrize("group", ["model", "data", "logger", "experiment"])
