@@ -1,6 +1,7 @@
 """The command line: what it refuses, in one line each, and what it leaves behind when it does."""
 
 import contextlib
+import json
 import os
 import pickle
 import resource
@@ -8,12 +9,24 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
 import pytest
 import scipy.io
 import torch
+from hydra.errors import HydraException
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from frictionzoo import __version__
+from frictionzoo.config import check_overrides, compose_config
+from frictionzoo.errors import CheckpointError, ConfigError, FrictionzooError, LogError
+from frictionzoo.fit.loop import CHECKPOINT, _checked_checkpoint
+from frictionzoo.job import Problem
+from frictionzoo.logs.emps import Emps
+from frictionzoo.run import _explain, _restore_overrides, refuse_no_choice
 
 RUN = "hydra.run.dir=run"
 RESULTS = ("result.json", "friction.safetensors", "identified.xml")
@@ -39,6 +52,25 @@ def refuse(call: Callable, tmp_path: Path) -> Callable[..., str]:
         return line
 
     return refuse
+
+
+@pytest.fixture(scope="module")
+def settings(compose: Callable, tiny: tuple[str, ...]) -> dict[str, Any]:
+    """What `tiny` composes to, as a problem takes it."""
+    return OmegaConf.to_container(compose(*tiny), resolve=True)
+
+
+@pytest.fixture
+def complain(call: Callable, settings: dict[str, Any]) -> Callable[..., str]:
+    """What a problem with these overrides, for which no program starts, is refused with; in the test's folder."""
+
+    def complain(*overrides: str) -> str:
+        changed = OmegaConf.merge(settings, OmegaConf.from_dotlist(list(overrides)))
+        with pytest.raises(FrictionzooError) as refused:
+            Problem.pose(OmegaConf.to_container(changed, resolve=True))
+        return str(refused.value)
+
+    return complain
 
 
 def error_line(err: str) -> str:
@@ -74,11 +106,24 @@ def with_value(index: int, value: float, array: np.ndarray = TIMES) -> np.ndarra
     ],
 )
 def test_a_recording_that_makes_no_sense_is_refused(
-    refuse: Callable, tmp_path: Path, signals: dict, fragments: tuple[str, ...]
+    complain: Callable, tmp_path: Path, signals: dict, fragments: tuple[str, ...]
 ) -> None:
     write_log(tmp_path / "a.csv", **signals)
-    line = refuse("data=files", "data.train=[a.csv]", "data.split.gap=0.05", "evaluation.horizons=[0.01]")
+    line = complain("data.train=[a.csv]")
     assert all(fragment in line for fragment in ("a.csv", *fragments))
+
+
+def test_a_mistake_of_each_kind_is_one_line(refuse: Callable, tmp_path: Path, tiny: tuple[str, ...]) -> None:
+    """The kinds, all of whose cases other tests look at in the function that refuses."""
+    write_log(tmp_path / "a.csv", time=1.5 * TIMES)
+    assert "a.csv[train]: 0.0015 s per sample" in refuse(*tiny, "data.train=[a.csv]")
+    assert "expected at least 4001 for one segment" in refuse(*tiny, "segments.length=4000")
+    assert "bench.xml: cannot be read" in refuse(*tiny, "bench.mjcf=bench.xml")
+    assert "no such file" in refuse("data=emps", f"data.folder={tmp_path}")
+    assert "_target_=os.system; expected a class of frictionzoo" in refuse(*tiny, "fit._target_=os.system")
+    assert "segments.cuont: unknown option; did you mean count?" in refuse("segments.cuont=3")
+    assert "~data: a job needs one data" in refuse("~data")
+    assert "threads=0; expected 1 or more" in refuse("threads=0")
 
 
 @pytest.mark.parametrize(
@@ -99,12 +144,12 @@ def test_a_recording_that_makes_no_sense_is_refused(
     ],
 )
 def test_a_recording_that_does_not_serve_is_refused(
-    refuse: Callable, tmp_path: Path, overrides: list[str], fragments: tuple[str, ...]
+    complain: Callable, tmp_path: Path, overrides: list[str], fragments: tuple[str, ...]
 ) -> None:
     write_log(tmp_path / "a.csv")
     (tmp_path / "garbage").write_bytes(bytes(range(256)))
     (tmp_path / "empty").mkdir()
-    line = refuse("data=files", "data.train=[a.csv]", "data.split.gap=0.05", "evaluation.horizons=[0.01]", *overrides)
+    line = complain("data.train=[a.csv]", "evaluation.horizons=[0.01]", *overrides)
     assert all(fragment in line for fragment in fragments)
 
 
@@ -121,7 +166,7 @@ def test_a_recording_that_does_not_serve_is_refused(
     ],
 )
 def test_a_matlab_file_that_does_not_serve_is_refused(
-    refuse: Callable, tmp_path: Path, variables: object, fragments: tuple[str, ...]
+    tmp_path: Path, variables: object, fragments: tuple[str, ...]
 ) -> None:
     path = tmp_path / "emps" / "DATA_EMPS.mat"
     path.parent.mkdir()
@@ -131,68 +176,80 @@ def test_a_matlab_file_that_does_not_serve_is_refused(
         path.write_bytes(variables)
     elif isinstance(variables, dict):
         scipy.io.savemat(path, variables)
-    line = refuse("data=emps", f"data.folder={tmp_path}")
-    assert all(fragment in line for fragment in ("DATA_EMPS.mat", *fragments))
+    with pytest.raises(LogError) as refused:
+        Emps("emps", str(tmp_path), "DATA_EMPS.mat", "DATA_EMPS.mat", 100.0, 4).load()
+    assert all(fragment in str(refused.value) for fragment in ("DATA_EMPS.mat", *fragments))
 
 
 @pytest.mark.parametrize(
     ("override", "fragments"),
     [
-        ("model=coulomb_stribek", ("no such model", "did you mean coulomb_stribeck?")),
         ("data=twinn", ("no such data", "did you mean twin?")),
         ("fit=adan", ("no such fit", "did you mean adam?")),
         ("bench=nee", ("no such bench", "did you mean knee?")),
-        ("model=null", ("needs one model", "mujoco_default")),
-        ("~data", ("needs one data", "twin")),
         ("sed=3", ("sed: unknown option", "did you mean seed?")),
-        ("segments.cuont=3", ("segments.cuont: unknown option", "did you mean count?")),
         ("model.params.static_torque.inti=1", ("unknown option", "did you mean init?")),
-        ("+segments.stride=3", ("segments.stride: unknown option", "count, length")),
-        ("~segments.count", ("segments.count: missing", "20000")),
-        ("segments=3", ("segments=3", "a section with count, length")),
-        ("segments.count=many", ("segments.count=many", "a whole number such as 20000")),
-        ("segments.count=2.5", ("segments.count=2.5", "a whole number")),
-        ("segments.length=null", ("segments.length=null", "a whole number such as 5")),
+        ("segments.count", ("segments.count", "missing EQUAL")),
+    ],
+)
+def test_what_does_not_compose_is_told_with_the_closest_name(
+    monkeypatch: pytest.MonkeyPatch, override: str, fragments: tuple[str, ...]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["frictionzoo", override])
+    with pytest.raises(HydraException) as refused:
+        compose_config(override)
+    line = _explain(refused.value)
+    assert line is not None and all(fragment in line for fragment in fragments)
+
+
+def test_a_value_that_does_not_resolve_is_one_line(settings: dict[str, Any]) -> None:
+    config = OmegaConf.create(settings | {"seed": "${speed}"})
+    with pytest.raises(OmegaConfBaseException) as refused:
+        check_overrides(config, config)
+    line = _explain(refused.value)
+    assert line is not None and "Interpolation key 'speed' not found" in line and "\n" not in line
+
+
+@pytest.mark.parametrize(
+    ("argument", "names"), [("model=null", "mujoco_default"), ("~data", "twin"), ("fit=[lm]", "lm")]
+)
+def test_a_job_needs_one_of_each_group(argument: str, names: str) -> None:
+    with pytest.raises(ConfigError, match=rf"needs one .*{names}"):
+        refuse_no_choice(["seed=1", argument])
+    refuse_no_choice(["model=lugre", "experiment=null", "~experiment", "seed=null", "--help"])
+
+
+@pytest.mark.parametrize(
+    ("override", "fragments"),
+    [
         ("segments.length=0", ("segments.length=0", "1 or more")),
-        ("fit.learning_rate=fast", ("fit.learning_rate=fast", "a number such as 0.01")),
         ("fit.iterations=0", ("fit.iterations=0", "at least 1")),
-        ("loop.patience=x", ("loop.patience=x", "a whole number")),
-        ("evaluation.horizons=1", ("evaluation.horizons=1", "a list such as [1.0]")),
-        ("evaluation.horizons=[long]", ("evaluation.horizons=['long']", "a list such as [1.0]")),
         ("evaluation.placement=rnadom", ("evaluation.placement=rnadom", "did you mean random?")),
         ("evaluation.window=0.0", ("evaluation.window=0", "more than 0 s")),
         ("loss.position=-1.0", ("loss.position=-1", "at least 0")),
-        ("model.params.static_torque.init=x", ("static_torque.init=x", "a number such as 0.05")),
         ("model.params.static_torque.init=9", ("static_torque: init=9 lies outside", "start inside")),
         ("model.params.static_torque.scale=ln", ("static_torque", "scale is log or a number")),
-        ("seed=null", ("seed=null", "a whole number from 0 on")),
-        ("seed=-1", ("seed=-1", "a whole number from 0 on")),
-        ("seed=${speed}", ("Interpolation key 'speed' not found",)),
         ("dtype=float16", ("dtype=float16", "float32 or float64")),
         ("device=gpu", ("device=gpu", "auto, cpu or cuda")),
         ("fit._target_=os.system", ("_target_=os.system", "a class of frictionzoo")),
         ("bench.actuator._target_=subprocess.Popen", ("_target_=subprocess.Popen", "a class of frictionzoo")),
-        ("resume=nowhere", ("resume=nowhere", "expected a run folder")),
-        ("resume=.", ("resume=.", "expected a run folder")),
-        ("segments.count", ("segments.count", "missing EQUAL")),
     ],
 )
 def test_an_option_that_makes_no_sense_is_refused(
-    refuse: Callable, tiny: tuple[str, ...], override: str, fragments: tuple[str, ...]
+    complain: Callable, override: str, fragments: tuple[str, ...]
 ) -> None:
-    line = refuse(*tiny, override)
+    line = complain(override)
     assert all(fragment in line for fragment in fragments)
 
 
 @pytest.mark.skipif("cuda" in {device.platform for device in jax.devices()}, reason="JAX has a GPU")
-def test_a_gpu_that_is_not_there_is_refused(refuse: Callable, tiny: tuple[str, ...]) -> None:
-    assert "device=cuda: JAX finds none" in refuse(*tiny, "device=cuda")
+def test_a_gpu_that_is_not_there_is_refused(complain: Callable) -> None:
+    assert "device=cuda: JAX finds none, expected a GPU" in complain("device=cuda")
 
 
 @pytest.mark.parametrize(
     ("mjcf", "override", "fragments"),
     [
-        pytest.param(None, "", ("bench.xml: cannot be read",), id="missing"),
         pytest.param("<mujoco>", "", ("not XML",), id="not XML"),
         pytest.param(BENCH.replace("geom size", "geom sise"), "", ("MuJoCo does not compile it", "sise"), id="refused"),
         pytest.param(BENCH, "bench.joint=knie", ("no joint knie", "did you mean knee?", "bench.joint"), id="no joint"),
@@ -216,11 +273,10 @@ def test_a_gpu_that_is_not_there_is_refused(refuse: Callable, tiny: tuple[str, .
     ],
 )
 def test_a_bench_that_does_not_serve_is_refused(
-    refuse: Callable, tmp_path: Path, tiny: tuple[str, ...], mjcf: str | None, override: str, fragments: tuple[str, ...]
+    complain: Callable, tmp_path: Path, mjcf: str, override: str, fragments: tuple[str, ...]
 ) -> None:
-    if mjcf is not None:
-        (tmp_path / "bench.xml").write_text(mjcf)
-    line = refuse(*tiny, "bench.mjcf=bench.xml", *filter(None, [override]))
+    (tmp_path / "bench.xml").write_text(mjcf)
+    line = complain("bench.mjcf=bench.xml", *filter(None, [override]))
     assert all(fragment in line for fragment in ("bench.xml", *fragments))
 
 
@@ -293,103 +349,89 @@ def bomb() -> type:
     return Bomb
 
 
-@pytest.fixture
-def begun(call: Callable, tmp_path: Path, tiny: tuple[str, ...]) -> Path:
-    """A run folder that a mistake ended before its first iteration, without a checkpoint."""
-    assert call(*tiny, "fit.iterations=2", "loop.chunk=0", RUN).status == 2
-    (tmp_path / "run" / "checkpoints").mkdir()
-    return tmp_path / "run"
-
-
 def identity(**changes: str) -> dict:
     return {"frictionzoo": {"identity": {"frictionzoo": "0.0.0", **changes}, "progress": [], "history": []}}
 
 
 @pytest.mark.parametrize(
-    ("content", "fragments"),
+    ("content", "fragment"),
     [
-        pytest.param(b"garbage", ("cannot be read",), id="garbage"),
-        pytest.param(b"", ("cannot be read",), id="empty"),
-        pytest.param({"state_dict": {}}, ("cannot be read",), id="of another program"),
-        pytest.param({"frictionzoo": {"identity": 3}}, ("cannot be read",), id="without identity"),
-        pytest.param(identity(), ("frictionzoo 0.0.0, expected",), id="of another version"),
+        pytest.param(b"garbage", "cannot be read", id="garbage"),
+        pytest.param(b"", "cannot be read", id="empty"),
+        pytest.param({"state_dict": {}}, "cannot be read", id="of another program"),
+        pytest.param({"frictionzoo": {"identity": 3}}, "cannot be read", id="without identity"),
+        pytest.param(identity(), "frictionzoo 0.0.0, expected", id="of another version"),
     ],
 )
-def test_a_checkpoint_that_is_none_is_refused(
-    call: Callable, begun: Path, content: bytes | dict, fragments: tuple[str, ...]
-) -> None:
-    path = begun / "checkpoints" / "last.ckpt"
+def test_a_checkpoint_that_is_none_is_refused(tmp_path: Path, content: bytes | dict, fragment: str) -> None:
+    path = tmp_path / "checkpoints" / CHECKPOINT
+    path.parent.mkdir()
     if isinstance(content, bytes):
         path.write_bytes(content)
     else:
         torch.save(content, path)
-    finished = call("resume=run", "loop.chunk=2")
-    assert finished.status == 2
-    assert all(fragment in error_line(finished.err) for fragment in ("last.ckpt", "start", *fragments))
-    assert not left_behind(begun)
+    with pytest.raises(CheckpointError, match=rf"last\.ckpt: {fragment}.*; .*start a new"):
+        _checked_checkpoint(tmp_path, {"frictionzoo": __version__})
 
 
-@pytest.mark.parametrize("form", ["torch", "pickle"])
-def test_a_checkpoint_with_code_is_refused_and_not_run(
-    call: Callable, begun: Path, tmp_path: Path, bomb: type, form: str
-) -> None:
-    path = begun / "checkpoints" / "last.ckpt"
-    content = identity() | {"code": bomb(tmp_path / "executed")}
-    if form == "torch":
-        torch.save(content, path)
-    else:
-        path.write_bytes(pickle.dumps(content))
-    finished = call("resume=run", "loop.chunk=2")
-    assert finished.status == 2
-    assert "last.ckpt: cannot be read" in error_line(finished.err)
+@pytest.mark.parametrize("save", [torch.save, lambda content, path: path.write_bytes(pickle.dumps(content))])
+def test_a_checkpoint_with_code_is_refused_and_not_run(tmp_path: Path, bomb: type, save: Callable) -> None:
+    path = tmp_path / "checkpoints" / CHECKPOINT
+    path.parent.mkdir()
+    save(identity(frictionzoo=__version__) | {"code": bomb(tmp_path / "executed")}, path)
+    with pytest.raises(CheckpointError, match=r"last\.ckpt: cannot be read"):
+        _checked_checkpoint(tmp_path, {"frictionzoo": __version__})
     assert not (tmp_path / "executed").exists()
+
+
+@pytest.fixture
+def foreign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The file with the overrides of a run folder from elsewhere."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "foreign" / ".hydra").mkdir(parents=True)
+    return tmp_path / "foreign" / ".hydra" / "overrides.yaml"
 
 
 @pytest.mark.parametrize(
-    ("overrides", "fragments"),
+    ("overrides", "fragment"),
     [
-        ("- fit._target_=os.system", ("_target_=os.system", "a class of frictionzoo")),
-        ("- bench.actuator._target_=builtins.exec", ("_target_=builtins.exec", "a class of frictionzoo")),
-        ("- --multirun", ("--multirun", "expected an override")),
-        ("- --config-dir=evil", ("--config-dir=evil", "expected an override")),
-        ("a: 3", ("expected a list of overrides",)),
-        ("- [3]", ("expected a list of overrides",)),
-        ("!!python/object/apply:os.mkdir [executed]", ("expected a run folder",)),
-        ("- !!python/object/apply:os.mkdir [executed]", ("expected a run folder",)),
-        ("[", ("expected a run folder",)),
+        ("- --multirun", "--multirun; expected an override"),
+        ("- --config-dir=evil", "--config-dir=evil; expected an override"),
+        ("a: 3", "expected a list of overrides"),
+        ("- [3]", "expected a list of overrides"),
+        ("!!python/object/apply:os.mkdir [executed]", "expected a run folder"),
+        ("- !!python/object/apply:os.mkdir [executed]", "expected a run folder"),
+        ("[", "expected a run folder"),
+        (None, "resume=foreign: no foreign/.hydra/overrides.yaml that can be read, expected a run folder"),
     ],
 )
-def test_a_run_folder_with_code_is_refused_and_not_run(
-    refuse: Callable, tmp_path: Path, overrides: str, fragments: tuple[str, ...]
-) -> None:
-    saved = tmp_path / "foreign" / ".hydra" / "overrides.yaml"
-    saved.parent.mkdir(parents=True)
-    saved.write_text(overrides)
-    line = refuse("resume=foreign")
-    assert all(fragment in line for fragment in fragments)
-    assert not (tmp_path / "executed").exists()
+def test_a_run_folder_with_code_is_refused_and_not_run(foreign: Path, overrides: str | None, fragment: str) -> None:
+    if overrides is not None:
+        foreign.write_text(overrides)
+    with pytest.raises(ConfigError) as refused:
+        _restore_overrides(["resume=foreign"])
+    assert fragment in str(refused.value)
+    assert not Path("executed").exists()
 
 
-def test_settings_of_hydra_are_not_taken_over_from_a_run_folder(refuse: Callable, tmp_path: Path) -> None:
-    saved = tmp_path / "foreign" / ".hydra" / "overrides.yaml"
-    saved.parent.mkdir(parents=True)
-    saved.write_text("['++hydra.callbacks.bad._target_=os.mkdir', 'hydra/launcher=bad', '+hydra.x=3', 'seed=-3']")
-    assert "seed=-3" in refuse("resume=foreign")
+def test_a_class_that_a_run_folder_names_is_refused(refuse: Callable, foreign: Path, tiny: tuple[str, ...]) -> None:
+    foreign.write_text(json.dumps([*tiny, "bench.actuator._target_=builtins.exec"]))
+    assert "_target_=builtins.exec; expected a class of frictionzoo" in refuse("resume=foreign")
 
 
-def test_a_mistaken_resume_leaves_the_record_of_how_the_run_began(begun: Path, call: Callable) -> None:
-    before = {path: path.read_bytes() for path in (begun / ".hydra").iterdir()}
-    assert "seed=-3" in error_line(call("resume=run", "seed=-3").err)
-    assert {path: path.read_bytes() for path in (begun / ".hydra").iterdir()} == before
-
-
-def test_a_mistake_in_a_process_of_its_own(start: Callable, tmp_path: Path, tiny: tuple[str, ...]) -> None:
-    process = start(*tiny, "segments.length=4000", RUN)
-    out, err = process.communicate()
-    assert process.returncode == 2
-    assert out == ""
-    assert err == error_line(err) + "\n"
-    assert not left_behind(tmp_path / "run")
+def test_settings_of_hydra_are_not_taken_over_from_a_run_folder(foreign: Path) -> None:
+    of_hydra = [
+        "++hydra.callbacks.bad._target_=os.mkdir",
+        "hydra/launcher=bad",
+        "+hydra.x=3",
+        "~resume",
+        "resume=other",
+    ]
+    foreign.write_text(json.dumps([*of_hydra, "seed=-3", "model=lugre"]))
+    today = ["seed=4", "resume=foreign"]
+    assert _restore_overrides(today) == ["seed=-3", "model=lugre", *today, "hydra.output_subdir=null"]
+    for none in (["seed=4"], ["resume=foreign", "resume=null"], ["resume="]):
+        assert _restore_overrides(none) == none
 
 
 LIGHT = """
@@ -402,11 +444,19 @@ main()
 
 
 @pytest.mark.parametrize(
-    ("argument", "status"), [("--help", 0), ("model=coulomb_stribek", 2), ("segments.cuont=3", 2), ("seed=x", 2)]
+    ("argument", "line"),
+    [
+        ("--help", None),
+        ("model=coulomb_stribek", "model=coulomb_stribek: no such model; did you mean coulomb_stribeck?"),
+        ("seed=x", "seed=x; expected a whole number from 0 on"),
+    ],
 )
-def test_help_and_typing_errors_do_not_wait_for_heavy_imports(tmp_path: Path, argument: str, status: int) -> None:
+def test_help_and_typing_errors_do_not_wait_for_heavy_imports(tmp_path: Path, argument: str, line: str | None) -> None:
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent.parent)}
     command = [sys.executable, "-c", LIGHT, argument]
     finished = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
-    assert finished.returncode == status
+    assert finished.returncode == (2 if line else 0)
     assert finished.stdout.splitlines()[-1] == "imported"
+    if line:
+        assert finished.stdout == "imported\n"
+        assert finished.stderr == error_line(finished.stderr) + "\n" and line in finished.stderr
