@@ -1,16 +1,13 @@
-"""Every command of the documentation is run: as it stands, in a folder like its reader's, at a small size.
+"""Every command of the documentation is known: it runs as it stands, in a folder like its reader's, at a small size.
 
-A command is taken up by the first rule whose pattern it matches from start to end; one that no rule knows fails. A new
-kind of command needs a rule:
-
-    @rule(r"tensorboard --logdir \\S+")
-    def serve_tensorboard(command: str, place: Place) -> None: ...
+A command is taken up by the first rule of `RULES` whose pattern it matches from start to end; one that no rule knows
+fails. A rule says how the command is tried, or which test does the same. Jobs of one kind differ in what they read and
+not in what follows: one of each kind is done in the quick run, the others are posed there, up to the first iteration.
 """
 
 import importlib
 import itertools
 import json
-import math
 import os
 import re
 import shlex
@@ -22,27 +19,28 @@ import time
 import tomllib
 import urllib.error
 import urllib.request
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 import reproduce
 from conftest import BRIEF, Finished, needs_data
+from filelock import FileLock
 from omegaconf import OmegaConf
 from pages import PAGES, ROOT, blocks_of, commands_of, expand
-from test_bam import M1
 from test_benchmarks import QUICKEST
-from test_experiments import MEASURED
 from test_out_of_tree import COMMANDS as WITH_PACKAGE
 from test_sweep import LAUNCHERS
 from write_logs import WRITERS, write_degrees, write_log
 
+from frictionzoo.build import build
 from frictionzoo.config import CONF_DIR, compose_config
+from frictionzoo.job import Problem
 from frictionzoo.logs.formats import get_format
 
 JOB = r"(?:python -m frictionzoo\.run|frictionzoo) "
-FILLED = {"MODEL": "baseline"}  # what a page leaves to its reader, and what stands for it here
+FILLED = {"MODEL": "coulomb_stribeck"}  # what a page leaves to its reader, and what stands for it here
 SMALL = {  # options that make a job quick, where it has them and the page does not set them
     "data.samples": "15000",
     "data.split.gap": "0.05",
@@ -51,15 +49,12 @@ SMALL = {  # options that make a job quick, where it has them and the page does 
     "loop.progress": "false",
     **BRIEF,
 }
-FEWER = ("'model=glob(*)'", "model=baseline,mujoco_default")  # every law runs in the README's plain sweep over them
 STAND = """<mujoco><option timestep="0.001"><flag contact="disable"/></option><worldbody><body name="arm">
 <joint name="shaft" axis="0 1 0"/>
 <geom type="capsule" fromto="0 0 0 0 0 -0.2254" size="0.01" mass="0.26"/></body></worldbody></mujoco>"""
-ROBOT = """<mujoco><worldbody><body><joint name="left_knee" axis="0 1 0"/><geom size="0.1"/>
-<body><joint name="right_knee" axis="0 1 0"/><geom size="0.1"/></body></body></worldbody></mujoco>"""
-RECORDINGS = ("a", "b", "bare", "loaded", "heavy")
-LOGS = ("kp8_one", "kp8_two", "kp16_one", "kp16_two", "kp32_one")
-REPRODUCED = sorted({getattr(name, "values", (name,))[0] for name in MEASURED})
+RECORDINGS = ("a", "b", "bare", "loaded", "heavy", "logs/kp8_one", "logs/kp8_two", "logs/kp16_one", "logs/kp32_one")
+SCRIPTS = ("benchmarks", "experiments", "frictionzoo", "conf", "Makefile", "pyproject.toml")  # of a checkout
+REPRODUCED = {path.parent.name for path in (ROOT / "experiments").glob("*/expected.yaml")}
 CI = (ROOT / ".ci" / "run").read_text()
 PATIENCE = 60.0  # s after which a server that does not answer is a failure
 
@@ -71,77 +66,49 @@ class Place:
     Attributes:
         folder: The folder, in which the test runs.
         call: Does a job in this process, as the fixture of this name.
-        environment: Of processes that are started here.
+        finished_run: The fixture of this name.
         cache: Folder of simulated recordings.
     """
 
     folder: Path
     call: Callable[..., Finished]
-    environment: dict[str, str]
+    finished_run: Callable[[str], tuple[Path, Finished]]
     cache: Path
 
-    def run(self, command: str) -> subprocess.CompletedProcess[str]:
-        """Run a command in a shell, and hold that it ends well."""
+    @property
+    def environment(self) -> dict[str, str]:
+        """Of processes that are started here."""
+        path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+        return {**os.environ, "PYTHONPATH": str(ROOT), "PATH": path}
+
+    def run(self, command: str) -> str:
+        """What a command prints in a shell, in which it has to end well."""
         shell = ["bash", "-euo", "pipefail", "-c", command]
         finished = subprocess.run(shell, cwd=self.folder, env=self.environment, capture_output=True, text=True)
         assert finished.returncode == 0, finished.stdout + finished.stderr
-        return finished
-
-    def do(self, *arguments: str) -> None:
-        """Do jobs with these arguments, small ones, and hold that each of them ends well and leaves a result."""
-        before = set(self.folder.rglob("result.json"))
-        finished = self.call(*arguments, *shrink(arguments, self.cache))
-        assert finished.status == 0, finished.err
-        new = set(self.folder.rglob("result.json")) - before
-        assert len(new) == math.prod(len(expand(argument)) for argument in options_of(arguments))
-        for path in new:
-            result = json.loads(path.read_text())
-            assert result["fit"]["stopped"] != "diverged", path
-            assert result["metrics"]["test"]["diverged"] == 0, path
+        return finished.stdout
 
 
-Run = Callable[[str, Place], None]
-RULES: list[tuple[str, Run]] = []
-MARKS = [  # of the tests of commands that match
-    (r"(pip|wandb|mlflow) .*|.* make install .*", pytest.mark.slow),
-    (rf"{JOB}.*experiment=emps.*", needs_data),
-    (rf"{JOB}.*(experiment|data)=(sts3215|xl330).*", needs_data),
-    (rf"{JOB}.*experiment=.*", pytest.mark.slow),
-    (rf"{JOB}.*data=(sts3215|xl330).*", pytest.mark.slow),
-    (rf"{JOB}-m .*", pytest.mark.slow),
-    (r"python -m frictionzoo\.(export|distill|compare) .*", pytest.mark.slow),
-]
+How = Callable[[str, Place], None]
 
 
-def rule(pattern: str) -> Callable[[Run], Run]:
-    """Run commands that match from start to end in this way, unless a rule above does."""
-
-    def register(run: Run) -> Run:
-        RULES.append((pattern, run))
-        return run
-
-    return register
+def arguments_of(command: str) -> list[str]:
+    """What follows the program."""
+    return shlex.split(re.sub(rf"^(?:{JOB}|python -m \S+ )", "", command))
 
 
-def find_rule(command: str) -> Run:
-    """How a command is run."""
-    return next((run for pattern, run in RULES if re.fullmatch(pattern, command)), refuse)
-
-
-def refuse(command: str, place: Place) -> None:
-    pytest.fail(f"no rule runs `{command}`; add one to tests/test_commands.py")
-
-
-def options_of(arguments: Sequence[str]) -> list[str]:
-    """Arguments that are options of a job and not flags of Hydra's."""
-    return [argument for argument in arguments if "=" in argument]
+def jobs_of(arguments: Sequence[str], *groups: str) -> Iterator[tuple[str, ...]]:
+    """The options of each job that a command does, or only the choices of files among them."""
+    options = [argument for argument in arguments if "=" in argument]
+    chosen = [option for option in options if not groups or option.partition("=")[0] in groups]
+    return itertools.product(*map(expand, chosen))
 
 
 def shrink(arguments: Sequence[str], cache: Path) -> list[str]:
     """The options of `SMALL`, and a cache, that all of these jobs have and that none of the arguments sets."""
-    groups = [expand(option) for option in options_of(arguments) if (CONF_DIR / option.partition("=")[0]).is_dir()]
-    configs = [compose_config(*choices) for choices in itertools.product(*groups)]
-    named = {option.partition("=")[0] for option in arguments}
+    groups = [folder.name for folder in CONF_DIR.iterdir() if folder.is_dir()]
+    configs = [compose_config(*choices) for choices in jobs_of(arguments, *groups)]
+    named = {argument.partition("=")[0] for argument in arguments}
     return [
         f"{option}={value}"
         for option, value in (SMALL | {"data.cache_dir": str(cache)}).items()
@@ -152,13 +119,46 @@ def shrink(arguments: Sequence[str], cache: Path) -> list[str]:
 absent = object()
 
 
-@rule(r"python3\.11 -m venv .* pip install -c constraints\.txt -e .*")
+def do_jobs(command: str, place: Place) -> None:
+    """Small ones; each ends well and leaves a result."""
+    arguments = arguments_of(command)
+    finished = place.call(*arguments, *shrink(arguments, place.cache))
+    assert finished.status == 0, finished.err
+    results = [*place.folder.glob("outputs/**/result.json"), *place.folder.glob("multirun/**/result.json")]
+    assert len(results) == len(list(jobs_of(arguments)))
+    for path in results:
+        result = json.loads(path.read_text())
+        assert result["fit"]["stopped"] != "diverged", path
+        assert result["metrics"]["test"]["diverged"] == 0, path
+
+
+def pose_jobs(command: str, place: Place) -> None:
+    """All that comes before the first iteration: files, columns, fields, how they suit the bench, and the law."""
+    arguments = arguments_of(command)
+    for options in jobs_of(arguments):
+        config = compose_config(*options, *shrink(arguments, place.cache))
+        problem = Problem.pose(OmegaConf.to_container(config, resolve=True))
+        assert problem.dataset.train and problem.dataset.test
+
+
+def left_to(*tests: str) -> How:
+    """The command is tried by these tests."""
+
+    def leave(command: str, place: Place) -> None:
+        for file, _, name in (test.partition("::") for test in tests):
+            assert f"def {name}(" in (ROOT / "tests" / f"{file}.py").read_text(), f"{file}::{name} tries `{command}`"
+
+    return leave
+
+
 def leave_to_ci(command: str, place: Place) -> None:
-    number = blocks_of(ROOT / "README.md").index(command) + 1
+    """CI runs the README's first blocks."""
+    (number,) = (
+        i for i, block in enumerate(blocks_of(ROOT / "README.md"), 1) if f" && {block}".endswith(f" && {command}")
+    )
     assert f"run_readme_command {number}" in map(str.strip, CI.splitlines())
 
 
-@rule(r"python3\.11 -m venv .* make install .*")
 def install_for_development(command: str, place: Place) -> None:
     """In a copy of the project whose new environment sees the packages of this one, so that few are installed."""
     copy_project(place)
@@ -166,7 +166,7 @@ def install_for_development(command: str, place: Place) -> None:
     place.run("python3.11 -m venv .venv")
     (packages,) = place.folder.glob(".venv/lib/python*/site-packages")
     (packages / "borrowed.pth").write_text("\n".join(path for path in sys.path if path.endswith("site-packages")))
-    pip = place.run("python3.11 -m venv .venv && . .venv/bin/activate && command -v pip").stdout
+    pip = place.run("python3.11 -m venv .venv && . .venv/bin/activate && command -v pip")
     assert Path(pip.strip()) == place.folder / ".venv" / "bin" / "pip"
     place.run("git init --quiet")
     place.run(command)
@@ -175,143 +175,69 @@ def install_for_development(command: str, place: Place) -> None:
     place.run(". .venv/bin/activate && frictionzoo --cfg job && ruff --version")
 
 
-@rule(r"pip wheel .*")
-def build_wheel(command: str, place: Place) -> None:
-    copy_project(place)
-    place.run(command)
-    assert len(list(place.folder.glob("frictionzoo-*.whl"))) == 1
-
-
-@rule(r"pip install .*-e \"\.\[[\w,]+\]\"")
-def resolve_extra(command: str, place: Place) -> None:
-    """The project itself only: what an extra brings is as large as CUDA."""
-    copy_project(place)
-    place.run(f"{command} --dry-run --no-deps")
+def name_extras(command: str, place: Place) -> None:
+    """What an extra brings is as large as CUDA; `make install` installs most of them."""
     extras = set(command.rpartition("[")[2].partition("]")[0].split(","))
     assert extras <= tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"].keys()
 
 
-@rule(r"export FRICTIONZOO_DATA=\S+")
 def name_the_data(command: str, place: Place) -> None:
-    folder = place.run(f"{command}; {sys.executable} -c 'import os; print(os.environ[\"FRICTIONZOO_DATA\"])'").stdout
-    assert folder.strip() == command.partition("=")[2]
     assert "oc.env:FRICTIONZOO_DATA" in (CONF_DIR / "data" / "emps.yaml").read_text()
 
 
-@rule(r"pip install \./experiments/\w+|python -m pytest experiments/\w+|.*\b(makkar|layer_norm_network)\b.*")
 def leave_to_the_packages_test(command: str, place: Place) -> None:
     """tests/test_out_of_tree.py runs it where the package is installed."""
     assert command in WITH_PACKAGE
 
 
-@rule(rf"{JOB}.*--cfg job.*")
 def show_configuration(command: str, place: Place) -> None:
     finished = place.call(*arguments_of(command))
     assert finished.status == 0, finished.err
     assert OmegaConf.create(finished.out).keys() >= {"bench", "data", "fit", "segments"}
 
 
-@rule(rf"{JOB}resume=\S+")
-def resume(command: str, place: Place) -> None:
-    (argument,) = arguments_of(command)
-    folder = argument.partition("=")[2]
-    place.do("model=coulomb_stribeck", f"hydra.run.dir={folder}")
-    before = json.loads((place.folder / folder / "result.json").read_text())
-    (place.folder / folder / "result.json").unlink()
-    finished = place.call(argument)
-    assert finished.status == 0, finished.err
-    after = json.loads((place.folder / folder / "result.json").read_text())
-    assert after["parameters"] == before["parameters"]
-
-
-@rule(r"python -m frictionzoo\.export RUN .*")
-def export(command: str, place: Place) -> None:
-    place.do("model=mujoco_default", "hydra.run.dir=RUN")
-    (place.folder / "robot.xml").write_text(ROBOT)
+def export_all(command: str, place: Place) -> None:
+    shutil.copytree(place.finished_run("mujoco_default")[0], place.folder / "RUN")
     place.run(command)
     written = list(place.folder.glob("RUN/export/*/export.json"))
-    assert written and all(json.loads(path.read_text())["files"] for path in written)
+    assert len(written) > 5 and all(json.loads(path.read_text())["files"] for path in written)
 
 
-@rule(r"python -m frictionzoo\.distill RUN .*")
-def distill(command: str, place: Place) -> None:
-    place.do("model=coulomb_stribeck", "hydra.run.dir=RUN")
-    place.run(command)
-    (path,) = place.folder.rglob("distillation.json")
-    assert len(json.loads(path.read_text())["differences"]) == 2
-
-
-@rule(r"python -m frictionzoo\.export\.read_bam FILE\.json")
-def read_bam(command: str, place: Place) -> None:
-    (place.folder / "FILE.json").write_text(json.dumps(M1))
-    assert "fit=known" in place.run(command).stdout
-
-
-@rule(rf"{JOB}-m hydra/launcher=submitit_slurm .*")
 def compose_for_a_cluster(command: str, place: Place) -> None:
     """There is no cluster here; its options are known to the launcher."""
     options = [argument for argument in arguments_of(command) if argument.startswith("hydra")]
-    assert "slurm" in place.run(f"python -m frictionzoo.run {shlex.join(options)} --cfg hydra").stdout
+    assert "slurm" in place.call(*options, "--cfg", "hydra").out
 
 
-@rule(rf"{JOB}-m hydra/launcher=\w+ 'model=glob\(\*\)'")
-def leave_launchers_to_their_test(command: str, place: Place) -> None:
-    """tests/test_sweep.py sweeps with each of them and compares what they find."""
-    launcher = options_of(arguments_of(command))[0].partition("=")[2]
-    assert launcher in LAUNCHERS
+def leave_to_the_launchers_test(command: str, place: Place) -> None:
+    """It sweeps with each of them and compares what they find."""
+    assert re.search(r"launcher=(\w+)", command)[1] in LAUNCHERS
+    left_to("test_sweep::test_launchers_agree")(command, place)
 
 
-@rule(rf"{JOB}-m hydra/(launcher|sweeper)=.*")
-def sweep_in_processes(command: str, place: Place) -> None:
-    """Launchers and sweepers hand jobs to other processes, to which nothing of this one goes."""
-    trials = ["hydra.sweeper.n_trials=2"] if "sweeper=" in command else []
-    command = command.replace(*FEWER)
-    place.run(f"{command} {shlex.join([*shrink(arguments_of(command), place.cache), *trials])}")
-    assert len(list(place.folder.glob("multirun/**/result.json"))) > 1
+def search(command: str, place: Place) -> None:
+    """Two trials, in a process of its own: the sweeper's package warns."""
+    place.run(f"{command} {shlex.join(shrink(arguments_of(command), place.cache))} hydra.sweeper.n_trials=2")
+    assert len(list(place.folder.glob("multirun/**/result.json"))) == 2
 
 
-@rule("|".join(re.escape(command) for name in REPRODUCED for command in reproduce.read_expected(name)["commands"]))
-def leave_reproduced_commands_to_ci(command: str, place: Place) -> None:
-    """`python experiments/reproduce.py NAME` runs them at full size."""
-    assert "pytest -m slow " in CI
+def leave_to_the_experiments(command: str, place: Place) -> None:
+    """The experiment, or one of whose commands it is, is run; all of its jobs compose."""
+    names = re.findall(r"experiment=(\w+)|reproduce\.py (\w+)", command)[0]
+    published = [each for name in REPRODUCED for each in reproduce.read_expected(name)["commands"]]
+    assert set(names) & REPRODUCED or command in published
+    left_to("test_experiments::test_an_experiment_gives_what_its_page_says", "test_readme::test_a_command_composes")(
+        command, place
+    )
 
 
-@rule(rf"{JOB}-m .*experiment=.*")
-def sweep_over_an_experiment(command: str, place: Place) -> None:
-    place.do(*arguments_of(command.replace(*FEWER)))
-
-
-@rule(rf"{JOB}.*")
-def do_jobs(command: str, place: Place) -> None:
-    place.do(*arguments_of(command))
-
-
-@rule(r"python -m frictionzoo\.inspect .*")
 def inspect(command: str, place: Place) -> None:
-    place.run(command)
-    (path,) = place.folder.rglob("inspect.json")
-    assert json.loads(path.read_text())["findings"]
+    """The data set that it names loads."""
+    settings = OmegaConf.to_container(compose_config(*arguments_of(command), "data.split.gap=0.05"), resolve=True)
+    assert build(settings["data"]).load().test
+    left_to("test_inspect::test_the_command_writes_what_it_says_without_torch_or_jax")(command, place)
 
 
-@rule(r"python -m frictionzoo\.compare .*")
-def compare(command: str, place: Place) -> None:
-    """Each folder that is named is that of a sweep."""
-    folders = shlex.split(command.partition(" --output ")[0])[3:]
-    for folder in folders:
-        place.do("-m", "model=baseline,coulomb_smooth", f"hydra.sweep.dir={folder}")
-        shutil.rmtree(place.folder / folder / "comparison")  # the sweep's own
-    place.run(command)
-    (path,) = place.folder.rglob("comparison.json")
-    assert len(json.loads(path.read_text())["runs"]) == 2 * len(folders)
-
-
-@rule(r"python experiments/reproduce\.py \w+")
-def leave_experiment_to_ci(command: str, place: Place) -> None:
-    """CI runs it at full size, in tests/test_experiments.py."""
-    assert command.split()[-1] in REPRODUCED and "pytest -m slow " in CI
-
-
-@rule(r"python benchmarks/\w+\.py.*")
 def measure(command: str, place: Place) -> None:
     """The options are the script's; that it measures something, tests/test_benchmarks.py looks at."""
     path, *options = shlex.split(command)[1:]
@@ -322,58 +248,35 @@ def measure(command: str, place: Place) -> None:
         importlib.import_module(Path(path).stem).parse()
 
 
-@rule(r"pytest -m slow .*")
-def leave_slow_tests_to_ci(command: str, place: Place) -> None:
-    assert "pytest -m slow " in CI
-    assert all((ROOT / path).exists() for path in command.split()[3:])
-
-
-@rule(r"make help")
 def list_targets(command: str, place: Place) -> None:
-    listed = place.run(command).stdout.split()
-    assert {"install", "test", "slow", "lint", "docs"} <= set(listed)
+    assert {"install", "test", "slow", "lint", "docs"} <= set(place.run(command).split())
 
 
-@rule(r"make \w+")
 def leave_target_to_ci(command: str, place: Place) -> None:
-    """CI runs the target, or each line of it with tools from folders of its own."""
-    run = re.sub(r'"?\S*/bin/(\w+)"?', r"\1", CI) + blocks_of(ROOT / "README.md")[1]
-    lines = place.run(command.replace("make", "make --dry-run")).stdout.splitlines()
+    """CI runs the target, or each line of it."""
+    run = CI + blocks_of(ROOT / "README.md")[1]
+    lines = place.run(command.replace("make", "make --dry-run")).splitlines()
     assert lines and (command in run or all(line in run for line in lines)), lines
 
 
-@rule(r"tensorboard --logdir \S+")
 def serve_tensorboard(command: str, place: Place) -> None:
-    folder = command.split()[-1]
-    place.do("model=baseline", f"hydra.run.dir={folder}/run")
-    wait_for(place, f"{command} --host 127.0.0.1", "data/runs", json.dumps(["run/tensorboard"]))
+    shutil.copytree(place.finished_run("mujoco_default")[0], place.folder / command.split()[-1] / "run")
+    wait_for(place, f"{command} --host 127.0.0.1 --port ", "data/runs", json.dumps(["run/tensorboard"]))
 
 
-@rule(r"(wandb|mlflow) .*")
-def look_outside(command: str, place: Place) -> None:
-    """These programs need a network, or packages that are no part of the extras; what they are to read is there."""
-    if "FOLDER" not in command:  # named again, in short
-        assert any(other.startswith(f"{command} ") for other in FOUND)
-        return
-    place.do("model=baseline", f"logger={command.split()[0]}", "hydra.run.dir=FOLDER")
-    assert list(place.folder.glob(command[command.index("FOLDER") :]))
-
-
-@rule(r"mkdocs serve")
 def serve_documentation(command: str, place: Place) -> None:
-    pytest.importorskip("mkdocs", reason="the extra docs is not installed")  # CI installs it and runs this test
+    pytest.importorskip("mkdocs", reason="the extra docs is not installed")
     copy_project(place)
     wait_for(place, f"{command} --dev-addr 127.0.0.1:", "index.html", "<title>frictionzoo</title>")
 
 
 def wait_for(place: Place, command: str, page: str, content: str) -> None:
-    """Start a server, and hold that a page of it comes to hold this."""
+    """Start a server at a port that the command ends with, and hold that a page of it comes to hold this."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    arguments = shlex.split(f"{command}{port}" if command.endswith(":") else f"{command} --port {port}")
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    server = subprocess.Popen(arguments, cwd=place.folder, env=place.environment, **quiet)
+    server = subprocess.Popen(shlex.split(f"{command}{port}"), cwd=place.folder, env=place.environment, **quiet)
     try:
         end = time.monotonic() + PATIENCE
         while content not in fetch(f"http://127.0.0.1:{port}/{page}"):
@@ -396,57 +299,118 @@ def fetch(address: str) -> str:
 def copy_project(place: Place) -> None:
     """Replace the links to the project by a copy that a command may write into."""
     for path in place.folder.iterdir():
-        if path.is_symlink():
-            path.unlink()
+        path.unlink()
     ignored = (".git", ".venv", "site", "outputs", "multirun", "results", "__pycache__", "*.egg-info", ".*_cache")
     shutil.copytree(ROOT, place.folder, dirs_exist_ok=True, ignore=shutil.ignore_patterns(*ignored))
 
 
-def arguments_of(command: str) -> list[str]:
-    """What follows the program that does jobs."""
-    return shlex.split(re.sub(f"^{JOB}", "", command))
+def refuse(command: str, place: Place) -> None:
+    pytest.fail(f"no rule knows `{command}`; add one to tests/test_commands.py")
 
 
-@pytest.fixture(scope="module")
-def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder in which the jobs share simulated recordings."""
-    return tmp_path_factory.mktemp("simulated")
+SLOW = pytest.mark.slow
+RULES: list[tuple[str, How, *tuple[pytest.MarkDecorator, ...]]] = [
+    (r"python3\.11 -m venv .* pip install -c constraints\.txt -e .*|pytest -n 2", leave_to_ci),
+    (r"python3\.11 -m venv .* make install .*", install_for_development, SLOW),
+    (r"pip wheel --no-deps \.", left_to("test_wheel::test_a_wheel_does_the_same_job")),
+    (r"pip install (-c constraints\.txt )?-e \"\.\[[\w,]+\]\"", name_extras),
+    (r"export FRICTIONZOO_DATA=\S+", name_the_data),
+    (r"pip install \./experiments/\w+|python -m pytest experiments/\w+", leave_to_the_packages_test),
+    (rf"{JOB}.*\b(makkar|layer_norm_network)\b.*", leave_to_the_packages_test),
+    (r"make help", list_targets),
+    (r"make \w+", leave_target_to_ci),
+    (r"mkdocs serve", serve_documentation, SLOW),
+    (r"tensorboard --logdir outputs", serve_tensorboard, SLOW),
+    (r"tensorboard --logdir multirun", left_to("test_commands::serve_tensorboard")),
+    (r"wandb sync FOLDER/wandb/offline-run-\*", left_to("test_loggers::read_wandb")),
+    (r"mlflow ui( --backend-store-uri sqlite:///FOLDER/mlflow/mlflow\.db)?", left_to("test_loggers::read_mlflow")),
+    (r"python benchmarks/\w+\.py.*", measure),
+    (r"python experiments/reproduce\.py.*", leave_to_the_experiments),
+    (r"python -m frictionzoo\.export RUN target=all", export_all, SLOW),
+    (r"python -m frictionzoo\.export RUN target=(mjcf|mujoco|onnx)", left_to("test_commands::export_all")),
+    (
+        r"python -m frictionzoo\.export RUN target=mjcf into=robot\.xml joint=left_knee,right_knee",
+        left_to("test_export_targets::test_a_late_drive_goes_into_several_joints_and_adds_their_actuators"),
+    ),
+    (r"python -m frictionzoo\.export\.read_bam FILE\.json", left_to("test_bam::test_the_command_prints_options")),
+    (
+        r"python -m frictionzoo\.distill RUN model=stribeck",
+        left_to("test_distill::test_a_law_of_the_same_family_is_found_again"),
+    ),
+    (
+        r"python -m frictionzoo\.distill RUN model=mujoco_default output=STUDENT",
+        left_to("test_distill::test_mujocos_friction_is_near_what_slides"),
+    ),
+    (
+        r"python -m frictionzoo\.compare multirun/\S+( outputs/\S+ --output comparison)?",
+        left_to("test_compare::test_the_command_writes_into_the_folder_and_prints_the_table"),
+    ),
+    (r"python -m frictionzoo\.inspect data=files .*", inspect),
+    (rf"{JOB}--cfg job", show_configuration),
+    (rf"{JOB}resume=outputs/\S+", left_to("test_resume::test_a_finished_run_resumed_is_the_same_run")),
+    # Sweeps
+    (rf"{JOB}-m hydra/launcher=submitit_slurm .*", compose_for_a_cluster),
+    (rf"{JOB}-m hydra/launcher=.*", leave_to_the_launchers_test),
+    (rf"{JOB}-m hydra/sweeper=.*", search, SLOW),
+    (rf"{JOB}-m experiment=\w+ \"bench\..*", pose_jobs, SLOW, needs_data),
+    (rf"{JOB}(-m )?experiment=.*", leave_to_the_experiments),
+    (rf"{JOB}-m .*", do_jobs, SLOW),
+    # One job of each kind, and those like it
+    (rf"{JOB}model=coulomb_stribeck", do_jobs),
+    (rf"{JOB}.*data\.units\.qvel=.*", do_jobs),
+    (rf"{JOB}.*data\.split\.by=kp .*", do_jobs),
+    (rf"{JOB}bench=emps data=files .*", do_jobs),
+    (rf"{JOB}.*bench\.payload=.*", do_jobs),
+    (rf"{JOB}.*\.mcap.*", do_jobs),
+    (rf"{JOB}.*data=files .*", pose_jobs),
+    (rf"{JOB}data=(sts3215|xl330) model=.*", do_jobs, SLOW, needs_data),
+    (rf"{JOB}data=sts3215 .*", pose_jobs, SLOW, needs_data),
+    (rf"{JOB}.*", do_jobs, SLOW),
+]
+
+
+def find_rule(command: str) -> tuple[How, list[pytest.MarkDecorator]]:
+    """How a command is tried, and the marks of its test."""
+    return next(((how, marks) for pattern, how, *marks in RULES if re.fullmatch(pattern, command)), (refuse, []))
+
+
+@pytest.fixture(scope="session")
+def desk(shared_folder: Path, recording: Path) -> Path:
+    """A folder of what a reader has: recordings in every format and a test stand; made once for all workers."""
+    folder = shared_folder / "desk"
+    with FileLock(shared_folder / "desk.lock"):
+        if not folder.exists():
+            (folder / "logs").mkdir(parents=True)
+            for name in RECORDINGS:
+                (folder / f"{name}.csv").symlink_to(recording)
+            columns = get_format("csv").read(recording)[0].columns
+            for name in WRITERS:
+                write_log(folder, name, columns)
+            write_degrees(folder / "degrees.csv", columns)
+            (folder / "stand.xml").write_text(STAND)
+    return folder
 
 
 @pytest.fixture
-def place(call: Callable[..., Finished], recording: Path, tmp_path: Path, simulated: Path) -> Place:
-    for name in ("benchmarks", "experiments", "frictionzoo", "conf", "Makefile", "pyproject.toml"):
-        (tmp_path / name).symlink_to(ROOT / name)
-    (tmp_path / "stand.xml").write_text(STAND)
-    for name in RECORDINGS:
-        shutil.copy(recording, tmp_path / f"{name}.csv")
-    (tmp_path / "logs").mkdir()
-    for name in LOGS:
-        (tmp_path / "logs" / f"{name}.csv").symlink_to(recording)
-    columns = get_format("csv").read(recording)[0].columns
-    for name in WRITERS:
-        write_log(tmp_path, name, columns)
-    write_degrees(tmp_path / "degrees.csv", columns)
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PATH": path}
-    return Place(tmp_path, call, environment, simulated)
+def place(call: Callable, finished_run: Callable, desk: Path, tmp_path: Path, shared_folder: Path) -> Place:
+    for path in (*desk.iterdir(), *(ROOT / name for name in SCRIPTS)):
+        (tmp_path / path.name).symlink_to(path)
+    return Place(tmp_path, call, finished_run, shared_folder / "simulated")
 
 
 def fill(command: str) -> str:
-    return re.sub("|".join(FILLED), lambda match: FILLED[match[0]], command)
+    """The command without its reader's choices; the console script is the same program."""
+    filled = re.sub("|".join(FILLED), lambda match: FILLED[match[0]], command)
+    return re.sub("^frictionzoo ", "python -m frictionzoo.run ", filled)
 
 
 FOUND = {fill(command): None for page in PAGES for command in commands_of(page)}
 pytestmark = pytest.mark.usefixtures("in_haste")
-CASES = [
-    pytest.param(command, marks=[mark for pattern, mark in MARKS if re.fullmatch(pattern, command)], id=command)
-    for command in FOUND
-]
 
 
-@pytest.mark.parametrize("command", CASES)
+@pytest.mark.parametrize("command", [pytest.param(each, marks=find_rule(each)[1], id=each) for each in FOUND])
 def test_a_command_of_the_documentation_runs(command: str, place: Place) -> None:
-    find_rule(command)(command, place)
+    find_rule(command)[0](command, place)
 
 
 def test_the_pages_have_commands() -> None:
@@ -457,7 +421,5 @@ def test_the_pages_have_commands() -> None:
 
 def test_a_command_that_no_rule_knows_fails(place: Place) -> None:
     command = "python -m frictionzoo.unheard_of FOLDER"
-    with pytest.raises(
-        pytest.fail.Exception, match=r"no rule runs `python -m frictionzoo\.unheard_of FOLDER`; add one"
-    ):
-        find_rule(command)(command, place)
+    with pytest.raises(pytest.fail.Exception, match=r"no rule knows `python -m frictionzoo\.unheard_of FOLDER`; add"):
+        find_rule(command)[0](command, place)

@@ -2,8 +2,8 @@
 
 import json
 import os
+import shutil
 import subprocess
-import sys
 import sysconfig
 import venv
 import zipfile
@@ -11,36 +11,19 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-
-ROOT = Path(__file__).parent.parent
-
-pytestmark = pytest.mark.slow
+from pages import ROOT
 
 
-@pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The project's wheel."""
-    folder = tmp_path_factory.mktemp("wheel")
-    command = [sys.executable, "-m", "build", "--wheel", "--outdir", str(folder), str(ROOT)]
-    finished = subprocess.run(command, capture_output=True, text=True)
+def run(*command: str | Path, **options: Path) -> str:
+    """What a command that ends well prints, where nothing leads to the checkout."""
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    finished = subprocess.run(command, env=environment, capture_output=True, text=True, **options)
     assert finished.returncode == 0, finished.stdout + finished.stderr
-    (path,) = folder.glob("*.whl")
-    return path
+    return finished.stdout
 
 
-@pytest.fixture(scope="module")
-def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The `bin` folder of a new environment with the wheel; the packages that it needs are those of this one."""
-    folder = tmp_path_factory.mktemp("environment")
-    venv.create(folder, with_pip=True)
-    scripts = folder / "bin"
-    subprocess.run([scripts / "pip", "install", "--quiet", "--no-deps", "--no-index", wheel], check=True)
-    (packages,) = folder.glob("lib/python*/site-packages")
-    (packages / "borrowed.pth").write_text(sysconfig.get_path("purelib") + "\n")
-    return scripts
-
-
-def test_the_wheel_holds_what_a_job_needs(wheel: Path) -> None:
+def check_content(wheel: Path) -> None:
+    """It holds what a job needs, and nothing else."""
     names = set(zipfile.ZipFile(wheel).namelist())
     kinds = (".py", ".xml", ".json", ".jinja")
     here = {str(path.relative_to(ROOT)) for path in ROOT.glob("frictionzoo/**/*") if path.suffix in kinds}
@@ -50,27 +33,32 @@ def test_the_wheel_holds_what_a_job_needs(wheel: Path) -> None:
     assert {top for top in tops if not top.endswith(".dist-info")} == {"frictionzoo"}
 
 
-def test_the_installed_command_does_the_same_job(
-    installed: Path, start: Callable, compilation_cache: Path, tiny: tuple[str, ...], tmp_path: Path
-) -> None:
-    job = (*tiny, "model=baseline", "fit.iterations=3")
-    checkout = start(*job, "hydra.run.dir=checkout")
-    assert checkout.wait() == 0
-    elsewhere = tmp_path / "elsewhere"
+@pytest.mark.slow
+@pytest.mark.usefixtures("in_haste")
+def test_a_wheel_does_the_same_job(call: Callable, tiny: tuple[str, ...], tmp_path: Path) -> None:
+    """The wheel is built as README.md says; the packages that it needs are those of this environment."""
+    scripts, elsewhere = tmp_path / "environment" / "bin", tmp_path / "elsewhere"
     elsewhere.mkdir()
-    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
-
-    where = [installed / "python", "-c", "import frictionzoo; print(frictionzoo.__file__)"]
-    module = subprocess.run(where, cwd=elsewhere, env=environment, check=True, capture_output=True, text=True).stdout
-    assert Path(module.strip()).is_relative_to(installed.parent)
-    command = [installed / "frictionzoo", *job, "hydra.run.dir=run"]
-    finished = subprocess.run(command, cwd=elsewhere, env=environment, capture_output=True, text=True)
-    assert finished.returncode == 0, finished.stderr
-
-    for name in ("friction.safetensors", "identified.xml"):
-        assert (elsewhere / "run" / name).read_bytes() == (tmp_path / "checkout" / name).read_bytes()
-    first, second = (
-        json.loads((folder / "result.json").read_text()) for folder in (elsewhere / "run", tmp_path / "checkout")
+    venv.create(scripts.parent, with_pip=True)
+    source = shutil.copytree(
+        ROOT, tmp_path / "source", ignore=shutil.ignore_patterns(".git", ".venv", "site", "outputs", "multirun")
     )
+    run(scripts / "pip", "wheel", "--no-deps", ".", cwd=source)
+    (wheel,) = source.glob("frictionzoo-*.whl")
+    check_content(wheel)
+    run(scripts / "pip", "install", "--quiet", "--no-deps", "--no-index", wheel)
+    (packages,) = scripts.parent.glob("lib/python*/site-packages")
+    (packages / "borrowed.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    where = run(scripts / "python", "-c", "import frictionzoo; print(frictionzoo.__file__)", cwd=elsewhere)
+    assert Path(where.strip()).is_relative_to(scripts.parent)
+
+    job = (*tiny, "model=baseline", "fit.iterations=3")
+    assert call(*job, "hydra.run.dir=checkout").status == 0
+    run(scripts / "frictionzoo", *job, "hydra.run.dir=run", cwd=elsewhere)
+    folders = (elsewhere / "run", tmp_path / "checkout")
+    for name in ("friction.safetensors", "identified.xml"):
+        first, second = ((folder / name).read_bytes() for folder in folders)
+        assert first == second
+    first, second = (json.loads((folder / "result.json").read_text()) for folder in folders)
     for section in ("model", "data", "parameters", "fit", "metrics", "paper", "versions"):
         assert first[section] == second[section]
