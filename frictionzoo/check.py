@@ -3,6 +3,7 @@
 import copy
 import textwrap
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, NoReturn
 
 import jax
@@ -11,7 +12,6 @@ import numpy as np
 import safetensors.torch
 import torch
 
-from frictionzoo.bridge import to_jax
 from frictionzoo.errors import ModelError, UnknownModelError, closest
 from frictionzoo.models.base import FrictionModel, sliding_torque
 from frictionzoo.models.registry import get_model
@@ -23,9 +23,12 @@ TOLERANCE = 1e-12  # of torch against JAX in float64, relative to the largest en
 SAMPLES = 64
 TIMESTEP = 1e-3  # s
 INPUT_SPREAD = 20.0  # of drawn inputs about the value at which the law acts without; degC of a temperature
+NOWHERE = "where all is 0"
 SETTLED = 1e-6  # share of a settled memory by which a step may still change it
+DRAWS = 5  # of values between their bounds, where the promise to dissipate holds too
 
 Values = Mapping[str, Any]
+Formula = Callable[[Any, Values, DriveState], dict[str, Any]]
 
 
 def check_model(model: FrictionModel, samples: DriveState | None = None) -> None:
@@ -36,10 +39,10 @@ def check_model(model: FrictionModel, samples: DriveState | None = None) -> None
     `terms` gives terms of the right kind and shape, is pure, deterministic and reads `values` only, also under
     `jax.jit`, and keeps the floating-point type; torch and JAX agree in value and gradient; gradients are finite, at
     standstill too; a law with a memory keeps its shape, agrees in torch and JAX over a step, has finite gradients, and
-    its memory settles; a saved state is complete; a law that declares `dissipative` gives no energy to the drive: all
-    its terms together oppose the motion, at standstill its torque is within its frictionloss, and no damping is
-    negative. A law that exists only in torch keeps the same contract in torch alone; it has no memory, and its terms in
-    one state do not depend on the others of a batch.
+    its memory settles; a saved state is complete; a law that declares `dissipative` gives no energy to the drive, with
+    its own values and with others between their bounds: all its terms together oppose the motion, at standstill its
+    torque is within its frictionloss, and no damping is negative. A law that exists only in torch keeps the same
+    contract in torch alone; it has no memory, and its terms in one state do not depend on the others of a batch.
 
     Args:
         model: An instance of the model.
@@ -64,8 +67,8 @@ def check_model(model: FrictionModel, samples: DriveState | None = None) -> None
     with jax.enable_x64(True):
         _check_terms(prepared, samples)
         _check_purity(prepared, samples)
-        _check_agreement(prepared, samples)
         _check_types(prepared, samples)
+        _check_agreement(prepared, samples)
         _check_memory(prepared, samples)
     _check_rows(prepared, samples)
     _check_saved_state(model, prepared, samples)
@@ -123,30 +126,27 @@ def _check_bounds(model: FrictionModel) -> None:
 
 def _check_terms(model: FrictionModel, samples: DriveState) -> None:
     """The right terms, arrays of the namespace asked for, of the state's shape, whatever the batch dimensions."""
-    for batch in ((), (3,), (2, 3)):
+    for batch in ((), (3,), (2, 3), samples.qvel.shape[:-1]):
         state = _resized(samples, (*batch, model.nv))
-        for namespace, evaluate in _namespaces(model).items():
-            terms = evaluate(model, state)
-            _check_kinds(model, terms, namespace)
-            for name, term in _given(terms).items():
-                _check_shape(model, f"{name} over {namespace}", tuple(term.shape), (*batch, model.nv))
-            if terms.frictionloss is not None and not bool((terms.frictionloss > 0).all()):
-                _fail(
-                    model, "frictionloss", "is 0 or negative somewhere, where MuJoCo locks the joint; keep it above 0"
-                )
+        terms = _torch_terms(model, state)
+        _check_kinds(model, terms, "torch", torch.Tensor, batch)
+        if terms.frictionloss is not None and not bool((terms.frictionloss > 0).all()):
+            _fail(model, "frictionloss", "is 0 or negative somewhere, where MuJoCo locks the joint; keep it above 0")
+        if _is_over_jax(model):
+            _check_kinds(model, _jax_terms(model, state), "jax.numpy", jax.ShapeDtypeStruct, batch)
 
 
-def _check_kinds(model: FrictionModel, terms: Any, namespace: str) -> None:
+def _check_kinds(model: FrictionModel, terms: Any, namespace: str, kind: type, batch: tuple[int, ...]) -> None:
     if not isinstance(terms, FrictionTerms):
         _fail(model, "terms", f"gives {type(terms).__name__} over {namespace}; return FrictionTerms")
     if model.constraint and terms.frictionloss is None:
         _fail(model, "constraint", "is declared and frictionloss is None; answer with it or set constraint = False")
     if not model.constraint and terms.frictionloss is not None:
         _fail(model, "constraint", "is not declared and frictionloss is given; set constraint = True")
-    kind = torch.Tensor if namespace == "torch" else jax.Array
     for name, term in _given(terms).items():
         if not isinstance(term, kind):
             _fail(model, "terms", f"{name} is a {type(term).__name__} over {namespace}; compute it with xp from values")
+        _check_shape(model, f"{name} over {namespace}", tuple(term.shape), (*batch, model.nv))
 
 
 def _check_shape(model: FrictionModel, what: str, shape: tuple[int, ...], expected: tuple[int, ...]) -> None:
@@ -172,33 +172,26 @@ def _check_purity(model: FrictionModel, samples: DriveState) -> None:
         _fail(model, "pure", "terms reads a parameter or buffer from the module; take it from values")
 
 
-def _check_agreement(model: FrictionModel, samples: DriveState) -> None:
-    """Torch equals JAX in value and gradient, and the gradient is finite, on the samples and at standstill."""
-    standstill = samples._replace(qvel=np.zeros_like(samples.qvel))
-    for where, state in (("on the samples", samples), ("at qvel = 0", standstill)):
-        if "jax.numpy" in _namespaces(model):
-            ours, theirs = _torch_terms(model, state), _jax_terms(model, state)
-            _compare(model, f"value {where}", _numpy(_given(ours)), _numpy(_given(theirs)))
-        weights = np.random.default_rng(0).standard_normal((len(FrictionTerms._fields), *state.qvel.shape))
-        gradient = _torch_gradient(model, state, weights)
-        for name, slope in gradient.items():
-            if not np.isfinite(slope).all():
-                _fail(model, "gradient", f"with respect to {name} is not finite {where}; smooth the law there")
-        if "jax.numpy" in _namespaces(model):
-            _compare(model, f"gradient {where}", gradient, _jax_gradient(model, state, weights))
-
-
 def _check_types(model: FrictionModel, samples: DriveState) -> None:
     """float32 in, float32 out: a constant of another type would break a compiled rollout."""
-    inputs = {
-        "torch": (torch, _torch_values(model, torch.float32), _torch_state(samples, torch.float32)),
-        "jax.numpy": (jnp, to_jax(model, jnp.float32), _jax_state(samples, jnp.float32)),
-    }
-    for namespace in _namespaces(model):
-        terms = model.terms(*inputs[namespace])
+    answers = {"torch": model.terms(torch, _torch_values(model, torch.float32), _torch_state(samples, torch.float32))}
+    if _is_over_jax(model):
+        answers["jax.numpy"] = _jax_terms(model, samples, jnp.float32)
+    for namespace, terms in answers.items():
         for name, term in _given(terms).items():
             if not str(term.dtype).endswith("float32"):
                 _fail(model, "type", f"{name} is {term.dtype} of float32 inputs over {namespace}; use Python constants")
+
+
+def _check_agreement(model: FrictionModel, samples: DriveState) -> None:
+    """Torch equals JAX in value and gradient, and the gradient is finite, on the samples and at standstill."""
+
+    def terms(xp: Any, values: Values, drive: DriveState) -> dict[str, Any]:
+        return _given(model.terms(xp, values, drive))
+
+    for where, ours, theirs in _check_formula(model, samples, terms, "value", ("gradient", "")):
+        if theirs and where != NOWHERE:  # there |x| has one slope in torch and another in JAX
+            _compare(model, f"gradient {where}", ours, theirs)
 
 
 def _check_memory(model: FrictionModel, samples: DriveState) -> None:
@@ -208,32 +201,49 @@ def _check_memory(model: FrictionModel, samples: DriveState) -> None:
     if isinstance(model, TorchFriction):
         _fail(model, "memory", "a law that exists only in torch has none; derive it from FrictionModel")
     shape = (*samples.qvel.shape, model.memory)
-    standstill = samples._replace(qvel=np.zeros_like(samples.qvel))
-    for where, state in (("on the samples", samples), ("at qvel = 0", standstill)):
 
-        def step(xp: Any, values: Values, drive: DriveState) -> dict[str, Any]:
-            memory = model.settle(xp, values, drive)
-            terms, after = model.advance(xp, values, drive, memory, TIMESTEP)
-            return {"settled memory": memory, "memory": after, **_given(terms)}
+    def step(xp: Any, values: Values, drive: DriveState) -> dict[str, Any]:
+        memory = model.settle(xp, values, drive)
+        terms, after = model.advance(xp, values, drive, memory, TIMESTEP)
+        for name, held in (("settled memory", memory), ("memory", after)):
+            _check_shape(model, name, tuple(held.shape), shape)
+        return {**_given(terms), "settled memory": memory, "memory": after}
 
-        ours = step(torch, _torch_values(model), _torch_state(state))
-        theirs = jax.jit(lambda values, drive: step(jnp, values, drive))(to_jax(model, jnp.float64), _jax_state(state))
-        for name in ("settled memory", "memory"):
-            _check_shape(model, name, tuple(ours[name].shape), shape)
-        _compare(model, f"a step {where}", _numpy(ours), _numpy(theirs))
-
-        def total(values: Values, drive: DriveState) -> jax.Array:
-            return sum((part.sum() for part in step(jnp, values, drive).values()), jnp.zeros(()))
-
-        for name, slope in jax.jit(jax.grad(total))(to_jax(model, jnp.float64), _jax_state(state)).items():
-            if not np.isfinite(slope).all():
-                _fail(model, "memory", f"gradient with respect to {name} is not finite {where}; smooth the law there")
+    _check_formula(model, samples, step, "a step", ("memory", "gradient "))
     fast = _torch_state(samples._replace(qvel=np.sign(samples.qvel) + (samples.qvel == 0)))
     settled = model.settle(torch, _torch_values(model), fast)
     after = model.advance(torch, _torch_values(model), fast, settled, TIMESTEP)[1]
     change = float((after - settled).abs().max() / settled.abs().max())
     if not change <= SETTLED:
         _fail(model, "memory", f"settled in motion it still changes by {change:.3g} of itself in a step; see settle")
+
+
+def _check_formula(
+    model: FrictionModel, samples: DriveState, formula: Formula, what: str, gradient: tuple[str, str]
+) -> list[tuple[str, dict[str, np.ndarray], dict[str, np.ndarray]]]:
+    """A formula's values agree and its gradients are finite; the gradients of torch and of JAX, which may lack it.
+
+    JAX compiles the formula once, for all states.
+    """
+    standstill = samples._replace(qvel=np.zeros_like(samples.qvel))
+    places = {"on the samples": samples, "at qvel = 0": standstill, NOWHERE: samples.map(np.zeros_like)}
+    random, shape = np.random.default_rng(0), samples.qvel.shape
+    weights = {name: random.standard_normal(shape) for name in FrictionTerms._fields}
+    weights |= {name: random.standard_normal((*shape, model.memory)) for name in ("settled memory", "memory")}
+    in_jax = _jax_slopes(model, list(places.values()), formula, weights) if _is_over_jax(model) else None
+    found = []
+    for place, (where, state) in enumerate(places.items()):
+        values, ours = _torch_slopes(model, state, formula, weights)
+        theirs = {}
+        if in_jax is not None:
+            their_values, theirs = ({name: part[place] for name, part in parts.items()} for parts in in_jax)
+            _compare(model, f"{what} {where}", values, their_values)
+        for name, slope in (*ours.items(), *theirs.items()):
+            if not np.isfinite(slope).all():
+                message = f"{gradient[1]}with respect to {name} is not finite {where}; smooth the law there"
+                _fail(model, gradient[0], message)
+        found.append((where, ours, theirs))
+    return found
 
 
 def _check_rows(model: FrictionModel, samples: DriveState) -> None:
@@ -265,17 +275,24 @@ def _check_saved_state(fresh: FrictionModel, prepared: FrictionModel, samples: D
 def _check_dissipation(model: FrictionModel, samples: DriveState) -> None:
     if not model.dissipative:
         return
-    terms = FrictionTerms(**_numpy(_given(_torch_terms(model, samples))))
+    random, drawn = np.random.default_rng(0), _torch_values(model)
+    for _ in range(1 + DRAWS):
+        _check_power(model, drawn, samples)
+        for name, param in model.params.items():
+            low, high = (param.to_coordinate(bound, np) for bound in (param.low, param.high))
+            value = param.from_coordinate(random.uniform(low, high, model.nv), np)
+            drawn[name] = torch.tensor(value)
+
+
+def _check_power(model: FrictionModel, values: dict[str, torch.Tensor], samples: DriveState) -> None:
+    """With these values the law takes energy from the drive, or none."""
+    terms = FrictionTerms(**_numpy(_given(model.terms(torch, values, _torch_state(samples)))))
     power = sliding_torque(np, terms, samples.qvel) * samples.qvel
     if (power < 0).any():
         at = tuple(int(index) for index in np.argwhere(power < 0)[0])
-        _fail(
-            model,
-            "dissipative",
-            f"friction drives the joint at qvel={samples.qvel[at]:.3g}; oppose qvel, or drop the claim",
-        )
-    none = np.zeros(())
-    torque, frictionloss, damping = (none if term is None else term for term in terms)
+        message = f"friction drives the joint at qvel={samples.qvel[at]:.3g}; oppose qvel, or drop the claim"
+        _fail(model, "dissipative", message)
+    torque, frictionloss, damping = (np.zeros(()) if term is None else term for term in terms)
     if ((np.abs(torque) > frictionloss) & (samples.qvel == 0)).any():
         message = "torque moves a joint that stands still; keep it within frictionloss there, or drop the claim"
         _fail(model, "dissipative", message)
@@ -339,23 +356,22 @@ def _torch_state(state: DriveState, dtype: torch.dtype = torch.float64) -> Drive
     return state.map(lambda signal: torch.tensor(signal, dtype=dtype))
 
 
-def _jax_state(state: DriveState, dtype: Any = jnp.float64) -> DriveState:
-    return state.map(lambda signal: jnp.asarray(signal, dtype))
-
-
-def _namespaces(model: FrictionModel) -> Mapping[str, Callable[[FrictionModel, DriveState], Any]]:
-    """What gives the law's terms, by the array namespaces in which the law exists."""
-    return {"torch": _torch_terms} | ({} if isinstance(model, TorchFriction) else {"jax.numpy": _jax_terms})
+def _is_over_jax(model: FrictionModel) -> bool:
+    return not isinstance(model, TorchFriction)
 
 
 def _torch_terms(model: FrictionModel, state: DriveState) -> Any:
     return _called(model, "torch", lambda: model.terms(torch, _torch_values(model), _torch_state(state)))
 
 
-def _jax_terms(model: FrictionModel, state: DriveState) -> Any:
-    """The terms as a compiled rollout sees them."""
-    compiled = jax.jit(lambda values, drive: model.terms(jnp, values, drive))
-    return _called(model, "jax.numpy", lambda: compiled(to_jax(model, jnp.float64), _jax_state(state)))
+def _jax_terms(model: FrictionModel, state: DriveState, dtype: Any = jnp.float64) -> Any:
+    """Shape and type of the terms as a compiled rollout sees them; nothing is compiled."""
+
+    def traced(array: np.ndarray) -> jax.ShapeDtypeStruct:
+        return jax.ShapeDtypeStruct(array.shape, dtype if np.issubdtype(array.dtype, np.floating) else array.dtype)
+
+    values, drive = jax.tree.map(traced, (_numpy(_saved(model)), state))
+    return _called(model, "jax.numpy", lambda: jax.eval_shape(partial(model.terms, jnp), values, drive))
 
 
 def _called(model: FrictionModel, namespace: str, call: Callable[[], Any]) -> Any:
@@ -374,9 +390,9 @@ def _in_short(error: Exception) -> str:
     return textwrap.shorten(str(error), 160)
 
 
-def _weighted(terms: FrictionTerms, weights: Any) -> Any:
+def _weighted(terms: Mapping[str, Any], weights: Mapping[str, Any]) -> Any:
     """One number that depends on every entry of every term."""
-    return sum((w * term).sum() for w, term in zip(weights, terms, strict=True) if term is not None)
+    return sum((weights[name] * term).sum() for name, term in terms.items())
 
 
 def _moving(model: FrictionModel, values: Values, state: DriveState) -> dict[str, Any]:
@@ -384,26 +400,39 @@ def _moving(model: FrictionModel, values: Values, state: DriveState) -> dict[str
     return {name: values[name] for name, _ in model.named_parameters()} | state.given()
 
 
-def _torch_gradient(model: FrictionModel, state: DriveState, weights: np.ndarray) -> dict[str, np.ndarray]:
+def _torch_slopes(
+    model: FrictionModel, state: DriveState, formula: Formula, weights: Mapping[str, np.ndarray]
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """A formula's values in torch, and the gradient of their weighted sum."""
     values, drive = _torch_values(model), _torch_state(state)
     moving = _moving(model, values, drive)
     for tensor in moving.values():
         tensor.requires_grad_()
-    total = _weighted(model.terms(torch, values, drive), torch.tensor(weights))
+    found = formula(torch, values, drive)
+    total = _weighted(found, {name: torch.tensor(weight) for name, weight in weights.items()})
     if not isinstance(total, torch.Tensor) or not total.requires_grad:
-        return {name: np.zeros(tuple(tensor.shape)) for name, tensor in moving.items()}
+        return _numpy(found), {name: np.zeros(tuple(tensor.shape)) for name, tensor in moving.items()}
     gradient = torch.autograd.grad(total, list(moving.values()), allow_unused=True, materialize_grads=True)
-    return _numpy(dict(zip(moving, gradient, strict=True)))
+    return _numpy(found), _numpy(dict(zip(moving, gradient, strict=True)))
 
 
-def _jax_gradient(model: FrictionModel, state: DriveState, weights: np.ndarray) -> dict[str, np.ndarray]:
-    values, drive = to_jax(model, jnp.float64), _jax_state(state)
+def _jax_slopes(
+    model: FrictionModel, states: list[DriveState], formula: Formula, weights: Mapping[str, np.ndarray]
+) -> list[dict[str, np.ndarray]]:
+    """The same in JAX, in each of several states: with a first dimension."""
 
-    def total(moving: dict[str, jax.Array]) -> jax.Array:
-        moved = drive._replace(**{name: moving[name] for name in drive.given()})
-        return jnp.zeros(()) + _weighted(model.terms(jnp, {**values, **moving}, moved), jnp.asarray(weights))
+    def slopes(values: Values, weights: Values, drive: DriveState) -> tuple[Any, Any]:
+        def total(moving: dict[str, jax.Array]) -> tuple[jax.Array, dict[str, jax.Array]]:
+            moved = drive._replace(**{name: moving[name] for name in drive.given()})
+            found = formula(jnp, {**values, **moving}, moved)
+            return jnp.zeros(()) + _weighted(found, weights), found
 
-    return _numpy(jax.jit(jax.grad(total))(_moving(model, values, drive)))
+        gradient, found = jax.grad(total, has_aux=True)(_moving(model, values, drive))
+        return found, gradient
+
+    together = jax.tree.map(lambda *signals: np.stack(signals), *states)
+    compiled = jax.jit(jax.vmap(slopes, in_axes=(None, None, 0)))
+    return [_numpy(part) for part in compiled(_numpy(_torch_values(model)), weights, together)]
 
 
 def _compare(model: FrictionModel, what: str, ours: dict[str, np.ndarray], theirs: dict[str, np.ndarray]) -> None:
