@@ -15,19 +15,22 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from conftest import slow_but
-from matplotlib.image import imread
+from conftest import RUNS, slow_but
+from matplotlib.image import imread, imsave
 from tensorboard.backend.event_processing.plugin_event_multiplexer import EventMultiplexer
 from tensorboard.plugins.hparams import metadata
 from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 from tensorboard.util import tensor_util
 
+from frictionzoo.build import build
 from frictionzoo.config import CONF_DIR
+from frictionzoo.errors import ConfigError
 from frictionzoo.fit import loop
+from frictionzoo.fit.loggers import Csv, RunLogger, TensorBoard
 from frictionzoo.output import write_atomically
 
-ITERATIONS = 4
-JOB = ("model=coulomb_smooth", f"fit.iterations={ITERATIONS}", "segments.length=5")
+JOB = RUNS["coulomb_smooth"]
+ITERATIONS = 3
 FIGURES = {"figure3_parameters", "figure4_trajectory", "figure5_error"}
 SCALARS = {"loss", "grad_norm", "bench.armature", "friction.static_torque", "friction.viscous_coefficient"}
 
@@ -205,7 +208,12 @@ def check(run: Path, record: Record) -> None:
     told = record.hyperparameters
     for name, text in {"model": "coulomb_smooth", "data": "files", "fit": "adam", "dtype": "float64"}.items():
         assert told[name] == text
-    for name, number in {"seed": 0, "segments.length": 5, "fit.learning_rate": 0.01, "fit.iterations": 4}.items():
+    for name, number in {
+        "seed": 0,
+        "segments.length": 5,
+        "fit.learning_rate": 0.01,
+        "fit.iterations": ITERATIONS,
+    }.items():
         assert float(told[name]) == number
     assert not {name for name in told if name.endswith("_target_") or name.startswith(("logger", "resume"))}
     assert record.figures == {path.stem: imread(path).shape[:2] for path in (run / "figures").glob("*.png")}
@@ -213,45 +221,53 @@ def check(run: Path, record: Record) -> None:
     assert record.ended
 
 
-@pytest.fixture(scope="module")
-def homes(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where each logger's run is made, once."""
-    return tmp_path_factory.mktemp("loggers")
-
-
-def run_with(call: Callable, homes: Path, tiny: tuple[str, ...], logger: str) -> Path:
-    run = homes / logger
-    if not run.exists():
-        finished = call(*tiny, *JOB, f"logger={logger}", f"hydra.run.dir={run}")
-        assert finished.status == 0, finished.err
-        assert str(run) in finished.out
-        assert len(finished.err.splitlines()) == 2, finished.err  # our own; loggers are told to be silent
-    return run
-
-
-@pytest.mark.parametrize("logger", slow_but(["tensorboard", "csv"], READERS))
-def test_a_job_is_recorded(call: Callable, tiny: tuple[str, ...], homes: Path, logger: str) -> None:
-    run = run_with(call, homes, tiny, logger)
+@pytest.mark.parametrize("logger", slow_but(["tensorboard"], READERS))
+def test_a_job_is_recorded(
+    call: Callable, finished_run: Callable, tiny: tuple[str, ...], tmp_path: Path, logger: str
+) -> None:
+    if logger == "tensorboard":
+        run, finished = finished_run("coulomb_smooth")
+    else:
+        run, finished = tmp_path / "run", call(*tiny, *JOB, f"logger={logger}", "hydra.run.dir=run")
+    assert finished.status == 0, finished.err
+    assert str(run) in finished.out
+    assert len(finished.err.splitlines()) == 2, finished.err  # our own; loggers are told to be silent
     check(run, READERS[logger](run))
-    others = [name for name in READERS if name != logger and (run / name).exists()]
-    assert not others
+    assert [name for name in READERS if (run / name).exists()] == [logger]
     assert f'href="{logger}/"' in (run / "report.html").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("logger", slow_but(["tensorboard"], READERS))
+@pytest.mark.parametrize("logger", slow_but(["csv"], READERS))
 def test_an_interrupted_and_resumed_run_is_recorded_once(
     call: Callable, tiny: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, logger: str
 ) -> None:
     with monkeypatch.context() as patch:
         patch.setattr(loop, "write_atomically", fill_the_disk_after(1))
         assert call(*tiny, *JOB, f"logger={logger}", "hydra.run.dir=run").status == 2
-    # The logger knows all iterations and the checkpoint the first two: the others are done, and logged, again.
+    # The logger knows all iterations and the checkpoint the first two: the other is done, and logged, again.
     run = tmp_path / "run"
     assert int(torch.load(run / "checkpoints" / "last.ckpt", weights_only=True)["frictionzoo"]["progress"][0]) == 2
     finished = call(f"resume={run}")
     assert finished.status == 0, finished.err
     assert len(finished.err.splitlines()) == 3
     check(run, READERS[logger](run))
+
+
+@pytest.mark.parametrize("logger", [TensorBoard(), Csv()], ids=["tensorboard", "csv"])
+def test_a_record_begins_anew(tmp_path: Path, logger: RunLogger) -> None:
+    (tmp_path / "figures").mkdir()
+    imsave(tmp_path / "figures" / "one.png", np.zeros((2, 3, 3)))
+    for steps in (4, 2):
+        record = logger.start(tmp_path, {"model": "lugre", "list": [1, 2], "steps": steps})
+        for step in range(steps):
+            record.log_metrics({"loss": 1.0 + step}, step)
+        if steps == 4:
+            record.finalize("failed")  # its process is gone
+    logger.finish(2, {"fit/loss": 0.5}, [tmp_path / "figures" / "one.png"], "all | of it")
+    record = READERS[type(logger).__name__.lower()](tmp_path)
+    assert record.scalars == {"loss": {0: 1.0, 1: 2.0}, "fit/loss": {2: 0.5}}
+    assert (record.hyperparameters["model"], float(record.hyperparameters["steps"])) == ("lugre", 2)
+    assert record.figures == {"one": (2, 3)} and "all | of it" in record.text and record.ended
 
 
 def fill_the_disk_after(files: int) -> Callable[[Path, bytes], None]:
@@ -271,14 +287,18 @@ def test_every_logger_of_the_configuration_is_tested() -> None:
     assert {path.stem for path in (CONF_DIR / "logger").glob("*.yaml")} == set(READERS)
 
 
-@pytest.mark.parametrize(("logger", "lost"), [("wandb", "wandb"), ("mlflow", "mlflow"), ("mlflow", "sqlalchemy")])
-def test_a_missing_package_is_told_in_one_line(
-    call: Callable, tiny: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, logger: str, lost: str
-) -> None:
-    find = importlib.util.find_spec
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *more: None if name == lost else find(name, *more))
-    finished = call(*tiny, *JOB, f"logger={logger}", "hydra.run.dir=run")
-    assert finished.status == 2
-    (line,) = [line for line in finished.err.splitlines() if line.startswith("frictionzoo: ")]
-    assert line.startswith(f"frictionzoo: logger={logger}: {lost} not found") and f'"frictionzoo[{logger}]"' in line
-    assert not (tmp_path / "run" / "result.json").exists()
+@pytest.mark.parametrize(
+    ("section", "lost"),
+    [
+        ({"_target_": "frictionzoo.fit.loggers.Wandb", "project": "friction"}, "wandb"),
+        ({"_target_": "frictionzoo.fit.loggers.Mlflow", "experiment": "friction"}, "mlflow"),
+        ({"_target_": "frictionzoo.fit.loggers.Mlflow", "experiment": "friction"}, "sqlalchemy"),
+    ],
+)
+def test_a_missing_package_is_told_in_one_line(monkeypatch: pytest.MonkeyPatch, section: dict, lost: str) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == lost else name)
+    extra = section["_target_"].rpartition(".")[2].lower()
+    with pytest.raises(ConfigError, match=rf'logger={extra}: {lost} not found, .*"frictionzoo\[{extra}\]"'):
+        build(section)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: name)
+    assert isinstance(build(section), RunLogger)

@@ -1,5 +1,6 @@
 """A run that is killed and resumed ends with the same bits as one that is not."""
 
+import errno
 import json
 import shutil
 import signal
@@ -8,32 +9,21 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
+from conftest import RUNS
+from omegaconf import OmegaConf
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-JOBS = {
-    "coulomb_smooth": ("model=coulomb_smooth", "fit.iterations=60", "segments.length=5"),
-    "neural_friction": (
-        *("model=neural_friction", "model.hidden=[4,4]", "fit.derivative=reverse"),
-        *("fit.iterations=60", "segments.length=3", "dtype=float32"),
-    ),
-}
+from frictionzoo import job
+from frictionzoo.errors import CheckpointError
+from frictionzoo.fit import loop, run_fit
+from frictionzoo.fit.loggers import Csv
+from frictionzoo.job import Problem, _identify
+
+ITERATIONS = 40
 PATIENCE = 600.0  # s after which a process that has not come to the awaited moment is a failure
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
-    """Folder of a run of this name that nobody interrupted, made once."""
-    folder = tmp_path_factory.mktemp("whole")
-
-    def whole(call: Callable, tiny: tuple[str, ...], name: str, *more: str) -> Path:
-        run = folder / str(abs(hash((name, *more))))
-        if not run.exists():
-            assert call(*tiny, *JOBS[name], *more, f"hydra.run.dir={run}").status == 0
-        return run
-
-    return whole
 
 
 def iterations_saved(folder: Path) -> int:
@@ -48,23 +38,10 @@ def steps_on_tensorboard(folder: Path) -> list[int]:
     return [scalar.step for scalar in events.Scalars("loss")]
 
 
-def has_begun(folder: Path) -> bool:
-    overrides = folder / ".hydra" / "overrides.yaml"
-    return overrides.exists() and overrides.stat().st_size > 0  # Hydra makes the file first and fills it then
-
-
-def is_halfway(folder: Path) -> bool:
-    return iterations_saved(folder) >= 20
-
-
-def is_fitted(folder: Path) -> bool:
-    return iterations_saved(folder) == 60
-
-
-def kill_when(process: Any, folder: Path, moment: Callable[[Path], bool]) -> None:
-    """SIGKILL, which no process can answer, as soon as the folder shows that the moment has come."""
+def kill_halfway(process: Any, folder: Path) -> None:
+    """SIGKILL, which no process can answer, as soon as the folder shows a fit on its way."""
     deadline = time.monotonic() + PATIENCE
-    while not moment(folder):
+    while iterations_saved(folder) < 10:
         assert process.poll() is None, process.communicate()
         assert time.monotonic() < deadline
         time.sleep(0.002)
@@ -87,76 +64,115 @@ def assert_same(run: Path, other: Path) -> None:
         assert all(torch.equal(one, two) for one, two in zip(first[section], second[section], strict=True))
 
 
-@pytest.mark.parametrize(
-    ("name", "moment"),
-    [
-        pytest.param("coulomb_smooth", has_begun, marks=pytest.mark.slow),
-        ("coulomb_smooth", is_halfway),
-        pytest.param("coulomb_smooth", is_fitted, marks=pytest.mark.slow),
-        pytest.param("neural_friction", is_halfway, marks=pytest.mark.slow),
-    ],
-    ids=["before the first checkpoint", "in the fit", "after the fit", "network"],
-)
 def test_killed_and_resumed_is_as_if_nothing_had_happened(
-    start: Callable,
-    call: Callable,
-    whole: Callable,
-    tiny: tuple[str, ...],
-    tmp_path: Path,
-    name: str,
-    moment: Callable[[Path], bool],
+    start: Callable, call: Callable, tiny: tuple[str, ...], tmp_path: Path
 ) -> None:
-    expected = whole(call, tiny, name)
-    folder = tmp_path / "killed"
-    kill_when(start(*tiny, *JOBS[name], "hydra.run.dir=killed"), folder, moment)
-    assert not (folder / "result.json").exists()
-    resumed = start("resume=killed")
-    out, err = resumed.communicate()
-    assert resumed.returncode == 0, err
-    assert str(folder) in out
-    assert ("resuming from" in err) == (moment is not has_begun)
-    assert_same(folder, expected)
-    assert steps_on_tensorboard(folder) == list(range(60))
+    options = (*tiny, "model=coulomb_smooth", f"fit.iterations={ITERATIONS}", "dtype=float32")
+    kill_halfway(start(*options, "hydra.run.dir=killed"), tmp_path / "killed")
+    assert iterations_saved(tmp_path / "killed") < ITERATIONS and not (tmp_path / "killed" / "result.json").exists()
+    resumed = call("resume=killed")
+    assert resumed.status == 0, resumed.err
+    assert str(tmp_path / "killed") in resumed.out
+    assert "resuming from" in resumed.err and len(resumed.err.splitlines()) == 3
+    assert call(*options, "hydra.run.dir=whole").status == 0
+    assert_same(tmp_path / "killed", tmp_path / "whole")
+    assert steps_on_tensorboard(tmp_path / "killed") == list(range(ITERATIONS))
 
 
-def test_a_finished_run_resumed_is_the_same_run(
-    call: Callable, whole: Callable, tiny: tuple[str, ...], tmp_path: Path
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "place", "saved"),
+    [
+        pytest.param("coulomb_smooth", (loop.FitModule, "training_step"), 0, id="before the first checkpoint"),
+        pytest.param("coulomb_smooth", (job, "write_figures"), 3, id="after the fit"),
+        pytest.param("neural_friction", (loop._Saver, "on_train_epoch_end"), 2, id="network, in the fit"),
+    ],
+)
+def test_ended_elsewhere_and_resumed_is_as_if_nothing_had_happened(
+    call: Callable, finished_run: Callable, tiny: tuple[str, ...], tmp_path: Path, name: str, place: tuple, saved: int
 ) -> None:
-    expected = whole(call, tiny, "coulomb_smooth")
+    function = getattr(*place)
+
+    def end(*arguments: Any) -> None:
+        if iterations_saved(tmp_path / "ended") == saved:
+            raise OSError(errno.EIO, "the power went")
+        function(*arguments)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(*place, end)
+        assert call(*RUNS[name], *tiny, "hydra.run.dir=ended").status == 2
+    assert iterations_saved(tmp_path / "ended") == saved and not (tmp_path / "ended" / "result.json").exists()
+    resumed = call("resume=ended")
+    assert resumed.status == 0, resumed.err
+    assert ("resuming from" in resumed.err) == (saved > 0)
+    assert_same(tmp_path / "ended", finished_run(name)[0])
+    assert steps_on_tensorboard(tmp_path / "ended") == [0, 1, 2]
+
+
+def test_a_finished_run_resumed_is_the_same_run(call: Callable, finished_run: Callable, tmp_path: Path) -> None:
+    expected, _ = finished_run("coulomb_smooth")
     folder = shutil.copytree(expected, tmp_path / "copy")
     assert call(f"resume={folder}").status == 0
     assert_same(folder, expected)
 
 
-def test_a_run_that_lost_patience_is_resumed_to_the_same_end(
-    call: Callable, whole: Callable, tiny: tuple[str, ...], tmp_path: Path
-) -> None:
+@pytest.fixture
+def pose(call: Callable, compose: Callable, tiny: tuple[str, ...]) -> Callable[..., tuple[Problem, dict[str, Any]]]:
+    """A problem and its settings; `call` undoes what it does to JAX."""
+    plain = OmegaConf.to_container(compose(*tiny, "model=coulomb_smooth"), resolve=True)
+
+    def pose(*overrides: str) -> tuple[Problem, dict[str, Any]]:
+        settings = OmegaConf.to_container(OmegaConf.merge(plain, OmegaConf.from_dotlist(list(overrides))))
+        return Problem.pose(settings), settings
+
+    return pose
+
+
+def test_a_run_that_lost_patience_is_resumed_to_the_same_end(pose: Callable, tmp_path: Path) -> None:
     # So large a step throws the values about, and no iteration beats an early one for three in a row.
-    impatient = ("loop.patience=3", "fit.learning_rate=1.0")
-    expected = whole(call, tiny, "coulomb_smooth", *impatient)
-    assert json.loads((expected / "result.json").read_text())["fit"]["stopped"] == "patience"
-    folder = shutil.copytree(expected, tmp_path / "copy")
-    assert call(f"resume={folder}").status == 0
-    assert_same(folder, expected)
+    problem, settings = pose("loop.patience=3", "fit.learning_rate=1.0", "fit.iterations=60")
+    record = {"folder": tmp_path, "identity": {}, "logger": Csv(), "hyperparameters": {}, **settings["loop"]}
+    first, again = (run_fit(problem.fit, problem.objective, problem.drive.model, **record) for _ in range(2))
+    assert first.stopped == again.stopped == "patience"
+    assert (first.iterations, first.best_iteration, first.loss) == (again.iterations, again.best_iteration, again.loss)
+    np.testing.assert_equal((again.vector, again.history), (first.vector, first.history))
+
+
+def test_a_checkpoint_of_another_run_is_refused(call: Callable, finished_run: Callable, tmp_path: Path) -> None:
+    folder = shutil.copytree(finished_run("coulomb_smooth")[0], tmp_path / "copy")
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    for override, complaint in {"fit.learning_rate=0.02": "last.ckpt: fit ", "seed=-3": "seed=-3; expected"}.items():
+        finished = call(f"resume={folder}", override)
+        assert finished.status == 2
+        (line,) = [line for line in finished.err.splitlines() if line.startswith("frictionzoo: ")]
+        assert complaint in line
+        assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
 
 
 @pytest.mark.parametrize(
-    ("override", "what"),
+    ("override", "changed"),
     [
-        ("fit.learning_rate=0.02", "fit"),
-        ("seed=1", "seed"),
-        ("segments.count=19", "segments"),
-        ("loop.chunk=3", "chunk"),
-        ("model=coulomb_stribeck", "model"),
+        ("fit.learning_rate=0.02", {"fit"}),
+        ("seed=1", {"seed"}),
+        ("segments.count=19", {"segments", "training samples"}),
+        ("data.split.test_share=0.3", {"training samples"}),
+        ("bench.params.armature.init=0.02", {"bench"}),
+        ("model.params.viscous_coefficient.init=0.02", {"model settings"}),
+        ("loss.velocity=0.5", {"loss"}),
+        ("dtype=float32", {"dtype"}),
+        ("loop.chunk=3", {"chunk"}),
+        ("loop.patience=9", set()),
+        ("evaluation.rollouts=2", set()),
     ],
 )
-def test_a_checkpoint_of_another_run_is_refused(
-    call: Callable, whole: Callable, tiny: tuple[str, ...], override: str, what: str
-) -> None:
-    folder = whole(call, tiny, "coulomb_smooth")
-    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-    finished = call(f"resume={folder}", override)
-    assert finished.status == 2
-    (line,) = [line for line in finished.err.splitlines() if line.startswith("frictionzoo: ")]
-    assert f"last.ckpt: {what} " in line and "start a new one" in line
-    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
+def test_what_makes_it_another_run(pose: Callable, finished_run: Callable, override: str, changed: set[str]) -> None:
+    folder, _ = finished_run("coulomb_smooth")
+    begun = torch.load(folder / "checkpoints" / "last.ckpt", weights_only=True)["frictionzoo"]["identity"]
+    now = _identify("coulomb_smooth", *pose("fit.iterations=3", override))
+    assert {what for what, value in now.items() if begun[what] != value} == changed
+    assert now.keys() == begun.keys()
+    assert now["data"] == json.loads((folder / "result.json").read_text())["data"]["sha256"]
+    for what in [*changed, "model", "data", "engine"]:
+        with pytest.raises(CheckpointError, match=rf"last\.ckpt: {what} .*, expected .*; resume with"):
+            loop._checked_checkpoint(folder, begun | {what: "another"})
+    assert loop._checked_checkpoint(folder, begun) == folder / "checkpoints" / "last.ckpt"
