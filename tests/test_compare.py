@@ -267,6 +267,8 @@ def test_a_missing_file_is_said(zoo):
 
 def test_the_command_writes_into_the_folder_and_prints_the_table(zoo, capsys, monkeypatch):
     monkeypatch.chdir(zoo.parent)
+    drawn = []
+    monkeypatch.setattr("frictionzoo.compare.files.write_figures", lambda folder, *_: drawn.append(str(folder)))
     assert main(["sweep"]) == 0
     written = json.loads(Path("sweep/comparison/comparison.json").read_text())
     jsonschema.Draft202012Validator(read_schema()).validate(written)
@@ -276,6 +278,7 @@ def test_the_command_writes_into_the_folder_and_prints_the_table(zoo, capsys, mo
     # Again, with the comparison already there, and elsewhere.
     assert main(["sweep", "sweep/1_simple", "--output", "there"]) == 0
     assert (Path("there/comparison.json").read_bytes()) == Path("sweep/comparison/comparison.json").read_bytes()
+    assert drawn == ["sweep/comparison/figures", "there/figures"]
 
 
 @pytest.mark.parametrize("folder", ["nowhere", "."], ids=["missing", "empty"])

@@ -71,13 +71,6 @@ def same(first, second) -> bool:
     return all(np.array_equal(getattr(first, signal), getattr(second, signal)) for signal in SIGNALS)
 
 
-@pytest.fixture(scope="module", params=["twin", "twin_clean"])
-def shipped(request, tmp_path_factory):
-    """Each shipped twin with its data set."""
-    twin = from_yaml(request.param, tmp_path_factory.mktemp("cache"))
-    return twin, twin.load()
-
-
 def integrate(ctrl: np.ndarray, drive: dict) -> np.ndarray:
     """The same bench and drive written down again from the paper's numbers, by an adaptive Runge-Kutta method."""
     inertia = 0.0011 + 0.26 * 0.1127**2 + drive["armature"]
@@ -135,8 +128,8 @@ def test_a_frictionless_free_drive_keeps_its_energy():
         "stribeck_velocity": 1.0,
         "smoothing_velocity": 1.0,
     }
-    twin = Twin(**options(samples=2000, substeps=20, drive=nothing, controller={"kp": 0.0, "kd": 0.0}))
-    qpos, qvel = twin.simulate(np.full(2000, 0.5))
+    twin = Twin(**options(samples=1000, substeps=20, drive=nothing, controller={"kp": 0.0, "kd": 0.0}))
+    qpos, qvel = twin.simulate(np.full(1000, 0.5))
     inertia = 0.0011 + 0.26 * 0.1127**2 + 0.01
     energy = inertia * qvel**2 / 2 - 0.26 * 9.81 * 0.1127 * np.cos(qpos)
     swing = 0.26 * 9.81 * 0.1127 * (1 - math.cos(0.5))
@@ -151,8 +144,14 @@ def test_a_command_acts_late():
         assert int(np.argmax(qpos[:, 0] != 0.0)) == first  # the first sample after the command has arrived
 
 
-def test_the_encoder_has_steps_and_the_velocity_noise():
-    exact = Twin(**options()).load().train[0]
+@pytest.fixture(scope="module")
+def whole():
+    """The data set of SHORT."""
+    return Twin(**options()).load()
+
+
+def test_the_encoder_has_steps_and_the_velocity_noise(whole):
+    exact = whole.train[0]
     measured = Twin(**options(sensor={"position_quantum": 1e-3, "velocity_noise": 0.02})).load().train[0]
     steps = measured.qpos / 1e-3
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
@@ -167,10 +166,9 @@ def test_the_encoder_has_steps_and_the_velocity_noise():
     ("term", "value"),
     [("load_share", 0.0), ("ripple_torque", 0.0), ("static_torque", 0.2), ("viscous_coefficient", 0.0)],
 )
-def test_every_term_of_the_friction_moves_the_joint(term, value):
-    with_term = Twin(**options()).load().train[0]
-    without = Twin(**options(**{f"drive__{term}": value})).load().train[0]
-    assert np.abs(with_term.qpos - without.qpos).max() > 5e-4
+def test_every_term_of_the_friction_moves_the_joint(term, value, whole):
+    without = Twin(**options(samples=801, **{f"drive__{term}": value})).load().train[0]
+    assert np.abs(whole.train[0].qpos[: without.samples] - without.qpos).max() > 5e-4
 
 
 @pytest.mark.parametrize("name", ["twin", "twin_clean"])
@@ -201,10 +199,24 @@ def test_the_default_twin_has_every_hidden_effect(tmp_path):
     assert twin.substeps > 1
 
 
-def test_the_shipped_recordings_follow_the_protocol(shipped):
-    twin, dataset = shipped
+@pytest.mark.parametrize("name", ["twin", "twin_clean"])
+def test_the_shipped_recordings_follow_the_protocol(name, tmp_path, monkeypatch):
+    """As commanded for all of their two minutes, of which the first seconds are simulated."""
+    twin = from_yaml(name, tmp_path)
+    simulate, simulated = twin.simulate, 5000
+
+    def follow(ctrl):
+        assert len(ctrl) == twin.samples == 119_981
+        twin.samples = simulated
+        start, rest = simulate(ctrl[:simulated]), ctrl[simulated:, None]
+        assert np.abs(start[0]).max() < 2.0  # less than a third of a turn to each side: it does not drift away
+        assert np.abs(start[0] - ctrl[:simulated, None]).max() < 0.5
+        return np.concatenate([start[0], rest]), np.concatenate([start[1], 0 * rest])
+
+    monkeypatch.setattr(twin, "simulate", follow)
+    dataset = twin.load()
     (train,), (test,) = dataset.train, dataset.test
-    assert (twin.samples, twin.timestep) == (119_981, 1e-3)
+    assert twin.timestep == 1e-3
     assert (twin.controller.kp, twin.controller.kd, twin.excitation.harmonics) == (20.0, 1.0, 5)
     assert dataset.name == twin.name
     assert (train.name, test.name) == (f"{twin.name}[train]", f"{twin.name}[test]")
@@ -216,7 +228,7 @@ def test_the_shipped_recordings_follow_the_protocol(shipped):
         speed = np.abs(np.diff(log.ctrl[:, 0]) / 1e-3)
         assert speed.max() < 4.0 + 0.05  # clipped at 4 rad/s, plus the straight line that was removed
         assert speed.max() > 2.0
-        assert np.abs(log.qpos).max() < 2.0  # less than a third of a turn to each side: it does not drift away
+        assert np.abs(log.ctrl).max() < 2.0
 
 
 def test_the_clip_limits_the_commanded_speed():
@@ -228,13 +240,13 @@ def test_the_clip_limits_the_commanded_speed():
 
 
 def test_the_same_seed_gives_the_same_recording_and_another_another():
-    first, again, other = (Twin(**options(seed=seed)).load().train[0] for seed in (1, 1, 2))
+    first, again, other = (Twin(**options(seed=seed, samples=401)).load().train[0] for seed in (1, 1, 2))
     assert same(first, again) and first.sha256 == again.sha256
     assert not same(first, other) and first.sha256 != other.sha256
 
 
 def test_the_hash_is_that_of_the_whole_recording(tmp_path):
-    dataset = Twin(**options(cache_dir=str(tmp_path))).load()
+    dataset = Twin(**options(samples=401, cache_dir=str(tmp_path))).load()
     with np.load(next(tmp_path.iterdir()), allow_pickle=False) as stored:
         whole = {signal: stored[signal] for signal in SIGNALS}
     assert dataset.train[0].sha256 == dataset.test[0].sha256 == cache.digest(whole)
@@ -243,7 +255,7 @@ def test_the_hash_is_that_of_the_whole_recording(tmp_path):
 
 
 def test_the_cache_is_read(tmp_path):
-    twin = Twin(**options(cache_dir=str(tmp_path)))
+    twin = Twin(**options(samples=401, cache_dir=str(tmp_path)))
     made = twin.load().train[0]
     assert [path.suffix for path in tmp_path.iterdir()] == [".npz"]
     assert same(made, twin.load().train[0])
@@ -279,7 +291,7 @@ def test_the_split_shares_the_cache_file(tmp_path):
 
 @pytest.mark.parametrize("damage", ["garbage", "empty", "truncated", "no-array", "wrong-hash", "objects"])
 def test_a_damaged_cache_is_made_anew(damage, tmp_path, caplog):
-    twin = Twin(**options(cache_dir=str(tmp_path)))
+    twin = Twin(**options(samples=401, cache_dir=str(tmp_path)))
     made = twin.load().train[0]
     path = twin.cache_file()
     whole = path.read_bytes()
@@ -300,11 +312,10 @@ def test_a_damaged_cache_is_made_anew(damage, tmp_path, caplog):
     assert not caplog.text  # the damaged file was replaced
 
 
-def test_a_cache_that_cannot_be_written_costs_only_time(tmp_path, caplog):
+def test_a_cache_that_cannot_be_written_costs_only_time(tmp_path, caplog, whole):
     blocked = tmp_path / "file"
     blocked.write_text("in the way")
-    dataset = Twin(**options(cache_dir=str(blocked / "cache"))).load()
-    assert same(dataset.train[0], Twin(**options()).load().train[0])
+    assert same(Twin(**options(cache_dir=str(blocked / "cache"))).load().train[0], whole.train[0])
     assert "cannot be written" in caplog.text
 
 
@@ -336,8 +347,8 @@ def test_options_that_make_no_sense(changes, line):
 
 
 def test_a_split_that_leaves_a_part_empty():
-    with pytest.raises(LogError, match=r"short: the test part has 0 of 2001 samples .* change data\.split"):
-        Twin(**options(split__test_share=0.0)).load()
+    with pytest.raises(LogError, match=r"short: the test part has 0 of 401 samples .* change data\.split"):
+        Twin(**options(samples=401, split__test_share=0.0)).load()
 
 
 def test_a_drive_that_runs_away_is_refused_as_a_log():
