@@ -1,7 +1,7 @@
 """The bench of a real servo: actuator laws with a controller, late commands, offsets, steps within a sample."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -56,20 +56,20 @@ def held(command: np.ndarray, start: float, stop: float) -> float:
 
 
 @pytest.mark.parametrize("substeps", [1, 5])
-@pytest.mark.parametrize("late", [0.0, 0.3, 0.8, 1.0, 2.0, 2.73, 3.0])  # in samples
-def test_a_late_command_is_the_mean_of_what_was_held(substeps: int, late: float) -> None:
+def test_a_late_command_is_the_mean_of_what_was_held(substeps: int) -> None:
     command, history = wander(40, 0), 3
     before = np.concatenate([np.full(history, command[0]), command])
     ctrl = jnp.asarray(np.stack([before, np.arange(len(before))], axis=1))[None]
     sampling = Sampling(INTERVAL, substeps, history)
-    got = applied({"bench": {"delay": jnp.asarray([late * INTERVAL])}}, ctrl, sampling)
-    assert got.shape == (1, 40, substeps, 2)
-    for step in range(40 * substeps):
-        start = step / substeps - late
-        expected = held(command, start, start + 1 / substeps)
-        assert got[0, step // substeps, step % substeps, 0] == pytest.approx(expected, abs=1e-12)
-    # What is not a command is not late.
-    np.testing.assert_array_equal(got[0, :, 0, 1], np.arange(history, history + 40))
+    delays = np.array([0.0, 0.3, 0.8, 1.0, 2.0, 2.73, 3.0])  # in samples
+    act = jax.jit(jax.vmap(lambda late: applied({"bench": {"delay": late[None]}}, ctrl, sampling)))
+    for late, got in zip(delays, act(delays * INTERVAL), strict=True):
+        assert got.shape == (1, 40, substeps, 2)
+        starts = np.arange(40 * substeps) / substeps - late
+        expected = [held(command, start, start + 1 / substeps) for start in starts]
+        np.testing.assert_allclose(got[0, :, :, 0].ravel(), expected, rtol=0, atol=1e-12, err_msg=f"{late}")
+        # What is not a command is not late.
+        np.testing.assert_array_equal(got[0, :, 0, 1], np.arange(history, history + 40))
 
 
 def test_every_delay_has_a_slope() -> None:
@@ -77,13 +77,16 @@ def test_every_delay_has_a_slope() -> None:
     ctrl = jnp.asarray(wander(40, 1))[None, :, None]
     weights = jnp.asarray(np.random.default_rng(2).normal(size=(1, 37, 5, 1)))
 
+    @jax.jit
+    @jax.vmap
+    @jax.value_and_grad
     def acts(delay: Any) -> Any:
         return jnp.sum(weights * applied({"bench": {"delay": delay[None]}}, ctrl, Sampling(INTERVAL, 5, 3)))
 
-    for delay in (0.0113, 0.02, 0.022):
-        ahead = (acts(jnp.asarray(delay + 1e-6)) - acts(jnp.asarray(delay))) / 1e-6
-        behind = (acts(jnp.asarray(delay)) - acts(jnp.asarray(delay - 1e-6))) / 1e-6
-        slope = jax.grad(acts)(jnp.asarray(delay))
+    delays = np.array([0.0113, 0.02, 0.022])
+    slopes = acts(delays)[1]
+    below, here, above = (acts(delays + change)[0] for change in (-1e-6, 0, 1e-6))
+    for slope, ahead, behind in zip(slopes, (above - here) / 1e-6, (here - below) / 1e-6, strict=True):
         assert min(abs(slope - ahead), abs(slope - behind)) < 1e-5 * abs(slope)
 
 
@@ -101,10 +104,9 @@ def test_a_servo_moves_as_in_mujoco_c(servo: Callable[..., Bench], make: Callabl
     """The controller's voltage, the payload, the offset and steps within a sample, against `mj_step`."""
     bench = servo(*NO_DELAY, "bench.params.position_offset.init=0.1")
     law = make("model", "bench=sts3215", "model=mujoco_default", nv=1)
-    segments = cut_segments([bench.accept(record(wander(60, 3), gain=32.0))], count=None, length=59)
+    log = bench.accept(record(wander(60, 3), gain=32.0))
     values = {"bench": bench.initial_values(), "friction": {name: np.array([0.05]) for name in law.params}}
-    rollout = make_rollout(make_engine(engine, bench, friction_of(law), True), bench.sampling(INTERVAL)).compiled
-    simulated = predict(rollout, values, segments)
+    step = jax.jit(make_engine(engine, bench, friction_of(law), True).step)  # a rollout of MJX compiles longer
 
     model = mujoco.MjModel.from_xml_string(bench.mjcf(values["bench"], np.array([0.05]), np.array([0.05])))
     body = model.body("arm").id
@@ -115,24 +117,26 @@ def test_a_servo_moves_as_in_mujoco_c(servo: Callable[..., Bench], make: Callabl
     data = mujoco.MjData(model)
     data.qpos[:] = 0
     fixed = {name: float(value[0]) for name, value in values["bench"].items()}
-    for i, command in enumerate(wander(60, 3)[:59]):
+    qpos, qvel, memory, positions = np.zeros(1), np.zeros(1), np.zeros((1, 0)), []
+    for channels in log.channels[:59]:
         for _ in range(10):
-            duty = np.clip(32.0 * fixed["duty_gain"] * (command - data.qpos[0]), -1, 1)
+            duty = np.clip(32.0 * fixed["duty_gain"] * (channels[0] - data.qpos[0]), -1, 1)
             data.ctrl[0] = 12.0 * duty
             mujoco.mj_step(model, data)
+            qpos, qvel, memory = step(values, qpos, qvel, channels, log.load, memory)
         # The microgram of the bench's own arm, which MuJoCo refuses to do without, is left out above.
-        assert simulated.qpos[0, i, 0] == pytest.approx(data.qpos[0], abs=1e-7)
-    assert np.abs(simulated.qpos).max() > 0.3
+        assert float(qpos[0]) == pytest.approx(data.qpos[0], abs=1e-7)
+        positions.append(data.qpos[0])
+    assert np.abs(positions).max() > 0.3
 
 
 def test_a_motor_that_is_not_enabled_has_no_torque(servo: Callable[..., Bench], make: Callable[..., Any]) -> None:
     bench = servo()
     engine = make_engine("specialised", bench, friction_of(make("model", "model=baseline", nv=1)), False)
-    load = jnp.asarray(bench.load(PAYLOAD))
-    values = {"bench": {name: jnp.asarray(value) for name, value in bench.initial_values().items()}, "friction": {}}
+    values, load = {"bench": bench.initial_values(), "friction": {}}, bench.load(PAYLOAD)
+    see = jax.jit(engine.drive_state)
     for enable, torque in ((0.0, 0.0), (1.0, 0.4 * 12.0 * min(1, 16 * 0.16489 * 0.2) - 0.4 * 3.0)):
-        ctrl = jnp.asarray([0.5, 16.0, 12.0, enable])
-        seen = engine.drive_state(values, jnp.asarray([0.3]), jnp.asarray([3.0]), ctrl, load)
+        seen = see(values, np.array([0.3]), np.array([3.0]), np.array([0.5, 16.0, 12.0, enable]), load)
         assert seen.motor_torque[0] == pytest.approx(torque, abs=1e-12)
         assert seen.ctrl[0] == 0.5
 
@@ -160,9 +164,9 @@ def test_a_dc_motor_has_less_torque_the_faster_it_turns() -> None:
 
 def test_what_the_law_needs_has_to_be_recorded(servo: Callable[..., Bench]) -> None:
     log = record(wander(10, 0))
-    without = {name: values for name, values in log.extras.items() if name != "supply"}
+    without = replace(log, extras={name: values for name, values in log.extras.items() if name != "supply"})
     with pytest.raises(BenchError, match=r"servo: no supply, which VoltageServo needs; .*data\.inputs\.supply"):
-        servo().accept(Log(log.name, log.time, log.qpos, log.qvel, log.ctrl, "", True, PAYLOAD, extras=without))
+        servo().accept(without)
     assert servo().accept(log).channels.shape == (10, 1 + len(VoltageServo.inputs))
 
 
@@ -211,22 +215,21 @@ class Truth:
     delay: float = 0.0073
     step: float = 1e-4
 
-    def move(self, command: np.ndarray, gain: float) -> tuple[np.ndarray, np.ndarray]:
-        """Position and velocity at each sample, by an integrator of its own."""
+    def move(self, commands: np.ndarray, gain: np.ndarray) -> np.ndarray:
+        """Position and velocity at each sample of each drive, by an integrator of its own."""
         inertia = self.armature + PAYLOAD.inertia[1] + PAYLOAD.mass * 0.01
-        position, velocity, states = 0.0, 0.0, []
-        for step in range(round(len(command) * INTERVAL / self.step)):
-            now = step * self.step
+        position, velocity, states = np.zeros(len(gain)), np.zeros(len(gain)), []
+        for step in range(round(commands.shape[1] * INTERVAL / self.step)):
             if step % round(INTERVAL / self.step) == 0:
                 states.append((position, velocity))
-            late = command[max(0, int(np.floor((now - self.delay) / INTERVAL + 1e-9)))]
-            duty = np.clip(gain * 0.16489 * (late - position), -1, 1)
+            late = commands[:, max(0, int(np.floor((step * self.step - self.delay) / INTERVAL + 1e-9)))]
+            duty = np.minimum(np.maximum(gain * 0.16489 * (late - position), -1), 1)
             torque = 12.0 * self.kt_over_r * duty - self.resisting * velocity
             torque -= PAYLOAD.mass * 9.81 * 0.1 * np.sin(position)
             free = velocity + self.step * torque / inertia
-            velocity = np.sign(free) * max(abs(free) - self.step * self.coulomb / inertia, 0.0)  # it can stop
-            position += self.step * velocity
-        return np.array(states)[:, :1], np.array(states)[:, 1:]
+            velocity = np.sign(free) * np.maximum(abs(free) - self.step * self.coulomb / inertia, 0.0)  # it can stop
+            position = position + self.step * velocity
+        return np.array(states)
 
 
 def test_a_hidden_delay_is_found(servo: Callable[..., Bench], make: Callable[..., Any]) -> None:
@@ -238,13 +241,10 @@ def test_a_hidden_delay_is_found(servo: Callable[..., Bench], make: Callable[...
     bench = servo(
         "bench.timestep=0.0005", "bench.params.position_offset.identify=false", "bench.solreffriction=[0.004,1.0]"
     )
-    for seed, gain in enumerate((8.0, 16.0, 32.0)):
-        command = wander(250, seed)
-        log = record(command, gain=gain)
-        states = truth.move(command, gain)
-        logs.append(
-            bench.accept(Log(f"gain {gain}", log.time, *states, log.ctrl, "", True, PAYLOAD, extras=log.extras))
-        )
+    gains, commands = np.array([8.0, 16.0, 32.0]), np.array([wander(250, seed) for seed in range(3)])
+    for place, states in enumerate(np.moveaxis(truth.move(commands, gains), 2, 0)):
+        log = record(commands[place], gain=gains[place])
+        logs.append(bench.accept(replace(log, qpos=states[:, :1], qvel=states[:, 1:])))
     sampling = bench.sampling(INTERVAL)
     segments = cut_segments(logs, count=None, length=249, history=sampling.history)
     law = make("model", "bench=sts3215", "model=mujoco_default", nv=1)
