@@ -11,10 +11,12 @@ import jsonschema
 import numpy as np
 import plotly.graph_objects as go
 import pytest
-from conftest import DATA, ROOT, Finished, needs_data
+from browser import DRAWN, WIDTHS, needs_browser, open_page
+from conftest import DATA, ROOT, needs_data
 from recordings import make_recording, read_sts3215, simulate_servo
-from test_html import HOSTILE, Page, browse, figures_of, needs_browser
+from test_html import HOSTILE, Page, figures_of
 
+from frictionzoo.inspect.__main__ import main
 from frictionzoo.inspect.page import write_page
 from frictionzoo.inspect.survey import list_recordings, rank_by_faults, read_schema, survey_recordings
 from frictionzoo.inspect.terminal import summarise
@@ -185,37 +187,21 @@ def test_the_page_has_the_findings_and_the_worst_recording(page, faulty):
 @needs_browser
 def test_a_browser_draws_every_figure(page):
     path, _ = page
-    source = path.read_text(encoding="utf-8")
-    probe = """<script>setTimeout(() => {
-      const canvases = [...document.querySelectorAll("[data-figure]")];
-      const drawn = canvases.filter(canvas => canvas.querySelector(".main-svg path.js-line, .main-svg .point path"));
-      document.body.dataset.drawn = drawn.length;
-      document.body.dataset.overflow = document.documentElement.scrollWidth - innerWidth;
-    }, 3000)</script></body>"""
-    probed = path.with_name("probed.html")
-    probed.write_text(source.replace("</body>", probe))
-    dom, console = browse(probed)
-    assert console == []
-    (body,) = [attributes for tag, attributes in Page(dom).elements if tag == "body"]
-    assert int(body["data-drawn"]) == len(figures_of(source)["figures"])
-    assert int(body["data-overflow"]) <= 0
-
-
-def command(folder, *overrides, check="pass"):
-    """The command in a process of its own, in which `check` is run at the end."""
-    code = f"import sys; from frictionzoo.inspect.__main__ import main; main(); {check}"
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    words = [sys.executable, "-c", code, *overrides]
-    finished = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True)
-    return Finished(finished.returncode, finished.stdout, finished.stderr)
+    browser = open_page(path)
+    assert browser.run(DRAWN) == len(figures_of(path.read_text(encoding="utf-8"))["figures"])
+    inner, width, *_ = browser.run(WIDTHS)
+    assert width <= inner
 
 
 def test_the_command_writes_what_it_says_without_torch_or_jax(recording, tmp_path):
     light = "assert not {'torch', 'jax', 'mujoco'} & set(sys.modules)"
-    finished = command(tmp_path, "data=files", f"data.train=[{recording}]", "data.split.gap=0.05", check=light)
-    assert finished.status == 0, finished.err
+    code = f"import sys; from frictionzoo.inspect.__main__ import main; main(); {light}"
+    words = [sys.executable, "-c", code, "data=files", f"data.train=[{recording}]", "data.split.gap=0.05"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    finished = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert finished.returncode == 0, finished.stderr
     (folder,) = (tmp_path / "outputs").glob("*/*")
-    assert folder.name.endswith("_inspect_files") and str(folder.relative_to(tmp_path)) in finished.out
+    assert folder.name.endswith("_inspect_files") and str(folder.relative_to(tmp_path)) in finished.stdout
     survey = validate(json.loads((folder / "inspect.json").read_text()))
     assert survey["data"]["recordings"] == 1 and survey["timing"]["interval"]["median"] == pytest.approx(0.001)
     assert (folder / "inspect.html").exists()
@@ -227,11 +213,14 @@ def test_the_command_writes_what_it_says_without_torch_or_jax(recording, tmp_pat
         (("data=fils",), "frictionzoo: data=fils: no such data; did you mean files"),
         (("data=files", "data.train=[nothing.csv]"), "frictionzoo: nothing.csv: "),
         (("data=files", "data.trian=[a.csv]"), "data.trian: unknown option; did you mean train"),
+        (("data=files", "data.split.gap=x"), "data.split.gap=x; expected a number"),
+        (("~data",), "~data: a job needs one data"),
         (("data=files,twin", "--multirun"), "--multirun: one data set at a time"),
     ],
 )
-def test_a_mistake_is_one_line_and_status_2(tmp_path, overrides, message):
-    finished = command(tmp_path, *overrides)
+def test_a_mistake_is_one_line_and_status_2(call, monkeypatch, overrides, message):
+    monkeypatch.setattr("conftest.main", main)  # in place of that of a job
+    finished = call(*overrides)
     assert finished.status == 2
     assert message in finished.err and finished.err.count("\n") == 1
 
