@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from conftest import slow_but
 from test_models import friction
 
 from frictionzoo.bench import Bench
@@ -133,10 +134,8 @@ def in_c(bench: Bench) -> tuple[mujoco.MjModel, mujoco.MjData]:
     ("name", "kind"),
     [
         *((name, "specialised") for name in TRUTH),
-        ("polynomial_viscous", "mjx"),
-        # MJX's step takes several times as long to compile.
-        pytest.param("asymmetric", "mjx", marks=pytest.mark.slow),
-        pytest.param("ripple", "mjx", marks=pytest.mark.slow),
+        # MJX's step takes several times as long to compile, and is given the same terms.
+        *(pytest.param(name, "mjx", marks=pytest.mark.slow) for name in TRUTH),
     ],
 )
 def test_a_step_equals_mujoco_c(make: Callable[..., Any], knee: Bench, name: str, kind: str) -> None:
@@ -201,7 +200,7 @@ def record(bench: Bench, name: str) -> Log:
     return Log(name, time, states[:, :1], states[:, 1:], ctrl[:, None], "0" * 64, simulated=True)
 
 
-@pytest.mark.parametrize("name", TRUTH)
+@pytest.mark.parametrize("name", slow_but(["asymmetric"], TRUTH))
 def test_a_known_drive_is_found_again(make: Callable[..., Any], knee: Bench, name: str) -> None:
     law = make("model", f"model={name}", nv=1)
     segments = cut_segments([record(knee, name)], None, 50)
