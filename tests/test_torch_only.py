@@ -1,5 +1,6 @@
 """Friction laws that exist only in torch: the same numbers as in JAX, whole runs, and what they are refused."""
 
+import functools
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -18,7 +19,8 @@ from frictionzoo.drive import Drive
 from frictionzoo.errors import ConfigError, ExportError, ModelError
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.write import write_exports
-from frictionzoo.fit import Adam, Known, Objective, Space, loop
+from frictionzoo.fit import Adam, Known, Objective, Space, loop, run_fit
+from frictionzoo.fit.loggers import Csv
 from frictionzoo.models import CoulombStribeck, FrictionModel, TorchFriction, register_model
 from frictionzoo.models.registry import REGISTRY
 from frictionzoo.report.curves import read_curves
@@ -117,12 +119,13 @@ def pose(bench: Bench, law: FrictionModel, segments: Segments, engine: str, dtyp
 def pair(make: Callable[..., Any], segments: Segments) -> Callable[..., tuple[Objective, Objective]]:
     """The same objective of `coulomb_stribeck` in torch and in JAX, of a drive whose commands act late."""
 
-    def pair(engine: str, dtype: str = "float64") -> tuple[Objective, Objective]:
+    @functools.cache
+    def pair(engine: str) -> tuple[Objective, Objective]:
         delay = {"init": 3e-4, "low": 0.0, "high": 1e-3, "scale": 1e-3, "identify": True}
         bench = make("bench", *(f"bench.params.delay.{key}={value}" for key, value in delay.items()))
         laws = make("model", nv=1), make("model", f"model._target_={STRIBECK}", nv=1)
         assert isinstance(laws[1], TorchStribeck)
-        jaxed, torched = (pose(bench, law, segments, engine, dtype) for law in laws)
+        jaxed, torched = (pose(bench, law, segments, engine) for law in laws)
         return torched, jaxed
 
     return pair
@@ -146,15 +149,36 @@ def test_loss_and_gradient_are_those_of_the_law_in_jax(
 
 
 @pytest.mark.usefixtures("x64")
-def test_a_fit_takes_the_same_way(pair: Callable[..., tuple[Objective, Objective]]) -> None:
-    fit = Adam(8, 0.05, 0.9, "auto")
-    traces = [fit.chunk(objective, 5)(fit.start(objective), 5) for objective in pair("specialised")]
-    (progress, torched), (_, jaxed) = traces
-    assert int(progress.iteration) == 5
-    assert (np.diff(torched.loss) < 0).all()
-    np.testing.assert_allclose(torched.loss, jaxed.loss, rtol=1e-10)
-    for name, values in jaxed.params.items():
-        np.testing.assert_allclose(torched.params[name], values, rtol=1e-10)
+def test_a_fit_takes_the_same_way_also_after_an_interruption(
+    pair: Callable[..., tuple[Objective, Objective]],
+    make: Callable[..., Any],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    torched, jaxed = pair("specialised")
+    fit, law = Adam(5, 0.05, 0.9, "auto"), make("model", f"model._target_={STRIBECK}", nv=1).double()
+    record = {"identity": {}, "logger": Csv(), "hyperparameters": {}, "chunk": 2, "patience": None, "progress": False}
+    whole = run_fit(fit, torched, law, folder=tmp_path / "whole", **record)
+    _, trace = fit.chunk(jaxed, 5)(fit.start(jaxed), 5)
+    assert whole.iterations == 5
+    assert (np.diff(whole.history["loss"]) < 0).all()
+    for name, values in {"loss": trace.loss, **trace.params}.items():
+        np.testing.assert_allclose(whole.history[name], values, rtol=1e-10, err_msg=name)
+    assert {name: getattr(law, name).item() for name in law.dimensions} == whole.values["friction"]
+
+    saved = loop._Saver.on_train_epoch_end
+
+    def save_and_fall(saver: Any, trainer: Any, module: Any) -> None:
+        saved(saver, trainer, module)
+        if module.iteration == 4:
+            raise RuntimeError("the power is gone")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(loop._Saver, "on_train_epoch_end", save_and_fall)
+        with pytest.raises(RuntimeError, match="the power is gone"):
+            run_fit(fit, torched, law, folder=tmp_path / "torn", **record)
+    resumed = run_fit(fit, torched, law, folder=tmp_path / "torn", **record)
+    np.testing.assert_equal((resumed.vector, resumed.history), (whole.vector, whole.history))
 
 
 @pytest.mark.usefixtures("x64")
@@ -228,60 +252,24 @@ def test_what_needs_more_than_a_gradient_is_refused_in_one_line(
         Objective(objective.space, rollout, segments, **(LOSS | {"refine": True}))
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Of the run below."""
-    return tmp_path_factory.mktemp("run") / "whole"
-
-
-def job(tiny: tuple[str, ...], folder: Path, *more: str) -> tuple[str, ...]:
-    own = ("model=coulomb_stribeck", f"model._target_={STRIBECK}", "segments.length=3", "dtype=float32")
-    return (*tiny, *own, "fit.iterations=6", f"hydra.run.dir={folder}", *more)
-
-
 @pytest.fixture
-def whole(call: Callable[..., Finished], tiny: tuple[str, ...], folder: Path) -> Path:
-    """A run that nobody interrupted, made once."""
-    if not folder.exists():
-        finished = call(*job(tiny, folder))
-        assert finished.status == 0, finished.err
-    return folder
+def whole(call: Callable[..., Finished], tiny: tuple[str, ...], tmp_path: Path) -> Path:
+    """A run."""
+    own = ("model=coulomb_stribeck", f"model._target_={STRIBECK}", "segments.length=3", "dtype=float32")
+    finished = call(*tiny, *own, "fit.iterations=3", f"hydra.run.dir={tmp_path / 'whole'}")
+    assert finished.status == 0, finished.err
+    return tmp_path / "whole"
 
 
-def test_a_run_leaves_what_every_run_leaves(whole: Path) -> None:
+def test_a_run_leaves_what_every_run_leaves_and_is_exported_where_torch_goes(whole: Path, tmp_path: Path) -> None:
     result = json.loads((whole / "result.json").read_text())
-    assert result["fit"]["iterations"] == 6
+    assert result["fit"]["iterations"] == 3
     assert result["metrics"]["test"]["diverged"] == 0
     assert result["no_intervals"] == "torch_stribeck exists only in torch, where no Jacobian is taken"
     assert (whole / "report.html").exists()
     fitted = Fitted.load(whole)
     # The run computed in float32, the fitted drive does in float64: some hundred steps of a tenth of a radian.
     np.testing.assert_allclose(fitted.rollout()[0], read_curves(whole).qpos, atol=1e-5)
-
-
-def test_an_interrupted_run_ends_as_if_nothing_had_happened(
-    call: Callable[..., Finished], tiny: tuple[str, ...], whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    saved = loop._Saver.on_train_epoch_end
-
-    def save_and_fall(saver: Any, trainer: Any, module: Any) -> None:
-        saved(saver, trainer, module)
-        if module.iteration == 4:
-            raise RuntimeError("the power is gone")
-
-    with monkeypatch.context() as patch:
-        patch.setattr(loop._Saver, "on_train_epoch_end", save_and_fall)
-        with pytest.raises(RuntimeError, match="the power is gone"):
-            call(*job(tiny, tmp_path / "torn"))
-    assert not (tmp_path / "torn" / "result.json").exists()
-    finished = call(f"resume={tmp_path / 'torn'}")
-    assert finished.status == 0, finished.err
-    assert "resuming from" in finished.err
-    for name in ("friction.safetensors", "identified.xml"):
-        assert (tmp_path / "torn" / name).read_bytes() == (whole / name).read_bytes()
-
-
-def test_it_is_exported_where_torch_goes_and_refused_elsewhere(whole: Path, tmp_path: Path) -> None:
     (written,) = write_exports(whole, {"target": "torchscript", "output": str(tmp_path / "torchscript")})
     assert written.export is not None
     assert written.export.differences[0].largest < 1e-12  # rounding of a torque of a tenth of a newton metre
