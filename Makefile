@@ -1,6 +1,6 @@
 # Every target works in the active environment; `make install` fills it.
 .DEFAULT_GOAL := help
-.PHONY: help install test slow lint format docs
+.PHONY: help install test slow reproduce lint format docs
 
 help: ## list the targets
 	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -11,8 +11,11 @@ install: ## the package with its development tools, in the versions of constrain
 test: ## the quick tests
 	pytest -n 2
 
-slow: ## the experiments at full size, about an hour on two cores; FRICTIONZOO_DATA names the folder of real recordings
+slow: ## whole programs, and experiments in their small variants; FRICTIONZOO_DATA names the folder of real recordings
 	pytest -m slow -n 2
+
+reproduce: ## the experiments at full size, about an hour on two cores: checks their numbers and rewrites their tables
+	python experiments/reproduce.py
 
 lint: ## what CI checks besides tests
 	ruff format --check

@@ -2,6 +2,8 @@
 
 `python experiments/reproduce.py kovalev2026` does what `expected.yaml` in `experiments/kovalev2026` says: it runs the
 commands, compares all their runs, checks the numbers, and puts the table between the marks in the folder's README.md.
+Several names run one after the other, and none stands for all. With `--small` they are what the section `small` says
+instead, as the slow tests do it: seconds on less data, with numbers of its own, and the page stays as it is.
 """
 
 import argparse
@@ -11,45 +13,59 @@ import re
 import shlex
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from frictionzoo.compare import Comparison, write_comparison
+from frictionzoo.compare import Comparison, compare_runs, read_runs, write_comparison
 from frictionzoo.output import write_atomically
 
 EXPERIMENTS = Path(__file__).parent
+PROGRAM = "python -m frictionzoo.run "
 MARKS = re.compile(r"(<!-- table: .* -->\n).*?(<!-- end of table -->)", re.S)
 
 
-def read_expected(name: str) -> dict[str, Any]:
+def read_expected(name: str, small: bool = False) -> dict[str, Any]:
     """What `expected.yaml` of an experiment says.
 
     Args:
         name: The experiment's folder.
+        small: Take what its section `small` has, if there is one, for what stands outside under the same name.
     """
-    return yaml.safe_load((EXPERIMENTS / name / "expected.yaml").read_text())
+    expected = yaml.safe_load((EXPERIMENTS / name / "expected.yaml").read_text())
+    return expected | expected.get("small", {}) if small else expected
 
 
-def run(name: str, output: Path) -> Comparison:
-    """Run the commands of an experiment and compare all their runs.
+def start(*arguments: str) -> None:
+    """Run `python -m frictionzoo.run` as a process of its own, and raise if it fails.
 
     Args:
-        name: The experiment's folder.
-        output: Where runs and comparison go.
+        arguments: Its command line.
     """
-    folders = []
-    for number, command in enumerate(read_expected(name)["commands"]):
-        program, *arguments = shlex.split(command)
-        if program != "python":
-            raise SystemExit(f"{name}: {command}; expected a command of python")
-        folders.append(output / str(number))
-        option = "hydra.sweep.dir" if "-m" in arguments[2:] else "hydra.run.dir"
-        environment = {**os.environ, "PYTHONPATH": str(EXPERIMENTS.parent)}
-        subprocess.run([sys.executable, *arguments, f"{option}={folders[-1]}"], env=environment, check=True)
-    return write_comparison(folders, output / "comparison")
+    environment = {**os.environ, "PYTHONPATH": str(EXPERIMENTS.parent)}
+    subprocess.run([sys.executable, *shlex.split(PROGRAM)[1:], *arguments], env=environment, check=True)
+
+
+def run(commands: list[str], output: Path, start: Callable[..., Any] = start) -> list[Path]:
+    """Run the commands of an experiment.
+
+    Args:
+        commands: As in `expected.yaml`.
+        output: Where runs go.
+        start: Does what `python -m frictionzoo.run` does with these arguments.
+
+    Returns:
+        The folder of each command's runs.
+    """
+    folders = [output / str(number) for number in range(len(commands))]
+    for command, folder in zip(commands, folders, strict=True):
+        if not command.startswith(PROGRAM):
+            raise SystemExit(f"{command}; expected a command that begins with {PROGRAM}")
+        arguments = shlex.split(command.removeprefix(PROGRAM))
+        start(*arguments, f"hydra.{'sweep' if '-m' in arguments else 'run'}.dir={folder}")
+    return folders
 
 
 def check(comparison: Comparison, checks: list[dict[str, Any]]) -> Iterator[str]:
@@ -148,19 +164,40 @@ def write_table(name: str, table: str) -> None:
     write_atomically(page, text.encode())
 
 
+def reproduce(name: str, output: Path, small: bool) -> list[str]:
+    """Run an experiment and write its table; returns one line for each number that is not as expected.
+
+    Args:
+        name: The experiment's folder.
+        output: Where runs and comparison go.
+        small: Run its small variant, and leave the table.
+    """
+    expected = read_expected(name, small)
+    try:
+        folders = run(expected["commands"], output)
+    except subprocess.CalledProcessError as error:
+        return [f"{name}: {shlex.join(error.cmd)} ended with status {error.returncode}"]
+    comparison = compare_runs(*read_runs(folders)) if small else write_comparison(folders, output / "comparison")
+    if "table" in expected and not small:
+        write_table(name, tabulate(comparison, expected))
+    return [f"{name}: {line}" for line in check(comparison, expected["checks"])]
+
+
 def main() -> int:
     """Entry point; the exit status is 1 where a number is not as expected."""
     names = sorted(path.parent.name for path in EXPERIMENTS.glob("*/expected.yaml"))
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("name", choices=names)
-    parser.add_argument("--output", type=Path, metavar="FOLDER", help="where runs go, multirun/NAME by default")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"{', '.join(names)}; all by default")
+    parser.add_argument("--small", action="store_true", help="the small variant, which leaves the table as it is")
+    parser.add_argument("--output", type=Path, metavar="FOLDER", default=Path("multirun"), help="where runs go")
     options = parser.parse_args()
-    output = (options.output or Path("multirun") / options.name).resolve()
-    expected, comparison = read_expected(options.name), run(options.name, output)
-    mistakes = list(check(comparison, expected["checks"]))
-    if "table" in expected:
-        write_table(options.name, tabulate(comparison, expected))
-    print("\n".join(mistakes) or f"{options.name}: all {len(expected['checks'])} numbers are as expected")
+    if unknown := set(options.names) - set(names):
+        parser.error(f"{min(unknown)}: no such experiment; expected one of {', '.join(names)}")
+    mistakes = []
+    for name in options.names or names:
+        found = reproduce(name, (options.output / name).resolve(), options.small)
+        print("\n".join(found) or f"{name}: all numbers are as expected", flush=True)
+        mistakes += found
     return 1 if mistakes else 0
 
 

@@ -1,15 +1,19 @@
-"""The experiments at full size against their expected.yaml, and what is written about them."""
+"""The experiments, small ones, against their expected.yaml, and what is written about them."""
 
-import copy
+import functools
 import math
+import sys
 from pathlib import Path
 
 import pytest
 import reproduce
 import safetensors.torch
 import torch
+import yaml
 from conftest import needs_data
 
+from frictionzoo.compare import compare_runs, read_runs
+from frictionzoo.logs import files
 from frictionzoo.types import DriveState
 
 ROOT = Path(__file__).parent.parent
@@ -28,30 +32,31 @@ ENTRY = {
 }
 
 
-def friction_at(model, velocities):
+def friction_at(model, velocity):
     """Torque of a law that has no constraint, at rest but for the velocity."""
-    qvel = torch.tensor(velocities, dtype=torch.float64)[:, None]
-    still = torch.zeros_like(qvel)
-    return model(DriveState(still, qvel, still, still, still)).torque.flatten().tolist()
+    still = torch.zeros((1, 1), dtype=torch.float64)
+    return model(DriveState(still, still + velocity, still, still, still)).torque.item()
+
+
+def done(finished):
+    """A job's end, which has to be a good one."""
+    assert finished.status == 0, finished.err
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MEASURED)
-def test_an_experiment_gives_what_its_page_says(name, tmp_path, make):
-    expected = reproduce.read_expected(name)
-    comparison = reproduce.run(name, tmp_path)
-    missed = list(reproduce.check(comparison, expected["checks"]))
-    if torques := expected.get("friction_torque"):
+def test_an_experiment_gives_what_its_page_says(name, tmp_path, make, call, monkeypatch):
+    """Its small variant, in one process; without one, all of it. `make reproduce` runs all of them at full size."""
+    monkeypatch.setattr(files, "read_tables", functools.cache(files.read_tables))  # the same ones for all jobs
+    expected = reproduce.read_expected(name, small=True)
+    folders = reproduce.run(expected["commands"], tmp_path, lambda *arguments: done(call(*arguments)))
+    missed = list(reproduce.check(compare_runs(*read_runs(folders)), expected["checks"]))
+    for check in expected.get("friction_torque", []):
         model = make("model", f"experiment={name}", nv=1)
-        model.load_state_dict(safetensors.torch.load((tmp_path / "0" / "friction.safetensors").read_bytes()))
-        for torque, check in zip(friction_at(model, [c["velocity"] for c in torques]), torques, strict=True):
-            if not reproduce.agrees(torque, check):
-                missed.append(f"friction at {check['velocity']} is {torque}, expected {check}")
+        model.load_state_dict(safetensors.torch.load((folders[0] / "friction.safetensors").read_bytes()))
+        if not reproduce.agrees(torque := friction_at(model, check["velocity"]), check):
+            missed.append(f"friction at {check['velocity']} is {torque}, expected {check}")
     assert not missed
-    if "table" in expected:
-        page = (EXPERIMENTS / name / "README.md").read_text()
-        rows = [row.split("|")[1] for row in reproduce.tabulate(comparison, expected).splitlines()]
-        assert all(f"|{first}|" in page for first in rows)
 
 
 def test_twin_clean_is_judged_on_the_drive_that_is_hidden_in_it(compose):
@@ -91,7 +96,7 @@ def test_an_experiment_starts_with_the_command_that_runs_it(path):
 
 
 def test_checks_find_what_is_not_as_expected():
-    comparison = {"runs": [copy.deepcopy(ENTRY), ENTRY | {"label": "other"}]}
+    comparison = {"runs": [ENTRY, ENTRY | {"label": "other"}]}
     right = {"run": "law", "path": "test.position_mae", "at_most": 0.005}
     wrong = {"run": "law", "path": "parameters.bench.armature", "expected": 0.05, "relative": 0.1}
     missing = {"run": "other", "path": "parameters.friction.damping", "at_most": 1.0}
@@ -102,6 +107,41 @@ def test_checks_find_what_is_not_as_expected():
     ]
     with pytest.raises(SystemExit, match="2 runs"):
         list(reproduce.check(comparison, [{"path": "test.position_mae", "at_most": 1.0}]))
+
+
+def test_each_command_runs_in_a_folder_of_its_own(tmp_path):
+    ran = []
+    commands = ["python -m frictionzoo.run -m model=a,b", "python -m frictionzoo.run 'x=[1, 2]'"]
+    folders = reproduce.run(commands, tmp_path, lambda *arguments: ran.append(arguments))
+    assert folders == [tmp_path / "0", tmp_path / "1"]
+    assert ran == [
+        ("-m", "model=a,b", f"hydra.sweep.dir={folders[0]}"),
+        ("x=[1, 2]", f"hydra.run.dir={folders[1]}"),
+    ]
+    with pytest.raises(SystemExit, match="make all; expected a command"):
+        reproduce.run(["make all"], tmp_path)
+
+
+def test_the_small_variant_has_its_own_numbers_and_leaves_the_page(tmp_path, monkeypatch, capsys, make_runs):
+    check = {"run": "baseline", "path": "test.position_mae", "at_most": -1.0}
+    small = {"commands": ["small"], "checks": [check | {"at_most": 1e9}]}
+    table = [{"head": "model", "values": ["label"], "format": "{}"}]
+    ran, page = [], tmp_path / "one" / "README.md"
+    page.parent.mkdir()
+    page.write_text(before := "<!-- table: how -->\n<!-- end of table -->\n")
+    expected = {"commands": ["full"], "checks": [check], "table": table, "small": small}
+    page.with_name("expected.yaml").write_text(yaml.safe_dump(expected))
+    monkeypatch.setattr(reproduce, "EXPERIMENTS", tmp_path)
+    monkeypatch.setattr(reproduce, "run", lambda commands, output: ran.append(commands))
+    monkeypatch.setattr(reproduce, "read_runs", lambda folders: (make_runs(["baseline"]), []))
+    comparison = compare_runs(make_runs(["baseline"]), [])
+    monkeypatch.setattr(reproduce, "write_comparison", lambda folders, output: comparison)
+    monkeypatch.setattr(sys, "argv", ["reproduce.py", "--small", "one"])
+    assert (reproduce.main(), ran, page.read_text()) == (0, [["small"]], before)
+    monkeypatch.setattr(sys, "argv", ["reproduce.py"])
+    assert (reproduce.main(), ran[1:]) == (1, [["full"]])
+    assert "one: baseline: test.position_mae is" in capsys.readouterr().out
+    assert "| baseline |\n" in page.read_text()
 
 
 def test_the_table_has_a_row_a_run():
@@ -142,7 +182,10 @@ def test_the_table_goes_between_the_marks(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("path", sorted(EXPERIMENTS.glob("*/expected.yaml")), ids=lambda path: path.parent.name)
-def test_an_experiment_has_a_page_with_its_commands(path):
+def test_an_experiment_has_a_page_with_its_commands_and_its_table(path):
     expected, page = reproduce.read_expected(path.parent.name), (path.parent / "README.md").read_text()
     assert f"python experiments/reproduce.py {path.parent.name}" in page
-    assert reproduce.MARKS.search(page) or "table" not in expected
+    if "table" in expected:
+        table = reproduce.MARKS.search(page)[0]
+        assert reproduce.tabulate({"runs": []}, expected) in table
+        assert all(f"| `{check['run']}` |" in table for check in expected["checks"])
