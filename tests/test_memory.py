@@ -1,6 +1,8 @@
 """Friction laws that remember: against closed forms, an ODE solver, and in rollouts of the EMPS carriage."""
 
+import copy
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import jax
@@ -8,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import torch
+from conftest import slow_but
 from scipy.integrate import solve_ivp
 
 from frictionzoo.bench import Bench
@@ -41,13 +44,18 @@ def carriage(make: Callable[..., Any]) -> Callable[..., Bench]:
     """The EMPS bench, pushed by as many newtons as the command says."""
     known = ("force_gain.init=1", "force_gain.low=0.1", "force_offset.identify=false")
     options = ("bench=emps", *(f"bench.actuator.params.{option}" for option in known))
-    return lambda *more: make("bench", *options, *more)
+    return cache(lambda *more: make("bench", *options, *more))
 
 
 @pytest.fixture(scope="module")
 def build(make: Callable[..., Any]) -> Callable[[str], FrictionModel]:
     """A law from its YAML."""
-    return lambda name: make("model", f"model={name}", "bench=emps", nv=1)
+    return cache(lambda name: make("model", f"model={name}", "bench=emps", nv=1))
+
+
+@cache
+def rollout_of(bench: Bench, law: FrictionModel) -> Callable[..., Any]:
+    return make_rollout(make_engine("auto", bench, friction_of(law), law.constraint)).compiled
 
 
 def truth(law: FrictionModel) -> dict[str, np.ndarray]:
@@ -63,8 +71,7 @@ def simulate(
         "friction": truth(law) | {name: np.array([value]) for name, value in friction.items()},
     }
     with jax.enable_x64(True):
-        rollout = make_rollout(make_engine("auto", bench, friction_of(law), law.constraint)).compiled
-        states = rollout(values, np.zeros((1, 1)), np.full((1, 1), qvel), force[None, :, None])
+        states = rollout_of(bench, law)(values, np.zeros((1, 1)), np.full((1, 1), qvel), force[None, :, None])
     return tuple(np.asarray(part)[0, :, 0] for part in states)
 
 
@@ -121,15 +128,16 @@ def test_what_has_settled_in_motion_is_the_law_at_constant_velocity(
     torch.testing.assert_close(sliding(terms), sliding(law.terms(torch, values, state)))
 
 
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("name", ["dahl", "lugre"])
 def test_a_rollout_follows_an_ode_solver(
     build: Callable[[str], FrictionModel], carriage: Callable[..., Bench], name: str
 ) -> None:
-    """Presliding, breakaway and reversal: the error is small at 1 ms and halves with the step."""
+    """Presliding, breakaway and reversal: the error is small at 1 ms and halves with the step.
+
+    Maxwell's elements switch; their curve has a closed form above.
+    """
     law = build(name)
-    if name == "maxwell_slip":
-        pytest.skip("its elements switch; its curve has a closed form above")
-    force = 45 * np.sin(2 * np.pi * 2 * np.arange(500) * 1e-3)
+    force = 45 * np.sin(2 * np.pi * 2 * np.arange(300) * 1e-3)
     rate, kinetic = TRUTH["stiffness"], TRUTH["kinetic_torque" if name == "lugre" else "coulomb_torque"]
     micro = TRUTH["micro_damping"] if name == "lugre" else 0.0
     excess = TRUTH["static_torque"] - kinetic if name == "lugre" else 0.0
@@ -191,7 +199,7 @@ def test_the_bristles_break_away_above_the_sliding_friction(
     assert moving[1][-1] > 0.01
 
 
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("name", slow_but(["lugre"], LAWS))
 def test_gradient_of_a_rollout_equals_central_differences(
     build: Callable[[str], FrictionModel], carriage: Callable[..., Bench], name: str
 ) -> None:
@@ -201,7 +209,6 @@ def test_gradient_of_a_rollout_equals_central_differences(
     with jax.enable_x64(True):
         rollout = make_rollout(make_engine("auto", bench, friction_of(law), law.constraint))
 
-        @jax.jit
         def end(scale: Any) -> Any:
             friction = {key: jnp.asarray(value) for key, value in truth(law).items()}
             friction |= {key: friction[key] * scale[i] for i, key in enumerate(names)}
@@ -210,17 +217,17 @@ def test_gradient_of_a_rollout_equals_central_differences(
             qpos, _ = rollout(values, jnp.zeros((2, 1)), qvel, forces)
             return (qpos * 1e3).sum()
 
-        one = jnp.ones(len(names))
-        slope = jax.grad(end)(one)
-        for i in range(len(names)):
-            step = 1e-6 * jnp.eye(len(names))[i]
-            expected = float((end(one + step) - end(one - step)) / 2e-6)
-            assert float(slope[i]) == pytest.approx(expected, rel=1e-4, abs=1e-6), names[i]
-        assert np.count_nonzero(np.abs(slope) > 1e-6) == len(names)
+        steps = 1e-6 * np.eye(len(names))
+        scales = 1 + np.concatenate([0 * steps, steps, -steps])
+        ends, slopes = jax.jit(jax.vmap(jax.value_and_grad(end)))(scales)
+    _, after, before = np.asarray(ends).reshape(3, -1)
+    slope = dict(zip(names, np.asarray(slopes)[0], strict=True))
+    assert slope == pytest.approx(dict(zip(names, (after - before) / 2e-6, strict=True)), rel=1e-4, abs=1e-6)
+    assert min(map(abs, slope.values())) > 1e-6
 
 
 def test_a_law_whose_memory_does_not_settle_is_refused(build: Callable[[str], FrictionModel]) -> None:
-    law = build("dahl")
+    law = copy.copy(build("dahl"))
     law.settle = lambda xp, values, state: (0.1 * xp.tanh(state.qvel))[..., None]  # pyright: ignore
     with pytest.raises(ModelError, match="dahl: memory: settled in motion it still changes"):
         check_model(law)
@@ -249,7 +256,7 @@ def recover(bench: Bench, law: FrictionModel) -> dict[str, float]:
     return shares | {"armature": float(found["bench"]["armature"][0]) / MASS}
 
 
-@pytest.mark.parametrize("name", ["dahl", *(pytest.param(name, marks=pytest.mark.slow) for name in LAWS[1:])])
+@pytest.mark.parametrize("name", slow_but(["dahl"], LAWS))
 def test_known_parameters_are_recovered(
     build: Callable[[str], FrictionModel], carriage: Callable[..., Bench], name: str
 ) -> None:
