@@ -330,7 +330,7 @@ RULES: list[tuple[str, How, *tuple[pytest.MarkDecorator, ...]]] = [
     (r"python -m frictionzoo\.export RUN target=(mjcf|mujoco|onnx)", left_to("test_commands::export_all")),
     (
         r"python -m frictionzoo\.export RUN target=mjcf into=robot\.xml joint=left_knee,right_knee",
-        left_to("test_export_targets::test_a_late_drive_goes_into_several_joints_and_adds_their_actuators"),
+        left_to("test_export_targets::test_a_drive_goes_into_several_joints_and_adds_their_actuators"),
     ),
     (r"python -m frictionzoo\.export\.read_bam FILE\.json", left_to("test_bam::test_the_command_prints_options")),
     (

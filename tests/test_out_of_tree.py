@@ -28,22 +28,27 @@ PARAMETERS = {
     "viscous_coefficient": "N m s/rad",
 }
 
+pytestmark = pytest.mark.usefixtures("in_haste")
+
 Command = Callable[..., subprocess.CompletedProcess[str]]
 
 
 @pytest.fixture(scope="module")
-def command(tmp_path_factory: pytest.TempPathFactory) -> Command:
+def command(tmp_path_factory: pytest.TempPathFactory, compilation_cache: Path) -> Command:
     """Runs a command with more arguments where the package is installed, and holds that it ends with this status."""
     folder = tmp_path_factory.mktemp("checkout")
     site = folder / "site"
     ignored = shutil.ignore_patterns("build", "*.egg-info", "__pycache__")
     shutil.copytree(PACKAGE, folder / PACKAGE.relative_to(ROOT), ignore=ignored)  # setuptools builds in the folder
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    environment = {**os.environ, "PATH": path, "PYTHONPATH": f"{site}{os.pathsep}{ROOT}"}
+    own = {
+        "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
+        "PYTHONPATH": f"{site}{os.pathsep}{ROOT}",
+        "JAX_COMPILATION_CACHE_DIR": str(compilation_cache),
+    }
 
     def run(text: str, *arguments: str, status: int = 0) -> subprocess.CompletedProcess[str]:
         whole = [*shlex.split(text), *arguments]
-        finished = subprocess.run(whole, cwd=folder, env=environment, capture_output=True, text=True)
+        finished = subprocess.run(whole, cwd=folder, env=os.environ | own, capture_output=True, text=True)
         assert finished.returncode == status, finished.stdout + finished.stderr
         return finished
 
@@ -58,10 +63,13 @@ def test_its_own_tests_pass(command: Command) -> None:
 
 
 @pytest.mark.slow
-def test_it_is_run_and_exported_by_its_name(command: Command, tiny: tuple[str, ...], tmp_path: Path) -> None:
-    folder = tmp_path / "run"
-    finished = command(RUN, *tiny, "fit=lm", "fit.iterations=12", f"hydra.run.dir={folder}")
+def test_it_is_run_compared_and_exported_by_its_name(command: Command, tiny: tuple[str, ...], tmp_path: Path) -> None:
+    assert "Makkar" in command(RUN, "--cfg", "job").stdout
+    finished = command(COMPARE, *tiny, "fit=lm", "fit.iterations=12", f"hydra.sweep.dir={tmp_path}")
     assert "Warning" not in finished.stderr
+    comparison = json.loads((tmp_path / "comparison" / "comparison.json").read_text())
+    assert {run["label"] for run in comparison["runs"]} == {"makkar", "coulomb_stribeck"}
+    folder = tmp_path / "0_makkar"
     result = json.loads((folder / "result.json").read_text())
     assert result["model"] == "makkar"
     assert result["metrics"]["test"]["diverged"] == 0
@@ -88,28 +96,13 @@ def test_a_law_in_torch_alone_is_run_and_exported(command: Command, tiny: tuple[
 
 
 @pytest.mark.slow
-def test_it_is_compared_with_other_laws(command: Command, tiny: tuple[str, ...], tmp_path: Path) -> None:
-    command(COMPARE, *tiny, "fit.iterations=2", f"hydra.sweep.dir={tmp_path}")
-    comparison = json.loads((tmp_path / "comparison" / "comparison.json").read_text())
-    assert {run["label"] for run in comparison["runs"]} == {"makkar", "coulomb_stribeck"}
-
-
-@pytest.mark.slow
-def test_all_models_are_all_with_it(command: Command, tmp_path: Path) -> None:
+def test_its_names_are_known_and_other_programs_do_not_see_them(command: Command, tmp_path: Path) -> None:
     refused = "seed=-1"  # each job ends before it begins
     command("python -m frictionzoo.run -m 'model=glob(*)'", refused, f"hydra.sweep.dir={tmp_path}", status=2)
     names = {path.parent.name.partition("_")[2] for path in tmp_path.glob("*/failure.json")}
     assert names == {"makkar", "layer_norm_network", *(path.stem for path in (ROOT / "conf" / "model").glob("*.yaml"))}
-
-
-@pytest.mark.slow
-def test_a_hint_may_be_its_name(command: Command) -> None:
     (line,) = command("python -m frictionzoo.run model=makka", status=2).stderr.splitlines()
     assert line.startswith("frictionzoo: model=makka: no such model; did you mean makkar? (")
-
-
-@pytest.mark.slow
-def test_other_programs_do_not_see_it(command: Command, tmp_path: Path) -> None:
     (tmp_path / "model").mkdir()
     (tmp_path / "model" / "own.yaml").write_text("a: 1\n")
     script = f"""
