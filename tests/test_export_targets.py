@@ -2,12 +2,8 @@
 
 import ast
 import functools
-import itertools
 import json
-import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import jax
@@ -33,8 +29,9 @@ from frictionzoo.export.mujoco_c import MujocoC
 from frictionzoo.export.nearest import find_nearest
 from frictionzoo.export.write import write_exports
 from frictionzoo.models import FrictionModel, MujocoDefault, model_names
+from frictionzoo.models.base import sliding_torque
 from frictionzoo.models.network import NetworkModel
-from frictionzoo.types import FrictionTerms, Payload, Segments
+from frictionzoo.types import DriveState, FrictionTerms, Payload, Segments
 
 PAYLOAD = Payload(0.1, (0.0, 0.0, -0.05), (1e-4, 1e-4, 1e-5))
 ROOT = Path(__file__).parent.parent
@@ -59,10 +56,11 @@ URDF = """<robot name="leg"><link name="base"/>
 
 
 class Rubbing(FrictionModel):
-    """All terms at once, each of the state."""
+    """All terms at once, each of the state, and a spring that slips."""
 
     name = "rubbing"
     constraint = True
+    memory = 1
 
     def terms(self, xp, values, state):
         """Every term."""
@@ -70,103 +68,122 @@ class Rubbing(FrictionModel):
         turning = 0.02 + 0.01 * xp.tanh(state.motor_torque) ** 2
         return FrictionTerms(torque=0.03 * xp.tanh(state.qvel), frictionloss=pressed, damping=turning)
 
+    def advance(self, xp, values, state, memory, timestep):
+        """Every term, and the spring."""
+        torque, frictionloss, damping = self.terms(xp, values, state)
+        bent = xp.clip(memory[..., 0] + timestep * state.qvel, -0.02, 0.02)
+        return FrictionTerms(torque + 2 * memory[..., 0], frictionloss, damping), bent[..., None]
 
-@functools.cache  # so that each is compiled once
-def make_fitted(model: str | FrictionModel, *overrides: str, steps: int = 150) -> Fitted:
-    """A drive as if identified, and two rollouts of it; a command each that swings it back and forth."""
-    chosen = "coulomb_stribeck" if isinstance(model, FrictionModel) else model
-    settings = OmegaConf.to_container(compose_config(f"model={chosen}", "data=twin", *overrides), resolve=True)
-    bench: Bench = build(settings["bench"])
-    law = model if isinstance(model, FrictionModel) else build(settings["model"], nv=bench.nv)
-    bench = bench.observing(law.inputs)
+
+@functools.cache
+def compose(*overrides: str) -> dict:
+    return OmegaConf.to_container(compose_config("data=twin", *overrides), resolve=True)
+
+
+@functools.cache
+def make_law(name: str, *overrides: str) -> FrictionModel:
+    """A law as if identified; the usual configurations of all are composed at once."""
+    names = [name] if overrides else model_names()
+    law = build(compose(*(f"+model@laws.{name}={name}" for name in names), *overrides)["laws"][name], nv=1)
     with torch.no_grad():  # so that it matters
         if isinstance(law, NetworkModel):
             law.layers[-1].weight.mul_(100.0)
         for name, param in law.params.items():
             if param.init == 0:
                 law.get_parameter(name).fill_(0.3 * param.high)
+    return law.double()
+
+
+@functools.cache  # so that each is compiled once
+def make_fitted(model: str | FrictionModel, *overrides: str, steps: int = 150) -> Fitted:
+    """A drive as if identified, and two rollouts of it; a command each that swings it back and forth."""
+    law = model if isinstance(model, FrictionModel) else make_law(model, *overrides)
+    bench: Bench = build(compose(*overrides)["bench"]).observing(law.inputs)
     interval = bench.timestep
     history = bench.sampling(interval).history
     time = interval * np.arange(-history, steps)[:, None]
     swings = np.stack([0.5 * np.sin(30 * time + phase + np.arange(bench.nv)) for phase in (0.3, 2.0)])
-    inputs = {"gain": 5.0, "supply": 12.0, "enable": 1.0, "temperature": 40 + 10 * np.sin(20 * time)}
+    inputs = {"gain": 20.0, "supply": 48.0, "enable": 1.0, "temperature": 40 + 10 * np.sin(20 * time)}
     more = [np.full_like(swings, inputs[name]) for name in bench.inputs]
     states = np.random.default_rng(0).normal(scale=0.2, size=(2, 2, steps + 1, bench.nv))
     load = None if bench.payload is None else np.stack(2 * [bench.load(PAYLOAD)])
     segments = Segments(
         *states, np.concatenate([swings, *more], axis=2), interval, load, history, len(law.inputs) * bench.nv
     )
-    values = {
-        "bench": bench.initial_values(),
-        "friction": {name: value.detach().double().numpy() for name, value in law.state_dict().items()},
-    }
-    result = {"settings": settings, "model": law.name}
-    return Fitted(Path("run"), result, bench, law.double(), values, segments, bench.sampling(interval))
+    values = {"bench": bench.initial_values(), "friction": {k: v.detach().numpy() for k, v in law.state_dict().items()}}
+    result = {"settings": compose(*overrides), "model": law.name}
+    return Fitted(Path("run"), result, bench, law, values, segments, bench.sampling(interval))
 
 
 FRICTION = {
     name: {"init": size, "low": 1e-6, "high": 10.0, "scale": "log", "identify": True}
     for name, size in {"frictionloss": 0.2, "damping": 0.03}.items()
 }
-LAWS = [*model_names(), Rubbing(1)]
-BENCHES = {
-    "a late command": (
-        "coulomb_stribeck",
-        "bench.params.delay={init: 0.0034, low: 0.0, high: 0.02, scale: 0.01, identify: true}",
-    ),
-    "a voltage servo with a payload": ("mujoco_default", "bench=xl330"),
+RUBBING = Rubbing(1).double()
+LATE = "bench.params.delay={init: 0.0034, low: 0.0, high: 0.02, scale: 0.01, identify: true}"
+DRIVES = {
+    "a network with a memory": ("history_network",),
+    "a voltage servo with a payload at a temperature": ("temperature_linear", "bench=xl330"),
 }
 
 
-def name_of(law):
-    return law if isinstance(law, str) else law.name
+def write_drive(law, folder, target):
+    """The module alone, imported."""
+    name, more = f"{target}_drive.py", {"example_install": "", "late_remark": ""}
+    assert name in write_module(make_fitted(law), folder, f"{name}.jinja", name, **more)
+    return load_module(folder / name)
 
 
-def pairs():
-    """Every law in MuJoCo C, and in MJX, which takes seconds to compile, one with all terms and one with a memory."""
-    for law in LAWS:
-        yield pytest.param(MujocoC, law, id=f"mujoco-{name_of(law)}")
-        marks = [] if name_of(law) in ("rubbing", "lugre") else [pytest.mark.slow]
-        yield pytest.param(Mjx, law, id=f"mjx-{name_of(law)}", marks=marks)
+@pytest.mark.parametrize("law", [*model_names(), RUBBING], ids=lambda law: getattr(law, "name", law))
+def test_a_modules_law_is_the_fitted_one(law, tmp_path):
+    """In random states, one after the other where it remembers, in numpy; both modules hold the same text."""
+    model, memory, rng = make_fitted(law).model, None, np.random.default_rng(0)
+    modules = [write_drive(law, tmp_path, target) for target in ("mujoco", "mjx")]
+    for _ in range(3):
+        observed = {name: value + 10 * rng.normal(size=(20, 1)) for name, value in model.inputs.items()}
+        state = DriveState(*rng.normal(size=(5, 20, 1)), **observed)
+        tensors, values = state.map(torch.tensor), dict(model.state_dict())
+        memory = model.settle(torch, values, tensors) if memory is None else memory
+        before = memory.detach().numpy()
+        expected, memory = model.advance(torch, values, tensors, memory, 0.001)
+        for module in modules:
+            given = module.VALUES, module.DriveState(**state.given())
+            if not model.memory:
+                came = module.Law().terms(np, *given)
+            else:
+                np.testing.assert_allclose(module.Law().settle(np, *given), model.settle(torch, values, tensors))
+                came, after = module.Law().advance(np, *given, before, 0.001)
+                np.testing.assert_allclose(after, memory.detach(), rtol=1e-10, atol=1e-14)
+            for one, other in zip(came, expected, strict=True):
+                assert (one is None) == (other is None)
+                if one is not None:
+                    np.testing.assert_allclose(one, other.detach(), rtol=1e-10, atol=1e-14)
 
 
-@pytest.mark.parametrize(("target", "law"), list(pairs()))
-def test_a_module_moves_the_bench_as_it_was_fitted(target, law, tmp_path):
-    fitted = make_fitted(law)
+@pytest.mark.parametrize("drive", DRIVES)
+@pytest.mark.parametrize("target", [MujocoC, pytest.param(Mjx, marks=pytest.mark.slow)], ids=lambda target: target.name)
+def test_a_module_moves_the_bench_as_it_was_fitted(target, drive, tmp_path):
+    fitted = make_fitted(*DRIVES[drive])
     export = target().write(fitted, tmp_path, {})
     assert {path.name for path in tmp_path.iterdir() if path.is_file()} == set(export.files)
     assert np.ptp(fitted.rollout()[0]) > 0.1
     assert export.differences[0].largest < EXACT
 
 
-@pytest.mark.parametrize("case", BENCHES)
-@pytest.mark.parametrize("target", [MujocoC, pytest.param(Mjx, marks=pytest.mark.slow)], ids=lambda target: target.name)
-def test_a_module_holds_the_actuator_and_its_delay(target, case, tmp_path):
-    fitted = make_fitted(*BENCHES[case])
-    assert target().write(fitted, tmp_path, {}).differences[0].largest < EXACT
-
-
-def test_a_late_command_is_the_same_in_mjcf(tmp_path):
-    _, override = BENCHES["a late command"]
-    export = Mjcf().write(make_fitted("mujoco_default", override), tmp_path, {})
-    assert "nsample" in (tmp_path / "bench.xml").read_text()
-    assert export.differences[0].largest < EXACT
-
-
-def put_into_robot(tmp_path, text, *overrides, name="robot.xml", model="mujoco_default", **options):
+def put_into_robot(tmp_path, text, name="robot.xml", **options):
     """The export's folder, what was written and the robot's compiled model."""
     robot = tmp_path / name
     robot.write_text(text)
     folder = tmp_path / "export"
     folder.mkdir()
-    export = Mjcf().write(make_fitted(model, *overrides), folder, {"into": str(robot), **options})
+    export = Mjcf().write(make_fitted("mujoco_default", LATE), folder, {"into": str(robot), **options})
     return folder / name, export, mujoco.MjModel.from_xml_path(str(folder / name))
 
 
 def test_a_robots_joint_gets_the_drive_and_nothing_else_changes(tmp_path):
     path, export, model = put_into_robot(tmp_path, ROBOT)
     before = mujoco.MjModel.from_xml_string(ROBOT)
-    values = make_fitted("mujoco_default").values
+    values = make_fitted("mujoco_default", LATE).values
     knee, hip = model.joint("knee"), model.joint("hip")
     assert knee.armature == values["bench"]["armature"]
     assert knee.frictionloss == values["friction"]["frictionloss"]
@@ -183,14 +200,13 @@ def test_a_robots_joint_gets_the_drive_and_nothing_else_changes(tmp_path):
 
 
 def test_a_drive_goes_into_several_joints_and_adds_their_actuators(tmp_path):
-    late = BENCHES["a late command"][1]
-    _, export, model = put_into_robot(tmp_path, ROBOT, late, joint="hip,knee")
-    np.testing.assert_array_equal(
-        model.dof_armature, np.repeat(make_fitted("mujoco_default").values["bench"]["armature"], 2)
-    )
+    path, export, model = put_into_robot(tmp_path, ROBOT, joint="hip,knee")
+    armature = make_fitted("mujoco_default", LATE).values["bench"]["armature"]
+    np.testing.assert_array_equal(model.dof_armature, np.repeat(armature, 2))
     assert model.nu == 2
     np.testing.assert_array_equal(model.actuator_delay, [0.0034, 0.0034])
-    assert export.differences[1].largest < EXACT
+    assert "nsample" in path.with_name("bench.xml").read_text()  # late there, too
+    assert max(difference.largest for difference in export.differences) < EXACT
 
 
 def test_a_robots_actuators_can_stay(tmp_path):
@@ -201,7 +217,7 @@ def test_a_robots_actuators_can_stay(tmp_path):
 
 def test_urdf_gets_friction_and_damping_and_says_what_it_lacks(tmp_path):
     path, export, model = put_into_robot(tmp_path, URDF, name="leg.urdf")
-    values = make_fitted("mujoco_default").values
+    values = make_fitted("mujoco_default", LATE).values
     assert model.dof_frictionloss == values["friction"]["frictionloss"]
     assert model.dof_damping == values["friction"]["damping"]
     armature = float(values["bench"]["armature"][0])
@@ -210,12 +226,13 @@ def test_urdf_gets_friction_and_damping_and_says_what_it_lacks(tmp_path):
 
 
 def test_another_law_is_refitted_and_says_what_that_costs(tmp_path):
-    export = Mjcf().write(make_fitted("coulomb_stribeck"), tmp_path, {})
-    (limit,) = export.limits
+    fitted = make_fitted("lugre")
+    (limit,) = Mjcf().write(fitted, tmp_path, {}).limits
     after, before = (float(text.split()[-1].lstrip("(")) for text in limit.split(" rad")[:2])
-    assert "no coulomb_stribeck" in limit
+    assert "no lugre" in limit
     assert 0 < after < before  # the refit is no worse than truncation
-    rms = np.sqrt(np.mean(np.square(_simulate(tmp_path) - make_fitted("coulomb_stribeck").rollout()[0])))
+    came = run_bench(mujoco.MjModel.from_xml_path(str(tmp_path / "bench.xml")), fitted)
+    rms = np.sqrt(np.mean(np.square(came - fitted.rollout()[0])))
     assert rms == pytest.approx(after, rel=1e-2)  # three digits are printed
 
 
@@ -227,37 +244,11 @@ def test_a_law_that_remembers_is_no_function_of_an_instant(target, tmp_path, mon
     assert list(tmp_path.iterdir()) == []
 
 
-def test_mujocos_own_friction_is_refitted_to_what_a_law_that_remembers_does(tmp_path):
-    (limit,) = Mjcf().write(make_fitted("lugre"), tmp_path, {}).limits
-    after, before = (float(text.split()[-1].lstrip("(")) for text in limit.split(" rad")[:2])
-    assert 0 < after < before
-
-
-def _simulate(folder):
-    """The written bench under the fixture's commands."""
-    fitted = make_fitted("coulomb_stribeck")
-    return run_bench(mujoco.MjModel.from_xml_path(str(folder / "bench.xml")), fitted)
-
-
-def test_an_installed_drive_acts_in_mj_step(tmp_path):
-    fitted = make_fitted("coulomb_stribeck")
-    MujocoC().write(fitted, tmp_path, {})
-    module = load_module(tmp_path / "drive.py")
-    model = mujoco.MjModel.from_xml_path(str(tmp_path / "bench.xml"))
-    data, drive = mujoco.MjData(model), module.Drive(model)
-    data.qpos[:], data.qvel[:] = fitted.segments.qpos[0, 0], fitted.segments.qvel[0, 0]
-    drive.install()
-    try:
-        for command in fitted.segments.commands[0]:
-            data.ctrl[:] = command
-            mujoco.mj_step(model, data)
-    finally:
-        mujoco.set_mjcb_control(None)
-    assert data.qpos[0] == pytest.approx(fitted.rollout()[0][0, -1, 0], abs=EXACT)
-
-
 def test_a_module_remembers_steps_and_not_calls(tmp_path):
-    """mj_forward between steps changes nothing; a reset, by MuJoCo or by hand, begins as the first step does."""
+    """Installed, it acts in mj_step.
+
+    mj_forward between steps changes nothing; a reset, by MuJoCo or by hand, begins as the first step does.
+    """
     fitted = make_fitted("lugre")
     MujocoC().write(fitted, tmp_path, {})
     module = load_module(tmp_path / "drive.py")
@@ -291,26 +282,19 @@ def test_a_module_remembers_steps_and_not_calls(tmp_path):
     assert distance["no reset"] > 1e-6  # the bristles are still bent
 
 
-def test_a_module_needs_nothing_of_this_package(tmp_path):
-    for target, law in itertools.product((MujocoC, Mjx), ("neural_friction", "history_network")):
-        fitted, folder = make_fitted(law), tmp_path / target.name / law
-        folder.mkdir(parents=True)
-        names = write_module(
-            *(fitted, folder, f"{target.name}_drive.py.jinja", "drive.py"),
-            **dict.fromkeys(("example_install", "late_remark"), ""),
-        )
-        assert names == ("drive.py", "weights.npz")
-        imported = {name.split(".")[0] for name in imports(ast.parse((folder / "drive.py").read_text()))}
-        assert not imported & {"frictionzoo", "torch", "hydra"}
+@pytest.mark.parametrize("target", ["mujoco", "mjx"])
+def test_a_module_needs_nothing_of_this_package(target, tmp_path):
+    module = write_drive("history_network", tmp_path, target)
+    assert sorted(path.name for path in tmp_path.iterdir() if path.is_file()) == [f"{target}_drive.py", "weights.npz"]
+    imported = {name.split(".")[0] for name in imports(ast.parse(Path(module.__file__).read_text()))}
+    assert not imported & {"frictionzoo", "torch", "hydra"}
 
 
 def test_friction_torque_over_jax_is_the_laws(tmp_path):
-    fitted = make_fitted("coulomb_stribeck")
-    write_module(fitted, tmp_path, "mjx_drive.py.jinja", "drive.py", late_remark="")
-    module, samples = load_module(tmp_path / "drive.py"), fitted.samples
+    samples = DriveState(*np.random.default_rng(0).normal(size=(5, 20, 1)))
     with jax.enable_x64(True):
-        torque = np.asarray(module.friction_torque(**samples.given()))
-    expected = fitted.model.terms(np, fitted.values["friction"], samples).torque
+        torque = np.asarray(write_drive(RUBBING, tmp_path, "mjx").friction_torque(**samples.given()))
+    expected = sliding_torque(np, RUBBING.terms(np, {}, samples), samples.qvel)
     np.testing.assert_allclose(torque, expected, rtol=1e-12)
 
 
@@ -357,36 +341,28 @@ def test_a_robot_that_cannot_take_the_drive_is_refused(options, message, tmp_pat
     for name, text in texts.items():
         Path(f"{name}.xml").write_text(text)
     with pytest.raises(FrictionzooError, match=message) as caught:
-        Mjcf().write(make_fitted("mujoco_default"), tmp_path, options)
+        Mjcf().write(make_fitted("mujoco_default", LATE), tmp_path, options)
     assert "\n" not in str(caught.value)
 
 
 def test_a_longer_step_keeps_every_other_sample_and_its_history():
-    fitted = make_fitted(*BENCHES["a late command"])
+    fitted = make_fitted("mujoco_default", LATE)
     slower = fitted.at(0.002)
     assert slower.timestep == 0.002 and slower.segments.length == fitted.segments.length // 2
     np.testing.assert_array_equal(slower.segments.qpos, fitted.segments.qpos[:, ::2])
     np.testing.assert_array_equal(slower.segments.commands, fitted.segments.commands[:, ::2])
     assert slower.segments.history == slower.sampling.history == 10
+    np.testing.assert_array_equal(slower.segments.ctrl, fitted.segments.ctrl[:, ::2])
     faster = fitted.at(0.0005)
-    assert faster.sampling.substeps == 2 and faster.segments.length == fitted.segments.length
-    # Both converge to one motion; the command is held over a longer sample.
-    for other, every in ((slower, 2), (faster, 1)):
-        np.testing.assert_allclose(other.rollout()[0], fitted.rollout()[0][:, every - 1 :: every], atol=0.02)
+    assert faster.timestep == 0.0005 and faster.segments.length == fitted.segments.length
+    assert faster.sampling.substeps == 2 and faster.sampling.history == fitted.sampling.history
     with pytest.raises(ConfigError, match=r"timestep=0\.0015; expected a whole part"):
         fitted.at(0.0015)
 
 
-@pytest.fixture(scope="module")
-def run_folder(recording, tiny, tmp_path_factory, compilation_cache):
-    """A finished run of seconds."""
-    folder = tmp_path_factory.mktemp("runs") / "run"
-    job = [sys.executable, "-m", "frictionzoo.run", *tiny, "model=mujoco_default", "fit=lm", "fit.iterations=2"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "JAX_COMPILATION_CACHE_DIR": str(compilation_cache)}
-    subprocess.run(
-        [*job, f"hydra.run.dir={folder}"], check=True, capture_output=True, cwd=folder.parent, env=environment
-    )
-    return folder
+@pytest.fixture
+def run_folder(finished_run):
+    return finished_run("mujoco_default")[0]
 
 
 def export(capsys, *arguments):
@@ -413,9 +389,13 @@ def test_the_command_writes_a_run_and_a_note(run_folder, tmp_path, capsys):
 
 
 def test_another_time_step_says_what_it_changes(run_folder, tmp_path, capsys):
-    status, out, _ = export(capsys, run_folder, "target=mjcf", "timestep=0.002", f"output={tmp_path / 'slow'}")
-    assert status == 0 and "In steps of 0.002 s the drive moves differently" in out
-    assert mujoco.MjModel.from_xml_path(str(tmp_path / "slow" / "bench.xml")).opt.timestep == 0.002
+    status, out, _ = export(capsys, run_folder, "target=mjcf", "timestep=0.0005", f"output={tmp_path / 'fine'}")
+    assert status == 0
+    moved = out.split("In steps of 0.0005 s the drive moves differently")[1]
+    assert 0 < float(moved.split(" rad")[1].split()[-1]) < 0.01  # both converge to one motion
+    assert mujoco.MjModel.from_xml_path(str(tmp_path / "fine" / "bench.xml")).opt.timestep == 0.0005
+    (difference,) = json.loads((tmp_path / "fine" / "export.json").read_text())["differences"]
+    assert difference["largest"] < EXACT
 
 
 @pytest.mark.parametrize(
@@ -478,26 +458,32 @@ ARM = """<mujoco><compiler angle="radian"/><option timestep="0.001"><flag contac
       <inertial pos="0 0 -0.1" mass="0.2" diaginertia="0.001 0.001 0.0005"/></body></body></worldbody></mujoco>"""
 
 
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    """Overrides of the bench of an arm."""
+    path = tmp_path_factory.mktemp("arm") / "arm.xml"
+    path.write_text(ARM)
+    return f"bench.mjcf={path}", "bench.joint=[shoulder,elbow]"
+
+
+TWO_RUBBING = Rubbing(2).double()
+
+
 @pytest.mark.parametrize(
-    "target",
-    [pytest.param(Mjcf, marks=pytest.mark.slow), MujocoC, pytest.param(Mjx, marks=pytest.mark.slow)],
-    ids=lambda t: t.name,
+    "target", [pytest.param(Mjcf, marks=pytest.mark.slow), MujocoC, Mjx], ids=lambda target: target.name
 )
-def test_a_drive_of_several_joints(target, tmp_path):
-    (tmp_path / "arm.xml").write_text(ARM)
-    overrides = (f"bench.mjcf={tmp_path / 'arm.xml'}", "bench.joint=[shoulder,elbow]", BENCHES["a late command"][1])
-    fitted = make_fitted(MujocoDefault(2, FRICTION) if target is Mjcf else Rubbing(2), *overrides)
+def test_a_drive_of_several_joints(target, arm, tmp_path):
+    """All terms, a memory and late commands, in modules; in MJCF, its own friction."""
+    fitted = make_fitted(MujocoDefault(2, FRICTION) if target is Mjcf else TWO_RUBBING, *arm, LATE)
     fitted.values["bench"]["armature"][:] = [0.02, 0.05]
     fitted.values["bench"]["delay"][:] = [0.0034, 0.0012]
-    folder = tmp_path / "export"
-    folder.mkdir()
-    assert target().write(fitted, folder, {}).differences[0].largest < EXACT
+    assert target().write(fitted, tmp_path, {}).differences[0].largest < EXACT
+    assert np.ptp(fitted.rollout()[0], axis=(0, 1)).min() > 0.1
 
 
 @pytest.mark.slow
-def test_a_law_of_several_joints_is_refitted_joint_by_joint(tmp_path):
-    (tmp_path / "arm.xml").write_text(ARM)
-    fitted = make_fitted(Rubbing(2), f"bench.mjcf={tmp_path / 'arm.xml'}", "bench.joint=[shoulder,elbow]")
+def test_a_law_of_several_joints_is_refitted_joint_by_joint(arm):
+    fitted = make_fitted(Rubbing(2), *arm)
     fitted.values["bench"]["armature"][:] = [0.02, 0.05]
     nearest = find_nearest(fitted)
     # The law lies between 0.1 and 0.2 N m, and its armatures are not confused.

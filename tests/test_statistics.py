@@ -52,7 +52,8 @@ def test_what_is_shared_by_the_rollouts_does_not_count():
 
 
 def test_two_equal_drives_are_seldom_told_apart():
-    verdicts = [compare(*RNG.normal(1, 0.1, (2, 20))).verdict for _ in range(300)]
+    counts = resample(20)  # the same in every call
+    verdicts = [difference(*RNG.normal(1, 0.1, (2, 20)), counts).verdict for _ in range(300)]
     # 95 % are expected, a little fewer with 20 rollouts; three standard deviations of 300 draws are 4 %.
     assert 0.87 < verdicts.count("noise") / 300 < 0.99
 
