@@ -20,6 +20,8 @@ from frictionzoo.rollout import make_rollout
 from frictionzoo.segments import cut_segments
 from frictionzoo.types import DriveState, Log
 
+pytestmark = pytest.mark.usefixtures("in_haste")
+
 TRUTH = {
     "asymmetric": {
         "frictionloss_forward": 0.4,

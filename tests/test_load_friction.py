@@ -18,6 +18,8 @@ from frictionzoo.rollout import Rollout, make_rollout
 from frictionzoo.segments import cut_segments
 from frictionzoo.types import Log, Payload
 
+pytestmark = pytest.mark.usefixtures("in_haste")
+
 INTERVAL, SAMPLES = 0.01, 600
 PAYLOAD = Payload(1.0, (0.0, 0.0, -0.12), (1e-3, 1e-3, 1e-3))
 TRUTH = {

@@ -22,6 +22,8 @@ from frictionzoo.models import FrictionModel
 from frictionzoo.rollout import make_rollout
 from frictionzoo.types import DriveState, FrictionTerms, Sampling, Segments
 
+pytestmark = pytest.mark.usefixtures("in_haste")
+
 LAWS = ("dahl", "lugre", "maxwell_slip")
 MASS = 95.0  # kg
 TRUTH = {

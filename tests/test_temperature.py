@@ -28,6 +28,8 @@ from frictionzoo.rollout import make_rollout
 from frictionzoo.segments import cut_segments
 from frictionzoo.types import Dataset, DriveState, Log, Uncertainty
 
+pytestmark = pytest.mark.usefixtures("in_haste")
+
 LAWS = ("temperature_linear", "temperature_arrhenius")
 REFERENCE = 25.0  # degC, of conf/model
 TRUTH = {
