@@ -29,6 +29,8 @@ from frictionzoo.types import DriveState, Segments
 
 LOSS = {"position": 1.0, "velocity": 1.0, "robust": "none", "robust_scale": 1.0, "refine": False}
 TRUTH = {"armature": 0.03, "frictionloss": 0.2, "damping": 0.1}
+KNOWN = [f"{owner}.identify=false" for owner in ("bench.params.armature", "model.params.frictionloss")]
+KNOWN += ["model.params.damping.identify=false"]
 
 
 @pytest.fixture(autouse=True)
@@ -154,17 +156,15 @@ def test_space_names_values_and_bounds(pose: Callable[..., Problem]) -> None:
 def test_a_space_with_nothing_to_identify_is_not_searched(
     pose: Callable[..., Problem], make: Callable[..., Any], fit: str
 ) -> None:
-    objective = pose("baseline", "bench.params.armature.identify=false").objective
     with pytest.raises(ConfigError, match="no parameter is to be identified"):
-        make("fit", f"fit={fit}").total(objective)
+        make("fit", f"fit={fit}").total(pose("mujoco_default", *KNOWN).objective)
 
 
 def test_known_values_are_judged_and_not_moved(pose: Callable[..., Problem], make: Callable[..., Any]) -> None:
     searched, fit = pose("mujoco_default").objective, make("fit", "fit=known")
     with pytest.raises(ConfigError, match=r"bench\.armature is to be identified"):
         fit.total(searched)
-    known = ("bench.params.armature", "model.params.frictionloss", "model.params.damping")
-    objective = pose("mujoco_default", *(f"{name}.identify=false" for name in known)).objective
+    objective = pose("mujoco_default", *KNOWN).objective
     progress, trace = fit.chunk(objective, fit.total(objective))(fit.start(objective), 1)
     assert (int(progress.iteration), int(progress.best_iteration)) == (1, 0)
     expected = float(searched.loss(searched.space.start, searched.data))
@@ -243,7 +243,7 @@ def test_grid_finds_the_best_of_its_points(pose: Callable[..., Problem], tmp_pat
 
 def test_grid_refuses_a_network(pose: Callable[..., Problem], tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"fit=grid: friction\.layers\.0\.weight has no bounds"):
-        run(pose("neural_friction"), Grid(3), tmp_path)
+        run(pose("residual_network"), Grid(3), tmp_path)
 
 
 def test_reference_is_the_optimum_of_the_recipe(pose: Callable[..., Problem], tmp_path: Path) -> None:
@@ -292,7 +292,7 @@ def test_bounds_hold(pose: Callable[..., Problem], tmp_path: Path) -> None:
 
 
 def test_patience_stops(pose: Callable[..., Problem], tmp_path: Path) -> None:
-    outcome = run(pose("baseline"), Adam(1000, 0.05, 0.9, "auto"), tmp_path, patience=20, chunk=10)
+    outcome = run(pose("coulomb_smooth"), Adam(1000, 0.05, 0.9, "auto"), tmp_path, patience=20, chunk=10)
     assert outcome.stopped == "patience"
     assert outcome.iterations < 1000
     assert outcome.iterations - 1 - outcome.best_iteration >= 20
@@ -300,7 +300,7 @@ def test_patience_stops(pose: Callable[..., Problem], tmp_path: Path) -> None:
 
 def test_divergence_names_iteration_and_parameter(pose: Callable[..., Problem], tmp_path: Path) -> None:
     # Weights have no bounds: after one step of this size the layers overflow.
-    outcome = run(pose("neural_friction"), Adam(5, 1e200, 0.9, "auto"), tmp_path)
+    outcome = run(pose("residual_network"), Adam(5, 1e200, 0.9, "auto"), tmp_path)
     assert outcome.stopped == "diverged"
     assert outcome.message is not None
     assert outcome.message.startswith("fit diverged at iteration 1: ")
@@ -311,7 +311,7 @@ def test_divergence_names_iteration_and_parameter(pose: Callable[..., Problem], 
 
 
 def test_a_fit_that_never_starts_says_so(pose: Callable[..., Problem], tmp_path: Path) -> None:
-    problem = pose("baseline")
+    problem = pose("coulomb_smooth")
     problem.objective.space.start = problem.objective.space.start * jnp.nan
     with pytest.raises(FitError, match="diverged at iteration 0"):
         run(problem, Adam(5, 0.01, 0.9, "auto"), tmp_path)

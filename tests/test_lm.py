@@ -196,16 +196,16 @@ def test_both_engines_find_the_same(pose: Pose, tmp_path: Path) -> None:  # noqa
 )
 def test_impossible_losses_are_refused(pose: Pose, options: dict[str, Any], line: str) -> None:  # noqa: F811
     with pytest.raises(ConfigError, match=line):
-        pose("baseline", **options)
+        pose("mujoco_default", **options)
 
 
 def test_a_network_is_refused(pose: Pose, tmp_path: Path) -> None:  # noqa: F811
     with pytest.raises(ConfigError, match=r"fit=lm: \d+ coordinates .*, expected at most 200; use fit=adam"):
-        run(pose("neural_friction"), LM, tmp_path)
+        run(pose("residual_network"), LM, tmp_path)
 
 
 def test_auto_takes_the_method_that_suits_the_law(pose: Pose, make: Callable[..., Any], tmp_path: Path) -> None:  # noqa: F811
-    few, many = pose("mujoco_default"), pose("neural_friction")
+    few, many = pose("mujoco_default"), pose("residual_network")
     auto = make("fit", "fit=auto", "fit.tries=50", "fit.tolerance=1e-12", "fit.iterations=5", "fit.learning_rate=1e-3")
     assert auto.choose(few.objective).name == "lm" and auto.total(few.objective) == 50
     assert auto.choose(many.objective).name == "adam" and auto.total(many.objective) == 5
