@@ -134,6 +134,11 @@ class InfiniteSlope(Sound):
         return FrictionTerms(torque=values["dry"] * xp.sign(state.qvel) * xp.sqrt(xp.abs(state.qvel)))
 
 
+class InfiniteSlopeUnloaded(Sound):
+    def terms(self, xp, values, state):
+        return FrictionTerms(torque=values["dry"] * xp.tanh(state.qvel) * xp.sqrt(xp.square(state.motor_torque)))
+
+
 class Undeclared(Sound):
     def terms(self, xp, values, state):
         return FrictionTerms(frictionloss=values["dry"])
@@ -176,6 +181,13 @@ class Drives(Sound):
         return FrictionTerms(torque=values["dry"] * xp.tanh(state.qvel - 0.05))
 
 
+class DrivesElsewhere(Sound):
+    """Not with its initial value, but with lower ones within the bounds."""
+
+    def terms(self, xp, values, state):
+        return FrictionTerms(torque=(values["dry"] - 0.4) * xp.tanh(state.qvel))
+
+
 class Pushes(Sound):
     constraint = True
 
@@ -214,6 +226,7 @@ BROKEN = {
     TwoGradients: "torch equals JAX: gradient on the samples of dry differs by",
     TwoSetsOfTerms: "torch equals JAX: terms",
     InfiniteSlope: "gradient: with respect to qvel is not finite on the samples",
+    InfiniteSlopeUnloaded: "gradient: with respect to motor_torque is not finite where all is 0",
     Undeclared: "constraint: is not declared and frictionloss is given",
     Missing: "constraint: is declared and frictionloss is None",
     Locks: "frictionloss: is 0 or negative somewhere",
@@ -221,6 +234,7 @@ BROKEN = {
     Forgets: "state_dict: is not complete",
     Grows: r"state_dict: does not go through safetensors and back \(Error.* size mismatch for velocity_scale",
     Drives: "dissipative: friction drives the joint at qvel=",
+    DrivesElsewhere: "dissipative: friction drives the joint at qvel=",
     Pushes: "dissipative: torque moves a joint that stands still",
     NegativeDamping: "dissipative: damping is negative",
 }
