@@ -23,14 +23,14 @@ from frictionzoo.engine import friction_of, make_engine
 from frictionzoo.errors import ConfigError, FitError
 from frictionzoo.fit import Adam, Grid, Objective, Space, fit_reference, run_fit
 from frictionzoo.fit.loggers import TensorBoard
-from frictionzoo.models import Baseline, FrictionModel
+from frictionzoo.models import FrictionModel
 from frictionzoo.rollout import Rollout, make_rollout
 from frictionzoo.types import DriveState, Segments
 
 LOSS = {"position": 1.0, "velocity": 1.0, "robust": "none", "robust_scale": 1.0, "refine": False}
 TRUTH = {"armature": 0.03, "frictionloss": 0.2, "damping": 0.1}
-KNOWN = [f"{owner}.identify=false" for owner in ("bench.params.armature", "model.params.frictionloss")]
-KNOWN += ["model.params.damping.identify=false"]
+PARAMETERS = ("bench.params.armature", "model.params.frictionloss", "model.params.damping")
+KNOWN = [f"{name}.identify=false" for name in PARAMETERS]
 
 
 @pytest.fixture(autouse=True)
@@ -118,13 +118,19 @@ def pose(recording: Segments) -> Callable[..., Problem]:
     return pose
 
 
+def bowl(problem: Problem, centre: float = 0.0) -> Problem:
+    """The same problem with another loss, which compiles at once: a vector's distance from this one."""
+    problem.objective.value_and_grad = lambda _: jax.value_and_grad(lambda vector, _: jnp.sum((vector - centre) ** 4))
+    return problem
+
+
 def identified(values: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
     return {name: np.ravel(value)[0] for owner in values.values() for name, value in owner.items()}
 
 
-@pytest.mark.parametrize("name", ["mujoco_default", "coulomb_smooth", "residual_network"])
+@pytest.mark.parametrize("name", ["mujoco_default", "residual_network"])
 def test_gradient_equals_central_differences(pose: Callable[..., Problem], name: str) -> None:
-    """Of a law that is a constraint, of one that is a torque, and of one with physical parameters and weights."""
+    """Of a law that is a constraint, and of one that adds a torque, with physical parameters and weights."""
     objective = pose(name).objective
     start, rng = objective.space.start, np.random.default_rng(1)
     # A network has corners in its ReLUs: the step is so small that next to none of them lies inside.
@@ -227,7 +233,7 @@ def test_adam_moves_physical_parameters_and_weights_together(pose: Callable[...,
 
 
 def test_grid_finds_the_best_of_its_points(pose: Callable[..., Problem], tmp_path: Path) -> None:
-    problem = pose("mujoco_grid_search")
+    problem = pose("mujoco_default", *(f"{name}.scale=1" for name in PARAMETERS))
     outcome = run(problem, Grid(3), tmp_path, chunk=10)
     assert outcome.iterations == len(outcome.history["loss"]) == 3**3
     combinations = np.column_stack([outcome.history[name][:, 0] for name in problem.objective.space.params])
@@ -246,12 +252,11 @@ def test_grid_refuses_a_network(pose: Callable[..., Problem], tmp_path: Path) ->
         run(pose("residual_network"), Grid(3), tmp_path)
 
 
-def test_reference_is_the_optimum_of_the_recipe(pose: Callable[..., Problem], tmp_path: Path) -> None:
-    problem = pose("baseline")
-    reference = identified(fit_reference(problem.objective))
-    assert isinstance(problem.model, Baseline)
-    adam = identified(run(problem, Adam(400, 0.02, 0.9, "auto"), tmp_path).values)
-    assert reference["armature"] == pytest.approx(adam["armature"], rel=5e-3)
+def test_reference_is_the_optimum(pose: Callable[..., Problem]) -> None:
+    objective = pose("baseline").objective
+    vector = np.log([identified(fit_reference(objective))["armature"]])
+    equations = objective.compile_normal_equations()(vector)
+    assert np.abs(equations.gradient / equations.hessian.ravel()).max() < 1e-4  # what a step would still move
 
 
 def test_reference_is_kept_for_the_same_objective_alone(
@@ -278,21 +283,20 @@ def test_reverse_mode_through_a_loop_is_refused(pose: Callable[..., Problem]) ->
 def test_chunks_change_no_bit(pose: Callable[..., Problem], tmp_path: Path) -> None:
     problem = pose("coulomb_smooth")
     adam = Adam(20, 0.01, 0.9, "auto", "cosine")
-    whole, *others = (run(problem, adam, tmp_path / str(size), chunk=size) for size in (100, 7, 1))
+    whole, ours = (run(problem, adam, tmp_path / str(size), chunk=size) for size in (100, 7))
     for name, history in whole.history.items():
-        for ours in others:
-            np.testing.assert_array_equal(ours.history[name], history)
+        np.testing.assert_array_equal(ours.history[name], history)
 
 
 def test_bounds_hold(pose: Callable[..., Problem], tmp_path: Path) -> None:
     problem = pose("mujoco_default", "model.params.frictionloss.high=0.1", "model.params.frictionloss.init=0.05")
-    outcome = run(problem, Adam(200, 0.02, 0.9, "auto"), tmp_path)
+    outcome = run(bowl(problem), Adam(200, 0.02, 0.9, "auto"), tmp_path)
     assert outcome.history["friction.frictionloss"].max() <= 0.1 * (1 + 1e-12)
     assert identified(outcome.values)["frictionloss"] == pytest.approx(0.1, rel=1e-6)
 
 
 def test_patience_stops(pose: Callable[..., Problem], tmp_path: Path) -> None:
-    outcome = run(pose("coulomb_smooth"), Adam(1000, 0.05, 0.9, "auto"), tmp_path, patience=20, chunk=10)
+    outcome = run(bowl(pose("coulomb_smooth"), -3.0), Adam(1000, 0.05, 0.9, "auto"), tmp_path, patience=20, chunk=10)
     assert outcome.stopped == "patience"
     assert outcome.iterations < 1000
     assert outcome.iterations - 1 - outcome.best_iteration >= 20
@@ -300,7 +304,7 @@ def test_patience_stops(pose: Callable[..., Problem], tmp_path: Path) -> None:
 
 def test_divergence_names_iteration_and_parameter(pose: Callable[..., Problem], tmp_path: Path) -> None:
     # Weights have no bounds: after one step of this size the layers overflow.
-    outcome = run(pose("residual_network"), Adam(5, 1e200, 0.9, "auto"), tmp_path)
+    outcome = run(bowl(pose("residual_network")), Adam(5, 1e200, 0.9, "auto"), tmp_path)
     assert outcome.stopped == "diverged"
     assert outcome.message is not None
     assert outcome.message.startswith("fit diverged at iteration 1: ")
@@ -314,7 +318,7 @@ def test_a_fit_that_never_starts_says_so(pose: Callable[..., Problem], tmp_path:
     problem = pose("coulomb_smooth")
     problem.objective.space.start = problem.objective.space.start * jnp.nan
     with pytest.raises(FitError, match="diverged at iteration 0"):
-        run(problem, Adam(5, 0.01, 0.9, "auto"), tmp_path)
+        run(bowl(problem), Adam(5, 0.01, 0.9, "auto"), tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize._lsq.least_squares import IMPLEMENTED_LOSSES
-from test_fit import TRUTH, Problem, identified, pose, recording, run  # noqa: F401 - pose and recording are fixtures
+from test_fit import TRUTH, Problem, bowl, identified, pose, recording, run  # noqa: F401 - pose and recording are fixtures
 
 from frictionzoo.errors import ConfigError, FitError
 from frictionzoo.fit import LevenbergMarquardt
@@ -205,7 +205,7 @@ def test_a_network_is_refused(pose: Pose, tmp_path: Path) -> None:  # noqa: F811
 
 
 def test_auto_takes_the_method_that_suits_the_law(pose: Pose, make: Callable[..., Any], tmp_path: Path) -> None:  # noqa: F811
-    few, many = pose("mujoco_default"), pose("residual_network")
+    few, many = pose("mujoco_default"), bowl(pose("residual_network"))
     auto = make("fit", "fit=auto", "fit.tries=50", "fit.tolerance=1e-12", "fit.iterations=5", "fit.learning_rate=1e-3")
     assert auto.choose(few.objective).name == "lm" and auto.total(few.objective) == 50
     assert auto.choose(many.objective).name == "adam" and auto.total(many.objective) == 5
