@@ -30,16 +30,13 @@ JOBS = {  # options besides those of `tiny`
 FIGURES = ("figure3_parameters.png", "figure4_trajectory.png", "figure5_error.png")
 
 
-@pytest.mark.parametrize("name", ["mujoco_default", "coulomb_smooth", "neural_friction"])
+@pytest.mark.parametrize("name", ["mujoco_default", "coulomb_smooth", "neural_friction", "baseline"])
 def test_a_finished_run_is_a_whole_record(
     finished_run: Callable, make: Callable, tiny: tuple[str, ...], name: str
 ) -> None:
-    check_record(*finished_run(name), name, make("model", *RUNS[name], *tiny, nv=1))
-
-
-def test_a_job_of_a_sweep_is_a_whole_record(finished_run: Callable, make: Callable) -> None:
-    sweep, finished = finished_run("sweep")
-    check_record(sweep / "0_baseline", finished, "baseline", make("model", "model=baseline", nv=1))
+    run, finished = finished_run("sweep" if name == "baseline" else name)
+    module = make("model", *RUNS.get(name, ["model=baseline"]), *tiny, nv=1)
+    check_record(run / "0_baseline" if name == "baseline" else run, finished, name, module)
 
 
 @pytest.mark.slow
@@ -80,10 +77,8 @@ def check_result(result: dict, name: str) -> None:
     assert result["data"]["samples"] == 1150 + 300  # 1500, less the gap of 50, a fifth for the test
     assert not result["data"]["simulated"]
     fit = result["fit"]
-    if fit["method"] == "lm":
-        assert fit["stopped"] == "converged"
-    else:
-        assert (fit["iterations"], fit["stopped"]) == (2**3 if fit["method"] == "grid" else 3, "finished")
+    ends = {"adam": (3, "finished"), "grid": (2**3, "finished"), "lm": (fit["iterations"], "converged")}
+    assert (fit["iterations"], fit["stopped"]) == ends[fit["method"]]
     assert 0 <= fit["best_iteration"] < fit["iterations"]
     assert (
         sum(result["timing"][part] for part in ("setup", "compile", "fit", "uncertainty", "evaluate"))

@@ -80,9 +80,8 @@ def known_options():
     known = set()
     for path in CONF_DIR.glob("**/*.yaml"):
         whole = path.read_text().startswith("# @package _global_") or path.parent == CONF_DIR
-        for key, _ in list_options(
-            OmegaConf.to_container(OmegaConf.load(path)), "" if whole else f"{path.parent.name}."
-        ):
+        file = OmegaConf.to_container(OmegaConf.load(path))
+        for key, _ in list_options(file, "" if whole else f"{path.parent.name}."):
             known |= set(itertools.accumulate(key.split("."), "{}.{}".format))
     return known
 

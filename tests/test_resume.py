@@ -111,9 +111,18 @@ def test_ended_elsewhere_and_resumed_is_as_if_nothing_had_happened(
     assert steps_on_tensorboard(tmp_path / "ended") == [0, 1, 2]
 
 
-def test_a_finished_run_resumed_is_the_same_run(call: Callable, finished_run: Callable, tmp_path: Path) -> None:
+def test_a_finished_run_is_resumed_to_itself_and_by_its_own_command_alone(
+    call: Callable, finished_run: Callable, tmp_path: Path
+) -> None:
     expected, _ = finished_run("coulomb_smooth")
     folder = shutil.copytree(expected, tmp_path / "copy")
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    for override, complaint in {"fit.learning_rate=0.02": "last.ckpt: fit ", "seed=-3": "seed=-3; expected"}.items():
+        finished = call(f"resume={folder}", override)
+        assert finished.status == 2
+        (line,) = [line for line in finished.err.splitlines() if line.startswith("frictionzoo: ")]
+        assert complaint in line
+        assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
     assert call(f"resume={folder}").status == 0
     assert_same(folder, expected)
 
@@ -138,17 +147,6 @@ def test_a_run_that_lost_patience_is_resumed_to_the_same_end(pose: Callable, tmp
     assert first.stopped == again.stopped == "patience"
     assert (first.iterations, first.best_iteration, first.loss) == (again.iterations, again.best_iteration, again.loss)
     np.testing.assert_equal((again.vector, again.history), (first.vector, first.history))
-
-
-def test_a_checkpoint_of_another_run_is_refused(call: Callable, finished_run: Callable, tmp_path: Path) -> None:
-    folder = shutil.copytree(finished_run("coulomb_smooth")[0], tmp_path / "copy")
-    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-    for override, complaint in {"fit.learning_rate=0.02": "last.ckpt: fit ", "seed=-3": "seed=-3; expected"}.items():
-        finished = call(f"resume={folder}", override)
-        assert finished.status == 2
-        (line,) = [line for line in finished.err.splitlines() if line.startswith("frictionzoo: ")]
-        assert complaint in line
-        assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
 
 
 @pytest.mark.parametrize(
