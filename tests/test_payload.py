@@ -34,7 +34,7 @@ TRUTH = {"armature": 0.03, "frictionloss": 0.2, "damping": 0.1}
 
 
 @pytest.fixture
-def x64() -> Iterator[None]:
+def x64(in_haste: None) -> Iterator[None]:
     with jax.enable_x64(True):
         yield
 
