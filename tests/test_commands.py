@@ -5,6 +5,7 @@ fails. A rule says how the command is tried, or which test does the same. Jobs o
 not in what follows: one of each kind is done in the quick run, the others are posed there, up to the first iteration.
 """
 
+import functools
 import importlib
 import itertools
 import json
@@ -107,7 +108,7 @@ def jobs_of(arguments: Sequence[str], *groups: str) -> Iterator[tuple[str, ...]]
 def shrink(arguments: Sequence[str], cache: Path) -> list[str]:
     """The options of `SMALL`, and a cache, that all of these jobs have and that none of the arguments sets."""
     groups = [folder.name for folder in CONF_DIR.iterdir() if folder.is_dir()]
-    configs = [compose_config(*choices) for choices in jobs_of(arguments, *groups)]
+    configs = [compose_choices(*choices) for choices in jobs_of(arguments, *groups)]
     named = {argument.partition("=")[0] for argument in arguments}
     return [
         f"{option}={value}"
@@ -116,7 +117,7 @@ def shrink(arguments: Sequence[str], cache: Path) -> list[str]:
     ]
 
 
-absent = object()
+absent, compose_choices = object(), functools.cache(compose_config)
 
 
 def do_jobs(command: str, place: Place) -> None:
@@ -347,7 +348,10 @@ RULES: list[tuple[str, How, *tuple[pytest.MarkDecorator, ...]]] = [
     ),
     (r"python -m frictionzoo\.inspect data=files .*", inspect),
     (rf"{JOB}--cfg job", show_configuration),
-    (rf"{JOB}resume=outputs/\S+", left_to("test_resume::test_a_finished_run_resumed_is_the_same_run")),
+    (
+        rf"{JOB}resume=outputs/\S+",
+        left_to("test_resume::test_a_finished_run_is_resumed_to_itself_and_by_its_own_command_alone"),
+    ),
     # Sweeps
     (rf"{JOB}-m hydra/launcher=submitit_slurm .*", compose_for_a_cluster),
     (rf"{JOB}-m hydra/launcher=.*", leave_to_the_launchers_test),
