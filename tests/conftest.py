@@ -266,7 +266,8 @@ def finished_run(
     """
 
     def finished_run(name: str) -> tuple[Path, Finished]:
-        home = shared_folder / "runs" / name
+        haste = jax.config.read(UNOPTIMISED)  # the last bits differ with it
+        home = shared_folder / "runs" / f"{name}{'_in_haste' if haste else ''}"
         told = home / "finished.json"
         home.mkdir(parents=True, exist_ok=True)
         with FileLock(home.with_suffix(".lock")):
