@@ -12,19 +12,15 @@ from omegaconf import OmegaConf
 
 from frictionzoo.job import Problem
 
-PLACES = range(1, 6)
-JOINTS = [f"joint{index}" for index in PLACES]
+JOINTS = [f"joint{index}" for index in range(5)]
 TRUTH = {
     "armature": np.array([0.5, 0.45, 0.3, 0.15, 0.08]),
     "frictionloss": np.array([1.2, 1.5, 0.8, 0.5, 0.3]),
     "damping": np.array([1.0, 1.4, 0.7, 0.4, 0.2]),
 }
-HEADERS = {
-    signal: [f"{letter}{i}" for i in PLACES] for signal, letter in {"qpos": "q", "qvel": "v", "ctrl": "u"}.items()
-}
+HEADERS = {signal: [f"{signal}{index}" for index in range(5)] for signal in ("qpos", "qvel", "ctrl")}
 GAINS = {"kp": 400.0, "kd": 40.0}
-LENGTHS = (0.15, 0.2, 0.2, 0.2, 0.1)  # m
-MASSES = (4.0, 4.0, 3.0, 2.0, 1.0)  # kg
+LENGTHS, MASSES = (0.15, 0.2, 0.2, 0.2, 0.1), (4.0, 4.0, 3.0, 2.0, 1.0)  # m, kg
 TIMESTEP, SECONDS = 1e-3, 10
 
 
@@ -53,27 +49,17 @@ def record(path: Path) -> None:
         joint = spec.joint(name)
         joint.armature, joint.frictionloss = TRUTH["armature"][index], TRUTH["frictionloss"][index]
         joint.damping = [TRUTH["damping"][index], 0.0, 0.0]
-        spec.add_actuator(
-            name=name,
-            target=name,
-            trntype=mujoco.mjtTrn.mjTRN_JOINT,
-            gainprm=[GAINS["kp"]] + 9 * [0.0],
-            biastype=mujoco.mjtBias.mjBIAS_AFFINE,
-            biasprm=[0.0, -GAINS["kp"], -GAINS["kd"]] + 7 * [0.0],
-        )
+        actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        actuator.set_to_position(kp=GAINS["kp"], kv=GAINS["kd"])
     model = spec.compile()
-    data = mujoco.MjData(model)
-    rng = np.random.default_rng(0)
-    samples = int(SECONDS / TIMESTEP)
-    time = TIMESTEP * np.arange(samples)
+    data, rng, time = mujoco.MjData(model), np.random.default_rng(0), np.arange(0, SECONDS, TIMESTEP)
     frequencies, phases = rng.uniform(0.5, 9.0, (4, 5)), rng.uniform(0, 2 * np.pi, (4, 5))
     amplitudes = rng.uniform(0.5, 1.0, (4, 5)) / frequencies
     ctrl = (amplitudes * np.sin(time[:, None, None] * frequencies + phases)).sum(axis=1)
-    states = np.empty((samples, 10))
+    states = np.empty((len(time), 10))
     data.qpos[:] = ctrl[0]
-    for index in range(samples):
-        states[index] = np.concatenate([data.qpos, data.qvel])
-        data.ctrl[:] = ctrl[index]
+    for state, data.ctrl[:] in zip(states, ctrl, strict=True):
+        state[:] = np.concatenate([data.qpos, data.qvel])
         mujoco.mj_step(model, data)
     states += rng.normal(size=states.shape) * np.repeat([2e-6, 1e-3], 5)
     columns = ",".join(["time", *itertools.chain(*HEADERS.values())])
@@ -96,11 +82,9 @@ def test_fifteen_parameters_of_an_arm_in_one_fit(
     )
     with job_settings(compilation_cache):
         problem = Problem.pose(OmegaConf.to_container(config, resolve=True))
-        assert problem.drive.engine.name == "specialised"
         fit, objective = problem.fit, problem.objective
-        iterations = fit.total(objective)
-        progress, _ = fit.chunk(objective, iterations)(fit.start(objective), iterations)
+        progress, _ = fit.chunk(objective, 100)(fit.start(objective), 100)
         found = objective.space.identified(progress.best)
-    assert {name.rpartition(".")[2] for name in found} == TRUTH.keys()
+    assert (problem.drive.engine.name, len(found)) == ("specialised", len(TRUTH))
     for name, values in found.items():
         np.testing.assert_allclose(values, TRUTH[name.rpartition(".")[2]], rtol=0.05, err_msg=name)

@@ -18,12 +18,8 @@ from frictionzoo.types import DriveState
 
 ROOT = Path(__file__).parent.parent
 EXPERIMENTS = ROOT / "experiments"
-MEASURED = [
-    *(pytest.param(name, marks=needs_data) for name in ("emps", "emps_stiff", "sts3215", "xl330")),
-    "twin_clean",
-    "kovalev2026",
-    "zoo",
-]
+MEASURED = [pytest.param(name, marks=needs_data) for name in ("emps", "emps_stiff", "sts3215", "xl330")]
+MEASURED += ["twin_clean", "kovalev2026", "zoo"]
 ENTRY = {
     "label": "law",
     "test": {"position_mae": 0.005, "position_mae_std": 0.001},
@@ -32,29 +28,23 @@ ENTRY = {
 }
 
 
-def friction_at(model, velocity):
-    """Torque of a law that has no constraint, at rest but for the velocity."""
-    still = torch.zeros((1, 1), dtype=torch.float64)
-    return model(DriveState(still, still + velocity, still, still, still)).torque.item()
-
-
-def done(finished):
-    """A job's end, which has to be a good one."""
-    assert finished.status == 0, finished.err
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MEASURED)
 def test_an_experiment_gives_what_its_page_says(name, tmp_path, make, call, monkeypatch):
     """Its small variant, in one process; without one, all of it. `make reproduce` runs all of them at full size."""
     monkeypatch.setattr(files, "read_tables", functools.cache(files.read_tables))  # the same ones for all jobs
+
+    def start(*arguments):
+        assert (finished := call(*arguments)).status == 0, finished.err
+
     expected = reproduce.read_expected(name, small=True)
-    folders = reproduce.run(expected["commands"], tmp_path, lambda *arguments: done(call(*arguments)))
+    folders = reproduce.run(expected["commands"], tmp_path, start)
     missed = list(reproduce.check(compare_runs(*read_runs(folders)), expected["checks"]))
     for check in expected.get("friction_torque", []):
-        model = make("model", f"experiment={name}", nv=1)
+        model, still = make("model", f"experiment={name}", nv=1), torch.zeros((1, 1), dtype=torch.float64)
         model.load_state_dict(safetensors.torch.load((folders[0] / "friction.safetensors").read_bytes()))
-        if not reproduce.agrees(torque := friction_at(model, check["velocity"]), check):
+        torque = model(DriveState(still, still + check["velocity"], still, still, still)).torque.item()
+        if not reproduce.agrees(torque, check):
             missed.append(f"friction at {check['velocity']} is {torque}, expected {check}")
     assert not missed
 
@@ -100,11 +90,9 @@ def test_checks_find_what_is_not_as_expected():
     right = {"run": "law", "path": "test.position_mae", "at_most": 0.005}
     wrong = {"run": "law", "path": "parameters.bench.armature", "expected": 0.05, "relative": 0.1}
     missing = {"run": "other", "path": "parameters.friction.damping", "at_most": 1.0}
-    lines = list(reproduce.check(comparison, [right, wrong, missing]))
-    assert [line.split(" is ")[0] for line in lines] == [
-        "law: parameters.bench.armature",
-        "other: parameters.friction.damping",
-    ]
+    first, second = reproduce.check(comparison, [right, wrong, missing])
+    assert first.startswith("law: parameters.bench.armature is 0.04, ")
+    assert second.startswith("other: parameters.friction.damping is None, ")
     with pytest.raises(SystemExit, match="2 runs"):
         list(reproduce.check(comparison, [{"path": "test.position_mae", "at_most": 1.0}]))
 
@@ -112,69 +100,47 @@ def test_checks_find_what_is_not_as_expected():
 def test_each_command_runs_in_a_folder_of_its_own(tmp_path):
     ran = []
     commands = ["python -m frictionzoo.run -m model=a,b", "python -m frictionzoo.run 'x=[1, 2]'"]
-    folders = reproduce.run(commands, tmp_path, lambda *arguments: ran.append(arguments))
-    assert folders == [tmp_path / "0", tmp_path / "1"]
-    assert ran == [
-        ("-m", "model=a,b", f"hydra.sweep.dir={folders[0]}"),
-        ("x=[1, 2]", f"hydra.run.dir={folders[1]}"),
-    ]
+    one, two = reproduce.run(commands, tmp_path, lambda *arguments: ran.append(arguments))
+    assert one != two
+    assert ran == [("-m", "model=a,b", f"hydra.sweep.dir={one}"), ("x=[1, 2]", f"hydra.run.dir={two}")]
     with pytest.raises(SystemExit, match="make all; expected a command"):
         reproduce.run(["make all"], tmp_path)
 
 
-def test_the_small_variant_has_its_own_numbers_and_leaves_the_page(tmp_path, monkeypatch, capsys, make_runs):
-    check = {"run": "baseline", "path": "test.position_mae", "at_most": -1.0}
-    small = {"commands": ["small"], "checks": [check | {"at_most": 1e9}]}
-    table = [{"head": "model", "values": ["label"], "format": "{}"}]
-    ran, page = [], tmp_path / "one" / "README.md"
-    page.parent.mkdir()
-    page.write_text(before := "<!-- table: how -->\n<!-- end of table -->\n")
-    expected = {"commands": ["full"], "checks": [check], "table": table, "small": small}
-    page.with_name("expected.yaml").write_text(yaml.safe_dump(expected))
-    monkeypatch.setattr(reproduce, "EXPERIMENTS", tmp_path)
-    monkeypatch.setattr(reproduce, "run", lambda commands, output: ran.append(commands))
-    monkeypatch.setattr(reproduce, "read_runs", lambda folders: (make_runs(["baseline"]), []))
-    comparison = compare_runs(make_runs(["baseline"]), [])
-    monkeypatch.setattr(reproduce, "write_comparison", lambda folders, output: comparison)
-    monkeypatch.setattr(sys, "argv", ["reproduce.py", "--small", "one"])
-    assert (reproduce.main(), ran, page.read_text()) == (0, [["small"]], before)
-    monkeypatch.setattr(sys, "argv", ["reproduce.py"])
-    assert (reproduce.main(), ran[1:]) == (1, [["full"]])
-    assert "one: baseline: test.position_mae is" in capsys.readouterr().out
-    assert "| baseline |\n" in page.read_text()
-
-
 def test_the_table_has_a_row_a_run():
-    expected = {
-        "table": [
-            {"head": "model", "values": ["label"], "format": "`{}`"},
-            {
-                "head": "MAE [mrad]",
-                "values": ["test.position_mae", "test.position_mae_std"],
-                "scale": 1000,
-                "format": "{:.1f} ({:.0f})",
-            },
-            {"head": "horizon", "values": ["by_horizon.1.horizon"], "format": "{}"},
-            {"head": "damping", "values": ["parameters.friction.damping"], "format": "{}"},
-            {"head": "published", "published": "paper"},
-        ],
-        "paper": {"law": "7"},
-    }
-    table = reproduce.tabulate({"runs": [ENTRY]}, expected)
-    assert table.splitlines() == [
+    error = {"values": ["test.position_mae", "test.position_mae_std"], "scale": 1000, "format": "{:.1f} ({:.0f})"}
+    columns = [
+        {"head": "model", "values": ["label"], "format": "`{}`"},
+        {"head": "MAE [mrad]", **error},
+        {"head": "horizon", "values": ["by_horizon.1.horizon"], "format": "{}"},
+        {"head": "damping", "values": ["parameters.friction.damping"], "format": "{}"},
+        {"head": "published", "published": "paper"},
+    ]
+    assert reproduce.tabulate({"runs": [ENTRY]}, {"table": columns, "paper": {"law": "7"}}).splitlines() == [
         "| model | MAE [mrad] | horizon | damping | published |",
         "| --- | --- | --- | --- | --- |",
         "| `law` | 5.0 (1) | 0.1 |  | 7 |",
     ]
 
 
-def test_the_table_goes_between_the_marks(tmp_path, monkeypatch):
+def test_the_table_goes_between_the_marks_and_the_small_variant_leaves_it(tmp_path, monkeypatch, capsys):
+    page, check = tmp_path / "one" / "README.md", {"path": "test.position_mae", "at_most": -1.0}
+    small = {"commands": ["small"], "checks": [check | {"at_most": 1.0}]}
+    table = [{"head": "\\1", "values": ["label"], "format": "{}"}]
+    page.parent.mkdir()
+    page.write_text(before := "before\n<!-- table: how -->\nold\n<!-- end of table -->\nafter\n")
+    expected = {"commands": ["full"], "checks": [check], "table": table, "small": small}
+    page.with_name("expected.yaml").write_text(yaml.safe_dump(expected))
     monkeypatch.setattr(reproduce, "EXPERIMENTS", tmp_path)
-    (tmp_path / "one").mkdir()
-    page = tmp_path / "one" / "README.md"
-    page.write_text("before\n<!-- table: how -->\nold\n\\1\n<!-- end of table -->\nafter\n")
-    reproduce.write_table("one", "new \\1")
-    assert page.read_text() == "before\n<!-- table: how -->\nnew \\1\n<!-- end of table -->\nafter\n"
+    monkeypatch.setattr(reproduce, "run", lambda commands, output: commands)
+    monkeypatch.setattr(reproduce, "read_runs", lambda ran: [ran])
+    monkeypatch.setattr(reproduce, "compare_runs", lambda ran: {"runs": [ENTRY] * (ran == ["small"])})
+    monkeypatch.setattr(reproduce, "write_comparison", lambda ran, output: {"runs": [ENTRY] * (ran == ["full"])})
+    monkeypatch.setattr(sys, "argv", ["reproduce.py", "--small", "one"])
+    assert (reproduce.main(), page.read_text()) == (0, before)
+    monkeypatch.setattr(sys, "argv", ["reproduce.py"])
+    assert (reproduce.main(), page.read_text()) == (1, before.replace("old", "| \\1 |\n| --- |\n| law |"))
+    assert "one: law: test.position_mae is 0.005, expected" in capsys.readouterr().out
     page.write_text("none")
     with pytest.raises(SystemExit, match="0 places"):
         reproduce.write_table("one", "new")
