@@ -197,6 +197,7 @@ def test_recordings_that_are_gone_or_changed_are_one_line(
     copy = copy_teacher(teacher, tmp_path / "copy", other)
     options = ("model=mujoco_default", f"output={tmp_path / 'student'}")
     check_refused(distill(copy, *options), r"other\.csv", tmp_path / "student")
+    assert "exists already" in distill(copy, "model=mujoco_default", f"output={copy}").err
     text = recording.read_text()
     other.write_text(text[: text.rindex("\n", 0, -1) + 1])  # its last sample is lost
     check_refused(distill(copy, *options), "data with SHA-256 .*, expected .* as when it ran", tmp_path / "student")

@@ -80,23 +80,16 @@ def test_baseline_has_no_friction(bench, samples):
     assert f"baseline: {EXACT}" in text
 
 
-def test_known_coulomb_and_viscous_torque_is_recovered(bench, samples):
-    law = Explicit(lambda xp, state: FrictionTerms(torque=0.3 * xp.sign(state.qvel) + 0.05 * state.qvel))
-    text, frictionloss, damping = export(bench, law, samples)
+def test_known_coulomb_and_viscous_torque_of_all_terms_is_recovered(bench, samples):
+    def formula(xp, state):
+        torque = 0.1 * xp.sign(state.qvel) + 0.02 * state.qvel
+        return FrictionTerms(torque, xp.full_like(state.qvel, 0.2), xp.full_like(state.qvel, 0.03))
+
+    text, frictionloss, damping = export(bench, Explicit(formula), samples)
     # Least squares of data without noise: rounding only.
     assert frictionloss == pytest.approx(0.3, rel=1e-9)
     assert damping == pytest.approx(0.05, rel=1e-9)
     assert f"explicit is {NEAREST}" in text
-
-
-def test_nearest_adds_up_all_terms(bench, samples):
-    def formula(xp, state):
-        return FrictionTerms(0.1 * xp.sign(state.qvel), xp.full_like(state.qvel, 0.2), xp.full_like(state.qvel, 0.05))
-
-    text, frictionloss, damping = export(bench, Explicit(formula), samples)
-    assert frictionloss == pytest.approx(0.3, rel=1e-9)
-    assert damping == pytest.approx(0.05, rel=1e-9)
-    assert NEAREST in text
 
 
 def test_friction_that_depends_on_the_state_is_not_exact(bench, samples):

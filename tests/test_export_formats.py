@@ -23,7 +23,7 @@ from frictionzoo.export.base import Export, get_target
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.isaaclab import read_isaaclab
 from frictionzoo.export.mjlab import read_mjlab
-from frictionzoo.export.motor import Motor, lag, motors, read_inputs
+from frictionzoo.export.motor import lag, motors, read_inputs
 from frictionzoo.export.nearest import Nearest
 from frictionzoo.export.read_bam import LAWS, read_bam
 from frictionzoo.export.targets import __all__ as _registered  # noqa: F401 - importing it registers them
@@ -34,7 +34,7 @@ SIGNALS = ["qpos", "qvel", "ctrl", "motor_torque", "external_torque"]
 PAYLOAD = Payload(0.5, (0.0, 0.0, -0.1), (1e-4, 1e-4, 1e-4))
 MODELS = [name for name in model_names() if not get_model(name).memory]
 GRAPHS = list(itertools.product(MODELS, ("torchscript", "onnx")))
-KINDS = ("neural_friction", "directional", "temperature_arrhenius")  # of laws: ONNX's exporter takes seconds for each
+KINDS = ("neural_friction", "temperature_arrhenius")  # of laws: ONNX's exporter takes seconds for each
 
 
 class Drawn(Fitted):
@@ -58,8 +58,7 @@ def compose_once(*overrides: str) -> Any:
 @cache  # with what a drive has compiled
 def fit(law: str, *overrides: str, kind: type[Fitted] = Fitted) -> Fitted:
     """A drive with the configuration's initial values, two rollouts of half a second, and overrides."""
-    laws = [law] if overrides else MODELS
-    config = compose_once(*(f"+model@laws.{law}={law}" for law in laws), *overrides)
+    config = compose_once(*(f"+model@laws.{law}={law}" for law in ([law] if overrides else MODELS)), *overrides)
     model = build(config["laws"][law], nv=1)
     bench = build(config["bench"]).observing(model.inputs)
     rng, interval = np.random.default_rng(0), 0.01
@@ -288,10 +287,9 @@ def test_a_delay_is_rounded_to_whole_steps() -> None:
 @pytest.mark.parametrize("drive", [(), DC_MOTOR, STS3215], ids=["position", "dc motor", "voltage servo"])
 def test_a_motor_is_the_actuator_law(drive: tuple[str, ...]) -> None:
     """At a given supply and gain, limited voltage and back-EMF are a torque-speed line."""
-    fitted = draw("mujoco_default", *drive)
+    fitted, given = draw("mujoco_default", *drive), {"gain": 8.0, "supply": 7.0, "enable": 1.0}
     law, values = fitted.bench.actuator, fitted.values["bench"]
-    given = {"gain": 8.0, "supply": 7.0, "enable": 1.0}
-    (motor,) = motors(fitted, read_inputs(fitted, {"gain": "8", "supply": "7"} if drive == STS3215 else {}))
+    (motor,) = motors(fitted, read_inputs(fitted, {"gain": "8", "supply": "7"}))
     affine = law.affine(values)
     # Driven faster than it runs free, a DC motor brakes here and gives nothing in our law.
     fastest = {(): 10.0, DC_MOTOR: 8.0}.get(drive, 2 * motor.velocity_limit)
@@ -301,23 +299,7 @@ def test_a_motor_is_the_actuator_law(drive: tuple[str, ...]) -> None:
         assert motor.torque(3 * ctrl, qpos, fastest * speed) == pytest.approx(torque[0], abs=1e-12)
 
 
-def test_a_motors_torque_line() -> None:
-    motor = Motor(100.0, 1.0, saturation_effort=3.0, velocity_limit=6.0, effort_limit=2.0)
-    assert motor.torque(1.0, 0.0, 0.0) == 2.0
-    assert motor.torque(1.0, 0.0, 4.0) == 1.0
-    assert motor.torque(-1.0, 0.0, 4.0) == -2.0
-    assert motor.torque(0.01, 0.0, 0.0) == 1.0
-
-
-@pytest.mark.parametrize("target", ["mjlab", "isaaclab"])
-def test_a_force_drive_is_refused(tmp_path: Path, target: str) -> None:
-    with pytest.raises(ExportError, match="Force"):
-        write(target, draw("mujoco_default", "bench=emps"), tmp_path)
-
-
-def test_gain_and_supply_are_options(tmp_path: Path) -> None:
-    fitted = draw("mujoco_default", *STS3215)
-    write("mjlab", fitted, tmp_path, gain="32", supply="6")
-    (joint,) = read_mjlab((tmp_path / "mjlab_actuators.py").read_text())
-    values = {name: float(value[0]) for name, value in fitted.values["bench"].items()}
-    assert joint.motor.stiffness == pytest.approx(6 * 32 * values["kt_over_r"] * values["duty_gain"])
+def test_a_force_drive_is_refused(tmp_path: Path) -> None:
+    for target in READERS:
+        with pytest.raises(ExportError, match="Force"):
+            write(target, draw("mujoco_default", "bench=emps"), tmp_path)

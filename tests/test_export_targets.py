@@ -115,10 +115,11 @@ def make_fitted(model: str | FrictionModel, *overrides: str, steps: int = 150) -
     return Fitted(Path("run"), result, bench, law, values, segments, bench.sampling(interval))
 
 
-FRICTION = {
-    name: {"init": size, "low": 1e-6, "high": 10.0, "scale": "log", "identify": True}
-    for name, size in {"frictionloss": 0.2, "damping": 0.03}.items()
-}
+def known(size):
+    return {"init": size, "low": 1e-6, "high": 10.0, "scale": "log", "identify": True}
+
+
+FRICTION = {"frictionloss": known(0.2), "damping": known(0.03)}
 RUBBING = Rubbing(1).double()
 LATE = "bench.params.delay={init: 0.0034, low: 0.0, high: 0.02, scale: 0.01, identify: true}"
 DRIVES = {
@@ -326,6 +327,8 @@ def test_a_law_that_cannot_be_written_down_says_why(tmp_path):
         "uncompiled": ({"into": "empty.xml"}, r"into=empty.xml: MuJoCo does not compile it"),
         "slide": ({"into": "slide.xml"}, r"joint=knee: another type of joint .*expected a hinge"),
         "actuator": ({"into": "robot.xml", "actuator": "mine"}, r"actuator=mine: expected identified or keep"),
+        "include": ({"into": "parts.xml"}, r"into=parts.xml: it has an <include>"),
+        "two actuators": ({"into": "twice.xml"}, r"joint=knee: 2 actuators, expected one at most"),
         "joint alone": ({"joint": "knee"}, r"joint=knee without into"),
     }.values(),
 )
@@ -335,6 +338,8 @@ def test_a_robot_that_cannot_take_the_drive_is_refused(options, message, tmp_pat
         "robot": ROBOT,
         "notes": "<notes/>",
         "broken": "<mujoco",
+        "parts": ROBOT.replace("<actuator>", '<include file="a.xml"/><actuator>'),
+        "twice": ROBOT.replace("</actuator>", '<motor joint="knee"/></actuator>'),
         "slide": ROBOT.replace('name="knee"', 'name="knee" type="slide"'),
     }
     texts["empty"] = '<mujoco><worldbody><body><joint name="knee"/></body></worldbody></mujoco>'
