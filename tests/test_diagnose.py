@@ -160,7 +160,7 @@ def test_an_empty_signal_is_refused_in_one_line(signal):
 @pytest.mark.parametrize("delay", [0.0, 0.03])
 @pytest.mark.parametrize("servo", [True, False], ids=["position", "torque"])
 def test_the_delay_of_a_command(delay, servo):
-    found = estimate_delay([simulate_servo(delay, servo)])
+    found = estimate_delay([simulate_servo(delay, servo, samples=500 if servo else 800)])
     assert found.command == ("position" if servo else "torque")
     # The simple drive's step is 2.5 ms, and its integrator a step's share early or late.
     assert found.seconds == pytest.approx(delay, abs=4e-3)
@@ -186,6 +186,7 @@ def test_sts3215(servos):
 
 
 @needs_data
+@pytest.mark.slow
 def test_the_delay_of_sts3215():
     # Rollouts over all logs fit best with about 30 ms. The estimate of one gain is 18 to 40 ms.
     gain = read_sts3215(DATA, holding=b'"kp": 16')

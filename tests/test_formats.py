@@ -194,11 +194,17 @@ def test_bam_logs_in_a_folder_and_in_a_zip(tmp_path):
 
 
 @needs_data
-@pytest.mark.parametrize(("place", "count"), [("xl330", 16), ("sts3215_12v/sts3215_12v_raw.zip", 960)])
-def test_real_bam_logs_need_no_option(place, count):
-    tables = read_tables(str(Path(str(DATA)) / place), "auto")
+@pytest.mark.parametrize(("place", "count"), [("xl330", 16), ("sts3215_12v/sts3215_12v_raw.zip", 12)])
+def test_real_bam_logs_need_no_option(place, count, tmp_path):
+    path = Path(str(DATA)) / place
+    if path.suffix == ".zip":
+        with zipfile.ZipFile(path) as archive, zipfile.ZipFile(tmp_path / path.name, "w") as some:
+            for name in archive.namelist()[::80]:
+                some.writestr(name, archive.read(name))
+        path = tmp_path / path.name
+    tables = read_tables(str(path), "auto")
     assert len(tables) == count
-    for table in tables[:: count // 8]:
+    for table in tables:
         recording = to_recording(table, {}, {}, simulated=False)
         assert set(recording.signals) == {"qpos", "qvel", "ctrl", "supply", "enable", "temperature"}
         assert 5.9 < recording.time[-1] < 6.1  # s, by the recordings' description
