@@ -131,8 +131,9 @@ def test_a_servo_moves_as_in_mujoco_c(servo: Callable[..., Bench], make: Callabl
 
 
 def test_a_motor_that_is_not_enabled_has_no_torque(servo: Callable[..., Bench], make: Callable[..., Any]) -> None:
-    bench = servo()
-    engine = make_engine("specialised", bench, friction_of(make("model", "model=baseline", nv=1)), False)
+    bench = servo(*NO_DELAY, "bench.params.position_offset.init=0.1")  # as above, so that it is known already
+    law = make("model", "bench=sts3215", "model=mujoco_default", nv=1)
+    engine = make_engine("specialised", bench, friction_of(law), True)
     values, load = {"bench": bench.initial_values(), "friction": {}}, bench.load(PAYLOAD)
     see = jax.jit(engine.drive_state)
     for enable, torque in ((0.0, 0.0), (1.0, 0.4 * 12.0 * min(1, 16 * 0.16489 * 0.2) - 0.4 * 3.0)):
