@@ -7,13 +7,11 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
 
-import jax
 import numpy as np
 import pytest
 import safetensors.torch
 import torch
-from conftest import Finished
-from jax.experimental.compilation_cache import compilation_cache as jax_cache
+from conftest import Finished, job_settings
 
 from frictionzoo.compare.comparison import compare_runs
 from frictionzoo.compare.runs import read_runs
@@ -28,14 +26,10 @@ from frictionzoo.report.terminal import summarise_distillation
 
 
 @pytest.fixture(scope="module", autouse=True)
-def jax_as_it_was() -> Iterator[None]:
+def settings_as_they_were(compilation_cache: Path) -> Iterator[None]:
     """Jobs set JAX's precision and caches, for their whole process."""
-    names = ("jax_enable_x64", "jax_default_device", "jax_compilation_cache_dir")
-    before = {name: getattr(jax.config, name) for name in names}
-    yield
-    for name, value in before.items():
-        jax.config.update(name, value)
-    jax_cache.reset_cache()
+    with job_settings(compilation_cache):
+        yield
 
 
 @pytest.fixture
@@ -94,6 +88,7 @@ KNOWN = ("fit=known", f"bench.params.armature.init={ARMATURE}", "bench.params.ar
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("in_haste")
 def test_mujocos_friction_is_near_what_slides(
     call: Callable[..., Finished], tiny: tuple[str, ...], distill: Callable, tmp_path: Path
 ) -> None:
@@ -127,6 +122,7 @@ def test_mujocos_friction_is_near_what_slides(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("in_haste")
 def test_a_networks_student_is_a_run(finished_run: Callable, distill: Callable, tmp_path: Path) -> None:
     network, student = finished_run("neural_friction")[0], tmp_path / "student"
     finished = distill(network, "model=mujoco_default", f"output={student}")

@@ -32,7 +32,8 @@ from frictionzoo.types import DriveState, Payload, Segments
 
 SIGNALS = ["qpos", "qvel", "ctrl", "motor_torque", "external_torque"]
 PAYLOAD = Payload(0.5, (0.0, 0.0, -0.1), (1e-4, 1e-4, 1e-4))
-MODELS = [name for name in model_names() if not get_model(name).memory]
+OPTIONAL = ("history_network", "maxwell_slip")  # their memory is as long as an option says
+MODELS = [name for name in model_names() if not get_model(name).memory and name not in OPTIONAL]
 GRAPHS = list(itertools.product(MODELS, ("torchscript", "onnx")))
 KINDS = ("neural_friction", "temperature_arrhenius")  # of laws: ONNX's exporter takes seconds for each
 

@@ -122,10 +122,8 @@ def known(size):
 FRICTION = {"frictionloss": known(0.2), "damping": known(0.03)}
 RUBBING = Rubbing(1).double()
 LATE = "bench.params.delay={init: 0.0034, low: 0.0, high: 0.02, scale: 0.01, identify: true}"
-DRIVES = {
-    "a network with a memory": ("history_network",),
-    "a voltage servo with a payload at a temperature": ("temperature_linear", "bench=xl330"),
-}
+NETWORK = ("history_network",)  # it remembers
+SERVO = ("temperature_linear", "bench=xl330")  # with a payload, at a temperature
 
 
 def write_drive(law, folder, target):
@@ -161,10 +159,13 @@ def test_a_modules_law_is_the_fitted_one(law, tmp_path):
                     np.testing.assert_allclose(one, other.detach(), rtol=1e-10, atol=1e-14)
 
 
-@pytest.mark.parametrize("drive", DRIVES)
-@pytest.mark.parametrize("target", [MujocoC, pytest.param(Mjx, marks=pytest.mark.slow)], ids=lambda target: target.name)
+@pytest.mark.parametrize(
+    ("target", "drive"),
+    [(MujocoC, NETWORK), (MujocoC, SERVO), pytest.param(Mjx, SERVO, marks=pytest.mark.slow)],
+    ids=["mujoco-network", "mujoco-servo", "mjx-servo"],
+)
 def test_a_module_moves_the_bench_as_it_was_fitted(target, drive, tmp_path):
-    fitted = make_fitted(*DRIVES[drive])
+    fitted = make_fitted(*drive)
     export = target().write(fitted, tmp_path, {})
     assert {path.name for path in tmp_path.iterdir() if path.is_file()} == set(export.files)
     assert np.ptp(fitted.rollout()[0]) > 0.1
@@ -487,6 +488,7 @@ def test_a_drive_of_several_joints(target, arm, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("in_haste")
 def test_a_law_of_several_joints_is_refitted_joint_by_joint(arm):
     fitted = make_fitted(Rubbing(2), *arm)
     fitted.values["bench"]["armature"][:] = [0.02, 0.05]
