@@ -52,6 +52,7 @@ class Browser:
         command += [f"--user-data-dir={self._profile}", "about:blank"]
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
         self._process = subprocess.Popen(command, pass_fds=(theirs, answers), **quiet)
+        atexit.register(self.close)
         for end in (theirs, answers):
             os.close(end)
         self._session: dict[str, str] = {}
@@ -115,14 +116,10 @@ class Browser:
         return message
 
 
-@cache
-def _start() -> Browser:
-    started = Browser()
-    atexit.register(started.close)
-    return started
+start = cache(Browser)
 
 
 def open_page(path: Path, **looks: Any) -> Browser:
     """This worker's browser with this file in it; `looks` are those of `Browser.show`."""
-    _start().show(path, **looks)
-    return _start()
+    start().show(path, **looks)
+    return start()

@@ -28,11 +28,6 @@ def swing(time, lag=0.0):
     return np.sin(3 * time) + 0.5 * np.sin(11 * time), 3 * np.cos(3 * late) + 5.5 * np.cos(11 * late)
 
 
-@pytest.fixture(scope="module")
-def servos():
-    return read_sts3215(DATA, every=8)
-
-
 def test_a_uniform_clock():
     timing = measure_timing(0.002 * np.arange(1000))
     assert timing.interval == pytest.approx(0.002) and timing.duration == pytest.approx(1.998)
@@ -174,8 +169,8 @@ def test_the_delay_of_a_joint_at_rest_cannot_be_told():
 
 
 @needs_data
-def test_sts3215(servos):
-    found = [diagnose(recording) for recording in servos]
+def test_sts3215():
+    found = [diagnose(recording) for recording in read_sts3215(DATA, every=8)]
     joints = [diagnosis.joints[0] for diagnosis in found]
     # By the notes on the data: the register is about 20 ms late, the encoder has 4096 steps a turn, about 150 of the
     # 960 logs hold a spike, so about 19 of these 120; the supply is 11.9 to 12.2 V and not the header's 15.

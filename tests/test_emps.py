@@ -1,6 +1,5 @@
 """EMPS: the real files as published, the velocity estimate against known motions, and the line of each bad input."""
 
-import os
 from pathlib import Path
 
 import hydra
@@ -8,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 import scipy.io
+from conftest import DATA, ROOT, needs_data
 from omegaconf import OmegaConf
 
 from frictionzoo.errors import ConfigError, LogError
@@ -16,8 +16,6 @@ from frictionzoo.logs.velocity import estimate_velocity
 
 OPTIONS = {"name": "emps", "train": "DATA_EMPS.mat", "test": "DATA_EMPS_PULSES.mat", "cutoff": 100.0, "order": 4}
 TIME = np.arange(500) * 1e-3
-
-real = pytest.mark.skipif("FRICTIONZOO_DATA" not in os.environ, reason="FRICTIONZOO_DATA is not set")
 
 
 def signals(**changes):
@@ -36,7 +34,7 @@ def folder_with(tmp_path: Path, train: dict, test: dict) -> Emps:
 
 def test_the_configuration_selects_bench_and_rollouts_with_the_data(monkeypatch):
     monkeypatch.delenv("FRICTIONZOO_DATA", raising=False)
-    config = OmegaConf.load(Path(__file__).parent.parent / "conf" / "data" / "emps.yaml")
+    config = OmegaConf.load(ROOT / "conf" / "data" / "emps.yaml")
     assert config.defaults == [{"override /bench": "emps"}]
     assert (config.segments.length, config.evaluation.placement) == (1000, "consecutive")
     source = hydra.utils.instantiate(config.data)
@@ -47,8 +45,7 @@ def test_the_configuration_selects_bench_and_rollouts_with_the_data(monkeypatch)
 
 
 def test_the_bench_lumps_everything_into_the_armature():
-    assets = Path(__file__).parent.parent / "frictionzoo" / "bench" / "assets"
-    model = mujoco.MjModel.from_xml_path(str(assets / "emps.xml"))
+    model = mujoco.MjModel.from_xml_path(str(ROOT / "frictionzoo" / "bench" / "assets" / "emps.xml"))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     assert model.joint("carriage").type == mujoco.mjtJoint.mjJNT_SLIDE
@@ -57,9 +54,9 @@ def test_the_bench_lumps_everything_into_the_armature():
     assert (model.dof_armature[0], model.dof_damping[0], model.dof_frictionloss[0], model.nu) == (0.0, 0.0, 0.0, 0)
 
 
-@real
+@needs_data
 def test_the_real_files_are_what_was_published():
-    dataset = Emps(folder=os.environ["FRICTIONZOO_DATA"], **OPTIONS).load()
+    dataset = Emps(folder=DATA, **OPTIONS).load()
     assert [log.name for log in dataset.logs] == ["DATA_EMPS.mat", "DATA_EMPS_PULSES.mat"]
     for log in dataset.logs:
         assert log.samples == 24841
@@ -70,9 +67,9 @@ def test_the_real_files_are_what_was_published():
     assert dataset.train[0].sha256 != dataset.test[0].sha256
 
 
-@real
+@needs_data
 def test_the_real_train_log_obeys_the_published_parameters():
-    log = Emps(folder=os.environ["FRICTIONZOO_DATA"], **OPTIONS).load().train[0]
+    log = Emps(folder=DATA, **OPTIONS).load().train[0]
     qvel, force = log.qvel[:, 0], 35.1507 * log.ctrl[:, 0]
     moving = np.abs(qvel) > 0.01
     moving &= np.arange(log.samples) > 50  # the filter's start

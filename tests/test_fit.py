@@ -33,7 +33,7 @@ PARAMETERS = ("bench.params.armature", "model.params.frictionloss", "model.param
 KNOWN = [f"{name}.identify=false" for name in PARAMETERS]
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture(autouse=True)  # test_lm and test_uncertainty import it
 def x64() -> Iterator[None]:
     with jax.enable_x64(True):
         yield
@@ -41,7 +41,6 @@ def x64() -> Iterator[None]:
 
 @dataclass
 class Problem:
-    bench: Bench
     model: FrictionModel
     objective: Objective
 
@@ -70,12 +69,6 @@ def record() -> Segments:
     return Segments(states[..., :1], states[..., 1:], ctrl, 0.001)
 
 
-@pytest.fixture
-def recording() -> Segments:
-    """A copy of these segments."""
-    return copy.deepcopy(record())
-
-
 @cache
 def compose_drive(choices: tuple[str, ...]) -> tuple[Bench, FrictionModel]:
     """The bench and the law of these choices."""
@@ -86,36 +79,30 @@ def compose_drive(choices: tuple[str, ...]) -> tuple[Bench, FrictionModel]:
 
 
 @cache
-def roll_out(model: str, engine: str) -> Rollout:
-    """Rollouts of a law on the paper's bench; they know neither bounds nor what is identified."""
-    bench, law = compose_drive((f"model={model}",))
+def roll_out(model: str, bench: str, engine: str) -> Rollout:
+    """Rollouts of a law on a bench; they know neither bounds nor what is identified."""
+    bench, law = compose_drive((f"model={model}", f"bench={bench}"))
     return make_rollout(make_engine(engine, bench, friction_of(law), law.constraint))
 
 
 PROGRAMS: dict[Any, Any] = defaultdict(dict)  # compiled equations of objectives that differ by their numbers only
 
 
-@pytest.fixture
-def pose(recording: Segments) -> Callable[..., Problem]:
-    """The identification problem of one model on the recording, or on other segments."""
-
-    def pose(
-        model: str,
-        *overrides: str,
-        segments: Segments | None = None,
-        dtype: str = "float64",
-        engine: str = "specialised",
-        **loss: Any,
-    ) -> Problem:
-        """`overrides` say what is identified, from where and within which bounds."""
-        segments = recording if segments is None else segments
-        bench, law = copy.deepcopy(compose_drive((f"model={model}", *overrides)))
-        objective = Objective(Space(bench, law, dtype), roll_out(model, engine), segments, **(LOSS | loss))
-        alike = model, engine, tuple(objective.space.names), str(loss), *(part.shape for part in objective.data)
-        objective._programs = PROGRAMS[alike, str(objective.space.start.dtype)]
-        return Problem(bench, law, objective)
-
-    return pose
+def pose(
+    model: str,
+    *overrides: str,
+    segments: Segments | None = None,
+    bench: str = "knee",
+    engine: str = "specialised",
+    **loss: Any,
+) -> Problem:
+    """The identification problem of one model on these segments; `overrides` say what is identified, and from where."""
+    drive = copy.deepcopy(compose_drive((f"model={model}", f"bench={bench}", *overrides)))
+    rollout, segments = roll_out(model, bench, engine), record() if segments is None else segments
+    objective = Objective(Space(*drive, "float64"), rollout, segments, **(LOSS | loss))
+    shapes = tuple(part.shape for part in objective.data)
+    objective._programs = PROGRAMS[model, bench, engine, overrides, str(loss), objective.stretches, shapes]
+    return Problem(drive[1], objective)
 
 
 def bowl(problem: Problem, centre: float = 0.0) -> Problem:
@@ -129,7 +116,7 @@ def identified(values: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
 
 
 @pytest.mark.parametrize("name", ["mujoco_default", "residual_network"])
-def test_gradient_equals_central_differences(pose: Callable[..., Problem], name: str) -> None:
+def test_gradient_equals_central_differences(name: str) -> None:
     """Of a law that is a constraint, and of one that adds a torque, with physical parameters and weights."""
     objective = pose(name).objective
     start, rng = objective.space.start, np.random.default_rng(1)
@@ -146,7 +133,7 @@ def test_gradient_equals_central_differences(pose: Callable[..., Problem], name:
             np.testing.assert_allclose(gradient @ direction, (ends[0] - ends[1]) / (2 * step), rtol=1e-6)
 
 
-def test_space_names_values_and_bounds(pose: Callable[..., Problem]) -> None:
+def test_space_names_values_and_bounds() -> None:
     space = pose("mujoco_default", "model.params.damping.identify=false").objective.space
     assert list(space.params) == ["bench.armature", "friction.frictionloss"]
     values = space.values(space.start)
@@ -159,14 +146,12 @@ def test_space_names_values_and_bounds(pose: Callable[..., Problem]) -> None:
 
 
 @pytest.mark.parametrize("fit", ["adam", "auto", "grid", "lm"])
-def test_a_space_with_nothing_to_identify_is_not_searched(
-    pose: Callable[..., Problem], make: Callable[..., Any], fit: str
-) -> None:
+def test_a_space_with_nothing_to_identify_is_not_searched(make: Callable[..., Any], fit: str) -> None:
     with pytest.raises(ConfigError, match="no parameter is to be identified"):
         make("fit", f"fit={fit}").total(pose("mujoco_default", *KNOWN).objective)
 
 
-def test_known_values_are_judged_and_not_moved(pose: Callable[..., Problem], make: Callable[..., Any]) -> None:
+def test_known_values_are_judged_and_not_moved(make: Callable[..., Any]) -> None:
     searched, fit = pose("mujoco_default").objective, make("fit", "fit=known")
     with pytest.raises(ConfigError, match=r"bench\.armature is to be identified"):
         fit.total(searched)
@@ -177,7 +162,7 @@ def test_known_values_are_judged_and_not_moved(pose: Callable[..., Problem], mak
     assert float(trace.loss[0]) == float(progress.best_loss) == pytest.approx(expected, rel=1e-9)
 
 
-def test_known_truth_has_no_loss_in_our_engine(pose: Callable[..., Problem]) -> None:
+def test_known_truth_has_no_loss_in_our_engine() -> None:
     """MuJoCo C made the recording: at its values the MJX rollouts must agree to rounding."""
     space = (problem := pose("mujoco_default")).objective.space
     vector = jnp.log(jnp.asarray([TRUTH["armature"], TRUTH["frictionloss"], TRUTH["damping"]]))
@@ -191,7 +176,7 @@ def run(problem: Problem, fit: Any, folder: Path, **options: Any) -> Any:
     return run_fit(fit, problem.objective, problem.model, folder=folder, **record, **loop)
 
 
-def test_adam_recovers_a_known_drive(pose: Callable[..., Problem], tmp_path: Path) -> None:
+def test_adam_recovers_a_known_drive(tmp_path: Path) -> None:
     problem = pose("mujoco_default")
     outcome = run(problem, Adam(600, 0.02, 0.9, "auto"), tmp_path)
     found = identified(outcome.values)
@@ -204,7 +189,7 @@ def test_adam_recovers_a_known_drive(pose: Callable[..., Problem], tmp_path: Pat
     np.testing.assert_array_equal(outcome.history["friction.damping"][outcome.best_iteration], found["damping"])
 
 
-def test_a_falling_rate_comes_to_rest(pose: Callable[..., Problem], tmp_path: Path) -> None:
+def test_a_falling_rate_comes_to_rest(tmp_path: Path) -> None:
     """The step of an iteration is the rate, from all of it to none; at a constant rate the loss goes on jumping."""
     problem = pose("coulomb_smooth")
     traces = {
@@ -219,7 +204,7 @@ def test_a_falling_rate_comes_to_rest(pose: Callable[..., Problem], tmp_path: Pa
     assert traces["cosine"]["loss"][-1] == traces["cosine"]["loss"].min()
 
 
-def test_adam_moves_physical_parameters_and_weights_together(pose: Callable[..., Problem], tmp_path: Path) -> None:
+def test_adam_moves_physical_parameters_and_weights_together(tmp_path: Path) -> None:
     problem = pose("residual_network")
     weights = problem.model.get_parameter("layers.0.weight")
     before, space = weights.detach().clone(), problem.objective.space
@@ -232,7 +217,7 @@ def test_adam_moves_physical_parameters_and_weights_together(pose: Callable[...,
     assert not torch.equal(before, weights)
 
 
-def test_grid_finds_the_best_of_its_points(pose: Callable[..., Problem], tmp_path: Path) -> None:
+def test_grid_finds_the_best_of_its_points(tmp_path: Path) -> None:
     problem = pose("mujoco_default", *(f"{name}.scale=1" for name in PARAMETERS))
     outcome = run(problem, Grid(3), tmp_path, chunk=10)
     assert outcome.iterations == len(outcome.history["loss"]) == 3**3
@@ -247,21 +232,19 @@ def test_grid_finds_the_best_of_its_points(pose: Callable[..., Problem], tmp_pat
     assert outcome.loss == outcome.history["loss"].min()
 
 
-def test_grid_refuses_a_network(pose: Callable[..., Problem], tmp_path: Path) -> None:
+def test_grid_refuses_a_network(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"fit=grid: friction\.layers\.0\.weight has no bounds"):
         run(pose("residual_network"), Grid(3), tmp_path)
 
 
-def test_reference_is_the_optimum(pose: Callable[..., Problem]) -> None:
+def test_reference_is_the_optimum() -> None:
     objective = pose("baseline").objective
     vector = np.log([identified(fit_reference(objective))["armature"]])
     equations = objective.compile_normal_equations()(vector)
     assert np.abs(equations.gradient / equations.hessian.ravel()).max() < 1e-4  # what a step would still move
 
 
-def test_reference_is_kept_for_the_same_objective_alone(
-    pose: Callable[..., Problem], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_reference_is_kept_for_the_same_objective_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     objective = pose("baseline").objective
     first = identified(fit_reference(objective, tmp_path))
     monkeypatch.setattr("frictionzoo.fit.reference.LevenbergMarquardt", None)  # it is not asked again
@@ -273,14 +256,14 @@ def test_reference_is_kept_for_the_same_objective_alone(
     assert len(list(tmp_path.iterdir())) == 1
 
 
-def test_reverse_mode_through_a_loop_is_refused(pose: Callable[..., Problem]) -> None:
+def test_reverse_mode_through_a_loop_is_refused() -> None:
     objective = pose("mujoco_default").objective
     objective._rollout = replace(objective._rollout, reverse=False)
     with pytest.raises(ConfigError, match=r"fit\.derivative=reverse: engine=mjx .*; set fit\.derivative=forward"):
         objective.value_and_grad("reverse")
 
 
-def test_chunks_change_no_bit(pose: Callable[..., Problem], tmp_path: Path) -> None:
+def test_chunks_change_no_bit(tmp_path: Path) -> None:
     problem = pose("coulomb_smooth")
     adam = Adam(20, 0.01, 0.9, "auto", "cosine")
     whole, ours = (run(problem, adam, tmp_path / str(size), chunk=size) for size in (100, 7))
@@ -288,21 +271,21 @@ def test_chunks_change_no_bit(pose: Callable[..., Problem], tmp_path: Path) -> N
         np.testing.assert_array_equal(ours.history[name], history)
 
 
-def test_bounds_hold(pose: Callable[..., Problem], tmp_path: Path) -> None:
+def test_bounds_hold(tmp_path: Path) -> None:
     problem = pose("mujoco_default", "model.params.frictionloss.high=0.1", "model.params.frictionloss.init=0.05")
     outcome = run(bowl(problem), Adam(200, 0.02, 0.9, "auto"), tmp_path)
     assert outcome.history["friction.frictionloss"].max() <= 0.1 * (1 + 1e-12)
     assert identified(outcome.values)["frictionloss"] == pytest.approx(0.1, rel=1e-6)
 
 
-def test_patience_stops(pose: Callable[..., Problem], tmp_path: Path) -> None:
+def test_patience_stops(tmp_path: Path) -> None:
     outcome = run(bowl(pose("coulomb_smooth"), -3.0), Adam(1000, 0.05, 0.9, "auto"), tmp_path, patience=20, chunk=10)
     assert outcome.stopped == "patience"
     assert outcome.iterations < 1000
     assert outcome.iterations - 1 - outcome.best_iteration >= 20
 
 
-def test_divergence_names_iteration_and_parameter(pose: Callable[..., Problem], tmp_path: Path) -> None:
+def test_divergence_names_iteration_and_parameter(tmp_path: Path) -> None:
     # Weights have no bounds: after one step of this size the layers overflow.
     outcome = run(bowl(pose("residual_network")), Adam(5, 1e200, 0.9, "auto"), tmp_path)
     assert outcome.stopped == "diverged"
@@ -314,7 +297,7 @@ def test_divergence_names_iteration_and_parameter(pose: Callable[..., Problem], 
     assert all(np.isfinite(value).all() for value in jax.tree.leaves(outcome.values))
 
 
-def test_a_fit_that_never_starts_says_so(pose: Callable[..., Problem], tmp_path: Path) -> None:
+def test_a_fit_that_never_starts_says_so(tmp_path: Path) -> None:
     problem = pose("coulomb_smooth")
     problem.objective.space.start = problem.objective.space.start * jnp.nan
     with pytest.raises(FitError, match="diverged at iteration 0"):

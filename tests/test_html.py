@@ -3,7 +3,9 @@
 import copy
 import json
 import re
+from functools import reduce
 from html.parser import HTMLParser
+from operator import getitem
 
 import numpy as np
 import plotly.graph_objects as go
@@ -137,9 +139,12 @@ def test_hostile_names_stay_text(record, tmp_path):
 
 
 def test_nothing_comes_from_elsewhere(record, tmp_path):
-    source = report(tmp_path / "report.html", record)
-    page = Page(source)
-    targets = [element[name] for name in ("src", "href", "action") for element in page.with_attribute(name)]
+    judge_targets(report(tmp_path / "report.html", record))
+
+
+def judge_targets(source):
+    """Nothing that a page shows or leads to lies on another machine."""
+    targets = [element[name] for name in ("src", "href", "action") for element in Page(source).with_attribute(name)]
     assert not [target for target in targets if re.match(r"\s*(?:https?:)?//", target)]
     assert "default-src 'none'" in source and "@import" not in source
     # plotly.js offers to upload a chart to its makers' server unless it is told not to.
@@ -182,11 +187,8 @@ def test_no_doubts_about_a_good_run(record):
 )
 def test_a_reason_for_trust_or_doubt_is_said(record, change, title, state, text):
     for path, value in change.items():
-        *sections, key = path.split(".")
-        section = record
-        for name in sections:
-            section = section[int(name) if name.isdigit() else name]
-        section[int(key) if key.isdigit() else key] = value
+        *sections, key = [int(name) if name.isdigit() else name for name in path.split(".")]
+        reduce(getitem, sections, record)[key] = value
     check = checks_of(record)[title]
     assert check.state == state and text in check.text
 
@@ -216,12 +218,6 @@ def test_a_run_without_any_finite_error_has_a_page(record, tmp_path):
     for metrics in (record["metrics"]["test"], record["by_horizon"][0]["test"]):
         metrics |= lost | {"diverged": metrics["rollouts"]}
     assert "diverged: there is no error to report" in Page(report(tmp_path / "report.html", record)).text
-
-
-def browse(path):
-    """The page as Chromium has made it, once it says how many figures are drawn, and no complaints."""
-    dom = "await until(() => document.body.dataset.drawn); return document.documentElement.outerHTML"
-    return open_page(path).run(dom), []
 
 
 @needs_browser

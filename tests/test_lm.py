@@ -1,6 +1,7 @@
 """Levenberg-Marquardt: its normal equations, what it finds, robust losses and refined initial states."""
 
-from collections.abc import Callable, Iterator
+import copy
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize._lsq.least_squares import IMPLEMENTED_LOSSES
-from test_fit import TRUTH, Problem, bowl, identified, pose, recording, run  # noqa: F401 - pose and recording are fixtures
+from test_fit import TRUTH, bowl, identified, pose, record, run, x64  # noqa: F401 - x64 is a fixture for all tests
 
 from frictionzoo.errors import ConfigError, FitError
 from frictionzoo.fit import LevenbergMarquardt
@@ -18,15 +19,8 @@ from frictionzoo.fit.lm import _compress
 from frictionzoo.fit.objective import NormalEquations
 from frictionzoo.types import Segments
 
-Pose = Callable[..., Problem]
 LM = LevenbergMarquardt(100, 1e-12)
 ADAM = ("fit=adam", "fit.iterations=5", "fit.learning_rate=1e-3")
-
-
-@pytest.fixture(autouse=True)
-def x64() -> Iterator[None]:
-    with jax.enable_x64(True):
-        yield
 
 
 def assert_recovered(values: Any, tolerance: float) -> None:
@@ -42,17 +36,19 @@ def noisy(segments: Segments, position: float, velocity: float) -> Segments:
     return Segments(qpos, qvel, segments.ctrl, segments.timestep)
 
 
-def test_a_known_drive_is_found_in_a_few_iterations(pose: Pose, tmp_path: Path) -> None:  # noqa: F811
+def test_a_known_drive_is_found_in_a_few_iterations(tmp_path: Path) -> None:
     problem = pose("mujoco_default")
     outcome = run(problem, LM, tmp_path)
     assert outcome.stopped == "converged"
     assert outcome.iterations <= 15
     assert_recovered(outcome.values, 1e-6)
     np.testing.assert_array_equal(outcome.loss, outcome.history["loss"].min())
+    short = run(problem, LevenbergMarquardt(2, 1e-12), tmp_path / "short")
+    assert (short.stopped, short.iterations) == ("finished", 2)
 
 
 @pytest.mark.parametrize("options", [{}, {"robust": "soft_l1", "robust_scale": 0.01}, {"refine": True}], ids=str)
-def test_the_derivatives_are_those_of_the_loss(pose: Pose, options: dict[str, Any]) -> None:  # noqa: F811
+def test_the_derivatives_are_those_of_the_loss(options: dict[str, Any]) -> None:
     # A law without corners: on one, where sticking begins, the best start may lie, and the loss has no gradient there.
     objective = pose("coulomb_smooth", **options).objective
     vector = objective.space.start + 0.1
@@ -73,13 +69,8 @@ def test_the_derivatives_are_those_of_the_loss(pose: Pose, options: dict[str, An
     np.testing.assert_allclose(hessian, difference, rtol=1e-5, atol=1e-5 * np.abs(hessian).max())
 
 
-def test_a_fit_that_runs_out_of_iterations_has_not_converged(pose: Pose, tmp_path: Path) -> None:  # noqa: F811
-    outcome = run(pose("mujoco_default"), LevenbergMarquardt(2, 1e-12), tmp_path)
-    assert (outcome.stopped, outcome.iterations) == ("finished", 2)
-
-
-def test_a_fit_that_never_starts_says_so(pose: Pose, tmp_path: Path) -> None:  # noqa: F811
-    problem = pose("mujoco_default", engine="specialised")
+def test_a_fit_that_never_starts_says_so(tmp_path: Path) -> None:
+    problem = pose("mujoco_default")
     problem.objective.data = problem.objective.data._replace(ctrl=problem.objective.data.ctrl.at[0].set(np.nan))
     with pytest.raises(
         FitError, match="diverged at iteration 0: the loss or its gradient is not finite at the init"
@@ -108,7 +99,7 @@ def test_what_cannot_be_identified_does_not_break_it() -> None:
     assert np.isfinite(short).all()
 
 
-def test_chunks_change_no_bit(pose: Pose, tmp_path: Path) -> None:  # noqa: F811
+def test_chunks_change_no_bit(tmp_path: Path) -> None:
     problem = pose("coulomb_smooth")
     whole, *others = (run(problem, LM, tmp_path / str(size), chunk=size) for size in (100, 1, 3))
     for ours in others:
@@ -118,7 +109,7 @@ def test_chunks_change_no_bit(pose: Pose, tmp_path: Path) -> None:  # noqa: F811
             np.testing.assert_array_equal(ours.history[name], history)
 
 
-def test_blocks_change_nothing_but_rounding(pose: Pose, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: F811
+def test_blocks_change_nothing_but_rounding(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = pose("mujoco_default").objective
     monkeypatch.setattr(objective_module, "BLOCK_STATES", 35)  # 7 of the 60 segments: the last block is not full
     blocks = pose("mujoco_default").objective
@@ -132,17 +123,19 @@ def test_blocks_change_nothing_but_rounding(pose: Pose, monkeypatch: pytest.Monk
     assert losses[0] == pytest.approx(losses[1], rel=1e-12)
 
 
-def test_bounds_hold(pose: Pose, tmp_path: Path) -> None:  # noqa: F811
+def test_bounds_hold(tmp_path: Path) -> None:
     problem = pose("mujoco_default", "model.params.frictionloss.high=0.1", "model.params.frictionloss.init=0.05")
     outcome = run(problem, LM, tmp_path)
     assert outcome.history["friction.frictionloss"].max() <= 0.1 * (1 + 1e-12)
     assert identified(outcome.values)["frictionloss"] == pytest.approx(0.1, rel=1e-3)
 
 
-def test_outliers_do_not_rule_a_robust_fit(pose: Pose, recording: Segments, tmp_path: Path) -> None:  # noqa: F811
-    recording.qvel[::6, 3:] += 2.0
+def test_outliers_do_not_rule_a_robust_fit(tmp_path: Path) -> None:
+    segments = copy.deepcopy(record())
+    segments.qvel[::6, 3:] += 2.0
     for robust, low, high in (("none", 0.2, np.inf), ("huber", 0.0, 0.02)):
-        found = identified(run(pose("mujoco_default", robust=robust, robust_scale=1e-3), LM, tmp_path / robust).values)
+        problem = pose("mujoco_default", segments=segments, robust=robust, robust_scale=1e-3)
+        found = identified(run(problem, LM, tmp_path / robust).values)
         assert low < max(abs(found[name] / value - 1) for name, value in TRUTH.items()) < high
 
 
@@ -158,12 +151,8 @@ def test_robust_losses_are_those_of_scipy() -> None:
         np.testing.assert_allclose(jax.vmap(jax.grad(function))(z), slope, rtol=1e-12)
 
 
-def test_refined_starts_take_the_bias_of_noisy_ones_away(
-    pose: Pose,  # noqa: F811
-    recording: Segments,  # noqa: F811
-    tmp_path: Path,
-) -> None:
-    measured = noisy(recording, 1e-6, 3e-3)
+def test_refined_starts_take_the_bias_of_noisy_ones_away(tmp_path: Path) -> None:
+    measured = noisy(record(), 1e-6, 3e-3)
     weights = {"position": 1e12, "velocity": 1 / 9e-6}  # of the noise's variances
     plain, refined = (
         identified(
@@ -176,7 +165,7 @@ def test_refined_starts_take_the_bias_of_noisy_ones_away(
 
 
 @pytest.mark.slow
-def test_both_engines_find_the_same(pose: Pose, tmp_path: Path) -> None:  # noqa: F811
+def test_both_engines_find_the_same(tmp_path: Path) -> None:
     for model in ("mujoco_default", "coulomb_stribeck"):
         ours, stock = (
             identified(run(pose(model, engine=engine), LM, tmp_path / model / engine).values)
@@ -194,17 +183,17 @@ def test_both_engines_find_the_same(pose: Pose, tmp_path: Path) -> None:  # noqa
         ({"refine": True, "velocity": 0.0}, r"loss\.refine=true with a weight of 0"),
     ],
 )
-def test_impossible_losses_are_refused(pose: Pose, options: dict[str, Any], line: str) -> None:  # noqa: F811
+def test_impossible_losses_are_refused(options: dict[str, Any], line: str) -> None:
     with pytest.raises(ConfigError, match=line):
         pose("mujoco_default", **options)
 
 
-def test_a_network_is_refused(pose: Pose, tmp_path: Path) -> None:  # noqa: F811
+def test_a_network_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"fit=lm: \d+ coordinates .*, expected at most 200; use fit=adam"):
         run(pose("residual_network"), LM, tmp_path)
 
 
-def test_auto_takes_the_method_that_suits_the_law(pose: Pose, make: Callable[..., Any], tmp_path: Path) -> None:  # noqa: F811
+def test_auto_takes_the_method_that_suits_the_law(make: Callable[..., Any], tmp_path: Path) -> None:
     few, many = pose("mujoco_default"), bowl(pose("residual_network"))
     auto = make("fit", "fit=auto", "fit.tries=50", "fit.tolerance=1e-12", "fit.iterations=5", "fit.learning_rate=1e-3")
     assert auto.choose(few.objective).name == "lm" and auto.total(few.objective) == 50

@@ -3,7 +3,9 @@
 import contextlib
 import copy
 import json
+import operator
 import resource
+from functools import reduce
 from pathlib import Path
 
 import jsonschema
@@ -244,9 +246,7 @@ def breakages():
 @pytest.mark.parametrize(("path", "value"), breakages(), ids=[".".join(map(str, path)) for path, _ in breakages()])
 def test_schema_rejects(result, path, value):
     broken = copy.deepcopy(result)
-    section = broken
-    for key in path[:-1]:
-        section = section[key]
+    section = reduce(operator.getitem, path[:-1], broken)
     if value is ...:
         del section[path[-1]]
     else:

@@ -1,6 +1,6 @@
 """Intervals of identified parameters, and what data cannot tell apart, on segments whose truth is known."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,30 +10,22 @@ import numpy as np
 import pytest
 import scipy.stats
 from conftest import slow_but
-from test_fit import KNOWN, LOSS, TRUTH, Problem, pose, recording  # noqa: F401 - pose and recording are fixtures
+from test_fit import KNOWN, LOSS, TRUTH, Problem, compose_drive, pose, record, x64  # noqa: F401 - x64 is a fixture for all tests
 from test_lm import noisy
-from test_servo import record, wander
+from test_servo import record as record_servo
+from test_servo import wander
 
-from frictionzoo.bench import Bench
 from frictionzoo.engine import friction_of, make_engine
 from frictionzoo.fit import Objective, Space, estimate_uncertainty
 from frictionzoo.fit import objective as objective_module
 from frictionzoo.fit.objective import NormalEquations
 from frictionzoo.fit.uncertainty import assess
-from frictionzoo.models import FrictionModel
-from frictionzoo.rollout import make_rollout
+from frictionzoo.rollout import Rollout, make_rollout
 from frictionzoo.segments import cut_segments
 from frictionzoo.types import Segments, Uncertainty
 
-Pose = Callable[..., Problem]
 START = np.log([TRUTH["armature"], TRUTH["frictionloss"], TRUTH["damping"]])
 FRICTION = ("static_torque", "kinetic_torque", "stribeck_velocity", "viscous_coefficient")
-
-
-@pytest.fixture(autouse=True)
-def x64() -> Iterator[None]:
-    with jax.enable_x64(True):
-        yield
 
 
 def minimise(objective: Objective, steps: int = 8) -> np.ndarray:
@@ -45,57 +37,48 @@ def minimise(objective: Objective, steps: int = 8) -> np.ndarray:
     return vector
 
 
-@pytest.mark.parametrize("robust", ["none", "soft_l1"])
-def test_intervals_are_those_of_the_formula(
-    pose: Pose,  # noqa: F811
-    recording: Segments,  # noqa: F811
-    monkeypatch: pytest.MonkeyPatch,
-    robust: str,
-) -> None:
+def test_intervals_are_those_of_the_formula(monkeypatch: pytest.MonkeyPatch) -> None:
     """The covariance spelt out with the whole Jacobian of all residuals."""
     stretches, scale = 7, 0.02
     monkeypatch.setattr(objective_module, "MOST_STRETCHES", stretches)
     monkeypatch.setattr(objective_module, "BLOCK_STATES", 35)  # blocks and stretches do not begin together
-    data = noisy(recording, 1e-3, 2e-2)
-    objective = pose("mujoco_default", segments=data, robust=robust, robust_scale=scale).objective
-    # With a robust loss they are steps of reweighted least squares, which are slower.
-    best = minimise(objective, 8 if robust == "none" else 40)
-    found = estimate_uncertainty(objective, best)
-
+    data, plain = noisy(record(), 1e-3, 2e-2), pose("mujoco_default").objective
     started = [jnp.asarray(signal) for signal in (data.qpos[:, 0], data.qvel[:, 0], data.ctrl)]
 
     def residuals(vector: Any) -> Any:
-        states = objective._rollout(objective.space.values(vector), *started)
+        states = plain._rollout(plain.space.values(vector), *started)
         errors = [after - measured[:, 1:] for after, measured in zip(states, (data.qpos, data.qvel), strict=True)]
-        return jnp.stack(errors).reshape(2, 60, -1).swapaxes(0, 1).reshape(60, -1)
+        error = jnp.stack(errors).reshape(2, 60, -1).swapaxes(0, 1).reshape(60, -1)
+        return error, error
 
-    functions = jax.jit(residuals), jax.jit(jax.jacfwd(residuals))
-    error, slope = (np.asarray(function(jnp.asarray(best))) for function in functions)
-    z = (error / scale) ** 2
-    # Of the loss 2 (sqrt(1 + z) - 1) scale^2: half its first and second derivative by the residual.
-    force, bend = (error / np.sqrt(1 + z), (1 + z) ** -1.5) if robust == "soft_l1" else (error, np.ones_like(error))
-    inverse = np.linalg.inv(np.einsum("ski,sk,skj->ij", slope, bend, slope))
-    segment = np.einsum("ski,sk->si", slope, force)
-    scores = np.array([segment[np.arange(60) * stretches // 60 == g].sum(axis=0) for g in range(stretches)])
-    covariance = stretches * inverse @ np.cov(scores, rowvar=False) @ inverse
-    half = scipy.stats.t.ppf(0.975, stretches - 1) * np.sqrt(np.diag(covariance))
-    for i, name in enumerate(objective.space.params):
-        expected = np.exp(best[i] + half[i] * np.array([-1, 1]))
-        # What the fit left undone stretches an interval by far less than the tolerance.
-        np.testing.assert_allclose(found.intervals[name][0], expected, rtol=1e-4)
-        assert found.identifiable[name] == bool(half[i] < np.log(1.5))
-    assert found.indistinct == () and found.missing is None
+    linearise = jax.jit(jax.jacfwd(residuals, has_aux=True))
+    # With a robust loss they are steps of reweighted least squares, which are slower.
+    for robust, steps in (("none", 8), ("soft_l1", 40)):
+        objective = pose("mujoco_default", segments=data, robust=robust, robust_scale=scale).objective
+        best = minimise(objective, steps)
+        found = estimate_uncertainty(objective, best)
+        slope, error = map(np.asarray, linearise(jnp.asarray(best)))
+        z = (error / scale) ** 2
+        # Of the loss 2 (sqrt(1 + z) - 1) scale^2: half its first and second derivative by the residual.
+        force, bend = (error / np.sqrt(1 + z), (1 + z) ** -1.5) if robust == "soft_l1" else (error, np.ones_like(error))
+        inverse = np.linalg.inv(np.einsum("ski,sk,skj->ij", slope, bend, slope))
+        segment = np.einsum("ski,sk->si", slope, force)
+        scores = np.array([segment[np.arange(60) * stretches // 60 == g].sum(axis=0) for g in range(stretches)])
+        covariance = stretches * inverse @ np.cov(scores, rowvar=False) @ inverse
+        half = scipy.stats.t.ppf(0.975, stretches - 1) * np.sqrt(np.diag(covariance))
+        for i, name in enumerate(objective.space.params):
+            expected = np.exp(best[i] + half[i] * np.array([-1, 1]))
+            # What the fit left undone stretches an interval by far less than the tolerance.
+            np.testing.assert_allclose(found.intervals[name][0], expected, rtol=1e-4)
+            assert found.identifiable[name] == bool(half[i] < np.log(1.5))
+        assert found.indistinct == () and found.missing is None
 
 
 @pytest.mark.parametrize("refine", [False, True])
-def test_intervals_cover_the_truth_as_often_as_they_say(
-    pose: Pose,  # noqa: F811
-    recording: Segments,  # noqa: F811
-    refine: bool,
-) -> None:
+def test_intervals_cover_the_truth_as_often_as_they_say(refine: bool) -> None:
     """Over repeated noise; a rollout's residuals share the noise of its initial state."""
     objective = pose("mujoco_default", refine=refine).objective
-    rng, found = np.random.default_rng(0), []
+    rng, found, recording = np.random.default_rng(0), [], record()
     for _ in range(30):
         errors = [scale * rng.normal(size=recording.qpos.shape) for scale in (1e-5, 1e-3)]
         qpos, qvel = recording.qpos + errors[0], recording.qvel + errors[1]
@@ -112,10 +95,7 @@ def test_intervals_cover_the_truth_as_often_as_they_say(
     assert (np.abs(ratio - 2) < 0.8).all(), ratio
 
 
-def test_an_interval_reaches_from_where_a_fit_stopped_to_the_minimum(
-    pose: Pose,  # noqa: F811
-    recording: Segments,  # noqa: F811
-) -> None:
+def test_an_interval_reaches_from_where_a_fit_stopped_to_the_minimum() -> None:
     objective = pose("mujoco_default").objective
     for name, (low, high) in _intervals(estimate_uncertainty(objective, START + 0.05)).items():
         value = TRUTH[name.partition(".")[2]]
@@ -123,39 +103,30 @@ def test_an_interval_reaches_from_where_a_fit_stopped_to_the_minimum(
         assert low < value * 1.005 and high > value * np.exp(0.05) * (1 - 1e-9), name
 
 
-@pytest.fixture
-def stribeck(pose: Pose) -> Callable[..., Uncertainty]:  # noqa: F811
-    """Uncertainty of a Coulomb-Stribeck drive from segments that start at these velocities with these commands."""
-
-    def estimate(qpos: np.ndarray, qvel: np.ndarray, push: np.ndarray) -> Uncertainty:
-        objective = pose("coulomb_stribeck").objective
-        qpos, qvel = qpos[:, None], qvel[:, None]
-        ctrl = (qpos + push[:, None])[:, None] * np.ones((1, 5, 1))
-        segments = simulate(objective, Segments(qpos[:, None], qvel[:, None], ctrl, 0.001), 1e-7, 1e-4)
-        objective = pose("coulomb_stribeck", segments=segments).objective
-        return estimate_uncertainty(objective, np.asarray(objective.space.start))
-
-    return estimate
-
-
-def simulate(objective: Objective, started: Segments, position: float, velocity: float) -> Segments:
-    """Segments as the drive with its initial values makes them, with noise of these sizes in all but the first state.
-
-    Args:
-        objective: With the drive.
-        started: Whose first states and commands are taken.
-        position: Standard deviation of the positions' noise.
-        velocity: Of the velocities'.
-    """
-    rng, states = np.random.default_rng(0), []
-    values = objective.space.values(objective.space.start)
-    predicted = objective._rollout.compiled(values, started.qpos[:, 0], started.qvel[:, 0], started.ctrl, started.loads)
-    for first, after, noise in zip((started.qpos, started.qvel), predicted, (position, velocity), strict=True):
-        states.append(np.concatenate([first[:, :1], after + noise * rng.normal(size=after.shape)], axis=1))
+def simulate(space: Space, rollout: Rollout, started: Segments, position: float, velocity: float) -> Segments:
+    """Segments as the drive's initial values make them, with noise of these sizes in all but the first state."""
+    rng, states, first = np.random.default_rng(0), [], (started.qpos[:, :1], started.qvel[:, :1])
+    predicted = rollout.compiled(space.values(space.start), *(at[:, 0] for at in first), started.ctrl, started.loads)
+    for start, after, noise in zip(first, predicted, (position, velocity), strict=True):
+        states.append(np.concatenate([start, after + noise * rng.normal(size=after.shape)], axis=1))
     return replace(started, qpos=states[0], qvel=states[1])
 
 
-def test_a_slow_constant_velocity_does_not_identify_a_stribeck_curve(stribeck: Callable[..., Uncertainty]) -> None:
+def judge(problem: Problem, started: Segments, position: float, velocity: float) -> Uncertainty:
+    """Uncertainty of a drive from such segments."""
+    objective, space = problem.objective, problem.objective.space
+    segments = simulate(space, objective._rollout, started, position, velocity)
+    return estimate_uncertainty(Objective(space, objective._rollout, segments, **LOSS), np.asarray(space.start))
+
+
+def stribeck(qpos: np.ndarray, qvel: np.ndarray, push: np.ndarray) -> Uncertainty:
+    """Uncertainty of a Coulomb-Stribeck drive from segments that start at these states with these commands."""
+    ctrl = (qpos + push)[:, None, None] * np.ones((1, 5, 1))
+    started = Segments(qpos[:, None, None], qvel[:, None, None], ctrl, 0.001)
+    return judge(pose("coulomb_stribeck"), started, 1e-7, 1e-4)
+
+
+def test_a_slow_constant_velocity_does_not_identify_a_stribeck_curve() -> None:
     count, velocity = 400, 0.1
     qpos = np.linspace(-0.5, 0.5, count)
     gravity = 0.26 * 9.81 * 0.1127 * np.sin(qpos)
@@ -168,7 +139,7 @@ def test_a_slow_constant_velocity_does_not_identify_a_stribeck_curve(stribeck: C
     assert all(np.isnan(found.intervals[name]).all() for name in group)
 
 
-def test_a_lively_record_identifies_all_of_it(stribeck: Callable[..., Uncertainty]) -> None:
+def test_a_lively_record_identifies_all_of_it() -> None:
     rng = np.random.default_rng(1)
     speed = np.exp(rng.uniform(np.log(0.02), np.log(2), 400)) * rng.choice([-1, 1], 400)
     found = stribeck(rng.uniform(-1, 1, 400), speed, rng.normal(0, 0.05, 400))
@@ -182,68 +153,46 @@ def _intervals(found: Uncertainty) -> Mapping[str, np.ndarray]:
     return {name: ends[0] for name, ends in found.intervals.items()}
 
 
-@pytest.fixture
-def pair(make: Callable[..., Any]) -> Callable[..., tuple[Bench, FrictionModel, Any]]:
-    """A bench with options, a law, and the function that makes the rollouts of both for a sample interval."""
-
-    def pair(*choices: str) -> tuple[Bench, FrictionModel, Any]:
-        bench, law = make("bench", *choices), make("model", *choices, nv=1)
-        engine = make_engine("specialised", bench, friction_of(law), law.constraint)
-        return bench, law, lambda interval: make_rollout(engine, bench.sampling(interval))
-
-    return pair
-
-
 @pytest.mark.parametrize(
     "name", slow_but(["lugre"], ["lugre", "harmonic_drive", "asymmetric", "stribeck", "maxwell_slip"])
 )
-def test_one_speed_in_one_direction_identifies_no_law(pair: Callable[..., Any], name: str) -> None:
+def test_one_speed_in_one_direction_identifies_no_law(name: str) -> None:
     """Whatever friction is made of, such a record holds one number of it."""
-    bench, law, rollout = pair(f"model={name}")
-    alike = np.ones((100, 1, 1))
+    problem, alike = pose(name), np.ones((100, 1, 1))
     started = Segments(0.0 * alike, 0.5 * alike, 0.1 * np.ones((100, 5, 1)), 0.001)
-    objective = Objective(Space(bench, law, "float64"), rollout(0.001), started, **LOSS)
-    segments = simulate(objective, started, 1e-6, 1e-4)
-    objective = Objective(objective.space, objective._rollout, segments, **LOSS)
-    found = estimate_uncertainty(objective, np.asarray(objective.space.start))
-    assert set(found.identifiable) == set(objective.space.params) > {"bench.armature"}
+    found = judge(problem, started, 1e-6, 1e-4)
+    assert set(found.identifiable) == set(problem.objective.space.params) > {"bench.armature"}
     assert not any(found.identifiable.values())
 
 
-def test_back_emf_and_damping_of_a_servo_are_one(make: Callable[..., Any], pair: Callable[..., Any]) -> None:
+def test_back_emf_and_damping_of_a_servo_are_one() -> None:
     options = ("bench=sts3215", "bench.params.delay.init=0", "bench.params.delay.identify=false")
-    bench, law, rollouts = pair("model=mujoco_default", *options)
-    rollout = rollouts(0.01)
-    whole = cut_segments([bench.accept(record(wander(801, 0), gain=32.0))], count=None, length=800)
-    objective = Objective(Space(bench, law, "float64"), rollout, whole, **LOSS)
-    moved = simulate(objective, whole, 0.0, 0.0)
-    still = record(wander(801, 0), gain=32.0)
+    bench, law = compose_drive(("model=mujoco_default", *options))
+    kept, _ = compose_drive((*options, "bench.actuator.params.kt2_over_r.identify=false"))
+    spaces = [Space(each, law, "float64") for each in (bench, kept)]
+    engine = make_engine("specialised", bench, friction_of(law), law.constraint)
+    rollout, still = make_rollout(engine, bench.sampling(0.01)), record_servo(wander(801, 0), gain=32.0)
+    moved = simulate(spaces[0], rollout, cut_segments([bench.accept(still)], count=None, length=800), 0.0, 0.0)
     log = replace(still, qpos=moved.qpos[0], qvel=moved.qvel[0])
     segments = cut_segments([bench.accept(log)], count=None, length=10)
     for signal, noise in ((segments.qpos, 1e-5), (segments.qvel, 1e-3)):
         signal[:, 1:] += noise * np.random.default_rng(0).normal(size=signal[:, 1:].shape)
-    objective = Objective(objective.space, rollout, segments, **LOSS)
-    best = np.asarray(objective.space.start)
-    equations, scores = objective.compile_scores()(best)
-    kept = make("bench", *options, "bench.actuator.params.kt2_over_r.identify=false")
+    best = np.asarray(spaces[0].start)
+    equations, scores = Objective(spaces[0], rollout, segments, **LOSS).compile_scores()(best)
     one = ("bench.kt2_over_r", "friction.damping")
-    for space, told in ((objective.space, (one,)), (Space(kept, law, "float64"), ())):
-        at = [objective.space.names.index(name) for name in space.names]
+    for space, told in zip(spaces, ((one,), ()), strict=True):
+        at = [spaces[0].names.index(name) for name in space.names]
         loss, gradient, hessian = equations
         found = assess(space, best[at], NormalEquations(loss, gradient[at], hessian[np.ix_(at, at)]), scores[:, at])
         assert found.indistinct == told
         assert {name for name, fine in found.identifiable.items() if not fine} == {name for one in told for name in one}
 
 
-def test_a_constant_force_and_a_law_that_differs_by_direction_are_one(pair: Callable[..., Any]) -> None:
+def test_a_constant_force_and_a_law_that_differs_by_direction_are_one() -> None:
     rng = np.random.default_rng(2)
-    bench, law, rollout = pair("bench=emps", "model=asymmetric")
     start = rng.uniform(-0.1, 0.1, (200, 1, 1)), rng.normal(0, 0.1, (200, 1, 1))
     started = Segments(*start, rng.normal(0, 1, (200, 5, 1)), 0.001)
-    objective = Objective(Space(bench, law, "float64"), rollout(0.001), started, **LOSS)
-    segments = simulate(objective, started, 1e-8, 1e-6)
-    objective = Objective(objective.space, objective._rollout, segments, **LOSS)
-    found = estimate_uncertainty(objective, np.asarray(objective.space.start))
+    found = judge(pose("asymmetric", bench="emps", segments=started), started, 1e-8, 1e-6)
     group = ("bench.force_offset", "friction.frictionloss_forward", "friction.frictionloss_backward")
     assert found.indistinct == (group,)
     assert {name for name, fine in found.identifiable.items() if not fine} == set(group)
@@ -308,24 +257,16 @@ def test_estimates_that_follow_each_other_are_told_apart_where_they_are_precise(
 
 @pytest.mark.parametrize(
     ("model", "options", "reason"),
-    [
-        ("residual_network", (), "a network's weights"),
-        ("mujoco_default", KNOWN, "nothing was identified"),
-    ],
+    [("residual_network", (), "a network's weights"), ("mujoco_default", KNOWN, "nothing was identified")],
 )
-def test_where_there_are_no_intervals_a_reason_is_given(
-    pose: Pose,  # noqa: F811
-    model: str,
-    options: Sequence[str],
-    reason: str,
-) -> None:
+def test_where_there_are_no_intervals_a_reason_is_given(model: str, options: Sequence[str], reason: str) -> None:
     objective = pose(model, *options).objective
     found = estimate_uncertainty(objective, np.asarray(objective.space.start))
     assert found.missing is not None and reason in found.missing
     assert found == Uncertainty(missing=found.missing)
 
 
-def test_a_derivative_that_is_not_finite_gives_no_intervals(pose: Pose) -> None:  # noqa: F811
+def test_a_derivative_that_is_not_finite_gives_no_intervals() -> None:
     objective = pose("mujoco_default").objective
     objective.data = objective.data._replace(ctrl=objective.data.ctrl.at[0].set(np.nan))
     found = estimate_uncertainty(objective, np.asarray(objective.space.start))
