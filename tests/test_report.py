@@ -315,9 +315,8 @@ def test_summary_says_real(bench, model, evaluation):
 
 
 def test_summary_warns_at_a_bound(bench, model, dataset, evaluation):
-    text = summarise(
-        build(bench, model, dataset, evaluation, VALUES | {"kinetic_torque": np.array([1.0])}), Path("run")
-    )
+    result = build(bench, model, dataset, evaluation, VALUES | {"kinetic_torque": np.array([1.0])})
+    text = summarise(result, Path("run"))
     assert "warning: friction.kinetic_torque ended at a bound of [0.001, 1] N m" in text
 
 
@@ -465,17 +464,8 @@ def test_diverged_rollouts_are_drawn_as_far_as_they_go(spoilt, first):
 
 def test_figures_are_written(bench, model, dataset, evaluation, tmp_path):
     values = {"bench.armature": np.ones(3), "friction.static_torque": np.arange(3.0)}
-    write_figures(
-        tmp_path,
-        bench,
-        model,
-        dataset,
-        evaluation,
-        judge(evaluation, 0.01),
-        judge(evaluation, 0.04),
-        history(**values),
-        2,
-    )
+    judgements = judge(evaluation, 0.01), judge(evaluation, 0.04)
+    write_figures(tmp_path, bench, model, dataset, evaluation, *judgements, history(**values), 2)
     names = ["figure3_parameters.png", "figure4_trajectory.png", "figure5_error.png"]
     assert sorted(path.name for path in tmp_path.iterdir()) == names
     for name in names:
