@@ -1,16 +1,14 @@
 """A whole arm at once: armature, dry friction and damping of five joints from one recording."""
 
 import itertools
+import json
 from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
-from conftest import BRIEF, job_settings
-from omegaconf import OmegaConf
-
-from frictionzoo.job import Problem
+from conftest import BRIEF
 
 JOINTS = [f"joint{index}" for index in range(5)]
 TRUTH = {
@@ -67,24 +65,21 @@ def record(path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_fifteen_parameters_of_an_arm_in_one_fit(
-    compose: Callable, compilation_cache: Path, tmp_path: Path, in_haste: None
-) -> None:
+def test_fifteen_parameters_of_an_arm_in_one_run(call: Callable, tmp_path: Path, in_haste: None) -> None:
     (tmp_path / "arm.xml").write_text(arm())
     record(tmp_path / "arm.csv")
-    config = compose(
-        *("model=mujoco_default", "fit=lm", "data=files", "data.train=[arm.csv]", f"data.folder={tmp_path}"),
-        *(f"bench.mjcf={tmp_path}/arm.xml", f"bench.joint=[{','.join(JOINTS)}]", "data.simulated=true"),
+    finished = call(
+        *("model=mujoco_default", "fit=lm", "data=files", "data.train=[arm.csv]", "data.simulated=true"),
+        *("bench.mjcf=arm.xml", f"bench.joint=[{','.join(JOINTS)}]", "hydra.run.dir=run", "loop.progress=false"),
         *(f"bench.actuator.params.{name}.init={value}" for name, value in GAINS.items()),
         *(f"data.columns.{signal}=[{','.join(names)}]" for signal, names in HEADERS.items()),
         *("bench.params.armature.init=0.2", "model.params.frictionloss.init=0.5", "model.params.damping.init=0.5"),
         *("segments.length=20", "segments.count=null", *(f"{option}={value}" for option, value in BRIEF.items())),
     )
-    with job_settings(compilation_cache):
-        problem = Problem.pose(OmegaConf.to_container(config, resolve=True))
-        fit, objective = problem.fit, problem.objective
-        progress, _ = fit.chunk(objective, 100)(fit.start(objective), 100)
-        found = objective.space.identified(progress.best)
-    assert (problem.drive.engine.name, len(found)) == ("specialised", len(TRUTH))
-    for name, values in found.items():
-        np.testing.assert_allclose(values, TRUTH[name.rpartition(".")[2]], rtol=0.05, err_msg=name)
+    assert finished.status == 0, finished.err
+    result = json.loads((tmp_path / "run" / "result.json").read_text())
+    assert result["engine"] == "specialised"
+    found = {parameter["name"]: parameter["value"] for parameter in result["parameters"] if parameter["identified"]}
+    assert found.keys() == TRUTH.keys()
+    for name, truth in TRUTH.items():
+        np.testing.assert_allclose(found[name], truth, rtol=0.05, err_msg=name)

@@ -1,4 +1,4 @@
-"""What the laws with a network promise whatever their weights, looked at over many states of every magnitude."""
+"""What the laws with a network promise whatever their weights, looked at over a million states of every magnitude."""
 
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -16,7 +16,7 @@ from frictionzoo.models.dissipative_network import softplus
 from frictionzoo.models.odd_network import reverse
 from frictionzoo.types import DriveState, FrictionTerms
 
-STATES = 25_000  # times 8 seeds of weights
+STATES = 125_000  # times 8 seeds of weights make a million
 SIZES = [0.1, 1.0, 10.0, 100.0]  # of the weights: of a fresh network, and of one that a fit has driven far
 LIMIT = 0.2
 V_0 = 0.01
