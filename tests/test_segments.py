@@ -35,6 +35,13 @@ def test_no_segment_crosses_from_one_log_into_the_next():
     np.testing.assert_array_equal(np.diff(segments.qpos[..., 0], axis=1), 1)
 
 
+def test_before_a_log_begins_its_own_first_command_counts():
+    segments = cut_segments([make_log(9), make_log(9, "b.csv", base=100.0)], None, 4, history=2)
+    before = [[1000, 1000], [1002, 1003], [1100, 1100], [1102, 1103]]
+    np.testing.assert_array_equal(segments.ctrl[:, :2, 0], before)
+    np.testing.assert_array_equal(segments.ctrl[:, 2:, 0], 1000 + segments.qpos[:, :-1, 0])
+
+
 @pytest.mark.parametrize("count", [1, 3, 7, 99])
 def test_fewer_segments_are_distinct_and_spread_over_the_whole_log(count):
     starts = cut_segments([make_log(1001)], count, 10).qpos[:, 0, 0]
