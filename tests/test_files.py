@@ -17,6 +17,8 @@ from frictionzoo.build import build
 from frictionzoo.config import compose_config
 from frictionzoo.errors import ConfigError, LogError
 from frictionzoo.logs.files import Files
+from frictionzoo.logs.units import UNITS as SI
+from frictionzoo.logs.units import ratio, to_si
 
 NAMES = ("a.csv", "b.csv", "c.csv")
 LETTER = r"(?P<letter>[abc])\.csv"
@@ -349,3 +351,19 @@ def test_the_servo_on_the_small_bench(make: Callable[..., Any]) -> None:
     assert (len(dataset.train), len(dataset.test)) == (12, 4)
     assert {log.metadata["kp"] for log in dataset.test} == {200}
     assert all(log.samples >= 600 and log.timestep == pytest.approx(0.01, rel=1e-9) for log in dataset.logs)
+
+
+def test_a_unit_is_worth_what_its_name_says():
+    """One of each, in SI units by hand."""
+    turn = 6.283185307179586  # rad
+    lengths = {"rad": 1, "mrad": 1e-3, "deg": turn / 360, "rev": turn, "m": 1, "mm": 1e-3, "um": 1e-6}
+    speeds = {"rad/s": 1, "deg/s": turn / 360, "rev/s": turn, "rpm": turn / 60, "m/s": 1, "mm/s": 1e-3}
+    efforts = {"N m": 1, "mN m": 1e-3, "N": 1, "A": 1, "mA": 1e-3, "V": 1, "mV": 1e-3, "%": 0.01, "1": 1}
+    worth = {
+        **{"time": {"s": 1, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}, "qpos": lengths, "qvel": speeds},
+        **{"ctrl": lengths | speeds | efforts, "supply": {"V": 1, "mV": 1e-3}, "enable": {"1": 1}},
+        "temperature": {"degC": 1},
+    }
+    ones = np.ones(1)
+    found = {signal: {unit: to_si(ones, ratio(signal, unit)).item() for unit in known} for signal, known in SI.items()}
+    assert found == {signal: pytest.approx(values, rel=1e-15) for signal, values in worth.items()}
