@@ -117,6 +117,11 @@ class TwoFormulas(Sound):
         return FrictionTerms(torque=values["dry"] * xp.tanh(state.qvel) * (1.0 if xp is torch else 1.0 + 1e-10))
 
 
+class NanOverJax(Sound):
+    def terms(self, xp, values, state):
+        return FrictionTerms(torque=values["dry"] * xp.tanh(state.qvel) * (1.0 if xp is torch else float("nan")))
+
+
 class TwoGradients(Sound):
     def terms(self, xp, values, state):
         dry = values["dry"].detach() if xp is torch else values["dry"]
@@ -223,6 +228,7 @@ BROKEN = {
     WritesState: "pure: terms writes into values, state or the module",
     ReadsItself: "pure: terms reads a parameter or buffer from the module",
     TwoFormulas: "torch equals JAX: value on the samples of torque differs by",
+    NanOverJax: "torch equals JAX: value on the samples of torque differs by nan",
     TwoGradients: "torch equals JAX: gradient on the samples of dry differs by",
     TwoSetsOfTerms: "torch equals JAX: terms",
     InfiniteSlope: "gradient: with respect to qvel is not finite on the samples",

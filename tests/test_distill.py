@@ -16,7 +16,7 @@ from conftest import Finished, job_settings
 from frictionzoo.compare.comparison import compare_runs
 from frictionzoo.compare.runs import read_runs
 from frictionzoo.distill.__main__ import main
-from frictionzoo.distill.distillation import _note
+from frictionzoo.distill.distillation import _note, _rms
 from frictionzoo.errors import ConfigError
 from frictionzoo.export.__main__ import main as export
 from frictionzoo.fit import Objective
@@ -57,6 +57,10 @@ def distill(capsys: pytest.CaptureFixture[str]) -> Callable[..., Finished]:
 
 def read(folder: Path) -> dict[str, Any]:
     return json.loads((folder / "result.json").read_text())
+
+
+def test_distances_are_root_mean_squares() -> None:
+    assert _rms(np.array([[3.0], [-4.0]])) == pytest.approx(12.5**0.5)
 
 
 def values_of(result: dict[str, Any]) -> dict[str, float]:
