@@ -15,7 +15,6 @@ from typing import Any
 
 import absl.logging
 import jax
-import jaxtyping
 import numpy as np
 import pytest
 import torch
@@ -27,7 +26,6 @@ from frictionzoo.bench import Bench
 from frictionzoo.build import build
 from frictionzoo.compare import Run
 from frictionzoo.config import compose_config
-from frictionzoo.engine import specialised
 from frictionzoo.report.curves import Curves
 from frictionzoo.run import main
 
@@ -145,21 +143,6 @@ def compilation_cache(shared_folder: Path) -> Path:
 def compiled_once(compilation_cache: Path) -> None:
     """Most of a test's time goes into compiling: what was compiled before, with other parameters say, is read."""
     _configure_jax({"jax_compilation_cache_dir": str(compilation_cache), **CACHE_OPTIONS})
-
-
-@pytest.fixture(scope="session", autouse=True)
-def folded_unchecked() -> None:
-    """Folding a bench makes some 40 000 calls; with types looked at in each of them it takes three times as long."""
-    fold = specialised.specialise
-
-    def unchecked(*arguments: Any) -> Any:
-        jaxtyping.config.update("jaxtyping_disable", True)
-        try:
-            return fold(*arguments)
-        finally:
-            jaxtyping.config.update("jaxtyping_disable", False)
-
-    specialised.specialise = unchecked
 
 
 @pytest.fixture(scope="session")

@@ -5,6 +5,7 @@ import copy
 import json
 import operator
 import resource
+from dataclasses import replace
 from functools import reduce
 from pathlib import Path
 
@@ -176,6 +177,13 @@ def test_result_compares_on_the_same_rollouts(result):
     assert result["by_horizon"][0]["test"] == test
     assert result["paper"]["a"]["model"]["rollouts"] == 1
     assert result["paper"]["b"]["baseline"]["rollouts"] == 3
+
+
+def test_without_friction_too_the_test_part_counts(bench, model, dataset, evaluation):
+    without, worse = judge(evaluation, 0.04), judge(evaluation, 0.5)
+    mixed = replace(without, by_horizon=({"train": worse.train, "test": without.test}, *without.by_horizon[1:]))
+    result = build(bench, model, dataset, evaluation, VALUES, baseline=mixed)
+    assert result["metrics"]["baseline"]["position_mae"] == without.test.position_mae
 
 
 def test_one_source_keeps_its_hash(bench, model, evaluation):
