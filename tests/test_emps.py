@@ -81,6 +81,8 @@ def test_the_real_train_log_obeys_the_published_parameters():
     assert viscous == pytest.approx(203.503, rel=0.05)
     assert coulomb == pytest.approx(20.394, rel=0.10)
     assert offset == pytest.approx(-3.165, rel=0.20)
+    published = OmegaConf.load(ROOT / "conf" / "experiment" / "emps_published.yaml").bench.actuator.params
+    assert published.force_offset.init == 3.165  # on the side of the force, where ours stands
 
 
 def test_position_and_voltage_stay_as_measured(tmp_path):

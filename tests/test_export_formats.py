@@ -272,6 +272,7 @@ def test_a_configuration_holds_the_nearest_friction_of_another_law(
         (joint,) = read_joints(text)
         assert joint[1:4] == (0.04, 0.02, 0.03)
         assert joint.lag == (20 if target == "mjlab" else 0)  # of 1 ms
+        assert ("delay_max_lag=20" in text) == (target == "mjlab")
         assert "so far off" in export.limits and "20 for 0.02 s" in " ".join(export.limits)
     # Isaac Lab's files hold what sticks, too.
     assert float(text.split(" friction=")[1].split(",")[0]) == fitted.values["friction"]["static_torque"]

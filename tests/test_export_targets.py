@@ -207,6 +207,8 @@ def test_a_drive_goes_into_several_joints_and_adds_their_actuators(tmp_path):
     np.testing.assert_array_equal(model.dof_armature, np.repeat(armature, 2))
     assert model.nu == 2
     np.testing.assert_array_equal(model.actuator_delay, [0.0034, 0.0034])
+    own = mujoco.MjModel.from_xml_path(str(path.with_name("bench.xml")))
+    np.testing.assert_array_equal(model.dof_solref, np.repeat(own.dof_solref, 2, axis=0))
     assert "nsample" in path.with_name("bench.xml").read_text()  # late there, too
     assert max(difference.largest for difference in export.differences) < EXACT
 
