@@ -122,6 +122,7 @@ def known(size):
 FRICTION = {"frictionloss": known(0.2), "damping": known(0.03)}
 RUBBING = Rubbing(1).double()
 LATE = "bench.params.delay={init: 0.0034, low: 0.0, high: 0.02, scale: 0.01, identify: true}"
+STIFF = "bench.solreffriction=[0.01,1.0]"
 NETWORK = ("history_network",)  # it remembers
 SERVO = ("temperature_linear", "bench=xl330")  # with a payload, at a temperature
 
@@ -178,14 +179,14 @@ def put_into_robot(tmp_path, text, name="robot.xml", **options):
     robot.write_text(text)
     folder = tmp_path / "export"
     folder.mkdir()
-    export = Mjcf().write(make_fitted("mujoco_default", LATE), folder, {"into": str(robot), **options})
+    export = Mjcf().write(make_fitted("mujoco_default", LATE, STIFF), folder, {"into": str(robot), **options})
     return folder / name, export, mujoco.MjModel.from_xml_path(str(folder / name))
 
 
 def test_a_robots_joint_gets_the_drive_and_nothing_else_changes(tmp_path):
     path, export, model = put_into_robot(tmp_path, ROBOT)
     before = mujoco.MjModel.from_xml_string(ROBOT)
-    values = make_fitted("mujoco_default", LATE).values
+    values = make_fitted("mujoco_default", LATE, STIFF).values
     knee, hip = model.joint("knee"), model.joint("hip")
     assert knee.armature == values["bench"]["armature"]
     assert knee.frictionloss == values["friction"]["frictionloss"]
@@ -203,7 +204,7 @@ def test_a_robots_joint_gets_the_drive_and_nothing_else_changes(tmp_path):
 
 def test_a_drive_goes_into_several_joints_and_adds_their_actuators(tmp_path):
     path, export, model = put_into_robot(tmp_path, ROBOT, joint="hip,knee")
-    armature = make_fitted("mujoco_default", LATE).values["bench"]["armature"]
+    armature = make_fitted("mujoco_default", LATE, STIFF).values["bench"]["armature"]
     np.testing.assert_array_equal(model.dof_armature, np.repeat(armature, 2))
     assert model.nu == 2
     np.testing.assert_array_equal(model.actuator_delay, [0.0034, 0.0034])
@@ -221,7 +222,7 @@ def test_a_robots_actuators_can_stay(tmp_path):
 
 def test_urdf_gets_friction_and_damping_and_says_what_it_lacks(tmp_path):
     path, export, model = put_into_robot(tmp_path, URDF, name="leg.urdf")
-    values = make_fitted("mujoco_default", LATE).values
+    values = make_fitted("mujoco_default", LATE, STIFF).values
     assert model.dof_frictionloss == values["friction"]["frictionloss"]
     assert model.dof_damping == values["friction"]["damping"]
     armature = float(values["bench"]["armature"][0])
@@ -349,12 +350,12 @@ def test_a_robot_that_cannot_take_the_drive_is_refused(options, message, tmp_pat
     for name, text in texts.items():
         Path(f"{name}.xml").write_text(text)
     with pytest.raises(FrictionzooError, match=message) as caught:
-        Mjcf().write(make_fitted("mujoco_default", LATE), tmp_path, options)
+        Mjcf().write(make_fitted("mujoco_default", LATE, STIFF), tmp_path, options)
     assert "\n" not in str(caught.value)
 
 
 def test_a_longer_step_keeps_every_other_sample_and_its_history():
-    fitted = make_fitted("mujoco_default", LATE)
+    fitted = make_fitted("mujoco_default", LATE, STIFF)
     slower = fitted.at(0.002)
     assert slower.timestep == 0.002 and slower.segments.length == fitted.segments.length // 2
     np.testing.assert_array_equal(slower.segments.qpos, fitted.segments.qpos[:, ::2])

@@ -283,6 +283,7 @@ def test_patience_stops(tmp_path: Path) -> None:
     assert outcome.stopped == "patience"
     assert outcome.iterations < 1000
     assert outcome.iterations - 1 - outcome.best_iteration >= 20
+    assert np.sum((outcome.vector + 3.0) ** 4) == pytest.approx(outcome.loss, rel=1e-9)  # of the best, not the last
 
 
 def test_divergence_names_iteration_and_parameter(tmp_path: Path) -> None:

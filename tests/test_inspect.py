@@ -24,6 +24,7 @@ from frictionzoo.logs.recording import Recording
 from frictionzoo.types import Dataset, Log
 
 TIME = 0.01 * np.arange(1000)
+BACK = np.where(TIME % 1 < 0.9, 0.1, -9.0)  # forward too slowly to count
 
 
 def swing(name="a.csv", time=TIME, lag=0.0, scale=1.0, **signals):
@@ -98,7 +99,7 @@ def test_a_late_command_asks_for_a_parameter():
         (swing(qpos=np.where(TIME < 1, np.sin(3 * TIME), np.sin(3))), "Excitation", "Stribeck and viscous friction"),
         (swing(qpos=np.where(TIME < 1, np.sin(3 * TIME), np.sin(3))), "Rest", "stands still for"),
         (swing(qpos=TIME + 0.1 * np.sin(TIME), qvel=1 + 0.1 * np.cos(TIME)), "Direction", "0 % backward"),
-        (swing(qpos=-TIME, qvel=np.where(TIME % 1 < 0.9, 0.1, -9.0)), "Direction", "0 % of the samples move forward"),
+        (swing(qpos=np.cumsum(0.01 * BACK), qvel=BACK), "Direction", "0 % of the samples move forward"),
         (swing(qpos=80 * np.sin(3 * TIME), qvel=240 * np.cos(3 * TIME)), "Units", "look like degrees"),
         (swing(scale=57.3), "Units", "57."),
         (swing(qvel=np.random.default_rng(0).normal(size=1000)), "Velocity", "no delayed copy"),

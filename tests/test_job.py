@@ -132,6 +132,7 @@ def test_a_known_bench_is_judged_as_it_is_without_friction(
 ) -> None:
     config = compose(*tiny, "bench.params.armature.identify=false")
     problem = Problem.pose(OmegaConf.to_container(config, resolve=True))
+    np.testing.assert_array_equal(problem.samples.qpos, np.concatenate([log.qpos for log in problem.dataset.train]))
     # No value of the bench is free: what is left without friction is the bench as it was given.
     drive = Drive.assemble(problem.bench, Baseline(1), "specialised", problem.sampling)
     expected = problem.evaluation.judge(
