@@ -1,18 +1,13 @@
-"""Pages as a real browser shows them: one Chromium for all tests of a worker, spoken to over its DevTools protocol."""
+"""Pages as a real browser shows them: one Chromium for all tests of a worker."""
 
 import atexit
-import itertools
-import json
-import os
-import select
 import shutil
-import subprocess
-import tempfile
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
+from playwright.sync_api import sync_playwright
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on the PATH")
@@ -42,78 +37,31 @@ class Browser:
     """
 
     def __init__(self) -> None:
-        self.console: list[Any] = []
-        self._numbers, self._loaded, self._buffer = itertools.count(), False, b""
-        self._profile = tempfile.mkdtemp()
-        (theirs, self._to), (self._from, answers) = os.pipe(), os.pipe()
-        # The protocol's pipes are the descriptors 3 and 4.
-        command = ["bash", "-c", f'exec "$0" "$@" 3<&{theirs} 4>&{answers}', str(CHROMIUM)]
-        command += ["--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--remote-debugging-pipe"]
-        command += [f"--user-data-dir={self._profile}", "about:blank"]
-        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        self._process = subprocess.Popen(command, pass_fds=(theirs, answers), **quiet)
-        atexit.register(self.close)
-        for end in (theirs, answers):
-            os.close(end)
-        self._session: dict[str, str] = {}
-        (page,) = [target for target in self.send("Target.getTargets")["targetInfos"] if target["type"] == "page"]
-        attached = self.send("Target.attachToTarget", targetId=page["targetId"], flatten=True)
-        self._session = {"sessionId": attached["sessionId"]}
-        for domain in ("Page", "Runtime", "Log"):
-            self.send(f"{domain}.enable")
-
-    def send(self, method: str, **params: Any) -> Any:
-        """The answer to a command."""
-        number = next(self._numbers)
-        command = {"id": number, "method": method, "params": params, **self._session}
-        os.write(self._to, json.dumps(command).encode() + b"\0")
-        while (message := self._read()).get("id") != number:
-            pass
-        assert "error" not in message, message
-        return message["result"]
+        driver = sync_playwright().start()
+        atexit.register(driver.stop)
+        chromium = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        self._page = chromium.new_page()
+        self.console: list[str] = []
+        self._page.on("console", lambda message: self.console.append(message.text))
+        self._page.on("pageerror", lambda error: self.console.append(str(error)))
 
     def show(self, path: Path, fragment: str = "", width: int = 1280, scheme: str = "light") -> None:
         """Opens a file in a window that is so wide, where the user prefers this colour scheme."""
-        self.send("Emulation.setDeviceMetricsOverride", width=width, height=900, deviceScaleFactor=1, mobile=False)
+        self._page.set_viewport_size({"width": width, "height": 900})
         self.prefer(scheme)
-        for address in ("about:blank", path.as_uri() + fragment):  # a fragment alone would not load the page again
-            self.console.clear()
-            self._loaded = False
-            self.send("Page.navigate", url=address)
-            while not self._loaded:
-                self._read()
+        self._page.goto("about:blank")  # a fragment alone would not load the page again
+        self.console.clear()
+        self._page.goto(path.as_uri() + fragment)
 
-    def prefer(self, scheme: str) -> None:
+    def prefer(self, scheme: Any) -> None:
         """Of colours: `dark` or `light`."""
-        self.send("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+        self._page.emulate_media(color_scheme=scheme)
 
     def run(self, script: str) -> Any:
         """What a script returns, which may wait; it fails where the page has complained of anything."""
-        expression = f"(async () => {{ {TOOLS} {script} }})()"
-        answer = self.send("Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True)
-        assert "exceptionDetails" not in answer, answer["exceptionDetails"]
+        answer = self._page.evaluate(f"(async () => {{ {TOOLS} {script} }})()")
         assert self.console == []
-        return answer["result"].get("value")
-
-    def close(self) -> None:
-        """Ends it."""
-        self._process.kill()
-        self._process.wait()
-        shutil.rmtree(self._profile, ignore_errors=True)
-
-    def _read(self) -> dict[str, Any]:
-        """The next message; what the page complains of is kept."""
-        while b"\0" not in self._buffer:
-            assert select.select([self._from], [], [], 120)[0], "the browser does not answer"
-            part = os.read(self._from, 1 << 20)
-            assert part, "the browser has ended"
-            self._buffer += part
-        text, _, self._buffer = self._buffer.partition(b"\0")
-        message = json.loads(text)
-        self._loaded |= message.get("method") == "Page.loadEventFired"
-        if message.get("method") in ("Runtime.consoleAPICalled", "Runtime.exceptionThrown", "Log.entryAdded"):
-            self.console.append(message["params"])
-        return message
+        return answer
 
 
 start = cache(Browser)
