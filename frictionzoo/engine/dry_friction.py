@@ -6,7 +6,8 @@ from jaxtyping import Array, Bool, Float
 
 from frictionzoo.engine.linear import solve_spd
 
-_NEWTON_STEPS = 50  # three or four are usual; only rounding at a border could ask for more
+_NEWTON_STEPS = 100  # three or four are usual
+_ROUNDING = 1e-12
 
 
 def dry_friction(
@@ -63,38 +64,41 @@ def _pieces(acceleration: Array, softness: Array, reference: Array, limit: Array
 
 
 def _find_sliding(inertia: Array, force: Array, softness: Array, reference: Array, limit: Array) -> Float[Array, "nv"]:
-    """The piece of each joint at the minimum.
+    """The piece of each joint at the minimum; NaN where the search does not end.
 
-    Newton's full step is exact once the pieces are right. A step that does not lower the cost is replaced by a sweep
-    over the joints, each moved to its own minimum, so that the search cannot go round in circles.
+    The cost is convex and quadratic within each combination of pieces. Newton's step for the present combination goes
+    to the minimum of that quadratic; if that lies in the same pieces, it is the answer, and otherwise the search goes
+    on from the lowest point on the way there, which is found exactly.
     """
     row = (softness, reference, limit)
 
-    def cost(acceleration: Array) -> Array:
-        offset = acceleration - reference
-        pull = jnp.abs(softness * offset)
-        soft = jnp.where(
-            pull <= limit, softness * jnp.square(offset) / 2, limit * (jnp.abs(offset) - limit / softness / 2)
-        )
-        return acceleration @ (inertia @ acceleration / 2 - force) + jnp.sum(soft)
+    def slope(acceleration: Array, direction: Array) -> Array:
+        soft = jnp.clip(softness * (acceleration - reference), -limit, limit)
+        return direction @ (inertia @ acceleration - force + soft)
 
-    def sweep(acceleration: Array) -> Array:
-        for i in range(len(force)):
-            free = force[i] - inertia[i] @ acceleration + inertia[i, i] * acceleration[i]
-            own = dry_friction(inertia[i, i][None, None], free[None], *(value[i][None] for value in row))
-            acceleration = acceleration.at[i].set((free + own[0]) / inertia[i, i])
-        return acceleration
+    def lowest(start: Array, direction: Array) -> Array:
+        """How far the cost falls along a direction: its slope is a rising line with a kink at every border."""
+        borders = jnp.concatenate([(reference + side * limit / softness - start) / direction for side in (-1, 1)])
+        borders = jnp.where(jnp.isfinite(borders) & (borders > 0), borders, 0.0)
+        slopes = jax.vmap(lambda share: slope(start + share * direction, direction))(borders)
+        before = jnp.max(jnp.where(slopes < 0, borders, 0.0))
+        after = jnp.min(jnp.where(slopes >= 0, jnp.where(borders > 0, borders, jnp.inf), jnp.inf))
+        after = jnp.where(jnp.isfinite(after), after, before + 1)  # behind the last border the line goes straight on
+        falling, rising = (slope(start + share * direction, direction) for share in (before, after))
+        return before - falling * (after - before) / (rising - falling)
 
     def advance(state: tuple[Array, Array, Array, Bool[Array, ""]]) -> tuple:
-        count, acceleration, sliding, _ = state
+        count, acceleration, _, _ = state
+        sliding = _pieces(acceleration, *row)
         proposed = _accelerations(inertia, force, *row, sliding)
-        reached = _pieces(proposed, *row)
-        done = jnp.all(reached == sliding)
-        better = done | (count == 0) | (cost(proposed) < cost(acceleration))
-        swept = sweep(acceleration)
-        following = jnp.where(better, proposed, swept)
-        return count + 1, following, jnp.where(better, reached, _pieces(swept, *row)), done
+        direction = proposed - acceleration
+        # At a border, rounding may name either piece: both have the same answer.
+        near = jnp.all(jnp.abs(direction) <= _ROUNDING * (jnp.abs(proposed) + jnp.abs(acceleration)))
+        done = near | jnp.all(_pieces(proposed, *row) == sliding)
+        share = jnp.where(done, 0.0, lowest(acceleration, direction))
+        return count + 1, acceleration + share * direction, sliding, done
 
-    start = jnp.zeros_like(force)
-    state = (jnp.asarray(0), start, _pieces(solve_spd(inertia, force), *row), jnp.asarray(False))
-    return jax.lax.while_loop(lambda state: ~state[3] & (state[0] < _NEWTON_STEPS), advance, state)[2]
+    start = solve_spd(inertia, force)
+    state = (jnp.asarray(0), start, jnp.zeros_like(force), jnp.asarray(False))
+    _, _, sliding, done = jax.lax.while_loop(lambda state: ~state[3] & (state[0] < _NEWTON_STEPS), advance, state)
+    return jnp.where(done, sliding, jnp.nan)
