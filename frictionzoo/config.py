@@ -29,6 +29,7 @@ _NULLABLE: dict[str, tuple[Any, ...]] = {
     "bench.joint": ("", []),
     "bench.payload": ("",),
     "bench.timestep": (0.1,),
+    "data.clean.wrap": (0.1,),
     "data.folder": ("",),
     "data.cache_dir": ("",),
     "data.source": ("",),

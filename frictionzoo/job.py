@@ -19,6 +19,7 @@ from frictionzoo import __version__
 from frictionzoo.bench import Bench
 from frictionzoo.build import build
 from frictionzoo.config import list_options
+from frictionzoo.doubts import doubt_motion, doubt_recordings
 from frictionzoo.drive import Drive
 from frictionzoo.errors import ConfigError, RunError
 from frictionzoo.evaluate import Evaluation, Judgement
@@ -28,6 +29,7 @@ from frictionzoo.fit import Fit, Objective, Outcome, Space, estimate_uncertainty
 from frictionzoo.logs.cache import cache_folder, digest
 from frictionzoo.models import Baseline
 from frictionzoo.output import write_atomically
+from frictionzoo.proof import Proof, Recorded, initial_values, prove
 from frictionzoo.report.curves import Curves, sample_friction, write_curves
 from frictionzoo.report.figures import write_figures
 from frictionzoo.report.html import write_report
@@ -47,10 +49,12 @@ class Problem:
     Attributes:
         bench: The test stand.
         dataset: Recordings, train and test.
+        doubts: What of them is likely to be wrong.
         sampling: From their samples to simulation steps.
         segments: What the fit compares.
         evaluation: The rollouts that judge.
         drive: The bench with the chosen law.
+        proof: That it is simulated as MuJoCo does.
         samples: What the law sees in the training samples.
         objective: What the fit minimises.
         fit: How.
@@ -59,10 +63,12 @@ class Problem:
 
     bench: Bench
     dataset: Dataset
+    doubts: list[str]
     sampling: Sampling
     segments: Segments
     evaluation: Evaluation
     drive: Drive
+    proof: Proof
     samples: DriveState
     objective: Objective
     fit: Fit
@@ -80,16 +86,19 @@ class Problem:
         model = build(settings["model"], nv=bench.nv)
         bench = bench.observing(model.inputs)
         dataset = bench.accept_all(dataset)
+        doubts = doubt_recordings(dataset, bench) + doubt_motion(dataset, bench)
         sampling = bench.sampling(dataset.logs[0].timestep)
         segments = cut_segments(dataset.train, **settings["segments"], history=sampling.history)
         evaluation = Evaluation(dataset, bench.joint_type, **settings["evaluation"], history=sampling.history)
         drive = Drive.assemble(bench, model, settings["engine"], sampling)
+        proof = prove(bench, model, drive.engine.name, initial_values(bench, model), Recorded.of(dataset.train))
         samples = _training_samples(drive, bench, dataset)
         drive.model.prepare(samples)
         space = Space(bench, drive.model, settings["dtype"])
         objective = Objective(space, drive.rollout, segments, **settings["loss"])
         fit = build(settings["fit"]).choose(objective)
-        return cls(bench, dataset, sampling, segments, evaluation, drive, samples, objective, fit, device)
+        posed = (bench, dataset, doubts, sampling, segments, evaluation, drive, proof, samples, objective, fit, device)
+        return cls(*posed)
 
     def following(self, teacher: Fitted, settings: Mapping[str, Any]) -> "Problem":
         """The same problem with a fitted drive's rollouts in place of the measured segments, judged as before.
@@ -147,6 +156,7 @@ def run_job(
     segments = problem.segments
     engine = problem.drive.engine
     _log.info("engine %s%s", engine.name, f": {engine.note}" if engine.note else "")
+    _log.info("%s", problem.proof)
     if problem.objective.devices > 1:
         _log.info("segments are spread over %d devices", problem.objective.devices)
     _log.info("%s: %d segments of %d steps to train on", problem.dataset.name, segments.count, segments.length)
@@ -189,6 +199,8 @@ def run_job(
         timing=timing,
         settings=settings,
         engine=engine.name,
+        proof=problem.proof,
+        warnings=problem.doubts,
         device=problem.device,
         uncertainty=uncertainty,
     )

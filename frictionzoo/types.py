@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from frictionzoo.errors import LogError
 
+ABSURD = 1e9  # of any signal in SI units; a drive's are far below
 JITTER = 0.05  # largest deviation of a sample interval from the median, as a share of it, that still counts as uniform
 
 
@@ -84,6 +85,7 @@ class Log:
             )
         for signal in ("time", "qpos", "qvel", "ctrl"):
             self._refuse_nonfinite(signal)
+            self._refuse_absurd(signal)
         self._refuse_uneven_time()
 
     def _refuse_nonfinite(self, signal: str) -> None:
@@ -93,6 +95,15 @@ class Log:
             raise LogError(
                 f"{self.name}: {signal} is NaN or infinite in {bad.sum()} of {len(bad)} samples, first at sample "
                 f"{int(np.argmax(bad))}; expected finite values; cut or repair the log"
+            )
+
+    def _refuse_absurd(self, signal: str) -> None:
+        size = np.abs(getattr(self, signal)).reshape(self.samples, -1).max(axis=1)
+        if (size > ABSURD).any():
+            at = int(np.argmax(size))
+            raise LogError(
+                f"{self.name}: {signal} is {size[at]:.3g} at sample {at}, expected at most {ABSURD:g} of any unit; "
+                "cut or repair the log"
             )
 
     def _refuse_uneven_time(self) -> None:

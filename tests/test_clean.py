@@ -19,6 +19,7 @@ OPTIONS = {
     "order": 2,
     "velocity_lag": None,
     "shortest": 0.0,
+    "wrap": None,
 }
 
 
@@ -133,6 +134,21 @@ def test_nan_is_interpolated_or_splits(run, pieces):
         assert [log.samples for log in logs] == [100, 500 - 100 - run]
 
 
+def test_an_angle_goes_on_over_its_turns():
+    position = np.linspace(-9, 7, 500)
+    (log,) = clean(record(uniform(), qpos=(position + np.pi) % (2 * np.pi) - np.pi), cleaning(wrap=2 * np.pi))
+    np.testing.assert_allclose(log.qpos[:, 0] - log.qpos[0, 0], position - position[0], atol=1e-12)
+    assert "turns that the position goes on: 2" in log.repairs
+
+
+def test_an_outlier_of_a_held_command_is_what_was_held_before():
+    command = np.floor(5 * uniform())
+    command[[200, 201, 300]] = [900.0, 900.0, -1e6]
+    (log,) = clean(record(uniform(), ctrl=command), cleaning())
+    assert log.ctrl[199, 0] == log.ctrl[200, 0] == log.ctrl[201, 0] and log.ctrl[300, 0] == log.ctrl[299, 0]
+    assert "outliers of ctrl replaced by the value before: 3" in log.repairs
+
+
 def test_nan_at_the_ends_is_cut():
     command = np.ones(500)
     command[:2] = command[-1] = np.nan
@@ -202,6 +218,7 @@ def test_repairs_of_many_logs_are_summed_up():
         ("spikes", "fix", "expected one of drop, keep, repair"),
         ("velocity", "measure", "did you mean measured"),
         ("cutoff", 0.0, "positive frequency"),
+        ("wrap", 0.0, "a positive angle in rad"),
         ("order", 0, "1 or more"),
         ("velocity_lag", "automatic", "a time in s, auto or null"),
         ("shortest", -1.0, "from 0 on"),

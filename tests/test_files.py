@@ -79,6 +79,9 @@ def test_recordings_come_raw_and_in_order(files: Callable[..., Files]) -> None:
     recordings = files("data.train=[c.csv,a.csv]", "data.test=b.csv").recordings()
     assert names(recordings) == ["c.csv", "a.csv", "b.csv"]
     np.testing.assert_array_equal(recordings[1].signals["qpos"][:, 0], np.arange(100) / 8)
+    (turned,) = files("data.train=a.csv", "data.sign.qpos=-1").recordings()
+    np.testing.assert_array_equal(turned.signals["qpos"], -recordings[1].signals["qpos"])
+    np.testing.assert_array_equal(turned.signals["ctrl"], recordings[1].signals["ctrl"])
 
 
 def test_a_simulator_s_files_are_called_simulated(files: Callable[..., Files]) -> None:
@@ -194,6 +197,8 @@ def test_a_mistake_gets_one_line(files: Callable[..., Files], options: list[str]
     [
         ({"columns": {"qvle": "a"}}, r"data\.columns\.qvle: unknown signal; did you mean qvel"),
         ({"units": {"qvle": "a"}}, r"data\.units\.qvle: unknown signal"),
+        ({"sign": {"ctrl": 0}}, r"data\.sign\.ctrl=0: expected 1 or -1"),
+        ({"sign": {"time": -1}}, r"data\.sign\.time: unknown signal"),
         ({"where": {"kp": 16}}, r"data\.where\.kp=16: expected a list of values"),
         ({"where": 3}, r"data\.where=3: expected names with values"),
         ({"train": 3}, r"data\.train=3: expected a list of names"),

@@ -12,7 +12,7 @@ LEVELS = {
     **dict.fromkeys(("logs", "segments"), 1),
     **dict.fromkeys(("models", "build"), 2),
     **dict.fromkeys(("bench", "engine", "rollout"), 3),
-    **dict.fromkeys(("bridge", "check", "drive", "torch_rollout"), 4),
+    **dict.fromkeys(("bridge", "check", "doubts", "drive", "proof", "torch_rollout"), 4),
     **dict.fromkeys(("fit",), 5),
     **dict.fromkeys(("evaluate", "compare", "report", "export"), 6),
     **dict.fromkeys(("config", "job", "sweep", "run", "inspect", "distill"), 7),

@@ -22,6 +22,7 @@ from frictionzoo.models.coulomb_stribeck import CoulombStribeck
 from frictionzoo.models.neural_friction import NeuralFriction
 from frictionzoo.output import write_atomically
 from frictionzoo.params import Param
+from frictionzoo.proof import Proof
 from frictionzoo.report.figures import draw_error, draw_parameters, draw_trajectory, write_figures
 from frictionzoo.report.result import _list_parameters, build_result, read_schema, write_result
 from frictionzoo.report.terminal import summarise
@@ -30,6 +31,7 @@ from frictionzoo.types import Dataset, Log, Segments, Uncertainty
 TIMESTEP = 0.001
 FIT = {"method": "adam", "iterations": 3, "best_iteration": 2, "loss": 1e-6, "stopped": "all iterations made"}
 SETTINGS = {"seed": 0, "dtype": "float64", "segments": {"count": 20, "length": 5}}
+PROOF = Proof(step=1e-16, rollout=1e-15, cases=32, steps=8, seconds=0.2)
 TIMING = {"setup": 1.0, "compile": 2.0, "fit": 3.0, "uncertainty": 0.25, "evaluate": 0.25, "total": 6.5}
 PARAMS = {
     "static_torque": {"init": 0.3, "low": 1e-3, "high": 1.0, "scale": "log", "identify": True},
@@ -104,6 +106,8 @@ def build(bench, model, dataset, evaluation, friction, offset=0.01, **changes):
         "timing": TIMING,
         "settings": SETTINGS,
         "engine": "mjx",
+        "proof": PROOF,
+        "warnings": [],
         "device": "cpu",
         "uncertainty": Uncertainty(missing="nobody asked"),
     }

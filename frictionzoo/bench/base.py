@@ -3,7 +3,7 @@
 import copy
 import logging
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
@@ -26,6 +26,10 @@ NO_PAYLOAD = Payload(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 _TIMESTEP_TOLERANCE = 0.01  # share by which the log's interval may differ from a whole number of simulation steps
 _PARAMS = {"armature": "inertia", "delay": "time", "position_offset": "position"}
 _OPTIONAL = ("delay", "position_offset")
+INERTIAL = 11
+"""Numbers of a load that describe the body; the others are the joint-space inertia."""
+_NAMING = {"name", "class", "childclass", "joint", "joint1", "joint2", "body", "body1", "body2", "type"}
+_KEPT = {"mujoco", "worldbody", "body", "compiler"}
 _HEAVIER = 100.0  # times a fitted armature, or a part of it, within which it may move where a bench starts again
 
 
@@ -303,16 +307,46 @@ class Bench:
             self._loads[payload] = self._combine_with(self.payload, payload)
         return self._loads[payload]
 
+    def put_load(self, model: mujoco.MjModel, load: Float[np.ndarray, "load"]) -> None:
+        """Let the body that carries payloads be what a recording's payload makes of it.
+
+        Args:
+            model: A compiled model of this bench.
+            load: As `load` gives it; empty to change nothing.
+        """
+        if self.payload is not None and len(load):
+            _put_inertial(model, self.payload, load[:INERTIAL])
+
     def _combine_with(self, body: int, payload: Payload) -> Float[np.ndarray, "load"]:
         model = self.compile(constraint=False)
         inertial = _combine(model, body, payload)
-        model.body_mass[body], model.body_ipos[body] = inertial[0], inertial[1:4]
-        model.body_iquat[body], model.body_inertia[body] = inertial[4:8], inertial[8:11]
-        # Shortcuts that MuJoCo's compiler allowed itself for the body without the payload.
-        model.body_sameframe[body] = model.body_simple[body] = 0
-        model.dof_simplenum[:] = 0
-        mujoco.mj_setConst(model, mujoco.MjData(model))  # the mass of subtrees, where the origin of inertias lies
+        _put_inertial(model, body, inertial)
         return np.concatenate([inertial, rigid_inertia(model).ravel()])
+
+    def simpler(self) -> Iterator[tuple[str, "Bench"]]:
+        """What the MJCF could lack, one attribute or element at a time, in words, and the same test stand without it.
+
+        Not each of them compiles. Bodies and the identified joints stay.
+        """
+        elements = [element for element in self._template.iter() if isinstance(element.tag, str)]
+        for element in elements:
+            of = _describe(element)
+            for name in set(element.attrib) - _NAMING:
+                yield f'{name}="{element.get(name)}" of {of}', self._without(element, name)
+        for element in elements:
+            if element.tag not in _KEPT and element.get("name") not in self.joints:
+                yield _describe(element), self._without(element)
+
+    def _without(self, element: ET.Element, attribute: str | None = None) -> "Bench":
+        place = list(self._template.iter()).index(element)
+        other = copy.copy(self)
+        other._template, other._loads = copy.deepcopy(self._template), {}
+        found = list(other._template.iter())[place]
+        if attribute is not None:
+            del found.attrib[attribute]
+        else:
+            next(parent for parent in other._template.iter() if found in list(parent)).remove(found)
+        return other
 
     def _check_log(self, log: Log) -> None:
         for signal in ("qpos", "ctrl"):
@@ -467,6 +501,25 @@ def rigid_inertia(model: mujoco.MjModel) -> Float[np.ndarray, "nv nv"]:
     return inertia
 
 
+def can_collide(model: mujoco.MjModel) -> bool:
+    """Whether there are geoms between which MuJoCo looks for contacts.
+
+    Not between those of one body or of bodies welded together, nor, unless that is disabled, between a moving body and
+    its parent. Pairs that the MJCF excludes count as if it did not.
+
+    Source: MuJoCo documentation, "Computation", "Collision detection", selection.
+
+    Args:
+        model: The compiled bench.
+    """
+    wanted = (model.geom_contype[:, None] & model.geom_conaffinity[None, :]) != 0
+    body = model.body_weldid[model.geom_bodyid]
+    parent = model.body_weldid[model.body_parentid[body]]
+    child = (parent[:, None] == body[None, :]) & (body[None, :] != 0)  # of one that stands still, all may touch it
+    filtered = (child | child.T) & (not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
+    return bool(((wanted | wanted.T) & (body[:, None] != body[None, :]) & ~filtered).any())
+
+
 def _combine(model: mujoco.MjModel, body: int, payload: Payload) -> Float[np.ndarray, "11"]:
     """Mass, centre, principal axes and inertia of a body and its payload, by the parallel-axis theorem."""
     axes = np.zeros(9)
@@ -485,6 +538,20 @@ def _combine(model: mujoco.MjModel, body: int, payload: Payload) -> Float[np.nda
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, frame.ravel())
     return np.concatenate([[masses.sum()], centre, quaternion, principal])
+
+
+def _put_inertial(model: mujoco.MjModel, body: int, inertial: Float[np.ndarray, "11"]) -> None:
+    model.body_mass[body], model.body_ipos[body] = inertial[0], inertial[1:4]
+    model.body_iquat[body], model.body_inertia[body] = inertial[4:8], inertial[8:]
+    # Shortcuts that MuJoCo's compiler allowed itself for the body without the payload.
+    model.body_sameframe[body] = model.body_simple[body] = 0
+    model.dof_simplenum[:] = 0
+    mujoco.mj_setConst(model, mujoco.MjData(model))  # the mass of subtrees, where the origin of inertias lies
+
+
+def _describe(element: ET.Element) -> str:
+    name = element.get("name") or element.get("class")
+    return f"<{element.tag}{f' {name}' if name else ''}>"
 
 
 def _section(root: ET.Element, tag: str) -> ET.Element:

@@ -1,11 +1,14 @@
 """Which engine simulates a bench."""
 
+import contextlib
+from collections.abc import Iterator
+
 from frictionzoo.bench import Bench
 from frictionzoo.engine.base import Engine, Friction
 from frictionzoo.engine.mjx import MjxEngine
 from frictionzoo.engine.specialise import CannotSpecialiseError
 from frictionzoo.engine.specialised import SpecialisedEngine
-from frictionzoo.errors import ConfigError, closest
+from frictionzoo.errors import BenchError, ConfigError, closest
 
 _CHOICES = ("auto", "mjx", "specialised")
 _MEASURED_JOINTS = 7
@@ -24,9 +27,35 @@ def make_engine(choice: str, bench: Bench, friction: Friction, constraint: bool)
 
     Raises:
         ConfigError: No such engine, or `specialised` does not apply.
+        BenchError: MJX lacks something that the bench has.
     """
     if choice not in _CHOICES:
         raise ConfigError(f"engine={choice}: no such engine; {closest(choice, _CHOICES)}")
+    with naming_what_mjx_lacks(bench):
+        return _make_engine(choice, bench, friction, constraint)
+
+
+@contextlib.contextmanager
+def naming_what_mjx_lacks(bench: Bench) -> Iterator[None]:
+    """One line in place of what MJX raises where it takes a model over or steps it.
+
+    Args:
+        bench: Whose model it is.
+
+    Raises:
+        BenchError: MJX has raised something.
+    """
+    try:
+        yield
+    except NotImplementedError as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise BenchError(
+            f"{bench.source}: MJX, in which it is simulated, does not take it ({reason[:200]}); leave that out of the "
+            "MJCF"
+        ) from error
+
+
+def _make_engine(choice: str, bench: Bench, friction: Friction, constraint: bool) -> Engine:
     if choice == "mjx":
         return MjxEngine(bench, friction, constraint)
     reason = f"{bench.nv} joints are more than the {_MEASURED_JOINTS} that were measured"

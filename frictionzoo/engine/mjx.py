@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from frictionzoo.bench import Bench, Channels
-from frictionzoo.bench.base import rigid_inertia
+from frictionzoo.bench.base import INERTIAL, can_collide, rigid_inertia
 from frictionzoo.engine.base import Engine, Friction, Values, control
 from frictionzoo.engine.linear import solve_spd
 from frictionzoo.types import DriveState, FrictionTerms
@@ -20,7 +20,8 @@ with contextlib.redirect_stdout(io.StringIO()):  # it prints that its optional b
     from mujoco.mjx._src import derivative, support
 
 _FUSED_JOINTS = 4  # up to which fusion was measured to gain time
-INERTIAL = 11  # numbers of a load that describe the body; the others are the joint-space inertia
+_TOLERANCE = 1e-12
+"""Of MJX's solver: at MuJoCo's 1e-8 it stops where MuJoCo C, whose line search is exact, is already done."""
 _SLIDES_ONLY = 2
 """MuJoCo's body_simple of a body that only slides along its own axes: its dof_invweight0 leaves the armature out."""
 
@@ -31,6 +32,8 @@ class ModelInputs(NamedTuple):
     Attributes:
         armature: `dof_armature` [kg m^2 or kg].
         invweight0: `dof_invweight0`, inverse joint-space inertia at the reference position [1/(kg m^2) or 1/kg].
+        body_invweight0: The same of each body, in translation and rotation; empty where nothing could push a body.
+        tendon_invweight0: The same of each tendon; empty without.
         actuator: `gainprm[0]` and `biasprm[:3]` of each actuator, of shape (nv, 4).
         inertial: `body_mass`, `body_ipos`, `body_iquat` and `body_inertia` of the body that carries payloads, of shape
             (11,); empty without.
@@ -39,6 +42,8 @@ class ModelInputs(NamedTuple):
 
     armature: Any
     invweight0: Any
+    body_invweight0: Any
+    tendon_invweight0: Any
     actuator: Any
     inertial: Any
     reference: Any
@@ -85,12 +90,14 @@ class MjxEngine(Engine):
         # For one joint a single Newton iteration is exact, and only then does MJX avoid a while loop, which reverse
         # mode cannot pass.
         model.opt.iterations = 1 if bench.nv == 1 else model.opt.iterations
+        model.opt.tolerance = min(model.opt.tolerance, _TOLERANCE)
         # On CPUs, XLA's fusion computes shared terms again for each of their uses: of many joints there are many.
         self.compiler_options = {} if bench.nv <= _FUSED_JOINTS else {"xla_disable_hlo_passes": "fusion"}
         self._bench = bench
         self._friction = friction
         self._timestep = float(model.opt.timestep)
         self._rigid_inertia = rigid_inertia(model)
+        self._body_jacobian, self._tendon_jacobian = _jacobians(model)
         self._ignores_armature = model.body_simple[model.dof_bodyid] == _SLIDES_ONLY
         self._model = mjx.put_model(model)
         self._data = mjx.make_data(self._model)
@@ -138,15 +145,20 @@ class MjxEngine(Engine):
         # to follow the armature, else the exported model would have another friction.
         inertial, rigid = load[:INERTIAL], load[INERTIAL:].reshape(2 * [self._bench.nv] if len(load) else (0, 0))
         rigid = rigid if len(load) else jnp.asarray(self._rigid_inertia, armature.dtype)
-        inverse = [solve_spd(rigid + jnp.diag(armature), unit)[index] for index, unit in enumerate(jnp.eye(len(rigid)))]
+        inverse = jnp.stack([solve_spd(rigid + jnp.diag(armature), unit) for unit in jnp.eye(len(rigid))])
         fixed = jnp.asarray(self._model.dof_invweight0, armature.dtype)
         ignored = jnp.asarray(self._ignores_armature)
         if self._bench.payload is not None:  # with a payload the body's centre lies elsewhere, and it is simple no more
             mass = jnp.asarray(self._model.body_mass[self._bench.payload], inertial.dtype)
             ignored = ignored & (inertial[0] == mass)
-        invweight0 = jnp.where(ignored, fixed, jnp.stack(inverse))
+        invweight0 = jnp.where(ignored, fixed, jnp.diag(inverse))
+        bodies, tendons = (
+            jnp.einsum("...in,nm,...im->...", jacobian, inverse, jacobian) / jacobian.shape[-2]
+            for jacobian in (jnp.asarray(j, armature.dtype) for j in (self._body_jacobian, self._tendon_jacobian))
+        )
+        bodies = jnp.where(bodies < mujoco.mjMINVAL, bodies[:, ::-1], bodies)  # as MuJoCo's compiler has it
         reference = -jnp.asarray(values["bench"].get("position_offset", np.zeros(0)), armature.dtype)
-        return ModelInputs(armature, invweight0, jnp.stack(list(affine), axis=-1), inertial, reference)
+        return ModelInputs(armature, invweight0, bodies, tendons, jnp.stack(list(affine), axis=-1), inertial, reference)
 
     def dynamics(
         self, inputs: ModelInputs, qpos: Float[Array, "nv"], qvel: Float[Array, "nv"], ctrl: Float[Array, "nu"]
@@ -177,6 +189,10 @@ class MjxEngine(Engine):
             actuator_gainprm=self._model.actuator_gainprm.at[:, 0].set(inputs.actuator[:, 0]),
             actuator_biasprm=self._model.actuator_biasprm.at[:, :3].set(inputs.actuator[:, 1:]),
         )
+        if len(inputs.body_invweight0):
+            model = model.replace(body_invweight0=inputs.body_invweight0)
+        if len(inputs.tendon_invweight0):
+            model = model.replace(tendon_invweight0=inputs.tendon_invweight0)
         if self._bench.payload is not None:
             mass, position, orientation, inertia = jnp.split(inputs.inertial, [1, 4, 8])
             body = self._bench.payload
@@ -203,6 +219,30 @@ class MjxEngine(Engine):
         if terms.torque is not None:
             data = data.replace(qfrc_applied=data.qfrc_applied - terms.torque)
         return model, data
+
+
+def _jacobians(
+    model: mujoco.MjModel,
+) -> tuple[Float[np.ndarray, "bodies 2 3 nv"], Float[np.ndarray, "tendons 1 nv"]]:
+    """How bodies' centres of mass and tendons move with the joints at the reference position.
+
+    Of bodies in translation and rotation, and none where no constraint acts on bodies: their inverse inertia, with
+    which the softness of contacts and equalities goes, is not asked for then.
+    """
+    data = mujoco.MjData(model)
+    data.qpos[:] = model.qpos0
+    for stage in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_tendon):
+        stage(model, data)
+    bodies = np.zeros((model.nbody if model.neq or model.npair or can_collide(model) else 0, 2, 3, model.nv))
+    for index, (along, around) in enumerate(bodies):
+        if model.body_weldid[index]:
+            mujoco.mj_jacBodyCom(model, data, along, around, index)
+    tendons = np.zeros((model.ntendon, 1, model.nv))
+    if model.ntendon:
+        dense = np.zeros((model.ntendon, model.nv))
+        mujoco.mju_sparse2dense(dense, data.ten_J, model.ten_J_rownnz, model.ten_J_rowadr, model.ten_J_colind)
+        tendons[:, 0] = dense
+    return bodies, tendons
 
 
 def _drive_state(data: mjx.Data, channels: Channels) -> DriveState:

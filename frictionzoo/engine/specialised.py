@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from frictionzoo.bench import Bench, Channels
-from frictionzoo.bench.base import NO_PAYLOAD
+from frictionzoo.bench.base import NO_PAYLOAD, can_collide
 from frictionzoo.engine.base import Engine, Friction, Values, control, without_memory
 from frictionzoo.engine.dry_friction import dry_friction
 from frictionzoo.engine.linear import solve_spd
@@ -136,22 +136,3 @@ def _refuse_other_constraints(model: mujoco.MjModel) -> None:
     for reason, present in reasons.items():
         if present:
             raise CannotSpecialiseError(reason)
-
-
-def can_collide(model: mujoco.MjModel) -> bool:
-    """Whether there are geoms between which MuJoCo looks for contacts.
-
-    Not between those of one body or of bodies welded together, nor, unless that is disabled, between a moving body and
-    its parent. Pairs that the MJCF excludes count as if it did not.
-
-    Source: MuJoCo documentation, "Computation", "Collision detection", selection.
-
-    Args:
-        model: The compiled bench.
-    """
-    wanted = (model.geom_contype[:, None] & model.geom_conaffinity[None, :]) != 0
-    body = model.body_weldid[model.geom_bodyid]
-    parent = model.body_weldid[model.body_parentid[body]]
-    child = (parent[:, None] == body[None, :]) & (body[None, :] != 0)  # of one that stands still, all may touch it
-    filtered = (child | child.T) & (not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
-    return bool(((wanted | wanted.T) & (body[:, None] != body[None, :]) & ~filtered).any())

@@ -15,7 +15,7 @@ from frictionzoo.export.base import Export, Target, measure, register_target
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.module import load_module, write_module
 from frictionzoo.export.mujoco_c import BENCH, MODULE, write_bare_bench
-from frictionzoo.export.simulate import commands_before, put_load
+from frictionzoo.export.simulate import commands_before
 
 
 @register_target("mjx")
@@ -66,7 +66,7 @@ def _run(folder: Path, fitted: Fitted) -> Float[np.ndarray, "batch time nv"]:
     found = []
     for number in range(segments.count):
         if segments.load is not None:
-            put_load(model, fitted, segments.load[number])
+            fitted.bench.put_load(model, segments.load[number])
         on_device = mjx.put_model(model)
         data = mjx.make_data(on_device)
         data = data.replace(qpos=jnp.asarray(segments.qpos[number, 0]), qvel=jnp.asarray(segments.qvel[number, 0]))

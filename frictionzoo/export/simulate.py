@@ -6,7 +6,6 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from frictionzoo.engine.mjx import INERTIAL
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.types import Segments
 
@@ -71,28 +70,9 @@ def commands_before(fitted: Fitted, rollout: int) -> Float[np.ndarray, "steps nv
     return np.repeat(known, fitted.sampling.substeps, axis=0)
 
 
-def put_load(model: mujoco.MjModel, fitted: Fitted, load: Float[np.ndarray, "load"]) -> None:
-    """Let the body that carries payloads be what a recording's payload makes of it.
-
-    Args:
-        model: A model of the bench.
-        fitted: The drive.
-        load: As `Bench.load` gives it.
-    """
-    body = fitted.bench.payload
-    if body is None or not len(load):
-        return
-    model.body_mass[body], model.body_ipos[body] = load[0], load[1:4]
-    model.body_iquat[body], model.body_inertia[body] = load[4:8], load[8:INERTIAL]
-    # Shortcuts that MuJoCo's compiler allowed itself for the body without the payload.
-    model.body_sameframe[body] = model.body_simple[body] = 0
-    model.dof_simplenum[:] = 0
-    mujoco.mj_setConst(model, mujoco.MjData(model))
-
-
 def _begin(model: mujoco.MjModel, fitted: Fitted, segments: Segments, rollout: int) -> mujoco.MjData:
     if segments.load is not None:
-        put_load(model, fitted, segments.load[rollout])
+        fitted.bench.put_load(model, segments.load[rollout])
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:] = segments.qpos[rollout, 0], segments.qvel[rollout, 0]
     return data

@@ -15,7 +15,14 @@ import scipy.interpolate
 from jaxtyping import Bool, Float
 
 from frictionzoo.errors import ConfigError, LogError, closest
-from frictionzoo.logs.diagnose import count_spikes, find_breaks, find_velocity_lag, refuse_incomplete, repair_spikes
+from frictionzoo.logs.diagnose import (
+    count_spikes,
+    find_breaks,
+    find_outliers,
+    find_velocity_lag,
+    refuse_incomplete,
+    repair_spikes,
+)
 from frictionzoo.logs.recording import HELD, Recording
 from frictionzoo.logs.velocity import estimate_velocity
 from frictionzoo.types import JITTER, Log
@@ -45,8 +52,10 @@ class Cleaning:
             neither delays nor advances it.
         gap: An interval longer than this many medians splits a recording, and so does a longer run of NaN; shorter ones
             are interpolated.
-        spikes: What becomes of isolated spikes of one sample or two: `repair` interpolates them in all signals that
-            are not held; `drop` leaves a recording out whose position has one; `keep` keeps them.
+        wrap: Turn within which the positions are an angle, which goes on instead [rad]; None for positions as they are.
+        spikes: What becomes of isolated spikes of one sample or two: `repair` interpolates them in all signals, of a
+            held one those far beyond its range; `drop` leaves a recording out whose position has one; `keep` keeps
+            them.
         velocity: `measured`; `estimated` from the position without phase lag; `auto`: measured where there is one, and
             compared with the position.
         cutoff: Cut-off frequency of that estimate [Hz].
@@ -62,6 +71,7 @@ class Cleaning:
     step: float | None
     resample: str
     gap: float
+    wrap: float | None
     spikes: str
     velocity: str
     cutoff: float
@@ -78,6 +88,8 @@ class Cleaning:
             raise ConfigError(f"data.clean.step={self.step}: expected a positive time in s, or null")
         if not self.gap >= 1.5:
             raise ConfigError(f"data.clean.gap={self.gap}: expected at least 1.5 median intervals")
+        if self.wrap is not None and not self.wrap > 0:
+            raise ConfigError(f"data.clean.wrap={self.wrap}: expected a positive angle in rad, or null")
         if not self.cutoff > 0:
             raise ConfigError(f"data.clean.cutoff={self.cutoff}: expected a positive frequency in Hz")
         if self.order < 1:
@@ -123,7 +135,7 @@ def clean(recording: Recording, cleaning: Cleaning) -> list[Log]:
         ConfigError: The cut-off is not below half the sample rate.
     """
     refuse_incomplete(recording)
-    whole = _drop_repeated(Piece(recording.time, recording.signals, recording.notes))
+    whole = _unwrap(_drop_repeated(Piece(recording.time, recording.signals, recording.notes)), cleaning.wrap)
     if cleaning.spikes == "drop" and any(map(count_spikes, whole.signals["qpos"].T)):
         return []
     pieces = _split(whole, cleaning.gap)
@@ -177,6 +189,14 @@ def _drop_repeated(piece: Piece) -> Piece:
     return piece.keep(new).say(f"samples with the time of the one before dropped: {(~new).sum()}")
 
 
+def _unwrap(piece: Piece, turn: float | None) -> Piece:
+    if turn is None:
+        return piece
+    qpos = np.unwrap(piece.signals["qpos"], period=turn, axis=0)
+    turned = np.count_nonzero(np.diff(np.round((qpos - piece.signals["qpos"]) / turn), axis=0))
+    return replace(piece, signals={**piece.signals, "qpos": qpos}).say(f"turns that the position goes on: {turned}")
+
+
 def _split(piece: Piece, gap: float) -> list[Piece]:
     """The stretches between gaps, resets of the clock and long runs of NaN."""
     pieces = _split_at(piece, find_breaks(piece.time, gap), f"split where time jumps by over {gap:g} intervals or back")
@@ -226,9 +246,15 @@ def _fill_nan(piece: Piece) -> Piece:
 
 
 def _repair_spikes(piece: Piece) -> Piece:
-    """Without the spikes of all signals that cannot jump and come back."""
+    """Without the spikes of all signals that cannot jump and come back, and outliers of a held command."""
     repaired, sentences = dict(piece.signals), []
     for name, values in piece.signals.items():
+        if name == "ctrl":
+            far = np.stack([find_outliers(column) for column in values.T], axis=1)
+            before = np.maximum.accumulate(np.where(far, 0, np.arange(len(values))[:, None]), axis=0)
+            if far.any():
+                repaired[name] = np.take_along_axis(values, before, axis=0)
+                sentences.append(f"outliers of {name} replaced by the value before: {far.any(axis=1).sum()}")
         count = 0 if name in HELD else sum(map(count_spikes, values.T))
         if count:
             repaired[name] = np.stack([repair_spikes(column) for column in values.T], axis=1)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from frictionzoo.errors import LogError
 from frictionzoo.logs.recording import Recording
@@ -14,6 +14,7 @@ from frictionzoo.types import JITTER
 
 GAP = 5.0  # median intervals; a longer one is a gap, not a few missing samples
 SPIKE = 20.0  # a spike leaves both neighbours by this many times the usual second difference
+FAR = 1.0  # times the range of the others that an outlier lies beyond it
 RETURN = 0.5  # and its neighbours differ by less than this share of what it leaves them by
 WIDEST = 2  # samples; a longer excursion may be a motion
 OUTLIER = 0.2  # share of the median by which a supply does not change in earnest
@@ -275,6 +276,23 @@ def repair_spikes(signal: Float[np.ndarray, "time"]) -> Float[np.ndarray, "time"
     others = np.delete(np.arange(len(signal)), found)
     repaired[found] = np.interp(found, others, signal[others])
     return repaired
+
+
+def find_outliers(signal: Float[np.ndarray, "time"]) -> Bool[np.ndarray, "time"]:
+    """Samples far beyond the range of the others, one or two in a row.
+
+    Args:
+        signal: Any, a held command too.
+    """
+    few = min(max(3, round(TOP * len(signal))), (len(signal) - 1) // 4)
+    low, high = np.partition(signal, (few, len(signal) - 1 - few))[[few, -1 - few]]
+    far = np.maximum(signal - high, low - signal) > FAR * (high - low)
+    if not high > low:
+        return np.zeros(len(signal), bool)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], far, [False]]).astype(int)))
+    for first, last in zip(edges[::2], edges[1::2], strict=True):
+        far[first:last] = last - first <= WIDEST
+    return far
 
 
 def find_quantum(signal: Float[np.ndarray, "time"]) -> float | None:

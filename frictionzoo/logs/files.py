@@ -32,6 +32,7 @@ class Files:
         source: Where a user obtains files that the package does not bring; None for a user's own.
         format: Name of the files' format, `auto` to go by the file.
         columns: Header or headers of each signal; None for those that the headers suggest.
+        sign: 1 or -1 for qpos, qvel and ctrl: the factor that they get.
         units: Unit of each signal in the files; None for what headers and numbers suggest.
         fields: Fields of all recordings, over the files' own.
         fields_from_name: Regular expression with named groups, which become fields, for the files' names.
@@ -57,6 +58,7 @@ class Files:
         format: str,
         columns: Mapping[str, Any],
         units: Mapping[str, str | None],
+        sign: Mapping[str, int],
         fields: Any,
         fields_from_name: str | None,
         where: Any,
@@ -70,7 +72,7 @@ class Files:
         self.name, self.folder, self.source, self.format = name, folder, source, format
         self.train, self.test = _names("train", train), _names("test", test)
         self.columns = {signal: name_headers(signal, given) for signal, given in _signals("columns", columns).items()}
-        self.units = _signals("units", units)
+        self.units, self.sign = _signals("units", units), _signs(sign)
         fields, where, exclude = (
             _mapping(option, given) for option, given in (("fields", fields), ("where", where), ("exclude", exclude))
         )
@@ -140,7 +142,11 @@ class Files:
             headers = frozenset(table.columns)
             if headers not in said:
                 said[headers] = self._complete(table)
-        return [to_recording(table, *said[frozenset(table.columns)], self.simulated) for table in tables]
+        found = [to_recording(table, *said[frozenset(table.columns)], self.simulated) for table in tables]
+        return [
+            replace(each, signals={name: self.sign.get(name, 1) * values for name, values in each.signals.items()})
+            for each in found
+        ]
 
     def _complete(self, table: Table) -> tuple[dict[str, Any], dict[str, str]]:
         """Columns and units, with what is proposed where the options say nothing."""
@@ -212,6 +218,15 @@ def _mapping(option: str, given: Any) -> dict[str, Any]:
     if given is not None and not isinstance(given, Mapping):
         raise ConfigError(f"data.{option}={given}: expected names with values, as in {{kp: 16}}")
     return dict(given or {})
+
+
+def _signs(given: Mapping[str, Any]) -> dict[str, int]:
+    for signal, sign in given.items():
+        if signal not in ("qpos", "qvel", "ctrl"):
+            raise ConfigError(f"data.sign.{signal}: unknown signal; {closest(str(signal), ('qpos', 'qvel', 'ctrl'))}")
+        if sign not in (1, -1):
+            raise ConfigError(f"data.sign.{signal}={sign}: expected 1 or -1")
+    return dict(given)
 
 
 def _signals(option: str, given: Mapping[str, Any]) -> dict[str, Any]:

@@ -116,6 +116,11 @@ def check_result(
         result: What `result.json` holds.
         history: With the `loss` of each iteration.
     """
+    if result["not_identified"]:
+        why, *reasons = result["not_identified"]
+        yield Check("bad", "Not identified", f"This did not identify the drive: {why}. Likely: {'; '.join(reasons)}.")
+    for sentence in result["warnings"]:
+        yield Check("caution", "Recordings", f"{sentence}.")
     yield _check_gain(result)
     yield check_held_out(result["data"])
     yield _check_train(result["metrics"])

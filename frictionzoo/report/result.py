@@ -3,7 +3,7 @@
 import hashlib
 import json
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib import metadata, resources
 from pathlib import Path
@@ -16,9 +16,11 @@ from frictionzoo.evaluate import Evaluation, Judgement, Values
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.output import to_json, write_atomically
 from frictionzoo.params import Param
+from frictionzoo.proof import Proof
+from frictionzoo.report.verdict import explain_failure
 from frictionzoo.types import Dataset, Payload, Uncertainty
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 PACKAGES = ("frictionzoo", "mujoco", "mujoco-mjx", "jax", "torch", "optax", "lightning", "numpy")
 
 
@@ -41,6 +43,8 @@ def build_result(
     timing: Mapping[str, float],
     settings: Mapping[str, Any],
     engine: str,
+    proof: Proof,
+    warnings: Sequence[str],
     device: str,
     uncertainty: Uncertainty,
 ) -> dict[str, Any]:
@@ -59,6 +63,8 @@ def build_result(
         timing: Seconds of `setup`, `compile`, `fit`, `evaluate`, `total`.
         settings: All options of the run, among them `seed` and `dtype`.
         engine: What simulated.
+        proof: That it simulates as MuJoCo does.
+        warnings: What makes the result doubtful, a sentence each.
         device: Where it ran.
         uncertainty: How far the data determine what was identified.
     """
@@ -81,11 +87,13 @@ def build_result(
         "seed": settings["seed"],
         "dtype": settings["dtype"],
         "engine": engine,
+        "proof": asdict(proof),
+        "warnings": list(warnings),
         "device": device,
         "versions": _read_versions(),
         "settings": dict(settings),
     }
-    return to_json(result)
+    return to_json(result | {"not_identified": explain_failure(result)})
 
 
 def pick_metrics(result: Mapping[str, Any]) -> dict[str, float]:

@@ -157,8 +157,9 @@ def _list_errors(test: Mapping[str, Any], reference: Mapping[str, Any], names: t
 
 
 def _warn(result: Mapping[str, Any]) -> list[str]:
-    """A line for each parameter at a bound, one for all not identifiable, and one for each indistinct group."""
-    lines = [
+    """What is doubtful: of the recordings, of parameters at a bound, not identifiable or indistinct, and of it all."""
+    lines = [f"warning: {sentence}" for sentence in result["warnings"]]
+    lines += [
         f"warning: {parameter['owner']}.{parameter['name']} ended at a bound of [{parameter['low']:g}, "
         f"{parameter['high']:g}] {parameter['unit']}; widen the bounds or doubt the model"
         for parameter in result["parameters"]
@@ -171,6 +172,10 @@ def _warn(result: Mapping[str, Any]) -> list[str]:
         f"warning: the data cannot tell apart {' and '.join(group)}; make all but one of them known, or record others"
         for group in result["indistinct"]
     ]
+    if result["not_identified"]:
+        why, *reasons = result["not_identified"]
+        lines.append(f"this did not identify the drive: {why}. Likely reasons, the likeliest first:")
+        lines += [f"  {number}. {reason}" for number, reason in enumerate(reasons, 1)]
     return ["\n".join(lines)] if lines else []
 
 

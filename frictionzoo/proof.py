@@ -1,0 +1,267 @@
+"""The proof that a simulation is MuJoCo's: steps of an engine against steps of MuJoCo C, of this bench and this law."""
+
+import copy
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import jax
+import mujoco
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from frictionzoo.bench import Bench
+from frictionzoo.drive import Drive
+from frictionzoo.engine import Values
+from frictionzoo.engine.choose import naming_what_mjx_lacks
+from frictionzoo.errors import BenchError, FrictionzooError
+from frictionzoo.models import FrictionModel
+from frictionzoo.types import DriveState, Log
+
+TOLERANCE = 1e-9
+"""Largest difference of a position or velocity, relative where they are above 1, that counts as rounding."""
+_CASES, _STEPS = 16, 8
+_BEYOND = 0.5  # share of the recorded range by which states lie beyond it, to each side
+_MOVED = 0.05  # share of the bounds' distance by which values lie from the initial ones
+_TRIALS = 40  # of leaving something out
+_HASTY = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
+"""For functions that run once: they are compiled in less time than they would save."""
+
+
+class Recorded(NamedTuple):
+    """What a bench was recorded doing, one row a sample.
+
+    Attributes:
+        qpos: [rad or m].
+        qvel: [rad/s or m/s].
+        channels: What drove it, as `Log.channels` has it.
+        load: What the payload changes in the model, as `Bench.load` gives it.
+    """
+
+    qpos: Float[np.ndarray, "samples nv"]
+    qvel: Float[np.ndarray, "samples nv"]
+    channels: Float[np.ndarray, "samples channels"]
+    load: Float[np.ndarray, "samples load"]
+
+    @classmethod
+    def of(cls, logs: Sequence[Log]) -> "Recorded":
+        """All samples of logs that a bench accepted."""
+        rows = [(log.qpos, log.qvel, log.channels, np.tile(log.load, (log.samples, 1))) for log in logs]
+        return cls(*(np.concatenate(signals) for signals in zip(*rows, strict=True)))
+
+
+class Cases(NamedTuple):
+    """Short rollouts to compare: initial states of shape (cases, nv), channels of shape (cases, steps, channels)."""
+
+    qpos: Float[np.ndarray, "cases nv"]
+    qvel: Float[np.ndarray, "cases nv"]
+    channels: Float[np.ndarray, "cases steps channels"]
+    load: Float[np.ndarray, "cases load"]
+
+
+@dataclass(frozen=True)
+class Proof:
+    """How far an engine is from MuJoCo C.
+
+    Attributes:
+        step: Largest difference of a position or velocity after one step, relative where they are above 1.
+        rollout: The same after all steps.
+        cases: Rollouts that were compared.
+        steps: In each.
+        seconds: That it took.
+    """
+
+    step: float
+    rollout: float
+    cases: int
+    steps: int
+    seconds: float
+
+    def __str__(self) -> str:
+        return (
+            f"{self.cases} rollouts of {self.steps} steps are those of MuJoCo C within {self.rollout:.1g} "
+            f"({self.seconds:.2f} s)"
+        )
+
+
+def initial_values(bench: Bench, model: FrictionModel) -> Values:
+    """The values with which an identification begins, by owner and name, as numpy arrays."""
+    friction = {name: value.detach().double().numpy() for name, value in model.state_dict().items()}
+    return {"bench": bench.initial_values(), "friction": friction}
+
+
+def prove(bench: Bench, model: FrictionModel, engine: str, values: Values, recorded: Recorded) -> Proof:
+    """See that steps and short rollouts of a drive are those of MuJoCo C with the MJCF that would be exported.
+
+    Half of the rollouts begin where the drive was recorded, the others anywhere in the range of the log and beyond;
+    each is simulated with the given values and with others near them, in float64. MuJoCo C knows nothing of the engine:
+    the law's terms are computed in torch from what `mujoco` gives, and enter as joint damping, as the limit of the
+    friction constraint, and as an applied force.
+
+    Args:
+        bench: The test stand.
+        model: The law.
+        engine: As `make_engine` takes it.
+        values: Of all parameters, by owner and name.
+        recorded: What the bench was recorded doing.
+
+    Raises:
+        BenchError: They differ by more than `TOLERANCE`; the message names the element of the MJCF that is at fault if
+            leaving out a single one mends it.
+    """
+    began = time.perf_counter()
+    cases = _draw(recorded)
+    step, rollout = _compare(bench, model, engine, [values, _moved(bench, model, values)], cases)
+    if not rollout <= TOLERANCE:
+        fault = _find_fault(bench, model, engine, [values], cases)
+        what = "something in the MJCF" if fault is None else fault
+        unit = "" if fault is None else "; leave it out of the MJCF, or fix what it acts on"
+        raise BenchError(
+            f"{bench.source}: engine={engine} does not simulate {what} as MuJoCo C does (position or velocity differ "
+            f"by {step:.2g} after a step and {rollout:.2g} after {_STEPS}, expected at most {TOLERANCE:g}){unit}"
+        )
+    return Proof(float(step), float(rollout), 2 * _CASES, _STEPS, time.perf_counter() - began)
+
+
+def _draw(recorded: Recorded) -> Cases:
+    rng = np.random.default_rng(0)
+    row = rng.integers(len(recorded.qpos), size=_CASES)
+    states = []
+    for signal in (recorded.qpos, recorded.qvel):
+        low, high = signal.min(axis=0), signal.max(axis=0)
+        reach = _BEYOND * (high - low)
+        anywhere = rng.uniform(low - reach, high + reach, (_CASES, signal.shape[1]))
+        states.append(np.where(np.arange(_CASES)[:, None] % 2 == 0, signal[row], anywhere))
+    others = rng.integers(len(recorded.qpos), size=(_CASES, _STEPS))
+    driven = np.where(np.arange(_CASES)[:, None] % 2 == 0, row[:, None], others)
+    return Cases(*states, recorded.channels[driven], recorded.load[row])
+
+
+def _moved(bench: Bench, model: FrictionModel, values: Values) -> Values:
+    """Values near these, so that what a value does in the exported model is compared, too; weights stay."""
+    rng = np.random.default_rng(1)
+    moved = {owner: dict(known) for owner, known in values.items()}
+    for owner, params in (("bench", bench.params), ("friction", model.params)):
+        for name, param in params.items():
+            if not param.identify:
+                continue
+            at, low, high = (param.to_coordinate(x, np) for x in (moved[owner][name], param.low, param.high))
+            away = _MOVED * (high - low) * rng.uniform(-1, 1, np.shape(at))
+            moved[owner][name] = param.from_coordinate(np.clip(at + away, low, high), np)
+    return moved
+
+
+def _compare(
+    bench: Bench, model: FrictionModel, engine: str, values: Sequence[Values], cases: Cases
+) -> tuple[float, float]:
+    """Largest difference after the first step, and after any; infinite where something is not finite."""
+    ours = _in_engine(bench, model, engine, values, cases)
+    theirs = np.stack([_in_c(bench, model, each, cases) for each in values])
+    with np.errstate(invalid="ignore", over="ignore"):
+        difference = np.abs(ours - theirs) / np.maximum(1.0, np.abs(theirs))
+    difference = np.where(np.isfinite(difference), difference, np.inf)
+    return float(difference[..., 0, :].max()), float(difference.max())
+
+
+def _in_engine(
+    bench: Bench, model: FrictionModel, engine: str, values: Sequence[Values], cases: Cases
+) -> Float[np.ndarray, "values 2 cases steps nv"]:
+    with jax.enable_x64(True), naming_what_mjx_lacks(bench):
+        rollout = Drive.assemble(bench, copy.deepcopy(model), engine).rollout
+        simulate = replace(rollout, compiler_options={**rollout.compiler_options, **_HASTY}).compiled
+        known = [jax.tree.map(lambda value: np.asarray(value, np.float64), _without_delay(each)) for each in values]
+        return np.stack([[np.asarray(part) for part in simulate(each, *cases)] for each in known])
+
+
+def _in_c(bench: Bench, model: FrictionModel, values: Values, cases: Cases) -> Float[np.ndarray, "2 cases steps nv"]:
+    values = _without_delay(values)
+    text = bench.mjcf(values["bench"], np.ones(bench.nv) if model.constraint else None)
+    compiled = mujoco.MjModel.from_xml_string(text)
+    own, law = compiled.dof_damping.copy(), _Law(model, values["friction"], float(compiled.opt.timestep))
+    worlds = [_World(bench, compiled, *case) for case in zip(cases.qpos, cases.qvel, cases.load, strict=True)]
+    found = np.empty((2, *cases.channels.shape[:2], bench.nv))
+    for step in range(cases.channels.shape[1]):
+        qpos, qvel = (np.array([getattr(world.data, name) for world in worlds]) for name in ("qpos", "qvel"))
+        channels = bench.split(cases.channels[:, step])
+        control = bench.actuator.control(np, values["bench"], qpos, qvel, channels.command, channels.inputs)
+        torques = zip(*(world.drive(ctrl, own) for world, ctrl in zip(worlds, control, strict=True)), strict=True)
+        terms = law(DriveState(qpos, qvel, channels.command, *map(np.array, torques), **channels.observed))
+        for index, world in enumerate(worlds):
+            world.step(own, *(None if term is None else term[index] for term in terms))
+            found[:, index, step] = world.data.qpos, world.data.qvel
+    return found
+
+
+def _without_delay(values: Values) -> dict[str, Mapping[str, Any]]:
+    """Rollouts are late by themselves: their commands are compared elsewhere, and here act at once."""
+    return {**values, "bench": {name: value for name, value in values["bench"].items() if name != "delay"}}
+
+
+class _Law:
+    """A friction law in torch with the memory that it has of each case."""
+
+    def __init__(self, model: FrictionModel, values: Mapping[str, Any], timestep: float) -> None:
+        self._model = model
+        self._values = {name: torch.tensor(np.asarray(value, np.float64)) for name, value in values.items()}
+        self._memory: Any = None
+        self._timestep = timestep
+
+    def __call__(self, state: DriveState) -> tuple[np.ndarray | None, ...]:
+        """The terms in each case's state, of shape (cases, nv)."""
+        seen = state.map(lambda signal: torch.tensor(signal, dtype=torch.float64))
+        with torch.no_grad():
+            if self._memory is None:
+                self._memory = self._model.settle(torch, self._values, seen)
+            terms, self._memory = self._model.advance(torch, self._values, seen, self._memory, self._timestep)
+        shape = state.qvel.shape
+        return tuple(None if term is None else np.broadcast_to(term.numpy(), shape) for term in terms)
+
+
+class _World:
+    """One case in MuJoCo C."""
+
+    def __init__(self, bench: Bench, model: mujoco.MjModel, qpos: np.ndarray, qvel: np.ndarray, load: np.ndarray):
+        self.model = copy.copy(model)
+        bench.put_load(self.model, load)
+        self.data = mujoco.MjData(self.model)
+        self.data.qpos[:], self.data.qvel[:] = qpos, qvel
+
+    def drive(self, control: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The actuators' torque in this state, and everything but actuators and friction."""
+        model, data = self.model, self.data
+        data.ctrl[:], model.dof_damping[:], data.qfrc_applied[:] = control, damping, 0.0
+        for stage in (mujoco.mj_fwdPosition, mujoco.mj_fwdVelocity, mujoco.mj_fwdActuation):
+            stage(model, data)
+        return data.qfrc_actuator.copy(), data.qfrc_passive - data.qfrc_bias
+
+    def step(self, own: np.ndarray, torque: Any, frictionloss: Any, damping: Any) -> None:
+        """One step with these friction terms."""
+        if torque is not None:
+            self.data.qfrc_applied[:] = -torque
+        if frictionloss is not None:
+            self.model.dof_frictionloss[:] = frictionloss
+        if damping is not None:
+            self.model.dof_damping[:] = own + damping
+        mujoco.mj_step(self.model, self.data)
+
+
+def _find_fault(bench: Bench, model: FrictionModel, engine: str, values: Sequence[Values], cases: Cases) -> str | None:
+    """What, left out, makes the engine agree with MuJoCo C; in words."""
+    as_it_is, trials = _in_c(bench, model, values[0], cases), []
+    for what, other in bench.simpler():
+        try:
+            changes = not np.array_equal(_in_c(other, model, values[0], cases), as_it_is)
+        except (FrictionzooError, ValueError):
+            continue
+        trials.append((not changes, what, other))
+    # First what MuJoCo C heeds.
+    for _, what, other in sorted(trials, key=lambda trial: trial[0])[:_TRIALS]:
+        try:
+            agrees = _compare(other, model, engine, values, cases)[1] <= TOLERANCE
+        except FrictionzooError:
+            continue
+        if agrees:
+            return what
+    return None

@@ -1,0 +1,139 @@
+"""Recordings that cannot be right: what is said of each kind of fault, and that clean ones pass."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import needs_data
+
+from frictionzoo.bench import Bench
+from frictionzoo.doubts import doubt_motion, doubt_recordings
+from frictionzoo.errors import LogError
+from frictionzoo.logs.twin import Twin
+from frictionzoo.report.verdict import explain_failure
+from frictionzoo.types import Dataset, Log
+
+RNG = np.random.default_rng(0)
+
+
+def late(values: np.ndarray, samples: int) -> np.ndarray:
+    return np.concatenate([np.repeat(values[:1], samples, axis=0), values[:-samples]])
+
+
+def put(values: np.ndarray, number: float) -> np.ndarray:
+    return np.where(np.arange(len(values))[:, None] == 1000, number, values)
+
+
+def frozen(values: np.ndarray) -> np.ndarray:
+    at = np.arange(len(values))[:, None]
+    return np.where((at > 900) & (at < 1400), values[900], values)
+
+
+def cut_off(values: np.ndarray) -> np.ndarray:
+    return np.clip(values, *np.quantile(values, [0.2, 0.8]))
+
+
+@pytest.fixture(scope="session")
+def recorded(make: Callable) -> tuple[Log, Bench]:
+    """Six seconds of a known drive."""
+    twin: Twin = make("data", "data=twin_clean", "data.samples=8001", "data.cache_dir=null")
+    return twin.load().train[0], make("bench")
+
+
+def doubts(log: Log, bench: Bench) -> str:
+    return "\n".join(doubt_recordings(Dataset("one", (bench.accept(log),), (bench.accept(log),)), bench))
+
+
+def test_a_clean_recording_raises_no_doubt(recorded: tuple[Log, Bench]) -> None:
+    assert doubts(*recorded) == ""
+
+
+@pytest.mark.parametrize(
+    ("spoil", "line"),
+    [
+        (lambda log: {"ctrl": -log.ctrl}, r"ctrl takes energy from the drive all along .* set data\.sign\.ctrl=-1"),
+        (lambda log: {"qpos": -log.qpos, "qvel": -log.qvel}, "ctrl takes energy .* or the sign of both qpos and qvel"),
+        (lambda log: {"qpos": log.ctrl, "ctrl": log.qpos}, "ctrl takes energy .* qpos and ctrl are swapped"),
+        (lambda log: {"qvel": -log.qvel}, r"have opposite signs, expected the same; set data\.sign\.qvel=-1"),
+        (lambda log: {"qpos": -log.qpos}, r"have opposite signs.*or data\.sign\.qpos=-1"),
+        (
+            lambda log: {"qpos": log.qpos % (2 * np.pi)},
+            r"jumps by a whole turn \d+ times.*data\.clean\.wrap=6\.28",
+        ),
+        (lambda log: {"qpos": 0 * log.qpos, "qvel": 0 * log.qvel}, "moves through 0 in all, while ctrl spans"),
+        (lambda log: {"qpos": RNG.normal(size=log.qpos.shape)}, "jumps between samples as noise does"),
+        (lambda log: {"ctrl": put(log.ctrl, 1e300)}, r"ctrl is 1e\+300 at sample 1000, expected at most 1e\+09"),
+    ],
+)
+def test_what_is_certain_is_refused_with_what_mends_it(
+    recorded: tuple[Log, Bench], spoil: Callable[[Log], dict], line: str
+) -> None:
+    log, bench = recorded
+    with pytest.raises(LogError, match=line):
+        doubts(replace(log, **spoil(log)), bench)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "text"),
+    [
+        (
+            lambda log: {"qvel": late(log.qvel, 15)},
+            "qvel is late by 15.1 ms against qpos; set data.clean.velocity_lag=auto",
+        ),
+        (
+            lambda log: {"qpos": late(log.qpos, 15)},
+            "qpos is late by 14.9 ms against qvel; set data.clean.velocity_lag=auto",
+        ),
+        (lambda log: {"time": 2 * log.time}, "qvel is 2 times the position's derivative: look at the units of time"),
+        (lambda log: {"time": 1000 * log.time}, "1 s between samples: look whether time is in seconds"),
+        (lambda log: {"qpos": log.qvel, "qvel": log.qpos}, "qvel is no copy of the position's derivative"),
+        (lambda log: {"qvel": 0 * log.qvel}, "qvel is constant; set data.clean.velocity=estimated"),
+        (lambda log: {"ctrl": 0 * log.ctrl + 1}, "ctrl is constant, 1: the motion tells little"),
+        (lambda log: {"ctrl": cut_off(log.ctrl)}, "it seems to be cut off there"),
+        (lambda log: {"qpos": frozen(log.qpos)}, "qpos repeats itself from sample 900 on and jumps by"),
+        (lambda log: {"qpos": put(log.qpos, 40)}, "qpos has 1 samples far from those before and after, such as 40 at"),
+        (lambda log: {"qvel": put(log.qvel, 1e6)}, "qvel has 1 samples far from those before and after, such as 1e+06"),
+        (lambda log: {"ctrl": put(log.ctrl, 40)}, "set data.clean.spikes=repair"),
+        (lambda log: {"ctrl": 57.3 * log.ctrl}, "look at their units (data.units; 57.3 is a degree)"),
+        (lambda log: {"qpos": log.qpos + 5}, "look whether both count from the same zero"),
+    ],
+)
+def test_what_is_likely_is_told_with_what_mends_it(
+    recorded: tuple[Log, Bench], spoil: Callable[[Log], dict], text: str
+) -> None:
+    log, bench = recorded
+    assert text in doubts(replace(log, **spoil(log)), bench)
+
+
+@needs_data
+@pytest.mark.parametrize("data", ["emps", "xl330"])
+def test_real_recordings_raise_no_doubt(make: Callable, data: str) -> None:
+    bench, dataset = (make(group, f"data={data}") for group in ("bench", "data"))
+    assert doubt_recordings(bench.accept_all(dataset.load()), bench) == []
+
+
+def test_what_mujoco_would_touch_on_the_way_is_told(recorded: tuple[Log, Bench], make: Callable, tmp_path) -> None:
+    path, log = tmp_path / "bench.xml", recorded[0]
+    path.write_text(
+        '<mujoco><worldbody><geom name="floor" type="plane" size="1 1 .1" pos="0 0 -.18"/><body><joint name="j"'
+        ' axis="0 1 0" range="-20 90" limited="true"/><geom name="rod" size=".01" fromto="0 0 0 0 0 -.2" type="capsule"'
+        "/>"
+        "</body></worldbody></mujoco>"
+    )
+    bench = make("bench", f"bench.mjcf={path}", "bench.joint=j")
+    told = doubt_motion(Dataset("one", (log,), (log,)), bench)
+    assert any("joint j is at its limit in" in sentence for sentence in told)
+    assert any("geoms floor and rod touch in" in sentence for sentence in told)
+
+
+def test_a_fit_at_its_bounds_that_gains_little_did_not_identify_the_drive() -> None:
+    parameters = [{"owner": "bench", "name": name, "at_bound": True} for name in ("armature", "kp")]
+    metrics = {"test": {"position_mae": 0.04}, "baseline": {"position_mae": 0.1}}
+    result = {"parameters": parameters, "metrics": metrics, "warnings": ["qvel is late"]}
+    why, first, *_ = explain_failure(result) or [""]
+    assert "bench.armature and bench.kp ended at their bounds, and the test error is 40 % of no friction's" in why
+    assert first == "qvel is late"
+    assert explain_failure(result | {"parameters": parameters[:1]}) is None
+    assert explain_failure(result | {"metrics": metrics | {"test": {"position_mae": 0.03}}}) is None
+    assert explain_failure(result | {"metrics": metrics | {"test": {"position_mae": None}}})
