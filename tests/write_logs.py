@@ -2,6 +2,8 @@
 
 import csv
 import json
+import struct
+import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -99,10 +101,19 @@ def write_sqlite_bag(path: Path, columns: Columns) -> Path:
 
 
 def write_mcap(path: Path, columns: Columns) -> Path:
-    """A single MCAP file."""
+    """A single MCAP file, with the checksums that ROS writes and rosbags leaves out."""
     folder = write_bag(path.with_suffix(".folder"), columns, StoragePlugin.MCAP)
     (file,) = folder.glob("*.mcap")
-    return file.rename(path)
+    content, place = bytearray(file.read_bytes()), 8
+    while place < len(content) - 8:
+        kind, size = struct.unpack_from("<BQ", content, place)
+        if kind == 6:  # a chunk, which is not compressed
+            struct.pack_into("<I", content, place + 33, zlib.crc32(content[place + 49 : place + 9 + size]))
+        place += 9 + size
+    (summary,) = struct.unpack_from("<Q", content, len(content) - 28)
+    struct.pack_into("<I", content, len(content) - 12, zlib.crc32(content[summary:-12]))
+    path.write_bytes(content)
+    return path
 
 
 def write_lerobot(folder: Path, columns: Columns) -> Path:

@@ -54,17 +54,26 @@ def read_tables(path: str, format: str) -> list[Table]:
 
 
 def _recognise(path: Path) -> Format:
-    """The format of a path, by its name or a folder's contents, else by a file's first bytes."""
+    """The format of a path: by its name or a folder's contents, by a file's first bytes where it has no suffix.
+
+    Raises:
+        LogError: Neither tells, or name and first bytes contradict each other.
+    """
     formats = [get_format(name) for name in format_names()]
     head = b""
     if path.is_file():
         with path.open("rb") as file:
             head = file.read(128)
-    for found in (
-        [each for each in formats if each.claims(path)],
-        [each for each in formats if each.magic and head.startswith(each.magic)],
-    ):
-        if found:
-            return found[0]
+    named = [each for each in formats if each.claims(path)]
+    alike = [each.name for each in formats if head.startswith(each.magic)]
+    if named and (not alike or any(each.name in alike for each in named)):
+        return named[0]
+    if len(alike) == 1 and not path.suffix:
+        return get_format(alike[0])
     what = "a folder" if path.is_dir() else f"suffix {path.suffix or 'none'}"
+    if alike:
+        raise LogError(
+            f"{path}: {what}, but its first bytes are those of {' or '.join(alike)}; rename it or set "
+            f"data.format={alike[0]}"
+        )
     raise LogError(f"{path}: {what} of no known format; set data.format to one of {', '.join(format_names())}")

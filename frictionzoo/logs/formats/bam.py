@@ -1,9 +1,6 @@
 """Logs of Rhoban BAM: JSON with a header and one entry a sample; one file, a folder of them or a zip of them."""
 
 import hashlib
-import io
-import json
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from frictionzoo.errors import LogError
-from frictionzoo.logs.formats.base import EXACT, Format, check_size, parsing, read_bytes, tabulate
+from frictionzoo.logs.formats.base import EXACT, Format, parse_json, parsing, read_bytes, tabulate, unzip
 from frictionzoo.logs.formats.registry import register_format
 from frictionzoo.logs.recording import Table
 
@@ -25,6 +22,7 @@ class Bam(Format):
     """
 
     suffixes = (".json", ".zip")
+    magic = (b"PK\x03\x04",)
 
     def claims(self, path: Path) -> bool:
         """A JSON file or a zip, or a folder that holds JSON files."""
@@ -36,43 +34,42 @@ class Bam(Format):
             return [table for file in sorted(path.glob("*.json")) for table in super(Bam, self).read(file)]
         if path.suffix.lower() != ".zip":
             return super().read(path)
-        content = read_bytes(path)
-        with parsing(str(path), "a zip of JSON files"), zipfile.ZipFile(io.BytesIO(content)) as archive:
-            members = sorted((m for m in archive.infolist() if m.filename.endswith(".json")), key=lambda m: m.filename)
-            check_size(str(path), sum(member.file_size for member in members))
-            return [self._member(path, archive, member) for member in members]
+        with parsing(str(path), "a zip of JSON files"):
+            tables = [
+                replace(self.parse(f"{path}!{member}", content), sha256=hashlib.sha256(content).hexdigest())
+                for member, content in unzip(str(path), read_bytes(path), ".json")
+            ]
+            if not tables:
+                raise LogError(f"{path}: no member ends in .json, expected logs of BAM; unpack it to read others")
+            return sorted(tables, key=lambda table: table.name)
 
     def parse(self, name: str, content: bytes) -> Table:
         """The entries of one JSON file."""
         with parsing(name, "a BAM log in JSON"):
-            log = json.loads(content)
+            log = parse_json(content)
             entries = log.get("entries") if isinstance(log, dict) else None
             if not entries or not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
                 raise LogError(
                     f"{name}: no samples under `entries`, expected JSON with a list of them, as BAM writes it"
                 )
-            return tabulate(name, _columns(entries), dict(_fields(log)))
-
-    def _member(self, path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> Table:
-        name = f"{path}!{member.filename}"
-        check_size(name, member.file_size, member.compress_size)
-        content = archive.read(member)
-        return replace(self.parse(name, content), sha256=hashlib.sha256(content).hexdigest())
-
-
-def _columns(entries: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
-    """Values of each key; NaN for null and for entries that lack it."""
-    headers = dict.fromkeys(header for entry in entries for header in entry)
-    return {header: _array([entry.get(header) for entry in entries]) for header in headers}
+            columns, refused = {}, {}
+            for header in dict.fromkeys(header for entry in entries for header in entry):
+                try:
+                    columns[header] = _array([entry.get(header) for entry in entries])
+                except ValueError as error:
+                    refused[header] = f"{name}: {header} {error}"
+            return tabulate(name, columns, dict(_fields(log)), refused)
 
 
 def _array(values: Sequence[Any]) -> np.ndarray:
-    """Numbers, or what came where it is not."""
-    try:
-        numbers = np.array(values, dtype=np.float64)  # None becomes NaN
-    except (TypeError, ValueError):
-        return np.array([str(value) for value in values])
-    whole = np.abs(numbers).max() > EXACT and all(isinstance(value, int) for value in values)
+    """Numbers, NaN for null and for entries that lack them; ValueError where they are neither that nor all booleans."""
+    kinds = set(map(type, values)) - {type(None)}
+    # True is no number among others, but a column of nothing else is a switch.
+    if not (kinds <= {int, float} or kinds == {bool}):
+        place, value = next((i, v) for i, v in enumerate(values) if v is not None and type(v) not in (int, float))
+        raise ValueError(f"is {str(value)[:40]!r} ({type(value).__name__}) in entry {place}, expected a number")
+    numbers = np.array(values, dtype=np.float64)
+    whole = (np.abs(numbers) > EXACT).any() and kinds == {int} and None not in values
     return np.array(values) if whole else numbers
 
 

@@ -2,15 +2,18 @@
 
 import csv
 import io
+import re
 from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Real
 
 from frictionzoo.errors import LogError
-from frictionzoo.logs.formats.base import EXACT, Format
+from frictionzoo.logs.formats.base import EXACT, Format, to_numbers
 from frictionzoo.logs.formats.registry import register_format
 from frictionzoo.logs.recording import Table
+
+DIGITS = re.compile(r"\s*[+-]?\d{1,40}\s*")  # a whole number
 
 
 @register_format("csv")
@@ -62,9 +65,13 @@ def _sort_out(name: str, headers: Sequence[str], lines: Sequence[int], cells: Se
             continue
         try:
             columns[header] = _numbers(column)
-        except ValueError:
-            bad = next(place for place, cell in enumerate(column) if not _is_number(cell))
-            refused[header] = f"{name}, line {lines[bad]}: {header} is {column[bad]!r}, expected a number"
+        except ValueError as error:
+            bad = next((place for place, cell in enumerate(column) if not _is_number(cell)), None)
+            refused[header] = (
+                f"{name}: {header} {error}"
+                if bad is None
+                else f"{name}, line {lines[bad]}: {header} is {column[bad][:40]!r}, expected a number"
+            )
     return Table(name, columns, refused=refused)
 
 
@@ -87,15 +94,19 @@ def _check_width(name: str, line: int, row: Sequence[str], headers: Sequence[str
 
 
 def _numbers(cells: Sequence[str]) -> Real[np.ndarray, "rows"]:
-    """Cells as numbers; ValueError where one is none."""
+    """Cells as numbers; ValueError where one is none, or a whole number is too large to be exact."""
+    if not _is_plain("".join(cells)):
+        raise ValueError
     values = np.array([float(cell or "nan") for cell in cells])
     # Whole numbers that a float would round: nanoseconds since 1970.
-    if (np.abs(values) > EXACT).all() and (np.abs(values) < 2**63).all():
-        try:
-            return np.array([int(cell) for cell in cells])
-        except ValueError:
-            pass
+    if (np.abs(values) > EXACT).any() and all(DIGITS.fullmatch(cell) for cell in cells):
+        return to_numbers(np.array([int(cell) for cell in cells], dtype=object))
     return values
+
+
+def _is_plain(text: str) -> bool:
+    """Whether Python reads no more numbers in it than loggers write: not 1_000, nor the digits of other scripts."""
+    return text.isascii() and "_" not in text
 
 
 def _is_number(cell: str) -> bool:
@@ -103,4 +114,4 @@ def _is_number(cell: str) -> bool:
         float(cell or "nan")
     except ValueError:
         return False
-    return True
+    return _is_plain(cell)

@@ -1,7 +1,6 @@
 """LeRobot data sets: a folder of Parquet files with one episode after the other."""
 
 import hashlib
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from frictionzoo.errors import LogError
-from frictionzoo.logs.formats.base import Format, parsing, read_bytes, tabulate
+from frictionzoo.logs.formats.base import Format, parse_json, parsing, read_bytes, tabulate
 from frictionzoo.logs.formats.parquet import read_columns
 from frictionzoo.logs.formats.registry import register_format
 from frictionzoo.logs.recording import Table
@@ -39,14 +38,15 @@ class LeRobot(Format):
 
     def parse(self, name: str, content: bytes) -> Table:
         """The frames of one file, whatever their episodes."""
-        return tabulate(name, read_columns(name, content))
+        columns, refused = read_columns(name, content)
+        return tabulate(name, columns, refused=refused)
 
 
 def _info(path: Path) -> tuple[dict[str, list[str]], dict[str, str | float]]:
     """Names of each feature's entries, and what the data set says of all its episodes."""
     file = path / INFO
     with parsing(str(file), "the description of a LeRobot data set"):
-        info = json.loads(read_bytes(file))
+        info = parse_json(read_bytes(file))
         names = {feature: _names(about.get("names")) for feature, about in info["features"].items()}
         fields = {key: value for key, value in info.items() if isinstance(value, str)}
         return names, fields | {"fps": float(info["fps"])}
@@ -65,20 +65,30 @@ def _episodes(
     """One table for each episode of a file."""
     content = read_bytes(file)
     with parsing(str(file), "episodes of a LeRobot data set"):
-        columns = dict(_named(read_columns(str(file), content), names))
+        stored, refused = read_columns(str(file), content)
+        columns = _named(str(file), stored, names)
         episode = columns.pop("episode_index", np.zeros(len(next(iter(columns.values()), ()))))
         for number in np.unique(episode):
-            table = tabulate(f"{path}!episode_{int(number):06d}", {k: v[episode == number] for k, v in columns.items()})
-            yield replace(table, fields={**fields, **table.fields}, sha256=hashlib.sha256(content).hexdigest())
+            table = tabulate(
+                f"{path}!episode_{int(number):06d}",
+                {k: v[episode == number] for k, v in columns.items()},
+                fields,
+                refused,
+            )
+            yield replace(table, sha256=hashlib.sha256(content).hexdigest())
 
 
-def _named(columns: Mapping[str, np.ndarray], names: Mapping[str, Sequence[str]]) -> Iterator[tuple[str, np.ndarray]]:
+def _named(file: str, columns: Mapping[str, np.ndarray], names: Mapping[str, Sequence[str]]) -> dict[str, np.ndarray]:
     """Matrices as one column an entry, under their names."""
+    found = {}
     for header, values in columns.items():
         known = names.get(header, ())
         if values.ndim != 2:
-            yield header, values
-            continue
-        for place, entry in enumerate(values.T):
-            name = known[place] if len(known) == values.shape[1] else place
-            yield f"{header}[{name}]", entry
+            entries = {header: values}
+        else:
+            labels = known if len(known) == values.shape[1] else range(values.shape[1])
+            entries = {f"{header}[{label}]": entry for label, entry in zip(labels, values.T, strict=True)}
+            if len(entries) < values.shape[1]:
+                raise LogError(f"{file}: {header} has the names {', '.join(known)}, expected each once; mend {INFO}")
+        found |= entries
+    return found

@@ -7,13 +7,14 @@ import zlib
 import scipy.io
 
 from frictionzoo.errors import LogError
-from frictionzoo.logs.formats.base import Format, check_size, parsing, tabulate
+from frictionzoo.logs.formats.base import Format, check_unpacked, parsing, tabulate
 from frictionzoo.logs.formats.registry import register_format
 from frictionzoo.logs.recording import Table
 
 HDF5 = b"\x89HDF\r\n\x1a\n"
 HEADER = 128  # bytes before the first variable of a version 5 file
 COMPRESSED = 15  # type of a variable that is packed
+BLOCK = 1 << 20  # bytes that are unpacked at a time to count them
 
 
 @register_format("mat")
@@ -30,9 +31,19 @@ class Mat(Format):
         with parsing(name, "a MATLAB file"):
             _check_sizes(name, content)
             # Only numbers and texts: functions, objects and cells are never read.
-            names = [n for n, _, kind in scipy.io.whosmat(io.BytesIO(content)) if kind in KINDS]
+            kinds: dict[str, str] = {}
+            for variable, _, kind in scipy.io.whosmat(io.BytesIO(content)):
+                if variable in kinds:
+                    raise LogError(f"{name}: two variables {variable}, expected one of each name; save it again")
+                kinds[variable] = kind
+            names = [variable for variable, kind in kinds.items() if kind in KINDS]
             stored = scipy.io.loadmat(io.BytesIO(content), variable_names=names)
-            return tabulate(name, {n: values for n, values in stored.items() if n in names})
+            refused = {
+                variable: f"{name}: {variable} is of class {kind}, expected real numbers"
+                for variable, kind in kinds.items()
+                if kind not in KINDS
+            }
+            return tabulate(name, {variable: stored[variable] for variable in names}, refused=refused)
 
 
 KINDS = frozenset(
@@ -41,7 +52,7 @@ KINDS = frozenset(
 
 
 def _check_sizes(name: str, content: bytes) -> None:
-    """See that each variable of a version 5 file has the bytes that it declares, and that packed ones stay small."""
+    """See that each variable of a version 5 file has the bytes that it declares, and that packed ones are intact."""
     if len(content) < HEADER or content[126:128] not in (b"IM", b"MI"):
         raise LogError(f"{name}: no MATLAB file of version 5 to 7; expected one; in MATLAB: save(..., '-v7')")
     order = "<" if content[126:128] == b"IM" else ">"
@@ -51,9 +62,21 @@ def _check_sizes(name: str, content: bytes) -> None:
         if size > len(content) - place - 8:
             raise LogError(f"{name}: ends within a variable; expected {size} more bytes; copy or export it again")
         if kind == COMPRESSED:
-            packed = memoryview(content)[place + 8 : place + 8 + size]
-            _, unpacked = struct.unpack(f"{order}II", zlib.decompressobj().decompress(packed, 8))
-            check_size(name, unpacked, size)
-            total += unpacked
+            total += _unpacked_size(name, memoryview(content)[place + 8 : place + 8 + size], order)
+            check_unpacked(name, total, len(content))
         place += 8 + size
-    check_size(name, total)
+
+
+def _unpacked_size(name: str, packed: memoryview, order: str) -> int:
+    """Bytes that a variable unpacks to, once they are seen to be as many as it says, with the right checksum."""
+    zipped = zlib.decompressobj()
+    _, declared = struct.unpack(f"{order}II", zipped.decompress(packed, 8))
+    check_unpacked(name, declared, len(packed))
+    came, rest = 0, True
+    # To the end, where the checksum is, which SciPy leaves alone.
+    while rest and not zipped.eof and came <= declared:
+        piece = zipped.decompress(zipped.unconsumed_tail, BLOCK)
+        came, rest = came + len(piece), bool(piece or zipped.unconsumed_tail)
+    if came != declared or not zipped.eof:
+        raise LogError(f"{name}: a variable does not unpack to its {declared} bytes; copy or export it again")
+    return declared

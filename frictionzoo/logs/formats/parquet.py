@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from frictionzoo.errors import LogError
-from frictionzoo.logs.formats.base import Format, check_size, optional, parsing, tabulate
+from frictionzoo.logs.formats.base import Format, check_unpacked, optional, parsing, tabulate
 from frictionzoo.logs.formats.registry import register_format
 from frictionzoo.logs.recording import Table
 
@@ -20,11 +20,12 @@ class Parquet(Format):
 
     def parse(self, name: str, content: bytes) -> Table:
         """The columns in a file's bytes."""
-        return tabulate(name, read_columns(name, content))
+        columns, refused = read_columns(name, content)
+        return tabulate(name, columns, refused=refused)
 
 
-def read_columns(name: str, content: bytes) -> dict[str, np.ndarray]:
-    """Arrays of a Parquet file by column, lists as matrices; what is neither number, time nor list is left out.
+def read_columns(name: str, content: bytes) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """Arrays of a Parquet file by column, lists as matrices; and why others, neither number, time nor list, are none.
 
     Raises:
         LogError: It is damaged, or pyarrow is not installed.
@@ -35,11 +36,20 @@ def read_columns(name: str, content: bytes) -> dict[str, np.ndarray]:
         groups = [file.metadata.row_group(place) for place in range(file.metadata.num_row_groups)]
         rows, sizes = file.metadata.num_rows, [group.total_byte_size for group in groups]
         # A column of one value packs into a few bytes however long it is, so that the rows are counted as well.
-        check_size(name, max(sum(sizes), 8 * rows * file.metadata.num_columns))
+        check_unpacked(name, max(sum(sizes), 8 * rows * file.metadata.num_columns))
         if min([rows, *sizes]) < 0 or rows != sum(group.num_rows for group in groups):
             raise LogError(f"{name}: its sizes contradict each other, expected a Parquet file; export it again")
         wanted = [field.name for field in file.schema_arrow if _is_numeric(field.type)]
-        return {header: _array(column) for header, column in _read(file, wanted) if len(column) == rows}
+        refused = {
+            field.name: f"{name}: {field.name} is of type {field.type}, expected real numbers"
+            for field in file.schema_arrow
+            if not _is_numeric(field.type)
+        }
+        columns = _read(file, wanted)
+        for header, column in columns:
+            if len(column) != rows:
+                raise LogError(f"{name}: {header} has {len(column)} rows, expected {rows}; export it again")
+        return {header: _array(column) for header, column in columns}, refused
 
 
 def _read(file: Any, wanted: list[str]) -> list[tuple[str, Any]]:

@@ -8,8 +8,9 @@ import hashlib
 import sqlite3
 import struct
 import sys
-from collections import defaultdict
-from collections.abc import Iterator
+import zlib
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,12 +19,15 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from frictionzoo.errors import LogError
-from frictionzoo.logs.formats.base import WIDE, Format, check_size, optional, parsing, to_numbers
+from frictionzoo.logs.formats.base import WIDE, Format, check_size, check_unpacked, optional, parsing, to_numbers
 from frictionzoo.logs.formats.registry import register_format
 from frictionzoo.logs.recording import Table
 
 MAGIC = b"\x89MCAP0\r\n"
-CHUNK, CHUNK_INDEX = 6, 8  # kinds of MCAP records
+MESSAGE, CHUNK, CHUNK_INDEX = 5, 6, 8  # kinds of MCAP records
+STORAGES = (".mcap", ".db3")  # by which rosbags tells them apart
+FOOTER = struct.Struct("<BQQQI")  # kind and size, where the summary and its index begin, checksum of the summary
+BLOCK = 1 << 20  # bytes that are read at a time
 JOINT_UNITS = {"position": "rad", "velocity": "rad/s", "effort": "N m"}  # what sensor_msgs/JointState lays down
 ZSTD = "compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd"  # as rosbags has it
 LONGEST = 2**20  # entries of one array in one message
@@ -41,6 +45,8 @@ class Ros(Format):
         reader = optional("rosbags.rosbag2", "rosbags", str(path))
         typesys = optional("rosbags.typesys", "rosbags", str(path))
         with parsing(str(path), "a ROS 2 recording"):
+            if path.is_file() and path.suffix not in STORAGES:
+                raise LogError(f"{path}: suffix {path.suffix or 'none'}, expected {' or '.join(STORAGES)}; rename it")
             sha256 = hashlib.sha256()
             for file in _files(path):
                 _check(file)
@@ -66,6 +72,7 @@ class Mcap(Ros):
     """A single MCAP file."""
 
     suffixes = (".mcap",)
+    magic = (MAGIC,)
 
 
 @register_format("ros2bag")
@@ -73,6 +80,7 @@ class Ros2Bag(Ros):
     """A rosbag2 folder, or one of its SQLite files."""
 
     suffixes = (".db3",)
+    magic = (b"SQLite format 3\0",)
 
     def claims(self, path: Path) -> bool:
         """A folder with `metadata.yaml`, or a database of one."""
@@ -108,18 +116,20 @@ class Topic:
     def _append(self, numbers: Iterator[tuple[str, float]], received: int, stamped: int) -> None:
         for header, value in numbers:
             places, values = self.samples[header]
+            if places and places[-1] == len(self.received):
+                raise ValueError(f"{header} twice in one message")
             places.append(len(self.received))
             values.append(value)
         self.received.append(received)
         self.stamped.append(stamped)
 
-    def columns(self, topic: str) -> Iterator[tuple[str, str, np.ndarray, np.ndarray]]:
+    def columns(self, topic: str) -> Iterator[tuple[str, str, np.ndarray, list[float]]]:
         """For each column its header, that of its time, its time and its values."""
         time = np.array(self.stamped if all(self.stamped) else self.received, dtype=np.int64)
         for header, (places, values) in self.samples.items():
             whole = len(places) == len(time)
             own = f"{topic}/time" if whole else f"{topic}{header}/time"
-            yield f"{topic}{header}", own, time[places], to_numbers(np.array(values))
+            yield f"{topic}{header}", own, time[places], values
 
 
 def _read(name: str, bag: Any, store: Any) -> Table:
@@ -133,13 +143,25 @@ def _read(name: str, bag: Any, store: Any) -> Table:
                 "Float64MultiArray, or export it as CSV"
             )
     known = [connection for connection in bag.connections if connection.msgtype in store.types]
+    counts = Counter()
     for connection, received, content in bag.messages(known) if known else ():
         topics[connection.topic].add(store.deserialize_cdr(content, connection.msgtype), received)
+        counts[connection.topic] += 1
+    expected = Counter()
+    for connection in known:
+        expected[connection.topic] += connection.msgcount
+    for topic, count in expected.items():
+        if count and count != counts[topic]:
+            raise LogError(f"{name}: {topic} has {counts[topic]} messages, expected {count}; copy or record it again")
     columns, times = {}, {}
     joints = {connection.topic for connection in known if connection.msgtype == "sensor_msgs/msg/JointState"}
     for topic, kept in topics.items():
         for header, time_header, time, values in kept.columns(topic):
-            columns |= {time_header: time, header: values}
+            try:
+                columns |= {time_header: to_numbers(time), header: to_numbers(np.array(values))}
+            except ValueError as error:
+                refused[header] = f"{name}: {header} {error}"
+                continue
             times[header], units[time_header] = time_header, "ns"
             if topic in joints:
                 units[header] = JOINT_UNITS[header[len(topic) + 1 :].partition("[")[0]]
@@ -159,7 +181,7 @@ def _names(message: Any) -> list[str]:
 def _numbers(value: Any, path: str, names: list[str]) -> Iterator[tuple[str, float]]:
     """The numbers in a message, with the path of their fields; texts, headers and what is too wide are left out."""
     if isinstance(value, int | float | np.number):
-        yield path, float(value)
+        yield path, value.item() if isinstance(value, np.number) else value
     elif isinstance(value, np.ndarray) and value.ndim == 1 and len(value) <= WIDE:
         labels = names if len(names) == len(value) else range(len(value))
         yield from ((f"{path}[{label}]", number) for label, number in zip(labels, value.tolist(), strict=True))
@@ -173,11 +195,14 @@ def _files(path: Path) -> list[Path]:
     """The files with messages of a recording."""
     if not path.is_dir():
         return [path]
-    return sorted(file for file in path.iterdir() if file.suffix in (".db3", ".mcap"))
+    return sorted(file for file in path.iterdir() if file.suffix in STORAGES)
 
 
 def _check(file: Path) -> None:
-    """See that reading a file stays within bounds."""
+    """See that reading a file stays within bounds and that the messages of each topic are in the order of their times.
+
+    rosbags sorts them, which leaves no trace of a clock that was set back.
+    """
     check_size(str(file), file.stat().st_size)
     if file.suffix == ".mcap":
         with file.open("rb") as stream:
@@ -187,10 +212,49 @@ def _check(file: Path) -> None:
             # A view may take forever to read, and no recorder makes one.
             if database.execute("SELECT count(*) FROM sqlite_master WHERE type = 'view'").fetchone()[0]:
                 raise LogError(f"{file}: a database with views, expected the tables of rosbag2; record it again")
+            _refuse_backwards(str(file), database.execute("SELECT topic_id, timestamp FROM messages ORDER BY id"))
+
+
+def _refuse_backwards(name: str, messages: Iterable[tuple[int, int]]) -> None:
+    """LogError where a topic's messages, each with the topic's number, were received before those before them [ns]."""
+    last: dict[int, int] = {}
+    for topic, received in messages:
+        before = last.get(topic, received)
+        if received < before:
+            raise LogError(
+                f"{name}: a message was received at {received} ns, after one of its topic at {before} ns; expected "
+                "times that do not run backwards; cut it there, or order it by `mcap sort` or `ros2 bag convert`"
+            )
+        last[topic] = received
 
 
 def _check_mcap(name: str, stream: BinaryIO, size: int) -> None:
-    """See that an MCAP file has the bytes that its records declare, and that chunks unpack to what they say."""
+    """See that an MCAP file is whole, and its messages in order."""
+    _check_summary(name, stream, size)
+    _refuse_backwards(name, _scan(name, stream, size))
+
+
+def _check_summary(name: str, stream: BinaryIO, size: int) -> None:
+    """See that the index at a file's end is what its checksum says, where it has one; rosbags does not."""
+    if size < len(MAGIC) + FOOTER.size or stream.read(len(MAGIC)) != MAGIC:
+        raise LogError(f"{name}: does not begin as an MCAP file, expected one; copy or record it again")
+    stream.seek(size - len(MAGIC) - FOOTER.size)
+    start, _, expected = FOOTER.unpack(stream.read(FOOTER.size))[2:]
+    place, checksum = start, 0
+    stream.seek(min(start, size))
+    while start and expected and place < size - len(MAGIC) - 4:
+        block = stream.read(min(BLOCK, size - len(MAGIC) - 4 - place))
+        place, checksum = place + len(block), zlib.crc32(block, checksum)
+    if start and expected and checksum != expected:
+        raise LogError(f"{name}: its index does not match its checksum; copy or record it again")
+
+
+def _scan(name: str, stream: BinaryIO, size: int) -> Iterator[tuple[int, int]]:
+    """Channel and time of each message of an MCAP file [ns], in its order.
+
+    Raises:
+        LogError: It has not the bytes that its records declare, or not the chunks that its index names.
+    """
     place, total, indices = len(MAGIC), 0, 0
     while place < size - len(MAGIC):
         stream.seek(place)
@@ -198,28 +262,41 @@ def _check_mcap(name: str, stream: BinaryIO, size: int) -> None:
         if length > size - place - 9:
             raise LogError(f"{name}: ends within a record; expected {length} more bytes; copy or record it again")
         if kind == CHUNK:
-            total += _check_chunk(name, stream.read(length))
+            records = _unpack(name, stream.read(length))
+            total += len(records)
             check_size(name, total)
-            indices -= 1
-        indices += kind == CHUNK_INDEX
+            yield from _messages(records)
+        elif kind == MESSAGE:
+            yield struct.unpack("<H4xQ", stream.read(14))
+        indices += (kind == CHUNK_INDEX) - (kind == CHUNK)
         place += 9 + length
     if indices > 0:
         raise LogError(f"{name}: its index names more chunks than it has; copy or record it again")
 
 
-def _check_chunk(name: str, chunk: bytes) -> int:
-    """Size of a chunk's contents [bytes], once they are seen to unpack to no more than they say."""
+def _messages(records: bytes) -> Iterator[tuple[int, int]]:
+    """Channel and time of each message in a chunk [ns]."""
+    place = 0
+    while place < len(records):
+        kind, length = struct.unpack_from("<BQ", records, place)
+        if kind == MESSAGE:
+            yield struct.unpack_from("<H4xQ", records, place + 9)
+        place += 9 + length
+
+
+def _unpack(name: str, chunk: bytes) -> bytes:
+    """A chunk's contents, once they are seen to unpack to no more than they say."""
     size, _, letters = struct.unpack_from("<QII", chunk, 16)
     compression = chunk[32 : 32 + letters].decode()
     packed = chunk[40 + letters :]
-    check_size(name, size, len(packed))
+    check_unpacked(name, size, len(packed))
     if compression == "zstd":
         decompressor = optional(ZSTD, "rosbags", name).ZstdDecompressor()
     elif compression == "lz4":
         decompressor = optional("lz4.frame", "rosbags", name).LZ4FrameDecompressor()
     else:
-        return size
+        return packed  # which rosbags refuses unless it is not compressed at all
     unpacked = decompressor.decompress(packed, size + 1)
     if len(unpacked) != size or decompressor.unused_data:
         raise LogError(f"{name}: a chunk does not unpack to the {size} bytes that it declares; copy or record it again")
-    return size
+    return unpacked
