@@ -1,5 +1,6 @@
 """One recording in every format, and what each format says about its columns."""
 
+import dataclasses
 import hashlib
 import json
 import shlex
@@ -34,6 +35,7 @@ from write_logs import (
 
 from frictionzoo.errors import ConfigError, LogError
 from frictionzoo.logs.columns import propose, to_recording
+from frictionzoo.logs.diagnose import refuse_incomplete
 from frictionzoo.logs.formats import format_names, read_tables, register_format, registry
 from frictionzoo.logs.formats.csv import Csv
 from frictionzoo.logs.recording import Table
@@ -297,6 +299,34 @@ def test_a_message_type_of_no_ros_package_is_named(tmp_path):
         to_recording(table, OPTIONS["mcap"] | {"ctrl": "/command"}, {}, simulated=False)
 
 
+@pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3], ids=["mcap", "sqlite"])
+def test_messages_out_of_order_are_not_sorted(tmp_path, plugin):
+    states = [("/js", joint_state(0, i, 0.0), EPOCH + at) for i, at in enumerate((0, 10, 20, 5, 15))]
+    with pytest.raises(
+        LogError, match=rf"a message was received at {EPOCH + 5} ns, after one of its topic at {EPOCH + 20}"
+    ):
+        ros_log(tmp_path / "bag", states, plugin)
+
+
+def test_stamps_that_run_backwards_are_brought_to_no_other_times(tmp_path):
+    states = [("/js", joint_state(EPOCH + i * 10**7, i, 0.0), EPOCH + i) for i in range(5)]
+    efforts = [("/e", joint_state(EPOCH + at * 10**6, i, 0.0), EPOCH + i) for i, at in enumerate((0, 20, 10))]
+    came = ros_log(tmp_path / "bag", states + efforts)
+    with pytest.raises(LogError, match=r"/e/time runs backwards at sample 2 \(0\.02 s, then 0\.01 s\)"):
+        to_recording(came, {"qpos": ROS["qpos"], "ctrl": "/e/position[knee]"}, {}, simulated=False)
+
+
+def test_a_joint_that_is_twice_in_a_message(tmp_path):
+    twice = dataclasses.replace(joint_state(0, 1.0, 0.0), name=["knee", "knee"], position=np.ones(2))
+    with pytest.raises(LogError, match=r"/position\[knee\] twice in one message"):
+        ros_log(tmp_path / "bag", [("/js", twice, EPOCH)])
+
+
+def test_whole_numbers_of_messages_keep_their_last_digit(tmp_path):
+    count = STORE.types["std_msgs/msg/Int64"](data=2**53 + 1)
+    assert ros_log(tmp_path / "bag", [("/n", count, EPOCH)]).columns["/n/data"].tolist() == [2**53 + 1]
+
+
 def table(**columns) -> Table:
     return Table("a.csv", {name: np.asarray(values, dtype=float) for name, values in columns.items()})
 
@@ -354,6 +384,180 @@ def test_options_that_make_no_sense(columns, units, kind, line):
     with pytest.raises(kind, match=line) as caught:
         to_recording(table(t=[0, 1], q=[0, 1], v=[0, 1], u=[0, 1], short=[1]), columns, units, simulated=False)
     assert "\n" not in str(caught.value)
+
+
+ABSURD = {
+    "time": (
+        [0, 1, 2, 1e13],
+        [0] * 4,
+        [0] * 4,
+        r"time \(t\) is 1e\+13 in SI units at sample 3, expected at most 1e\+12",
+    ),
+    "qpos": ([0, 1], [0, 1], [1e300, 1], r"qpos \(q\) is 1e\+300 in SI units at sample 0, expected at most 1e\+09"),
+    "ctrl": ([0, 1], [0, -np.inf], [0, 1], r"ctrl \(u\) is -inf in SI units at sample 1"),
+    "days": (
+        738_000 + np.arange(3) / 864e4,
+        [0] * 3,
+        [0] * 3,
+        r"t advances by 1\.16e-07 s .*; set data\.units\.time, such as ns",
+    ),
+    "nanoseconds": (
+        [0, 1e7],
+        [0, 1],
+        [0, 1],
+        r"t advances by 1e\+07 s .*, expected 5e-06 to 100 s; set data\.units\.time",
+    ),
+    "date": ([20240131, 20240201], [0, 1], [0, 1], r"t is a date \(20240131\), expected a time that counts"),
+    "date-and-time": ([20240131235959, 20240201000000], [0, 1], [0, 1], r"t is a date \(20240131235959\)"),
+}
+
+
+@pytest.mark.parametrize(("t", "u", "q", "line"), ABSURD.values(), ids=ABSURD)
+def test_absurd_samples(t, u, q, line):
+    with pytest.raises(LogError, match=rf"^a\.csv: {line}"):
+        to_recording(table(t=t, q=q, u=u), {"time": "t", "qpos": "q", "ctrl": "u"}, {}, simulated=False)
+
+
+def test_an_absurd_sample_of_a_bag(tmp_path):
+    columns = signals(5)
+    columns["ctrl"][3] = 1e300
+    (came,) = read_tables(str(write_log(tmp_path, "mcap", columns)), "auto")
+    with pytest.raises(LogError, match=r"log\.mcap: ctrl \(/command/data\[0\]\) is 1e\+300 in SI units at sample 3"):
+        to_recording(came, OPTIONS["mcap"], {}, simulated=False)
+
+
+def test_numbers_at_the_end_of_all_numbers_are_told():
+    came = table(time=[-1e308, 1e308, 1e308], qpos=[0, -1e308, 1e308], ctrl=[np.inf, -np.inf, 0])
+    assert propose(came).units["time"] == "ns"
+    with pytest.raises(LogError, match="time"):
+        to_recording(came, {}, {"time": "86400"}, simulated=False)
+
+
+def test_days_are_a_unit():
+    came = table(t=738_000 + np.arange(3) / 2**20, q=[0, 1, 2], u=[0, 1, 2])
+    recording = to_recording(came, {"time": "t", "qpos": "q", "ctrl": "u"}, {"time": "86400"}, simulated=False)
+    assert recording.time.tolist() == [0, 86400 / 2**20, 86400 / 2**19]
+
+
+def refuse(path: Path, line: str) -> None:
+    """Reading the file and taking its columns by their names ends in this line."""
+    with pytest.raises(LogError, match=line) as caught:
+        for came in read_tables(str(path), "auto"):
+            to_recording(came, {}, {}, simulated=False)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("cell", ["1_000", "١٢", "１２", "\u00a05", "0x10", "5,5", "1d3", "n/a"])
+def test_cells_that_are_no_plain_numbers(tmp_path, cell):
+    path = tmp_path / "a.csv"
+    path.write_text(f'time,qpos,qvel,ctrl\n0,0,0,0\n0.1,1,"{cell}",1\n', encoding="utf-8")
+    refuse(path, r"a\.csv, line 3: qvel is '.+', expected a number; or set data\.columns\.qvel, to \[\] to do without")
+    (came,) = read_tables(str(path), "auto")
+    assert set(to_recording(came, {"qvel": []}, {}, simulated=False).signals) == {"qpos", "ctrl"}
+
+
+@pytest.mark.parametrize("cell", [" 5", "+5", "5.", "5e0", "5E+00", "nan", ""])
+def test_cells_that_are_plain_numbers(tmp_path, cell):
+    path = tmp_path / "a.csv"
+    path.write_text(f"time,qpos\n0,0\n1,{cell}\n")
+    assert read_tables(str(path), "auto")[0].columns["qpos"][1] in (5, pytest.approx(np.nan, nan_ok=True))
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ('"7"', r"position is '7' \(str\) in entry 1, expected a number"),
+        ("true", r"position is 'True' \(bool\) in entry 1"),
+        ("[1, [2]]", r"position is '\[1, \[2\]\]' \(list\) in entry 1"),
+        ("{}", r"position is '\{\}' \(dict\) in entry 1"),
+        ('1, "position": 2', r"key 'position' twice in one object"),
+    ],
+)
+def test_json_that_is_no_number(tmp_path, text, line):
+    first = '{"timestamp": 0, "position": 0, "goal_position": 0, "torque_enable": true}'
+    path = tmp_path / "a.json"
+    second = first.replace('"position": 0', f'"position": {text}')
+    path.write_text(f'{{"entries": [{first}, {second}]}}')
+    refuse(path, line)
+    path.write_text(f'{{"entries": [{first}, {first}]}}')
+    (came,) = read_tables(str(path), "auto")
+    assert to_recording(came, {}, {}, simulated=False).signals["enable"].tolist() == [[1], [1]]
+
+
+@pytest.mark.parametrize(
+    ("name", "suffix", "line"),
+    [
+        (
+            "parquet",
+            ".txt",
+            r"suffix \.txt, but its first bytes are those of parquet; rename it or set data\.format=parq",
+        ),
+        ("mat", ".csv", r"suffix \.csv, but its first bytes are those of mat"),
+        ("npz", ".mat", r"suffix \.mat, but its first bytes are those of bam or npz"),
+        ("npz", "", r"suffix none, but its first bytes are those of bam or npz"),
+        ("npz", ".zip", r"no member ends in \.json"),
+        ("mcap", ".db3", r"suffix \.db3, but its first bytes are those of mcap"),
+        ("mcap", "", r"suffix none, expected \.mcap or \.db3; rename it"),
+    ],
+)
+def test_a_name_that_its_contents_contradict(tmp_path, name, suffix, line):
+    path = write_log(tmp_path, name, signals(5))
+    refuse(path.rename(tmp_path / f"a{suffix}"), line)
+
+
+def test_two_of_one_name(tmp_path):
+    np.save(tmp_path / "qpos.npy", np.arange(3.0))
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive, pytest.warns(UserWarning, match="Duplicate name"):
+        for _ in range(2):
+            archive.write(tmp_path / "qpos.npy", "qpos.npy")
+    refuse(tmp_path / "a.npz", r"a\.npz: two members qpos\.npy, expected one of each name")
+    np.savez(tmp_path / "b.npz", **{"qpos": np.ones((5, 2)), "qpos[0]": np.ones(5)})
+    refuse(tmp_path / "b.npz", r"b\.npz: two columns qpos\[0\], expected one")
+    content = write_log(tmp_path, "mat", signals(5)).read_bytes()
+    (tmp_path / "a.mat").write_bytes(content + content[128:])
+    refuse(tmp_path / "a.mat", r"a\.mat: two variables time, expected one of each name")
+    folder = write_log(tmp_path, "lerobot", signals(5))
+    about = folder / "meta" / "info.json"
+    about.write_text(about.read_text().replace("knee.vel", "knee.pos"))
+    refuse(folder, r"observation\.state has the names knee\.pos, knee\.pos, expected each once")
+
+
+def test_velocities_of_other_joints_than_the_positions(tmp_path):
+    recording = to_recording(
+        table(t=[0, 1], a=[0, 1], b=[0, 1], u=[0, 1]),
+        {"time": "t", "qpos": ["a", "b"], "qvel": "a", "ctrl": "u"},
+        {},
+        simulated=False,
+    )
+    with pytest.raises(LogError, match=r"a\.csv: qvel has 1 columns and qpos 2, expected as many"):
+        refuse_incomplete(recording)
+
+
+def test_a_velocity_that_is_no_number_is_not_estimated_instead(tmp_path):
+    columns = signals(5)
+    lines = {
+        "a.parquet": r"a\.parquet: qvel is of type string, expected real numbers",
+        "a.mat": r"a\.mat: qvel is of class cell, expected real numbers",
+    }
+    words = ["1"] * 5
+    pyarrow.parquet.write_table(pa.table({**columns, "qvel": words}), tmp_path / "a.parquet")
+    scipy.io.savemat(tmp_path / "a.mat", {**columns, "qvel": np.array(words, dtype=object)})
+    for name, line in lines.items():
+        refuse(tmp_path / name, line)
+
+
+def test_times_that_no_number_holds(tmp_path):
+    columns = signals(3)
+    late = np.array([2**63 + 1, 2**63 + 2, 2**63 + 3], dtype=np.uint64)
+    for name, values, line in (
+        ("a", late, r"time holds 9223372036854775811, expected whole numbers below 4611686018427387904"),
+        ("b", np.array(["2024", "NaT", "2024"], dtype="M8[ns]"), r"time lacks a time"),
+        ("c", np.array(["2024", "3000", "3001"], dtype="M8[D]"), r"or has one beyond the years 1678 to 2262"),
+    ):
+        np.savez(tmp_path / f"{name}.npz", **{**columns, "time": values})
+        refuse(tmp_path / f"{name}.npz", line)
+    (tmp_path / "a.csv").write_text("\n".join(["time,qpos,ctrl", *(f"{value},0,0" for value in late.tolist())]))
+    refuse(tmp_path / "a.csv", r"time holds 9223372036854775811")
 
 
 def test_qvel_may_be_left_out():

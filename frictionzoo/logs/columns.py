@@ -7,13 +7,16 @@ import numpy as np
 from jaxtyping import Float, Real
 
 from frictionzoo.errors import ConfigError, LogError, closest
-from frictionzoo.logs.propose import Proposal, propose
+from frictionzoo.logs.propose import BAM, Proposal, propose
 from frictionzoo.logs.recording import HELD, SIGNALS, Recording, Table
 from frictionzoo.logs.units import ratio, to_si
 
 __all__ = ["Proposal", "name_headers", "pick", "propose", "to_recording"]
 
 NEEDED = ("time", "qpos", "ctrl")
+LARGEST = 1e9  # in any unit: what no signal of a drive reaches, and a damaged number most likely does
+LONGEST = 1e12  # s, thirty thousand years
+STEPS = (5e-6, 100.0)  # s between samples: 0.2 s counted in days is below, 1 ms counted in us or ns above
 Headers = dict[str, tuple[str, ...]]
 
 
@@ -33,8 +36,10 @@ def to_recording(table: Table, columns: Mapping[str, Any], units: Mapping[str, s
 
     Raises:
         ConfigError: A signal or a unit is unknown, or headers are no list of names.
-        LogError: A column is missing, holds no numbers or has another length than its time, or the names leave doubt.
+        LogError: A column is missing, holds no numbers or has another length than its time, a sample is absurdly large,
+            a time of its own runs backwards, or the names leave doubt.
     """
+    _refuse_unread(table, columns)
     headers = _complete(table, _check(columns))
     clock = _Clock(table, headers["time"][0], units)
     signals = {
@@ -42,8 +47,33 @@ def to_recording(table: Table, columns: Mapping[str, Any], units: Mapping[str, s
         for signal in SIGNALS
         if signal != "time" and signal in headers
     }
+    _refuse_absurd(table.name, "time", headers["time"], clock.time[:, None], LONGEST)
+    for signal, values in signals.items():
+        _refuse_absurd(table.name, signal, headers[signal], values, LARGEST)
     notes = tuple(dict.fromkeys(clock.notes))
     return Recording(table.name, clock.time, signals, table.fields, table.sha256, simulated, notes)
+
+
+def _refuse_unread(table: Table, columns: Mapping[str, Any]) -> None:
+    """LogError where a column that is called like a signal holds no numbers; without it another would stand for it."""
+    for signal in SIGNALS:
+        for header in (signal, BAM[signal]):
+            if header in table.refused and columns.get(signal) is None and signal not in table.columns:
+                without = "" if signal in NEEDED else ", to [] to do without"
+                raise LogError(f"{table.refused[header]}; or set data.columns.{signal}{without}")
+
+
+def _refuse_absurd(
+    name: str, signal: str, headers: Sequence[str], values: Float[np.ndarray, "time columns"], largest: float
+) -> None:
+    """LogError where a sample is larger than any of its signal can be; NaN is a sample that is missing."""
+    absurd = np.abs(values) > largest
+    if absurd.any():
+        sample, column = np.argwhere(absurd)[0].tolist()
+        raise LogError(
+            f"{name}: {signal} ({headers[column]}) is {values[sample, column]:.6g} in SI units at sample {sample}, "
+            f"expected at most {largest:g}; take the sample out or set data.units.{signal}"
+        )
 
 
 def pick(table: Table, header: str) -> Real[np.ndarray, "rows"]:
@@ -95,10 +125,11 @@ def _complete(table: Table, headers: Headers) -> Headers:
         return {**proposal.columns, **headers}
     found = " ".join(proposal.overrides())
     came = ", ".join(list(table.columns)[:20]) or "none"
+    left = f"; no numbers in {', '.join(list(table.refused)[:20])}" if table.refused else ""
     raise LogError(
         f"{table.name}: data.columns.{missing[0]} is missing; "
         + (f"perhaps {found}; " if found else "")
-        + f"its columns are {came}"
+        + f"its columns are {came}{left}"
     )
 
 
@@ -118,6 +149,7 @@ class _Clock:
         known = ticks[np.isfinite(ticks)]
         self.start = known[0] if len(known) else 0.0
         self.time = self._seconds(header)
+        _check_clock(table.name, header, ticks, self.time)
 
     def bring(self, signal: str, header: str) -> Float[np.ndarray, "time"]:
         """A signal in SI units at the times of `qpos`."""
@@ -132,6 +164,13 @@ class _Clock:
             return values
         if not len(times):
             raise LogError(f"{self.table.name}: {header} has no samples; record it, or name another column")
+        back = np.flatnonzero(np.diff(times) < 0)
+        if len(back):
+            raise LogError(
+                f"{self.table.name}: {own} runs backwards at sample {back[0] + 1} ({times[back[0]]:.6g} s, then "
+                f"{times[back[0] + 1]:.6g} s); expected times of {header} that increase, so that it can be brought to "
+                "those of qpos; cut the recording there, or write its messages in order"
+            )
         held = signal in HELD
         self.notes.append(
             f"{signal} {'held' if held else 'interpolated linearly'} from {len(times)} samples of its own on the "
@@ -141,24 +180,49 @@ class _Clock:
 
     def _seconds(self, header: str) -> Float[np.ndarray, "rows"]:
         """A time column in seconds since the first sample of `qpos`; whole numbers are subtracted exactly."""
-        return to_si(pick(self.table, header) - self.start, self._ratio("time", header))
+        ticks = pick(self.table, header)
+        with np.errstate(over="ignore"):  # an absurd time, which is told
+            since = ticks - self.start
+        return to_si(since, self._ratio("time", header))
 
     def _ratio(self, signal: str, header: str) -> tuple[float, float]:
         given = self.units.get(signal) or self.table.units.get(header)
         return ratio(signal, str(given)) if given else (1.0, 1.0)
 
 
+def _check_clock(name: str, header: str, ticks: Real[np.ndarray, "time"], time: Float[np.ndarray, "time"]) -> None:
+    """LogError where a time is a date written as one whole number, 20240131235959, or is counted in another unit."""
+    known = np.isfinite(ticks)
+    if known.sum() < 2:
+        return
+    ticks, time = ticks[known], time[known]
+    day, clock = np.divmod(ticks, 10**6) if (ticks > 10**13).all() else (ticks, np.zeros(1))
+    digits = (
+        *((day // 10**4, 1900, 2099), (day // 100 % 100, 1, 12), (day % 100, 1, 31)),
+        *((clock // 10**4, 0, 23), (clock // 100 % 100, 0, 59), (clock % 100, 0, 59)),
+    )
+    if all(((low <= value) & (value <= high)).all() for value, low, high in digits):
+        raise LogError(
+            f"{name}: {header} is a date ({int(ticks[0])}), expected a time that counts; write it in seconds"
+        )
+    steps = np.diff(time)
+    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else STEPS[0]
+    if not STEPS[0] <= step <= STEPS[1]:
+        raise LogError(
+            f"{name}: {header} advances by {step:.3g} s from sample to sample, expected {STEPS[0]:g} to "
+            f"{STEPS[1]:g} s; set data.units.time, such as ns, or 86400 where it counts days"
+        )
+
+
 def _hold(
     at: Float[np.ndarray, "time"], times: Float[np.ndarray, "rows"], values: Float[np.ndarray, "rows"]
 ) -> Float[np.ndarray, "time"]:
     """The last value at or before each time; the first one before all of them."""
-    order = np.argsort(times, kind="stable")
-    return values[order][np.maximum(np.searchsorted(times[order], at, side="right") - 1, 0)]
+    return values[np.maximum(np.searchsorted(times, at, side="right") - 1, 0)]
 
 
 def _interpolate(
     at: Float[np.ndarray, "time"], times: Float[np.ndarray, "rows"], values: Float[np.ndarray, "rows"]
 ) -> Float[np.ndarray, "time"]:
     """Values between their neighbours in time; the outermost beyond them."""
-    order = np.argsort(times, kind="stable")
-    return np.interp(at, times[order], values[order])
+    return np.interp(at, times, values)

@@ -134,6 +134,7 @@ def _words(header: str) -> list[str]:
     return [word for word in re.split(r"[^a-z]+", split.lower()) if word]
 
 
+@np.errstate(all="ignore")  # numbers as they come: what overflows or is infinite leaves no guess
 def _units(table: Table, columns: Mapping[str, tuple[str, ...]]) -> tuple[dict[str, str], list[str]]:
     """Units by the headers, and by the numbers where these say nothing."""
     units, reasons = {}, []
@@ -175,7 +176,7 @@ def _guess_time(table: Table, columns: Columns, units: Mapping[str, str]) -> Gue
     if not len(steps):
         return []
     step = float(np.median(steps))
-    unit = next(unit for limit, unit in STEPS if step < limit)
+    unit = next((unit for limit, unit in STEPS if step < limit), STEPS[-1][1])
     return [] if unit == "s" else [("time", unit, f"its step is {step:g}")]
 
 

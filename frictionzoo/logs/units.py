@@ -71,6 +71,7 @@ def to_si(values: Real[np.ndarray, "rows"], fraction: Ratio) -> Float[np.ndarray
     """Values in SI units; those that are in SI already keep every bit."""
     numerator, denominator = fraction
     scaled = values.astype(np.float64)
-    if numerator != 1:
-        scaled = scaled * numerator
-    return scaled / denominator
+    with np.errstate(over="ignore"):  # an absurd number, which `to_recording` tells
+        if numerator != 1:
+            scaled = scaled * numerator
+        return scaled / denominator
