@@ -20,7 +20,7 @@ CONF_DIR = _PACKAGE / "conf" if (_PACKAGE / "conf").is_dir() else _PACKAGE.paren
 _NUMBERS = (int, float)
 # Options that may be null, with an example of each kind of value that they take besides.
 _NULLABLE: dict[str, tuple[Any, ...]] = {
-    "resume": ("",),
+    "resume": ("", True),
     "threads": (0,),
     "compilation_cache": ("",),
     "segments.count": (0,),

@@ -37,7 +37,7 @@ class CheckpointError(FrictionzooError):
 
 
 class RunError(FrictionzooError):
-    """A run's folder that cannot be read, or runs that cannot be compared."""
+    """A run's folder that cannot be read or is another process's, or runs that cannot be compared."""
 
 
 class ExportError(FrictionzooError):

@@ -1,10 +1,18 @@
 """Command line: `python -m frictionzoo.run model=coulomb_stribeck`. Composes and calls; decides nothing."""
 
+import signal
+
+if __name__ == "__main__":
+    # While modules are imported, before `main` answers it: Ctrl-C ends the program without a traceback.
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+
 import contextlib
 import os
 import re
 import sys
-from collections.abc import Iterator, Mapping
+import threading
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -25,7 +33,8 @@ from frictionzoo.config import (
     register_resolvers,
     suggest_option,
 )
-from frictionzoo.errors import ConfigError, FrictionzooError, closest
+from frictionzoo.errors import ConfigError, FrictionzooError, OutputError, closest
+from frictionzoo.output import RESULT, occupy
 from frictionzoo.sweep import SweepFolder, conclude_sweep, describe, objective_of, run_in_sweep
 from frictionzoo.threads import limit_threads, threads_each
 
@@ -36,16 +45,29 @@ NOT_IDENTIFIED = 3
 _OVERRIDE = re.compile(r"(\+\+?|~)?\w[\w/.-]*(=|$)")
 
 
+class Stopped(BaseException):
+    """Ctrl-C or SIGTERM. No Exception: that, a library may take for a failure of its own and go on."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
+
+
 @hydra.main(version_base="1.3", config_path=str(CONF_DIR), config_name="config")
 def _job(config: DictConfig) -> float:
     """One job of Hydra's; returns what a sweeper may minimise."""
     hydra_config = HydraConfig.get()
     model, folder = hydra_config.runtime.choices["model"], Path(hydra_config.runtime.output_dir)
+    # A run's record does not tell whether it was interrupted; what this option says, Hydra has done.
+    resumed, config.resume = config.resume, None
     if hydra_config.mode == RunMode.MULTIRUN:
         options = hydra_config.overrides.task
-        return run_in_sweep(lambda: _identify(config, model, folder), folder, model, options, _explain)
+        finished = OmegaConf.to_container(config, resolve=True) if resumed else None
+        # In processes of a launcher, nobody else answers.
+        with _stoppable():
+            return run_in_sweep(lambda: _identify(config, model, folder), folder, model, options, _explain, finished)
     # Ended inside, because Hydra adds a line of its own to an error that passes through it.
-    with mistakes_in_one_line():
+    with mistakes_in_one_line(lambda: _say_how_a_run_goes_on(folder)), occupy(folder, wait=False):
         result, complaint = _identify(config, model, folder)
     if complaint:
         _fail(complaint)
@@ -72,14 +94,14 @@ def main() -> None:
     """Entry point of `python -m frictionzoo.run` and of the console script `frictionzoo`.
 
     A user's mistake is one line on the standard error and exit status 2. In a sweep, it is one line for each job that
-    failed, after the last one.
+    failed, after the last one. Ctrl-C ends it with one line and status 130, SIGTERM with status 143.
     """
     register_resolvers()
     forget_plugin_schemas()
     # Hydra would print its own page; with this it raises, and the line below is printed instead.
     os.environ["HYDRA_FULL_ERROR"] = "1"
     SweepFolder.latest = None
-    with mistakes_in_one_line():
+    with mistakes_in_one_line(_say_how_a_sweep_goes_on):
         sys.argv[1:] = _restore_overrides(sys.argv[1:])
         refuse_no_choice(sys.argv[1:])
         complaint = _run_jobs()
@@ -105,34 +127,104 @@ def _run_jobs() -> str | None:
 
 
 @contextlib.contextmanager
-def mistakes_in_one_line() -> Iterator[None]:
-    """Turn an error that a user can cause into one line and exit status 2."""
+def mistakes_in_one_line(go_on: Callable[[], str] = lambda: "nothing is kept; run it again") -> Iterator[None]:
+    """Turn an error that a user can cause into one line and exit status 2, a signal into one and 128 + its number.
+
+    Args:
+        go_on: Says, for a signal or a disk that takes no more, what is kept and how to go on.
+    """
+    with _stoppable():
+        try:
+            yield
+        except Stopped as stop:
+            _fail(f"stopped by {signal.Signals(stop.number).name}; {go_on()}", status=128 + stop.number)
+        except Exception as error:
+            line = _explain(error)
+            if line is None:
+                raise
+            _fail(f"{line}; {go_on()}" if isinstance(error, OSError | OutputError) else line)
+
+
+@contextlib.contextmanager
+def _stoppable() -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM raise `Stopped`, once: another one does not disturb what is cleaned up then.
+
+    Whoever answers them already, or ignores them, goes on to.
+    """
+
+    def stop(number: int, frame: Any) -> None:
+        if not stopped:
+            stopped.append(number)
+            raise Stopped(number)
+
+    def try_again(lost: Any) -> None:
+        # Python drops what is raised in a callback of its garbage collection, and JAX has one.
+        if not isinstance(lost.exc_value, Stopped):
+            return hook(lost)
+        stopped.clear()
+        threading.Timer(0.05, signal.raise_signal, [lost.exc_value.number]).start()
+
+    stopped: list[int] = []
+    before, hook = {}, sys.unraisablehook
+    for number in (signal.SIGINT, signal.SIGTERM):
+        answered = signal.getsignal(number) not in (signal.SIG_DFL, signal.default_int_handler)
+        if not answered and threading.current_thread() is threading.main_thread():
+            before[number] = signal.signal(number, stop)
+    sys.unraisablehook = try_again
     try:
         yield
-    except Exception as error:
-        line = _explain(error)
-        if line is None:
-            raise
-        _fail(line)
+    finally:
+        sys.unraisablehook = hook
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
-def _fail(*lines: str) -> NoReturn:
+def _say_how_a_run_goes_on(folder: Path) -> str:
+    """What an unfinished run keeps, and how it goes on."""
+    try:
+        _read_overrides(folder)
+    except ConfigError:  # it had not come so far
+        return "nothing is kept; run it again"
+    kept = "the fit up to its last checkpoint" if (folder / "checkpoints" / "last.ckpt").exists() else "its options"
+    return f"{folder} keeps {kept}; go on with resume={folder}"
+
+
+def _say_how_a_sweep_goes_on() -> str:
+    """The same for a sweep; before anything has begun, nothing is kept."""
+    folder = SweepFolder.latest
+    if folder is None or not _holds_jobs(folder):
+        return "nothing is kept; run it again"
+    done = len(list(folder.rglob(RESULT)))
+    return f"{folder} keeps {done} finished jobs; go on with the same command and hydra.sweep.dir={folder} resume=true"
+
+
+def _fail(*lines: str, status: int = 2) -> NoReturn:
     for line in lines:
         print(f"frictionzoo: {line}", file=sys.stderr)
-    sys.exit(2)
+    sys.exit(status)
 
 
 def _restore_overrides(arguments: list[str]) -> list[str]:
     """For `resume=FOLDER`, the overrides with which that run began, before those of today."""
-    folders = [argument.partition("=")[2] for argument in arguments if argument.startswith("resume=")]
-    if not folders or folders[-1] in ("null", ""):
+    named = _last_value("resume", arguments)
+    if named in (None, "null", ""):
         return arguments
-    saved = Path(folders[-1]) / ".hydra" / "overrides.yaml"
+    if named.lower() == "true" or {"-m", "--multirun"} & set(arguments):
+        _refuse_no_sweep(named, arguments)
+        return arguments
+    # Hydra would replace the folder's record of how the run began by today's command, which may be a mistaken one.
+    return [*_read_overrides(Path(named)), *arguments, "hydra.output_subdir=null"]
+
+
+def _read_overrides(folder: Path) -> list[str]:
+    """The overrides with which the run in a folder began."""
+    saved = folder / ".hydra" / "overrides.yaml"
     try:
         overrides = OmegaConf.to_container(OmegaConf.load(saved))
     except (OSError, OmegaConfBaseException, ValueError, yaml.YAMLError):
+        hint = f"; a sweep goes on with -m hydra.sweep.dir={folder} resume=true" if _holds_jobs(folder) else ""
         raise ConfigError(
-            f"resume={folders[-1]}: no {saved} that can be read, expected a run folder; name one"
+            f"resume={folder}: no {saved} that can be read, expected a run folder; name one{hint}"
         ) from None
     if not isinstance(overrides, list) or not all(isinstance(item, str) for item in overrides):
         raise ConfigError(f"{saved}: expected a list of overrides; name a run folder that this program made")
@@ -140,8 +232,31 @@ def _restore_overrides(arguments: list[str]) -> list[str]:
     for item in kept:
         if not _OVERRIDE.match(item):
             raise ConfigError(f"{saved}: {item}; expected an override; name a run folder that this program made")
-    # Hydra would replace the folder's record of how the run began by today's command, which may be a mistaken one.
-    return [*kept, *arguments, "hydra.output_subdir=null"]
+    return kept
+
+
+def _last_value(option: str, arguments: list[str]) -> str | None:
+    values = [argument.partition("=")[2] for argument in arguments if argument.startswith(f"{option}=")]
+    return values[-1].strip("'\"") if values else None
+
+
+def _refuse_no_sweep(resume: str, arguments: list[str]) -> None:
+    """Refuse to go on with a sweep that is not there."""
+    if resume.lower() != "true":
+        raise ConfigError(
+            f"resume={resume}: expected true, as a run goes on without -m; name a sweep's folder in hydra.sweep.dir"
+        )
+    folder = _last_value("hydra.sweep.dir", arguments)
+    if not {"-m", "--multirun"} & set(arguments) or folder is None:
+        raise ConfigError(
+            "resume=true: expected the command of a sweep, -m and hydra.sweep.dir=FOLDER; or name the folder of a run"
+        )
+    if not _holds_jobs(Path(folder)):
+        raise ConfigError(f"hydra.sweep.dir={folder}: no job in it, expected a sweep's folder; leave resume=true out")
+
+
+def _holds_jobs(sweep: Path) -> bool:
+    return any(sweep.rglob(".hydra"))
 
 
 def refuse_no_choice(arguments: list[str]) -> None:

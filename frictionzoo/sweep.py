@@ -4,7 +4,7 @@ import json
 import logging
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +12,9 @@ from filelock import FileLock
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf
 
+from frictionzoo import __version__
 from frictionzoo.errors import RunError
-from frictionzoo.output import FAILURE, RESULT, RUNNING, write_atomically
+from frictionzoo.output import FAILURE, RESULT, RUNNING, occupy, to_json, write_atomically
 
 _log = logging.getLogger(__name__)
 
@@ -41,8 +42,11 @@ def run_in_sweep(
     model: str,
     overrides: Sequence[str],
     explain: Callable[[Exception], str | None],
+    finished: Mapping[str, Any] | None = None,
 ) -> float:
     """Run one job of a sweep; whatever it raises becomes `failure.json` in its folder.
+
+    Where another process works in the folder, this one waits until it has ended.
 
     Args:
         job: Returns what `result.json` holds, and a complaint if the fit diverged.
@@ -50,6 +54,7 @@ def run_in_sweep(
         model: The chosen model.
         overrides: The job's options.
         explain: One line for an error that a user can cause, None for an unexpected one.
+        finished: The job's settings, if a `result.json` with just these is to stand instead of being made again.
 
     Returns:
         What a sweeper may minimise, see `objective_of`; infinite for a job that failed.
@@ -57,7 +62,10 @@ def run_in_sweep(
     Raises:
         OutputError: Not even `failure.json` can be written.
     """
-    with FileLock(folder / RUNNING):
+    with occupy(folder, wait=True):
+        if finished is not None and (result := _read_finished(folder, finished)):
+            _log.info("%s: has its result already", folder.name)
+            return math.inf if result["fit"]["stopped"] == "diverged" else objective_of(result)
         for name in (RESULT, FAILURE):
             (folder / name).unlink(missing_ok=True)
         try:
@@ -71,8 +79,17 @@ def run_in_sweep(
         else:
             if complaint:
                 _log.error("%s: %s", folder.name, complaint)
-    (folder / RUNNING).unlink()
     return math.inf if result is None or complaint else objective_of(result)
+
+
+def _read_finished(folder: Path, settings: Mapping[str, Any]) -> dict[str, Any] | None:
+    """What a job's `result.json` holds if this version made it with these settings, else None."""
+    try:
+        result = json.loads((folder / RESULT).read_text(encoding="utf-8"))
+        same = result["settings"] == json.loads(json.dumps(to_json(settings)))
+        return result if same and result["versions"]["frictionzoo"] == __version__ else None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
 
 
 def objective_of(result: dict[str, Any]) -> float:

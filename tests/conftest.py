@@ -192,13 +192,19 @@ def in_haste(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 @pytest.fixture
 def start(compilation_cache: Path, tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen]]:
-    """Starts `python -m frictionzoo.run` as a process in the test's folder; none outlives the test."""
+    """Starts `python -m frictionzoo.run` as a process in the test's folder; none outlives the test.
+
+    Another `program` is started in its place; `variables` are added to the environment.
+    """
     cache = {"JAX_COMPILATION_CACHE_DIR": compilation_cache, **{key.upper(): v for key, v in CACHE_OPTIONS.items()}}
     started: list[subprocess.Popen] = []
 
-    def start(*overrides: str) -> subprocess.Popen:
-        environment = {**os.environ, "PYTHONPATH": str(ROOT), **{key: str(value) for key, value in cache.items()}}
-        command = [sys.executable, "-m", "frictionzoo.run", *overrides]
+    def start(
+        *overrides: str, program: Sequence[str] = ("-m", "frictionzoo.run"), **variables: str
+    ) -> subprocess.Popen:
+        own = {"PYTHONPATH": str(ROOT), **{key: str(value) for key, value in cache.items()}, **variables}
+        environment = {**os.environ, **own}
+        command = [sys.executable, *program, *overrides]
         pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
         started.append(subprocess.Popen(command, cwd=tmp_path, env=environment, **pipes))
         return started[-1]

@@ -298,13 +298,15 @@ class _Saver(pl.Callback):
 class _ProgressBar(pl.Callback):
     """Iterations with the loss and the parameters of the last one."""
 
+    _bar: tqdm | None = None
+
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         assert isinstance(pl_module, FitModule)
         # disable=None: tqdm shows nothing where the output is not a terminal.
         self._bar = tqdm(total=pl_module.total, initial=pl_module.iteration, unit="it", disable=None)
 
     def on_train_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        assert isinstance(pl_module, FitModule)
+        assert isinstance(pl_module, FitModule) and self._bar is not None
         self._bar.update(pl_module.iteration - self._bar.n)
         trace = pl_module.history[-1]
         if len(trace.loss):
@@ -312,7 +314,14 @@ class _ProgressBar(pl.Callback):
             self._bar.set_postfix({"loss": f"{trace.loss[-1]:.3e}", **last})
 
     def on_train_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        self._bar.close()
+        self._close()
+
+    def on_exception(self, trainer: pl.Trainer, pl_module: pl.LightningModule, exception: BaseException) -> None:
+        self._close()  # what is said about it stands on a line of its own
+
+    def _close(self) -> None:
+        if self._bar is not None:
+            self._bar.close()
 
 
 def _train(

@@ -1,10 +1,9 @@
 """Arrays that are cheap to keep and slow to make, in a folder of the user."""
 
-import contextlib
 import hashlib
+import io
 import logging
-import os
-import tempfile
+import time
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -12,6 +11,10 @@ from pathlib import Path
 import numpy as np
 import platformdirs
 
+from frictionzoo.errors import OutputError
+from frictionzoo.output import write_atomically
+
+ABANDONED = 3600.0  # s after which nobody writes a temporary file any more
 logger = logging.getLogger(__name__)
 
 
@@ -70,15 +73,14 @@ def _read(path: Path, names: Sequence[str]) -> dict[str, np.ndarray] | None:
 
 def _write(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     """Write so that nobody ever sees half a file; a cache that cannot be written costs time only."""
-    temporary = None
+    content = io.BytesIO()
+    np.savez(content, allow_pickle=False, sha256=np.array(digest(arrays)), **arrays)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor, temporary = tempfile.mkstemp(dir=path.parent, suffix=".part")
-        with os.fdopen(descriptor, "wb") as file:
-            np.savez(file, allow_pickle=False, sha256=np.array(digest(arrays)), **arrays)
-        os.replace(temporary, path)
-    except OSError as error:
-        logger.warning("%s: cannot be written (%s); the data will be made again next time", path, error)
-        if temporary is not None:
-            with contextlib.suppress(OSError):
-                os.unlink(temporary)
+        write_atomically(path, content.getvalue())
+        for part in path.parent.glob(".*.part"):  # of processes that were killed
+            if time.time() - part.stat().st_mtime > ABANDONED:
+                part.unlink()
+    except OutputError as error:
+        logger.warning("%s: cannot be written (%s); the data will be made again next time", path, error.__cause__)
+    except OSError:  # another process removed it
+        return

@@ -1,0 +1,169 @@
+"""Jobs that end at a random moment, by a signal or on a full disk, go on to the same bytes.
+
+`FRICTIONZOO_KILLS=30 pytest -m slow tests/test_kills.py` tries thirty moments, over all kinds of jobs and of ends.
+"""
+
+import contextlib
+import functools
+import json
+import os
+import random
+import re
+import resource
+import signal
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from conftest import ROOT, job_settings, run_main
+from test_torch_only import STRIBECK, TorchStribeck
+
+from frictionzoo.models import register_model
+from frictionzoo.models.registry import REGISTRY
+
+JOBS = {
+    "adam": ("model=coulomb_smooth", "fit.iterations=40"),
+    "lm": ("model=coulomb_stribeck", "fit=lm", "loop.chunk=1"),
+    "grid": ("model=coulomb_smooth", "fit=grid", "fit.points=3"),
+    "network": ("model=neural_friction", "model.hidden=[4,4]", "segments.length=3", "fit.iterations=20"),
+    "torch": ("model=coulomb_stribeck", f"model._target_={STRIBECK}", "segments.length=3", "fit.iterations=20"),
+    "sweep": ("-m", "model=baseline,coulomb_smooth", "fit.iterations=10"),
+}
+STATUS = {  # of a program that was ended so after it had begun, and before it had
+    "SIGKILL": {-signal.SIGKILL},
+    "SIGTERM": {128 + signal.SIGTERM, -signal.SIGTERM},
+    "SIGINT": {128 + signal.SIGINT, -signal.SIGINT},
+    "full disk": {2},
+}
+# What a job's folder comes to hold, in this order; the moment is up to `LATEST` seconds after one of them.
+STAGES = ("", ".hydra/overrides.yaml", "checkpoints/last.ckpt", "figures", "friction.safetensors", "report.html")
+LATEST = 1.5
+PATIENCE = 300.0  # s after which a process that has not ended is a failure
+# The program with a law of its own; as in frictionzoo/run.py, Ctrl-C is answered from the start.
+WITH_LAW = """
+import signal
+signal.signal(signal.SIGINT, signal.SIG_DFL)
+from test_torch_only import TorchStribeck, register_model
+register_model("torch_stribeck")(TorchStribeck)
+from frictionzoo.run import main
+main()
+"""
+
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("in_haste")]
+
+
+def draw(count: int) -> list[tuple[str, str, str, float]]:
+    """So many cases, of which 24 have every pair of a job and an end, at random moments."""
+    chance, jobs, ends = random.Random(0), list(JOBS), list(STATUS)
+    return [
+        (jobs[i % len(jobs)], ends[(i + i // len(jobs)) % len(ends)], chance.choice(STAGES), chance.uniform(0, LATEST))
+        for i in range(count)
+    ]
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory, compilation_cache: Path, tiny: tuple) -> Callable[..., Path]:
+    """The folder of a job of `JOBS` that nothing disturbed."""
+
+    @functools.cache
+    def undisturbed(job: str) -> Path:
+        home = tmp_path_factory.mktemp(job)
+        with contextlib.chdir(home), job_settings(compilation_cache):
+            finished = run_main(*JOBS[job], *tiny, *folder_option(job))
+        assert finished.status == 0, finished.err
+        return home / "run"
+
+    return undisturbed
+
+
+@pytest.fixture(autouse=True)
+def prepared(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The law is known here too; a comparison is made without figures, most of its time."""
+    monkeypatch.setattr(REGISTRY, "entries", dict(REGISTRY.entries))
+    register_model("torch_stribeck")(TorchStribeck)
+    monkeypatch.setattr("frictionzoo.compare.files.write_figures", lambda *_: None)
+
+
+def folder_option(job: str) -> tuple[str]:
+    return ("hydra.sweep.dir=run" if job == "sweep" else "hydra.run.dir=run",)
+
+
+def results(folder: Path) -> dict[str, bytes]:
+    """What has to come out again, by file; of `result.json` and `comparison.json`, all but the times."""
+    found = {}
+    for name in ("result.json", "comparison/comparison.json", "friction.safetensors", "identified.xml"):
+        for path in folder.rglob(name):
+            found[str(path.relative_to(folder))] = without_times(path)
+    return found
+
+
+def without_times(path: Path) -> bytes:
+    if path.suffix != ".json":
+        return path.read_bytes()
+    content = json.loads(path.read_text())
+    for part in (content, *content.get("runs", [])):
+        part.pop("timing", None)
+    return json.dumps(content).encode()
+
+
+def end(process: subprocess.Popen, how: str, stage: Path, delay: float) -> str:
+    """End a process so after it has come to a stage; returns its standard error."""
+    deadline = time.monotonic() + PATIENCE
+    while process.poll() is None and not stage.exists():
+        assert time.monotonic() < deadline
+        time.sleep(0.002)
+    time.sleep(delay)
+    if process.poll() is None and how == "full disk":
+        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (0, 0))
+    elif process.poll() is None:
+        process.send_signal(signal.Signals[how])
+    _, err = process.communicate(timeout=PATIENCE)
+    assert process.returncode in {0, *STATUS[how]}, err  # it may have been done before
+    return err
+
+
+@pytest.mark.parametrize(
+    ("job", "how", "stage", "delay"), draw(int(os.environ.get("FRICTIONZOO_KILLS", len(JOBS)))), ids=str
+)
+def test_what_ends_at_a_random_moment_goes_on_to_the_same_bytes(
+    start: Callable,
+    call: Callable,
+    tiny: tuple[str, ...],
+    tmp_path: Path,
+    undisturbed: Callable[..., Path],
+    job: str,
+    how: str,
+    stage: str,
+    delay: float,
+) -> None:
+    expected = results(undisturbed(job))
+    folder, command = tmp_path / "run", (*JOBS[job], *tiny, *folder_option(job))
+    place = folder / "1_coulomb_smooth" if job == "sweep" and stage else folder
+    # Compiled functions are read and not written: JAX leaves half a file where it is ended.
+    variables = {
+        "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'tests'}",
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "1e9",
+    }
+    program = ("-c", WITH_LAW) if job == "torch" else ("-m", "frictionzoo.run")
+    process = start(*command, program=program, **variables)
+    err = end(process, how, place / stage, delay)
+    if process.returncode > 0:
+        said = [line for line in err.splitlines() if line.startswith("frictionzoo: ")]
+        assert "Traceback" not in err and "Error" not in err, err
+        assert said[-1].startswith(("frictionzoo: stopped by SIG", "frictionzoo: /")) and (len(said) == 1), err
+        assert not list(folder.rglob("*.part"))
+        goes_on = re.search(r"(?<=go on with resume=).*", said[-1]) or "resume=true" in said[-1]
+        assert goes_on or "nothing is kept; run it again" in said[-1]
+    else:
+        goes_on = bool(list(folder.rglob("overrides.yaml")))
+    if goes_on:
+        command = (*command, "resume=true") if job == "sweep" else ("resume=run",)
+    before = {path: path.stat().st_mtime_ns for path in folder.rglob("result.json")}
+    finished = call(*command)
+    assert finished.status == 0, finished.err
+    assert results(folder) == expected
+    if job == "sweep":
+        assert before.items() <= {path: path.stat().st_mtime_ns for path in folder.rglob("result.json")}.items()
+    assert not [path for path in folder.rglob(".*") if path.name != ".hydra"]
