@@ -106,7 +106,22 @@ def test_a_sweep_is_compared_in_the_order_of_the_errors(zoo):
 def test_the_simplest_within_noise_is_recommended_with_the_reason(zoo):
     recommendation = compare(zoo)["recommendation"]
     assert (recommendation["run"], recommendation["best"]) == ("simple", "rich")
+    assert recommendation["unidentifiable"] == [] and "dentifiable" not in recommendation["reason"]
     assert "within noise" in recommendation["reason"] and "with 2 identified values" in recommendation["reason"]
+
+
+def test_what_the_recommended_law_leaves_open_is_named(zoo):
+    path = zoo / "1_simple" / "result.json"
+    result = json.loads(path.read_text())
+    for parameter in result["parameters"]:
+        parameter["identifiable"] = parameter["name"] != "static_torque"
+    path.write_text(json.dumps(result))
+    recommendation = compare(zoo)["recommendation"]
+    assert recommendation["run"] == "simple" and recommendation["unidentifiable"] == ["friction.static_torque"]
+    assert (
+        "Not identifiable on these data, and no property of the drive: friction.static_torque."
+        in (recommendation["reason"])
+    )
 
 
 def test_a_clear_winner_is_recommended_however_rich(zoo, save):

@@ -33,6 +33,12 @@ def test_a_constant_difference_has_no_spread():
     assert compare(errors, errors).verdict == "noise"
 
 
+def test_a_difference_that_does_not_matter_is_noise_however_sure():
+    errors = RNG.uniform(1, 2, 6)
+    assert [compare(share * errors, errors).verdict for share in (1.009, 1.011)] == ["noise", "worse"]
+    assert [compare(errors, share * errors).verdict for share in (1.009, 1.011)] == ["noise", "better"]
+
+
 def test_the_interval_is_that_of_scipy():
     errors = RNG.normal(1, 0.1, (2, 12))
     gap = errors[0] - errors[1]

@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from frictionzoo.compare.runs import NAMED, Failure, Run, differing
 from frictionzoo.compare.statistics import (
+    MATTERS,
     Difference,
     autocorrelation,
     bin_evenly,
@@ -23,7 +24,7 @@ from frictionzoo.compare.statistics import (
 from frictionzoo.output import to_json
 from frictionzoo.report.result import read_schema as result_schema
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 SHARED = ("data", "joints", "parameters", "network", "fit", "timing")  # sections taken over from result.json
 LONGEST_LAG = 0.5  # s, of the residuals' autocorrelation
 FEW = 8  # rollouts below which an interval over them says little
@@ -117,13 +118,23 @@ def _compare_pairs(runs: Sequence[Run]) -> dict[tuple[str, str], Difference]:
 
 
 def _recommend(ranked: Sequence[Run], pairs: Mapping[tuple[str, str], Difference]) -> dict[str, Any] | None:
-    """The simplest run within noise of the best, and why; None where every run lost all its rollouts."""
+    """The simplest run within noise of the best, why, and what it leaves open; None where all lost all rollouts."""
     best = ranked[0]
     if best.result["metrics"]["test"]["position_mae"] is None:
         return None
     close = [best, *(run for run in ranked[1:] if pairs[run.label, best.label].verdict == "noise")]
     chosen = min(close, key=lambda run: (_count_identified(run), _rank(run)))
-    return {"run": chosen.label, "best": best.label, "reason": _explain(chosen, best, close, pairs)}
+    return {
+        "run": chosen.label,
+        "best": best.label,
+        "unidentifiable": _list_unidentifiable(chosen),
+        "reason": _explain(chosen, best, close, pairs),
+    }
+
+
+def _list_unidentifiable(run: Run) -> list[str]:
+    """Full names of the parameters that the run's data do not determine."""
+    return [f"{p['owner']}.{p['name']}" for p in run.result["parameters"] if p["identifiable"] is False]
 
 
 def _explain(chosen: Run, best: Run, close: Sequence[Run], pairs: Mapping[tuple[str, str], Difference]) -> str:
@@ -137,7 +148,7 @@ def _explain(chosen: Run, best: Run, close: Sequence[Run], pairs: Mapping[tuple[
         text = (
             f"{error}. The lowest error, {lowest:.3g} {unit} of {best.label} with {_count_identified(best)}, is within "
             f"noise of it (difference {pair.mean:.2g} {unit}, 95 % interval {pair.low:.2g} to {pair.high:.2g} over "
-            f"{rollouts} paired rollouts), and no simpler one is"
+            f"{rollouts} paired rollouts; {100 * MATTERS:g} % of the error would matter), and no simpler one is"
         )
     elif len(close) > 1:
         text = (
@@ -150,8 +161,10 @@ def _explain(chosen: Run, best: Run, close: Sequence[Run], pairs: Mapping[tuple[
         if chosen.result["network"]
         else ""
     )
+    doubtful = _list_unidentifiable(chosen)
+    doubt = f" Not identifiable on these data, and no property of the drive: {', '.join(doubtful)}." if doubtful else ""
     caution = f" {rollouts} rollouts are few: raise evaluation.rollouts to be sure." if rollouts < FEW else ""
-    return f"{text}.{network}{caution}"
+    return f"{text}.{network}{doubt}{caution}"
 
 
 def _describe(run: Run, reference: Run | None) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from frictionzoo.compare.comparison import Comparison
+from frictionzoo.compare.statistics import MATTERS
 
 SPECIAL = str.maketrans(
     {
@@ -119,7 +120,8 @@ def _describe(comparison: Comparison) -> str:
         f"position in open-loop rollouts of {evaluation['horizon']:g}~s from measured states, {evaluation['rollouts']} "
         r"of them on test data; $\sigma$: its standard deviation over them. Change: of the test error against "
         rf"{against}. Fit: without compiling. Bold: the lowest test error; {NOISE}: within noise of it, as the 95~\% "
-        rf"interval of the paired difference holds~0; {RECOMMENDED}: recommended, the fewest values within noise."
+        rf"interval of the paired difference holds~0 or the difference is below {100 * MATTERS:g}~\% of the error; "
+        rf"{RECOMMENDED}: recommended, the fewest values within noise."
     )
 
 

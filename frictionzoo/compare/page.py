@@ -23,6 +23,7 @@ from frictionzoo.compare.plots import (
     plot_trajectories,
 )
 from frictionzoo.compare.runs import Run
+from frictionzoo.compare.statistics import MATTERS
 from frictionzoo.output import write_atomically
 from frictionzoo.report.html import METHODS, check_held_out, check_origin, check_result, list_timing, plot_history
 from frictionzoo.report.page import Check, Plot, render_page
@@ -64,6 +65,7 @@ def write_page(path: Path, comparison: Comparison, runs: Sequence[Run]) -> None:
         comparison=comparison,
         rows=rows,
         joints=tuple(comparison["joints"]),
+        matters=MATTERS,
         recommended=next((row for row in rows if row["recommended"]), None),
         checks=checks,
         doubts=sum(check.state in ("caution", "bad") for check in checks),
@@ -197,7 +199,7 @@ def _check_order(comparison: Comparison) -> Check:
     pairs = {pair["run"]: pair for pair in comparison["pairs"] if pair["other"] == first}
     close = [label for label in others if pairs[label]["verdict"] == "noise"]
     if close:
-        text = f"Within noise of the best, {first}: {_name(close)}. These data do not tell them apart"
+        text = f"Within noise of the best, {first}: {_name(close)}. These data do not tell them apart by what matters"
         return Check("note", "Order", f"{text}; the simplest is recommended.")
     return Check("good", "Order", f"{first} is better than each of the others by more than noise.")
 

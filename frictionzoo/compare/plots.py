@@ -11,6 +11,7 @@ from jaxtyping import Float
 from frictionzoo.compare.comparison import Comparison
 from frictionzoo.compare.figures import COLORS
 from frictionzoo.compare.runs import Run
+from frictionzoo.compare.statistics import MATTERS
 from frictionzoo.evaluate import moving_mean_and_std
 from frictionzoo.report.figures import FLATTENED
 from frictionzoo.report.page import (
@@ -150,7 +151,8 @@ def plot_differences(comparison: Comparison, styles: Mapping[str, Style]) -> Plo
     layout |= {"annotations": notes, "shapes": [zero | {"line": {"color": SOFT, "width": 1}, "layer": "below"}]}
     text = (
         f"Difference to {labels[0]} with its 95 % interval, from a paired bootstrap over "
-        f"{comparison['evaluation']['rollouts']} test rollouts. An interval that holds 0 is noise: open circles."
+        f"{comparison['evaluation']['rollouts']} test rollouts. Open circles are noise: the interval holds 0, or the "
+        f"difference is below {100 * MATTERS:g} % of the error."
     )
     return Plot("How sure is the order?", text, {"data": data, "layout": layout}, height=_height(labels))
 

@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float, Int
 
 RESAMPLES = 10_000
 INTERVAL = (2.5, 97.5)  # percentiles
+MATTERS = 0.01  # of the smaller error: a difference below it decides nothing, however sure it is
 POINTS = 30  # horizons of an error curve
 BINS = 8  # of speed and of load, each with as many windows
 FEWEST = 5  # windows in a bin
@@ -22,7 +23,8 @@ class Difference:
         low: Lower end of its 95 % interval.
         high: Upper end.
         verdict: `better` if the first drive's error is smaller, `worse` if it is larger, `noise` if the interval
-            holds 0. Where one of them diverged more often, that alone decides.
+            holds 0 or the mean is below `MATTERS` of the smaller error. Where one of them diverged more often, that
+            alone decides.
     """
 
     mean: float
@@ -59,7 +61,9 @@ def difference(
     lost = np.isnan(first).sum() - np.isnan(second).sum()
     if lost:
         return Difference(mean, low, high, "worse" if lost > 0 else "better")
-    return Difference(mean, low, high, "better" if high < 0 else "worse" if low > 0 else "noise")
+    smaller = min(errors[both].mean() if both.any() else 0.0 for errors in (first, second))
+    told_apart = not low <= 0 <= high and abs(mean) >= MATTERS * smaller
+    return Difference(mean, low, high, ("better" if mean < 0 else "worse") if told_apart else "noise")
 
 
 def _interval(
