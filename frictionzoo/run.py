@@ -162,7 +162,7 @@ def _stoppable() -> Iterator[None]:
         if not isinstance(lost.exc_value, Stopped):
             return hook(lost)
         stopped.clear()
-        threading.Timer(0.05, signal.raise_signal, [lost.exc_value.number]).start()
+        threading.Timer(0.05, os.kill, [os.getpid(), lost.exc_value.number]).start()
 
     stopped: list[int] = []
     before, hook = {}, sys.unraisablehook
@@ -170,7 +170,8 @@ def _stoppable() -> Iterator[None]:
         answered = signal.getsignal(number) not in (signal.SIG_DFL, signal.default_int_handler)
         if not answered and threading.current_thread() is threading.main_thread():
             before[number] = signal.signal(number, stop)
-    sys.unraisablehook = try_again
+    if before:
+        sys.unraisablehook = try_again
     try:
         yield
     finally:

@@ -353,6 +353,7 @@ RULES: list[tuple[str, How, *tuple[pytest.MarkDecorator, ...]]] = [
         left_to("test_resume::test_a_finished_run_is_resumed_to_itself_and_by_its_own_command_alone"),
     ),
     # Sweeps
+    (rf"{JOB}-m .* resume=true", left_to("test_sweep::test_a_stopped_sweep_goes_on_with_what_is_missing")),
     (rf"{JOB}-m hydra/launcher=submitit_slurm .*", compose_for_a_cluster),
     (rf"{JOB}-m hydra/launcher=.*", leave_to_the_launchers_test),
     (rf"{JOB}-m hydra/sweeper=.*", search, SLOW),

@@ -1,7 +1,9 @@
 """A run that is killed and resumed ends with the same bits as one that is not."""
 
 import errno
+import gc
 import json
+import os
 import shutil
 import signal
 import time
@@ -17,10 +19,12 @@ from omegaconf import OmegaConf
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from frictionzoo import job
-from frictionzoo.errors import CheckpointError
+from frictionzoo.errors import CheckpointError, ConfigError, RunError
 from frictionzoo.fit import loop, run_fit
 from frictionzoo.fit.loggers import Csv
 from frictionzoo.job import Problem, _identify
+from frictionzoo.output import occupy
+from frictionzoo.run import _restore_overrides
 
 ITERATIONS = 40
 PATIENCE = 600.0  # s after which a process that has not come to the awaited moment is a failure
@@ -123,8 +127,90 @@ def test_a_finished_run_is_resumed_to_itself_and_by_its_own_command_alone(
         (line,) = [line for line in finished.err.splitlines() if line.startswith("frictionzoo: ")]
         assert complaint in line
         assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
+    with occupy(folder, wait=False):
+        refused = call(f"resume={folder}")
+    assert refused.status == 2
+    assert (
+        refused.err.startswith(f"frictionzoo: {folder}: another process works in it") and refused.err.count("\n") == 1
+    )
     assert call(f"resume={folder}").status == 0
     assert_same(folder, expected)
+
+
+def test_a_folder_is_one_process_s_and_what_a_killed_one_began_is_removed(tmp_path: Path) -> None:
+    part = tmp_path / "checkpoints" / ".last.ckpt.99.part"
+    part.parent.mkdir()
+    part.touch()
+    with occupy(tmp_path, wait=False):
+        assert not part.exists()
+        with pytest.raises(RunError, match="another process works in it, expected a folder of this run's own; wait"):
+            occupy(tmp_path, wait=False).__enter__()
+    assert os.listdir(tmp_path) == ["checkpoints"]
+
+
+def raise_in_a_collection(number: int) -> None:
+    """A signal whose exception Python drops; it has to come again."""
+    gc.callbacks.append(lambda phase, _: (gc.callbacks.pop(), signal.raise_signal(number)))
+    gc.collect()
+    time.sleep(10)
+
+
+def fill_the_disk(_: int) -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+RUN = ("hydra.run.dir=run", "run keeps its options; go on with resume=")
+SWEEP = ("hydra.sweep.dir=run", "run keeps 0 finished jobs; go on with the same command and hydra.sweep.dir=")
+
+
+@pytest.mark.parametrize(
+    ("end", "number", "status", "place", "keeps"),
+    [
+        pytest.param(signal.raise_signal, signal.SIGTERM, 143, *RUN, id="SIGTERM"),
+        pytest.param(signal.raise_signal, signal.SIGINT, 130, *SWEEP, id="Ctrl-C in a sweep"),
+        pytest.param(raise_in_a_collection, signal.SIGINT, 130, *RUN, id="Ctrl-C in a collection"),
+        pytest.param(fill_the_disk, 0, 2, *RUN, id="disk"),
+    ],
+)
+def test_what_ends_a_job_is_one_line_that_says_how_to_go_on(
+    call: Callable,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    end: Callable[[int], None],
+    number: int,
+    status: int,
+    place: str,
+    keeps: str,
+) -> None:
+    monkeypatch.setattr("frictionzoo.job.run_job", lambda *_: end(number))
+    handlers = [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)]
+    ended = call(place, *(["-m"] if "sweep" in place else []))
+    assert ended.status == status
+    assert ended.err.count("\n") == 1 and f"{tmp_path}/{keeps}{tmp_path}/run" in ended.err
+    assert handlers == [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)]
+    assert not list(tmp_path.rglob(".running"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["resume=true"], "resume=true: expected the command of a sweep, -m and hydra.sweep.dir=FOLDER"),
+        (["-m", "resume=true"], "resume=true: expected the command of a sweep, -m and hydra.sweep.dir=FOLDER"),
+        (["-m", "resume=true", "hydra.sweep.dir=nowhere"], "hydra.sweep.dir=nowhere: no job in it"),
+        (["-m", "resume=sweep"], "resume=sweep: expected true, as a run goes on without -m"),
+        (["resume=sweep"], "name one; a sweep goes on with -m hydra.sweep.dir=sweep resume=true"),
+    ],
+)
+def test_a_resumed_sweep_has_to_be_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], complaint: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "sweep" / "0_baseline" / ".hydra").mkdir(parents=True)
+    with pytest.raises(ConfigError) as refused:
+        _restore_overrides(arguments)
+    assert complaint in str(refused.value)
+    whole = ["-m", "hydra.sweep.dir=sweep", "resume=true"]
+    assert _restore_overrides(whole) == whole
 
 
 @pytest.fixture

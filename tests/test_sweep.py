@@ -17,6 +17,7 @@ from conftest import RUNS
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, OmegaConf
 
+from frictionzoo import __version__
 from frictionzoo.config import CONF_DIR, forget_plugin_schemas, register_resolvers
 from frictionzoo.errors import ConfigError
 from frictionzoo.job import run_job as run_real_job
@@ -137,6 +138,42 @@ def test_a_failure_does_not_outlive_a_successful_repetition(tmp_path: Path) -> N
     assert conclude_sweep(tmp_path)[1] == []
     assert run_in_sweep(fail, tmp_path, "baseline", [], str) == math.inf
     assert os.listdir(tmp_path) == ["failure.json"]
+
+
+def test_a_stopped_sweep_goes_on_with_what_is_missing(
+    call: Callable, tiny: tuple[str, ...], tmp_path: Path, finished_run: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = finished_run("sweep")[0]
+    shutil.copytree(whole, tmp_path / "sweep", ignore=lambda *_: ["comparison"])
+    (tmp_path / "sweep" / "1_coulomb_smooth" / "result.json").unlink()
+    done = []
+
+    def run_job(config: DictConfig, name: str, folder: Path) -> tuple[dict, None]:
+        done.append(name)
+        shutil.copy(whole / folder.name / "result.json", folder)
+        return json.loads((folder / "result.json").read_text()), None
+
+    monkeypatch.setattr("frictionzoo.job.run_job", run_job)
+    monkeypatch.setattr("frictionzoo.compare.files.write_figures", lambda *_: None)
+    finished = call(*RUNS["sweep"], *tiny, "hydra.sweep.dir=sweep", "resume=true")
+    assert finished.status == 0, finished.err
+    assert done == ["coulomb_smooth"] and "0_baseline: has its result already" in finished.err
+    assert read_comparison(tmp_path / "sweep") == read_comparison(whole)
+
+
+@pytest.mark.parametrize(
+    ("changes", "repeated"),
+    [({}, False), ({"settings": {"seed": 1}}, True), ({"versions": {"frictionzoo": "0.0.0"}}, True), (None, True)],
+)
+def test_a_finished_job_is_not_repeated(tmp_path: Path, changes: dict | None, repeated: bool) -> None:
+    result = DONE | {"settings": {"seed": 0, "bounds": [0.1, None]}, "fit": {"stopped": "finished"}}
+    result |= {"versions": {"frictionzoo": __version__}}
+    whole = json.dumps(result | (changes or {}))
+    (tmp_path / "result.json").write_text(whole if changes is not None else whole[:-9])
+    settings = {"seed": 0, "bounds": [0.1, math.inf]}  # infinite is null in JSON
+    value = run_in_sweep(fail, tmp_path, "baseline", [], str, settings)
+    assert value == (math.inf if repeated else 0.25)
+    assert os.listdir(tmp_path) == ["failure.json" if repeated else "result.json"]
 
 
 def test_a_sweeper_is_told_infinity_where_a_rollout_diverged(tmp_path: Path) -> None:
