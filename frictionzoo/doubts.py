@@ -257,7 +257,7 @@ def _doubt_position_command(log: Log, of: str, qpos: np.ndarray, ctrl: np.ndarra
     elif apart > APART * max(moved, asked):
         yield (
             "zero",
-            f"qpos{of} and ctrl are never less than {apart:.3g} apart where they move through {max(moved, asked):.3g}: look "
+            f"qpos{of} and ctrl are never less than {apart:.3g} apart over a motion of {max(moved, asked):.3g}: look "
             "whether both count from the same zero (bench.params.position_offset)",
         )
 
