@@ -4,6 +4,7 @@ import ast
 import functools
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -27,7 +28,8 @@ from frictionzoo.export.mjx_module import Mjx
 from frictionzoo.export.module import load_module, write_module
 from frictionzoo.export.mujoco_c import MujocoC
 from frictionzoo.export.nearest import find_nearest
-from frictionzoo.export.write import write_exports
+from frictionzoo.export.table import summarise_exports
+from frictionzoo.export.write import Written, write_exports
 from frictionzoo.models import FrictionModel, MujocoDefault, model_names
 from frictionzoo.models.base import sliding_torque
 from frictionzoo.models.network import NetworkModel
@@ -236,6 +238,9 @@ def test_another_law_is_refitted_and_says_what_that_costs(tmp_path):
     after, before = (float(text.split()[-1].lstrip("(")) for text in limit.split(" rad")[:2])
     assert "no lugre" in limit
     assert 0 < after < before  # the refit is no worse than truncation
+    written = Written("mjcf", tmp_path, Mjcf().write(fitted, tmp_path, {}), error=after)
+    assert "far from the drive" in summarise_exports([written])
+    assert "far from the drive" not in summarise_exports([replace(written, error=100 * before)])
     came = run_bench(mujoco.MjModel.from_xml_path(str(tmp_path / "bench.xml")), fitted)
     rms = np.sqrt(np.mean(np.square(came - fitted.rollout()[0])))
     assert rms == pytest.approx(after, rel=1e-2)  # three digits are printed

@@ -22,6 +22,7 @@ from frictionzoo.errors import ConfigError, RunError
 from frictionzoo.evaluate import Values
 from frictionzoo.models import FrictionModel
 from frictionzoo.output import RESULT
+from frictionzoo.proof import Proof, Recorded, prove
 from frictionzoo.report.curves import FILE as CURVES
 from frictionzoo.rollout import applied, make_observer
 from frictionzoo.types import DriveState, Sampling, Segments
@@ -174,6 +175,19 @@ class Fitted:
             states = jax.jit(make_observer(self.engine, self.sampling))
             seen = states(self.jax_values, qpos, qvel, segments.ctrl, segments.loads)
             return seen.map(lambda signal: np.array(signal, np.float64).reshape(-1, self.bench.nv))
+
+    @cached_property
+    def proof(self) -> Proof:
+        """That this drive, with its fitted values, is simulated as MuJoCo C does.
+
+        Raises:
+            BenchError: It is not; see `frictionzoo.proof.prove`.
+        """
+        segments = self.segments
+        signals = segments.qpos[:, :-1], segments.qvel[:, :-1], segments.commands
+        samples = (signal.reshape(-1, signal.shape[-1]) for signal in signals)
+        recorded = Recorded(*samples, np.repeat(segments.loads, segments.length, axis=0))
+        return prove(self.bench, self.model, "auto", self.values, recorded)
 
     @property
     def engine(self) -> Engine:

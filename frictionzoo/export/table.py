@@ -12,7 +12,7 @@ def summarise_exports(written: Sequence[Written]) -> str:
     Args:
         written: What each target wrote, or why it wrote nothing.
     """
-    rows = [("target", "compared", "over", "largest difference", "mean", "limits")]
+    rows = [("target", "compared", "over", "largest difference", "mean", "limits", "")]
     rows += [row for one in written for row in _rows(one)]
     limits = [f"{one.target}: {limit}" for one in written if one.export for limit in one.export.limits]
     reasons = [f"{one.target}: nothing written: {one.reason}" for one in written if one.export is None]
@@ -22,7 +22,7 @@ def summarise_exports(written: Sequence[Written]) -> str:
 
 def _rows(one: Written) -> list[tuple[str, ...]]:
     if one.export is None:
-        return [(one.target, "", "", "", "", "not written")]
+        return [(one.target, "", "", "", "", "not written", "")]
     limits = str(len(one.export.limits) or "none")
     return [
         (
@@ -32,6 +32,7 @@ def _rows(one: Written) -> list[tuple[str, ...]]:
             f"{difference.largest:.2g}",
             f"{difference.mean:.2g}",
             limits,
+            "far from the drive: by over a tenth of its own error" if one.is_far(difference) else "",
         )
         for difference in one.export.differences
     ]

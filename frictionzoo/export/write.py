@@ -15,13 +15,14 @@ import numpy as np
 from frictionzoo import __version__
 from frictionzoo.errors import ConfigError, ExportError, FrictionzooError, OutputError, closest
 from frictionzoo.export import targets  # noqa: F401 - registers them
-from frictionzoo.export.base import Export, get_target, read_number, target_names
+from frictionzoo.export.base import Difference, Export, get_target, read_number, target_names
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.output import to_json, write_atomically
 from frictionzoo.params import UNITS
 
 NOTE = "export.json"
 ALL = "all"
+FAR = 0.1  # of the drive's own error; a target that moves otherwise by more is marked
 COMMON = ("target", "timestep", "output")
 
 
@@ -34,12 +35,19 @@ class Written:
         folder: Where the files are; None where there are none.
         export: What was written; None where nothing was.
         reason: Why nothing was written, in one line.
+        error: Mean absolute position error of the drive itself in the run's test rollouts; None where it has none.
     """
 
     target: str
     folder: Path | None = None
     export: Export | None = None
     reason: str = ""
+    error: float | None = None
+
+    def is_far(self, difference: Difference) -> bool:
+        """Whether what was written moves otherwise than the drive by more than a tenth of the drive's own error."""
+        compared = difference.quantity == "qpos" and self.error is not None
+        return compared and not difference.mean <= FAR * (self.error or 0.0)
 
 
 def write_exports(folder: Path, options: Mapping[str, str]) -> list[Written]:
@@ -100,6 +108,8 @@ def _write(fitted: Fitted, name: str, place: Path, timestep: float | None, optio
             "target=mujoco or mjx, whose modules remember too, or fit another model"
         )
     moved = fitted if timestep is None else fitted.at(timestep)
+    if "mujoco" in target.packages:
+        moved.proof  # noqa: B018 - raises where MuJoCo would simulate something else than what was fitted
     own = {option: value for option, value in options.items() if option in target.options}
     _refuse_foreign(place)
     with _Folder(place) as fresh:
@@ -107,7 +117,7 @@ def _write(fitted: Fitted, name: str, place: Path, timestep: float | None, optio
         export = Export(export.files, export.differences, (*export.limits, *_say_timestep(fitted, moved)))
         note = _note(moved, name, target.packages, export)
         write_atomically(fresh / NOTE, (json.dumps(to_json(note), indent=2, allow_nan=False) + "\n").encode())
-    return Written(name, place, export)
+    return Written(name, place, export, error=fitted.result["metrics"]["test"]["position_mae"])
 
 
 class _Folder:
