@@ -304,6 +304,14 @@ def test_a_zip_whose_members_share_bytes(tmp_path):
     assert "its last member does not end before the table of contents" in str(read(path))
 
 
+def test_a_member_whose_name_is_damaged_is_not_left_out(tmp_path):
+    path = write_npz(tmp_path / "a.npz", signals(5))
+    content = path.read_bytes()
+    place = content.rindex(b"qvel.npy")
+    path.write_bytes(content[:place] + b"qvel.npz" + content[place + 8 :])
+    assert "File name in directory 'qvel.npz' and header b'qvel.npy' differ" in str(read(path))
+
+
 def test_a_zip_that_python_unpacks_without_a_bound(tmp_path):
     with zipfile.ZipFile(tmp_path / "a.zip", "w", zipfile.ZIP_BZIP2) as archive:
         archive.writestr("a.json", b"{}")

@@ -427,7 +427,7 @@ def test_an_absurd_sample_of_a_bag(tmp_path):
 
 
 def test_numbers_at_the_end_of_all_numbers_are_told():
-    came = table(time=[-1e308, 1e308, 1e308], qpos=[0, -1e308, 1e308], ctrl=[np.inf, -np.inf, 0])
+    came = table(time=[-1.7e308, 0, 1.7e308], qpos=[0, -1e308, 1e308], ctrl=[np.inf, -np.inf, 0])
     assert propose(came).units["time"] == "ns"
     with pytest.raises(LogError, match="time"):
         to_recording(came, {}, {"time": "86400"}, simulated=False)

@@ -147,6 +147,8 @@ def unzip(name: str, content: bytes, suffix: str) -> Iterator[tuple[str, bytes]]
     """
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         _refuse_overlaps(name, archive)
+        for member in archive.infolist():
+            archive.open(member).close()  # sees that its name is the same twice: a damaged one may end otherwise
         members = [member for member in archive.infolist() if member.filename.endswith(suffix)]
         twice = [member for member, count in Counter(member.filename for member in members).items() if count > 1]
         if twice:
