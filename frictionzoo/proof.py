@@ -128,15 +128,17 @@ def prove(bench: Bench, model: FrictionModel, engine: str, values: Values, recor
 def _draw(recorded: Recorded) -> Cases:
     rng = np.random.default_rng(0)
     row = rng.integers(len(recorded.qpos), size=_CASES)
-    states = []
-    for signal in (recorded.qpos, recorded.qvel):
+    recorded_half = np.arange(_CASES)[:, None] % 2 == 0
+
+    def states(signal: Float[np.ndarray, "samples nv"]) -> Float[np.ndarray, "cases nv"]:
         low, high = signal.min(axis=0), signal.max(axis=0)
         reach = _BEYOND * (high - low)
         anywhere = rng.uniform(low - reach, high + reach, (_CASES, signal.shape[1]))
-        states.append(np.where(np.arange(_CASES)[:, None] % 2 == 0, signal[row], anywhere))
+        return np.where(recorded_half, signal[row], anywhere)
+
     others = rng.integers(len(recorded.qpos), size=(_CASES, _STEPS))
-    driven = np.where(np.arange(_CASES)[:, None] % 2 == 0, row[:, None], others)
-    return Cases(*states, recorded.channels[driven], recorded.load[row])
+    driven = np.where(recorded_half, row[:, None], others)
+    return Cases(states(recorded.qpos), states(recorded.qvel), recorded.channels[driven], recorded.load[row])
 
 
 def _moved(bench: Bench, model: FrictionModel, values: Values) -> Values:

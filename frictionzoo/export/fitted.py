@@ -185,8 +185,8 @@ class Fitted:
         """
         segments = self.segments
         signals = segments.qpos[:, :-1], segments.qvel[:, :-1], segments.commands
-        samples = (signal.reshape(-1, signal.shape[-1]) for signal in signals)
-        recorded = Recorded(*samples, np.repeat(segments.loads, segments.length, axis=0))
+        qpos, qvel, channels = (signal.reshape(-1, signal.shape[-1]) for signal in signals)
+        recorded = Recorded(qpos, qvel, channels, np.repeat(segments.loads, segments.length, axis=0))
         return prove(self.bench, self.model, "auto", self.values, recorded)
 
     @property
