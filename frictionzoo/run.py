@@ -14,7 +14,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, cast
 
 import hydra
 import yaml
@@ -62,7 +62,7 @@ def _job(config: DictConfig) -> float:
     resumed, config.resume = config.resume, None
     if hydra_config.mode == RunMode.MULTIRUN:
         options = hydra_config.overrides.task
-        finished = OmegaConf.to_container(config, resolve=True) if resumed else None
+        finished = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True)) if resumed else None
         # In processes of a launcher, nobody else answers.
         with _stoppable():
             return run_in_sweep(lambda: _identify(config, model, folder), folder, model, options, _explain, finished)
@@ -85,7 +85,8 @@ def _identify(config: DictConfig, model: str, folder: Path) -> tuple[dict[str, A
     from frictionzoo.job import run_job
     from frictionzoo.report.terminal import summarise
 
-    result, complaint = run_job(config, model, folder)
+    with _quiet_writers():
+        result, complaint = run_job(config, model, folder)
     print(summarise(result, folder))
     return result, complaint
 
@@ -178,6 +179,17 @@ def _stoppable() -> Iterator[None]:
         sys.unraisablehook = hook
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextlib.contextmanager
+def _quiet_writers() -> Iterator[None]:
+    """Print nothing about a thread that a full disk ended: TensorBoard hands its error to whoever writes next."""
+    hook = threading.excepthook
+    threading.excepthook = lambda thread: None if isinstance(thread.exc_value, OSError) else hook(thread)
+    try:
+        yield
+    finally:
+        threading.excepthook = hook
 
 
 def _say_how_a_run_goes_on(folder: Path) -> str:

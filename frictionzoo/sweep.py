@@ -1,5 +1,6 @@
 """A sweep of many jobs: one that fails leaves its reason and does not end the others."""
 
+import contextlib
 import json
 import logging
 import math
@@ -13,7 +14,7 @@ from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf
 
 from frictionzoo import __version__
-from frictionzoo.errors import RunError
+from frictionzoo.errors import OutputError, RunError
 from frictionzoo.output import FAILURE, RESULT, RUNNING, occupy, to_json, write_atomically
 
 _log = logging.getLogger(__name__)
@@ -44,7 +45,7 @@ def run_in_sweep(
     explain: Callable[[Exception], str | None],
     finished: Mapping[str, Any] | None = None,
 ) -> float:
-    """Run one job of a sweep; whatever it raises becomes `failure.json` in its folder.
+    """Run one job of a sweep; whatever it raises becomes `failure.json` in its folder, if that can be written.
 
     Where another process works in the folder, this one waits until it has ended.
 
@@ -58,9 +59,6 @@ def run_in_sweep(
 
     Returns:
         What a sweeper may minimise, see `objective_of`; infinite for a job that failed.
-
-    Raises:
-        OutputError: Not even `failure.json` can be written.
     """
     with occupy(folder, wait=True):
         if finished is not None and (result := _read_finished(folder, finished)):
@@ -75,7 +73,9 @@ def run_in_sweep(
             result, complaint = None, foreseen or describe(error)
             content = {"model": model, "overrides": list(overrides), "reason": complaint}
             _log.error("%s: %s", folder.name, complaint, exc_info=None if foreseen else error)
-            write_atomically(folder / FAILURE, f"{json.dumps(content, indent=2)}\n".encode())
+            # On a full disk the log alone tells it: an error here, Hydra would report in lines of its own.
+            with contextlib.suppress(OutputError):
+                write_atomically(folder / FAILURE, f"{json.dumps(content, indent=2)}\n".encode())
         else:
             if complaint:
                 _log.error("%s: %s", folder.name, complaint)
