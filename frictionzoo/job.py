@@ -155,8 +155,8 @@ def run_job(
     timing = {"setup": time.perf_counter() - began}
     segments = problem.segments
     engine = problem.drive.engine
-    _log.info("engine %s%s", engine.name, f": {engine.note}" if engine.note else "")
-    _log.info("%s", problem.proof)
+    note = f": {engine.note}" if engine.note else ""
+    _log.info("engine %s, as MuJoCo C within %.1g%s", engine.name, problem.proof.rollout, note)
     if problem.objective.devices > 1:
         _log.info("segments are spread over %d devices", problem.objective.devices)
     _log.info("%s: %d segments of %d steps to train on", problem.dataset.name, segments.count, segments.length)

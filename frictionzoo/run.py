@@ -143,7 +143,8 @@ def mistakes_in_one_line(go_on: Callable[[], str] = lambda: "nothing is kept; ru
             line = _explain(error)
             if line is None:
                 raise
-            _fail(f"{line}; {go_on()}" if isinstance(error, OSError | OutputError) else line)
+            ended = isinstance(error, OSError | OutputError) and not isinstance(error, HydraException)  # one is both
+            _fail(f"{line}; {go_on()}" if ended else line)
 
 
 @contextlib.contextmanager

@@ -116,6 +116,7 @@ CLEANING = Cleaning(
     order=2,
     velocity_lag=None,
     shortest=0.0,
+    wrap=None,
 )
 
 
