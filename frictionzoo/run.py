@@ -38,9 +38,6 @@ from frictionzoo.output import RESULT, occupy
 from frictionzoo.sweep import SweepFolder, conclude_sweep, describe, objective_of, run_in_sweep
 from frictionzoo.threads import limit_threads, threads_each
 
-NOT_IDENTIFIED = 3
-"""Exit status of a run that ended and whose result is not the drive."""
-
 # What a resumed run takes over from its folder: an option of the job, not a flag or a way into Hydra's own settings.
 _OVERRIDE = re.compile(r"(\+\+?|~)?\w[\w/.-]*(=|$)")
 
@@ -71,8 +68,6 @@ def _job(config: DictConfig) -> float:
         result, complaint = _identify(config, model, folder)
     if complaint:
         _fail(complaint)
-    if result["not_identified"]:
-        sys.exit(NOT_IDENTIFIED)
     return objective_of(result)
 
 

@@ -8,7 +8,6 @@ import functools
 import json
 import os
 import random
-import re
 import resource
 import signal
 import subprocess
@@ -150,20 +149,23 @@ def test_what_ends_at_a_random_moment_goes_on_to_the_same_bytes(
     process = start(*command, program=program, **variables)
     err = end(process, how, place / stage, delay)
     if process.returncode > 0:
-        said = [line for line in err.splitlines() if line.startswith("frictionzoo: ")]
-        assert "Traceback" not in err and "Error" not in err, err
-        assert len(said) == 1 and (how == "full disk" or f"stopped by {how}; " in said[0]), err
-        assert not list(folder.rglob("*.part"))
-        goes_on = re.search(r"(?<=go on with resume=).*", said[-1]) or "resume=true" in said[-1]
-        assert goes_on or "nothing is kept; run it again" in said[-1]
-    else:
-        goes_on = bool(list(folder.rglob("overrides.yaml")))
-    if goes_on:
+        assert_says_how_to_go_on(err, how, folder)
+    # An empty file: it was ended while Hydra wrote it, and nothing is kept.
+    if any(path.stat().st_size for path in folder.rglob(".hydra/overrides.yaml")):
         command = (*command, "resume=true") if job == "sweep" else ("resume=run",)
-    before = {path: path.stat().st_mtime_ns for path in folder.rglob("result.json")}
+    done = {path: path.stat().st_mtime_ns for path in folder.glob("*/result.json")}
     finished = call(*command)
     assert finished.status == 0, finished.err
     assert results(folder) == expected
-    if job == "sweep":
-        assert before.items() <= {path: path.stat().st_mtime_ns for path in folder.rglob("result.json")}.items()
+    assert done == {path: path.stat().st_mtime_ns for path in done}
     assert not [path for path in folder.rglob(".*") if path.name != ".hydra"]
+
+
+def assert_says_how_to_go_on(err: str, how: str, folder: Path) -> None:
+    """One line says it, and no temporary file is left."""
+    (said,) = [line for line in err.splitlines() if line.startswith("frictionzoo: ")]
+    assert "Traceback" not in err and "Error" not in err, err
+    assert how == "full disk" or f"stopped by {how}; " in said
+    kept = [path for path in folder.rglob(".hydra/overrides.yaml") if path.stat().st_size]
+    assert said.endswith((f"resume={folder}", "resume=true") if kept else "; nothing is kept; run it again")
+    assert not list(folder.rglob("*.part"))
