@@ -370,7 +370,7 @@ def _make_result(place: int, label: str, curves: Curves, grid: bool) -> dict[str
         },
         "timing": {"setup": 1.0, "compile": 2.0, "fit": 3.25, "uncertainty": 0.25, "evaluate": 0.5, "total": 7.0},
         **{"seed": place, "dtype": "float32", "engine": "specialised"},
-        "proof": {"step": 0.0, "rollout": 1e-15, "cases": 32, "steps": 8, "seconds": 0.2},
+        "proof": {"step": 0.0, "rollout": 1e-15, "cases": 32, "steps": 8},
         **{"warnings": [], "not_identified": None},
         "settings": {"seed": place},
     }

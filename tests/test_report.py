@@ -31,7 +31,7 @@ from frictionzoo.types import Dataset, Log, Segments, Uncertainty
 TIMESTEP = 0.001
 FIT = {"method": "adam", "iterations": 3, "best_iteration": 2, "loss": 1e-6, "stopped": "all iterations made"}
 SETTINGS = {"seed": 0, "dtype": "float64", "segments": {"count": 20, "length": 5}}
-PROOF = Proof(step=1e-16, rollout=1e-15, cases=32, steps=8, seconds=0.2)
+PROOF = Proof(step=1e-16, rollout=1e-15, cases=32, steps=8)
 TIMING = {"setup": 1.0, "compile": 2.0, "fit": 3.0, "uncertainty": 0.25, "evaluate": 0.25, "total": 6.5}
 PARAMS = {
     "static_torque": {"init": 0.3, "low": 1e-3, "high": 1.0, "scale": "log", "identify": True},
