@@ -1,5 +1,6 @@
 """One job from recordings to an identified drive, in the order in which data flow."""
 
+import copy
 import json
 import logging
 import os
@@ -21,10 +22,12 @@ from frictionzoo.build import build
 from frictionzoo.config import list_options
 from frictionzoo.doubts import doubt_motion, doubt_recordings
 from frictionzoo.drive import Drive
+from frictionzoo.engine import Values
 from frictionzoo.errors import ConfigError, RunError
 from frictionzoo.evaluate import Evaluation, Judgement
+from frictionzoo.export.bench import write_bench
 from frictionzoo.export.fitted import Fitted
-from frictionzoo.export.mjcf import export_mjcf
+from frictionzoo.export.nearest import find_nearest
 from frictionzoo.fit import Fit, Objective, Outcome, Space, estimate_uncertainty, fit_reference, run_fit
 from frictionzoo.logs.cache import cache_folder, digest
 from frictionzoo.models import Baseline
@@ -181,7 +184,7 @@ def run_job(
 
     judged = time.perf_counter()
     judgement = problem.evaluation.judge(problem.drive.rollout.compiled, outcome.values)
-    baseline = _judge_baseline(measured, settings["dtype"], cache_folder(settings["compilation_cache"]))
+    baseline, reference = _judge_baseline(measured, settings["dtype"], cache_folder(settings["compilation_cache"]))
     timing |= {"evaluate": time.perf_counter() - judged}
 
     _write_drive(folder, problem, outcome, judgement, baseline)
@@ -195,7 +198,9 @@ def run_job(
         evaluation=problem.evaluation,
         judgement=judgement,
         baseline=baseline,
+        reference=reference["bench"],
         fit=_describe_fit(outcome),
+        history=outcome.history,
         timing=timing,
         settings=settings,
         engine=engine.name,
@@ -204,6 +209,7 @@ def run_job(
         device=problem.device,
         uncertainty=uncertainty,
     )
+    _write_mjcf(folder, problem, outcome, result)
     write_report(
         folder / "report.html",
         result,
@@ -221,7 +227,7 @@ def run_job(
 
 
 def _write_drive(folder: Path, problem: Problem, outcome: Outcome, judgement: Judgement, baseline: Judgement) -> None:
-    """Figures, the law's values and the MJCF; each is written whole or not at all."""
+    """Figures, curves and the law's values; each is written whole or not at all."""
     bench, model = problem.bench, problem.drive.model
     write_figures(
         folder / "figures",
@@ -238,8 +244,15 @@ def _write_drive(folder: Path, problem: Problem, outcome: Outcome, judgement: Ju
     header = {"frictionzoo": f"{model.name}, version {__version__}"}
     write_atomically(folder / "friction.safetensors", safetensors.torch.save(model.state_dict(), header))
     write_curves(folder, _collect_curves(problem, outcome, judgement))
-    mjcf = export_mjcf(bench, outcome.values, model, problem.samples)
-    write_atomically(folder / "identified.xml", mjcf.encode())
+
+
+def _write_mjcf(folder: Path, problem: Problem, outcome: Outcome, result: dict[str, Any]) -> None:
+    """What `python -m frictionzoo.export RUN target=mjcf` writes, too."""
+    model = copy.deepcopy(problem.drive.model).double()
+    values = {owner: {k: np.array(v, np.float64) for k, v in own.items()} for owner, own in outcome.values.items()}
+    drive = problem.bench, model, values, problem.evaluation.trajectories, problem.sampling
+    fitted = Fitted(folder, result, *drive)
+    write_atomically(folder / "identified.xml", write_bench(fitted, find_nearest(fitted)).encode())
 
 
 def _collect_curves(problem: Problem, outcome: Outcome, judgement: Judgement) -> Curves:
@@ -305,8 +318,8 @@ def _motor_torque(problem: Problem, segments: Segments) -> Float[np.ndarray, "ba
     return np.asarray(state.motor_torque, np.float64)
 
 
-def _judge_baseline(problem: Problem, dtype: str, cache: Path | None) -> Judgement:
-    """The best that the bench does without friction, on the same segments and the same rollouts."""
+def _judge_baseline(problem: Problem, dtype: str, cache: Path | None) -> tuple[Judgement, Values]:
+    """The best that the bench does without friction, on the same segments and the same rollouts, and its values."""
     drive = Drive.assemble(problem.bench, Baseline(problem.bench.nv), problem.drive.engine.name, problem.sampling)
     space = Space(problem.bench, drive.model, dtype)
     if space.names:
@@ -314,7 +327,7 @@ def _judge_baseline(problem: Problem, dtype: str, cache: Path | None) -> Judgeme
         values = fit_reference(problem.objective.for_drive(space, drive.rollout), folder)
     else:
         values = jax.tree.map(np.asarray, space.values(space.start))
-    return problem.evaluation.judge(drive.rollout.compiled, values)
+    return problem.evaluation.judge(drive.rollout.compiled, values), values
 
 
 def _identify(name: str, problem: Problem, settings: Mapping[str, Any]) -> dict[str, str]:

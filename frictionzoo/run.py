@@ -38,6 +38,9 @@ from frictionzoo.output import RESULT, occupy
 from frictionzoo.sweep import SweepFolder, conclude_sweep, describe, objective_of, run_in_sweep
 from frictionzoo.threads import limit_threads, threads_each
 
+NOT_IDENTIFIED = 3
+"""Exit status where a fit ended well and what it found is not the drive; of a sweep, where that is recommended."""
+
 # What a resumed run takes over from its folder: an option of the job, not a flag or a way into Hydra's own settings.
 _OVERRIDE = re.compile(r"(\+\+?|~)?\w[\w/.-]*(=|$)")
 
@@ -68,6 +71,8 @@ def _job(config: DictConfig) -> float:
         result, complaint = _identify(config, model, folder)
     if complaint:
         _fail(complaint)
+    if result["not_identified"]:
+        sys.exit(NOT_IDENTIFIED)
     return objective_of(result)
 
 
@@ -90,7 +95,8 @@ def main() -> None:
     """Entry point of `python -m frictionzoo.run` and of the console script `frictionzoo`.
 
     A user's mistake is one line on the standard error and exit status 2. In a sweep, it is one line for each job that
-    failed, after the last one. Ctrl-C ends it with one line and status 130, SIGTERM with status 143.
+    failed, after the last one. A fit that did not identify the drive ends with status 3. Ctrl-C ends it with one line
+    and status 130, SIGTERM with status 143.
     """
     register_resolvers()
     forget_plugin_schemas()
@@ -102,12 +108,14 @@ def main() -> None:
         refuse_no_choice(sys.argv[1:])
         complaint = _run_jobs()
         if SweepFolder.latest is not None:
-            text, complaints = conclude_sweep(SweepFolder.latest)
+            comparison, text, complaints = conclude_sweep(SweepFolder.latest)
             print(text)
             if complaint:
                 complaints.append(complaint)
             if complaints:
                 _fail(*complaints)
+            if comparison and (comparison["recommendation"] or {}).get("not_identified"):
+                sys.exit(NOT_IDENTIFIED)
 
 
 def _run_jobs() -> str | None:

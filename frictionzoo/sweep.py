@@ -108,7 +108,7 @@ def objective_of(result: dict[str, Any]) -> float:
     return math.inf if train["diverged"] else float(train["position_mae"])
 
 
-def conclude_sweep(folder: Path) -> tuple[str, list[str]]:
+def conclude_sweep(folder: Path) -> tuple[dict[str, Any] | None, str, list[str]]:
     """Compare what the jobs of a sweep left, in whatever processes and on whatever machines they ran.
 
     Waits for jobs that still run, as some do when their launcher gave up on another one.
@@ -117,8 +117,9 @@ def conclude_sweep(folder: Path) -> tuple[str, list[str]]:
         folder: The sweep's folder; the comparison goes into its `comparison/`.
 
     Returns:
-        What to tell the user, and one line for each job that failed: with a `failure.json`, with a fit that diverged,
-        or with neither file because its process was killed.
+        What `comparison.json` holds, or None where nothing can be compared; what to tell the user; and one line for
+        each job that failed: with a `failure.json`, with a fit that diverged, or with neither file because its process
+        was killed.
 
     Raises:
         OutputError: The comparison cannot be written.
@@ -135,8 +136,8 @@ def conclude_sweep(folder: Path) -> tuple[str, list[str]]:
         complaints += [f"{run}: {reason}" for run in find_runs(folder) if (reason := _complaint(run))]
         comparison = write_comparison([folder], folder / "comparison")
     except RunError as error:
-        return f"no comparison: {error}", complaints
-    return summarise_comparison(comparison, folder / "comparison"), complaints
+        return None, f"no comparison: {error}", complaints
+    return comparison, summarise_comparison(comparison, folder / "comparison"), complaints
 
 
 def _complaint(folder: Path) -> str | None:

@@ -11,7 +11,7 @@ from frictionzoo.bench import Bench
 from frictionzoo.doubts import doubt_motion, doubt_recordings
 from frictionzoo.errors import LogError
 from frictionzoo.logs.twin import Twin
-from frictionzoo.report.verdict import explain_failure
+from frictionzoo.report.verdict import doubt_reference, explain_failure, list_moving
 from frictionzoo.types import Dataset, Log
 
 RNG = np.random.default_rng(0)
@@ -137,3 +137,20 @@ def test_a_fit_at_its_bounds_that_gains_little_did_not_identify_the_drive() -> N
     assert explain_failure(result | {"parameters": parameters[:1]}) is None
     assert explain_failure(result | {"metrics": metrics | {"test": {"position_mae": 0.03}}}) is None
     assert explain_failure(result | {"metrics": metrics | {"test": {"position_mae": None}}})
+
+
+def test_a_parameter_that_moves_when_the_fit_ends_is_named() -> None:
+    rest, drift = np.full((100, 1), 2.0), np.linspace(1, 2, 100)[:, None]
+    history = {"loss": np.ones(100), "friction.damping": rest, "bench.armature": drift}
+    assert list_moving(history, {}) == ["bench.armature"]
+    # From the mean over one twentieth to that over the next it moves by 0.05.
+    for half, moving in ((0.14, ["bench.armature"]), (0.16, [])):
+        assert list_moving(history, {"bench.armature": np.array([[2 - half, 2 + half]])}) == moving
+    assert list_moving({"bench.armature": drift[:9]}, {}) == []  # too few iterations to tell
+
+
+def test_a_drive_without_friction_at_a_bound_is_no_reference() -> None:
+    row = {"owner": "bench", "name": "armature", "low": 1.0, "high": 1000.0, "unit": "kg", "at_bound": True}
+    said = doubt_reference([row])
+    assert said is not None and "bench.armature at its bound of [1, 1000] kg" in said
+    assert doubt_reference([row | {"at_bound": False}]) is None

@@ -1,5 +1,7 @@
 """The exported MJCF in MuJoCo C: exact where the law is MuJoCo's own, nearest and said so where it is not."""
 
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -10,18 +12,19 @@ import torch
 from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.bridge import to_jax
 from frictionzoo.engine import friction_of, make_engine
-from frictionzoo.export.mjcf import export_mjcf, nearest_frictionloss_and_damping
+from frictionzoo.export.bench import write_bench
+from frictionzoo.export.fitted import Fitted
+from frictionzoo.export.nearest import find_nearest, nearest_frictionloss_and_damping
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.models.baseline import Baseline
-from frictionzoo.models.coulomb_stribeck import CoulombStribeck
 from frictionzoo.models.mujoco_default import MujocoDefault
 from frictionzoo.models.neural_friction import NeuralFriction
 from frictionzoo.rollout import make_rollout
-from frictionzoo.types import DriveState, FrictionTerms
+from frictionzoo.types import DriveState, FrictionTerms, Segments
 
 ANOTHER = {"frictionloss": 0.3, "damping": 0.1}
 EXACT = "represented exactly"
-NEAREST = "not representable in MJCF"
+NEAREST = "A frictionloss and a damping are no"
 
 
 class Explicit(FrictionModel):
@@ -29,8 +32,9 @@ class Explicit(FrictionModel):
 
     name = "explicit"
 
-    def __init__(self, formula):
+    def __init__(self, formula, constraint=True):
         super().__init__(1)
+        self.constraint = constraint
         self.formula = formula
 
     def terms(self, xp, values, state):
@@ -56,47 +60,53 @@ def samples():
     return DriveState(*signals)
 
 
-def export(bench, model, samples):
+def fit(bench, model, values=None):
+    """A drive as if identified, with two rollouts of a quarter of a second."""
+    states = np.random.default_rng(0).normal(scale=0.3, size=(2, 2, 251, 1))
+    ctrl = np.sin(2 * np.pi * np.arange(250) * 0.02 + [[0.3], [2.0]])[..., None]
+    friction = {name: value.detach().numpy() for name, value in model.double().state_dict().items()}
+    values = {"bench": bench.initial_values() if values is None else values, "friction": friction}
+    segments = Segments(*states, ctrl, bench.timestep)
+    return Fitted(Path("run"), {}, bench, model, values, segments, bench.sampling(bench.timestep))
+
+
+def export(bench, model, values=None):
     """The exported text, and the joint's frictionloss and damping as MuJoCo C compiles them."""
-    values = {"bench": bench.initial_values(), "friction": {}}
-    text = export_mjcf(bench, values, model, samples)
-    compiled = mujoco.MjModel.from_xml_string(text)
-    joint = compiled.joint(bench.joints[0])
-    np.testing.assert_array_equal(joint.armature, values["bench"]["armature"])
+    fitted = fit(bench, model, values)
+    text = write_bench(fitted, find_nearest(fitted))
+    joint = mujoco.MjModel.from_xml_string(text).joint(bench.joints[0])
     return text, float(joint.frictionloss[0]), float(joint.damping[0])
 
 
-def test_mujoco_default_is_exact(bench, samples):
+def test_mujoco_default_is_exact(bench):
     third = 1 / 3  # has no short decimal form: every digit must arrive
-    text, frictionloss, damping = export(bench, MujocoDefault(1, known(frictionloss=third, damping=third / 7)), samples)
+    text, frictionloss, damping = export(bench, MujocoDefault(1, known(frictionloss=third, damping=third / 7)))
     assert (frictionloss, damping) == (third, third / 7)
     assert f"mujoco_default: {EXACT}" in text
     assert NEAREST not in text
 
 
-def test_baseline_has_no_friction(bench, samples):
-    text, frictionloss, damping = export(bench, Baseline(1, {}), samples)
+def test_baseline_has_no_friction(bench):
+    text, frictionloss, damping = export(bench, Baseline(1, {}))
     assert (frictionloss, damping) == (0, 0)
     assert f"baseline: {EXACT}" in text
 
 
-def test_known_coulomb_and_viscous_torque_of_all_terms_is_recovered(bench, samples):
+def test_known_coulomb_and_viscous_torque_of_all_terms_is_recovered(bench):
     def formula(xp, state):
-        torque = 0.1 * xp.sign(state.qvel) + 0.02 * state.qvel
-        return FrictionTerms(torque, xp.full_like(state.qvel, 0.2), xp.full_like(state.qvel, 0.03))
+        return FrictionTerms(0.02 * state.qvel, xp.full_like(state.qvel, 0.3), xp.full_like(state.qvel, 0.03))
 
-    text, frictionloss, damping = export(bench, Explicit(formula), samples)
-    # Least squares of data without noise: rounding only.
-    assert frictionloss == pytest.approx(0.3, rel=1e-9)
-    assert damping == pytest.approx(0.05, rel=1e-9)
-    assert f"explicit is {NEAREST}" in text
+    text, frictionloss, damping = export(bench, Explicit(formula))
+    assert frictionloss == pytest.approx(0.3, rel=0.01)
+    assert damping == pytest.approx(0.05, rel=0.01)
+    assert f"{NEAREST} explicit" in text
 
 
-def test_friction_that_depends_on_the_state_is_not_exact(bench, samples):
-    law = Explicit(lambda xp, state: FrictionTerms(frictionloss=0.2 + 0.1 * xp.tanh(xp.abs(state.qpos))))
-    text, frictionloss, damping = export(bench, law, samples)
+def test_friction_that_depends_on_the_state_is_not_exact(bench):
+    law = Explicit(lambda xp, state: FrictionTerms(frictionloss=0.2 + 0.1 * xp.tanh(10 * xp.abs(state.qpos))))
+    text, frictionloss, _ = export(bench, law)
     assert NEAREST in text and EXACT not in text
-    assert 0.2 < frictionloss + damping < 0.3
+    assert 0.1 < frictionloss < 0.3
 
 
 @pytest.mark.parametrize(
@@ -119,32 +129,29 @@ def test_nearest_is_taken_joint_by_joint():
     np.testing.assert_allclose(damping, [0.02, 0.03], rtol=1e-9)
 
 
-def test_stribeck_is_nearest_and_says_how_far(bench, samples):
-    params = known(
-        static_torque=0.4,
-        kinetic_torque=0.2,
-        stribeck_velocity=0.1,
-        viscous_coefficient=0.05,
-        smoothing_velocity=0.01,
-    )
-    text, frictionloss, damping = export(bench, CoulombStribeck(1, params), samples)
+def test_no_pair_nearby_is_nearer_to_stribeck(samples):
     v = samples.qvel
     torque = (0.2 + 0.2 * np.exp(-((v / 0.1) ** 2))) * np.tanh(v / 0.01) + 0.05 * v
-    rms = np.sqrt(np.mean((torque - frictionloss * np.sign(v) - damping * v) ** 2))
-    assert f"coulomb_stribeck is {NEAREST}" in text and EXACT not in text
-    assert f"RMS difference {rms:.4g} N m" in text
-    # No better pair nearby: the exported one is the least-squares optimum.
+    (frictionloss,), (damping,) = nearest_frictionloss_and_damping(torque, v)
+    lowest = np.sqrt(np.mean((torque - frictionloss * np.sign(v) - damping * v) ** 2))
     for change in ((1e-3, 0), (-1e-3, 0), (0, 1e-3), (0, -1e-3)):
         other = torque - (frictionloss + change[0]) * np.sign(v) - (damping + change[1]) * v
-        assert np.sqrt(np.mean(other**2)) > rms
+        assert np.sqrt(np.mean(other**2)) > lowest
 
 
-def test_network_is_exported_without_being_changed(bench, samples):
-    model = NeuralFriction(1, hidden=[8], seed=0).float()
-    text, frictionloss, damping = export(bench, model, samples)
-    assert f"neural_friction is {NEAREST}" in text
+def test_a_drive_that_diverges_has_the_friction_nearest_to_its_law(bench):
+    text, frictionloss, damping = export(bench, Explicit(lambda xp, state: FrictionTerms(-1e4 * state.qvel**3), False))
+    assert "diverges in its own 2 rollouts of 0.25 s" in text
+    assert (frictionloss, damping) == (0, 0)  # a law that drives the joint
+
+
+def test_network_is_exported_without_being_changed(bench):
+    model = NeuralFriction(1, hidden=[8], seed=0).double()
+    before = {name: weights.clone() for name, weights in model.state_dict().items()}
+    text, frictionloss, damping = export(bench, model)
+    assert f"{NEAREST} neural_friction" in text
     assert frictionloss >= 0 and damping >= 0
-    assert {str(weights.dtype) for weights in model.parameters()} == {"torch.float32"}
+    assert all(torch.equal(before[name], weights) for name, weights in model.state_dict().items())
 
 
 @pytest.mark.parametrize("name", ["knee", "emps"])
@@ -155,8 +162,7 @@ def test_identified_model_moves_in_mujoco_c_as_it_was_fitted(make, name):
     model = MujocoDefault(1, {key: known(x=0.1)["x"] for key in ("frictionloss", "damping")})
     model.load_state_dict({key: torch.tensor([share * scale[0]]) for key, share in ANOTHER.items()})
     values = {"bench": bench.initial_values() | {"armature": np.array([scale[1]])}, "friction": {}}
-    samples = DriveState(*np.random.default_rng(0).normal(size=(5, 50, 1)))
-    compiled = mujoco.MjModel.from_xml_string(export_mjcf(bench, values, model, samples))
+    compiled = mujoco.MjModel.from_xml_string(export(bench, model, values["bench"])[0])
     data = mujoco.MjData(compiled)
     data.qpos, data.qvel = 0.1, 0.2
     # Slow enough for the drive to stick and come loose again.

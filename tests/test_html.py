@@ -22,7 +22,7 @@ HOSTILE = "</script><img src=x onerror=alert(1)>\"'&"
 
 @pytest.fixture
 def record(result):  # noqa: F811
-    return copy.deepcopy(result) | {"fit": FIT | {"stopped": "finished"}}
+    return copy.deepcopy(result) | {"fit": FIT | {"stopped": "finished", "moving": []}}
 
 
 class Page(HTMLParser):
@@ -166,6 +166,19 @@ def test_no_doubts_about_a_good_run(record):
         ({"fit.stopped": "finished", "fit.method": "lm"}, "Fit", "caution", "without converging"),
         ({"fit.stopped": "finished", "fit.method": "grid"}, "Fit", "good", "3 combinations"),
         ({"fit.stopped": "finished", "fit.method": "known"}, "Fit", "note", "Nothing was identified"),
+        ({"fit.moving": ["bench.armature"]}, "Fit", "caution", "Still moving then: bench.armature. Raise"),
+        (
+            {"reference.0.at_bound": True},
+            "Reference",
+            "caution",
+            "The drive without friction ended with bench.armature",
+        ),
+        (
+            {"not_identified": ["why", "this"]},
+            "Not identified",
+            "bad",
+            "did not identify the drive: why. Likely: this.",
+        ),
         ({"parameters.0.at_bound": True}, "Bounds", "caution", "bench.armature ended at a bound of [0.001, 1] kg m²"),
         (
             {"no_intervals": None},

@@ -110,6 +110,8 @@ def build(bench, model, dataset, evaluation, friction, offset=0.01, **changes):
         "warnings": [],
         "device": "cpu",
         "uncertainty": Uncertainty(missing="nobody asked"),
+        "reference": bench.initial_values(),
+        "history": {"loss": np.array([3.0, 2.0, 1.0])},
     }
     shared = {"bench": bench, "model": model, "dataset": dataset, "evaluation": evaluation}
     return build_result(name=model.name, **shared, **(options | changes))
@@ -166,7 +168,7 @@ def test_result_says_what_was_done(result):
     }
     assert parameters["bench", "armature"]["unit"] == "kg m^2"
     assert result["network"] is None
-    assert result["fit"] == FIT
+    assert result["fit"] == FIT | {"moving": []}
     assert result["timing"] == TIMING
 
 

@@ -88,7 +88,7 @@ def test_a_diverged_fit_has_failed_and_other_rollouts_are_no_mistake(finished_ru
     assert complaint is not None and complaint.startswith("fit diverged after 3 iterations; result.json holds the best")
     result["evaluation"]["sha256"], result["settings"]["evaluation"]["seed"] = 64 * "0", 1
     path.write_text(json.dumps(result))
-    text, complaints = conclude_sweep(folder)
+    _, text, complaints = conclude_sweep(folder)
     assert text.startswith("no comparison: ") and "evaluation.seed=1, expected 0 as in" in text
     assert complaints == [] and not (folder / "comparison").exists()
 
@@ -120,7 +120,7 @@ def test_an_unexpected_error_is_recorded_and_its_traceback_logged(
     assert value == math.inf
     assert "Traceback" in caplog.text and "test_sweep.py" in caplog.text
     reason = "ZeroDivisionError: by zero"
-    text, complaints = conclude_sweep(tmp_path)
+    _, text, complaints = conclude_sweep(tmp_path)
     assert complaints == [f"{tmp_path}: {reason}"]
     assert text == f"no comparison: no run has a result to compare: {tmp_path.name}: {reason}"
     saved = json.loads((tmp_path / "failure.json").read_text())
@@ -135,7 +135,7 @@ def test_a_failure_does_not_outlive_a_successful_repetition(tmp_path: Path) -> N
     assert run_in_sweep(fail, tmp_path, "baseline", [], str) == math.inf
     assert run_in_sweep(succeed, tmp_path, "baseline", [], str) == 0.25
     assert os.listdir(tmp_path) == ["result.json"]
-    assert conclude_sweep(tmp_path)[1] == []
+    assert conclude_sweep(tmp_path)[2] == []
     assert run_in_sweep(fail, tmp_path, "baseline", [], str) == math.inf
     assert os.listdir(tmp_path) == ["failure.json"]
 
@@ -188,7 +188,7 @@ def test_failures_come_in_the_order_of_jobs(tmp_path: Path) -> None:
         folder = tmp_path / f"{number}_baseline"
         folder.mkdir()
         run_in_sweep(fail, folder, "baseline", [], str)
-    complaints = conclude_sweep(tmp_path)[1]
+    complaints = conclude_sweep(tmp_path)[2]
     assert [line.partition(": ")[0] for line in complaints] == [f"{tmp_path}/{i}_baseline" for i in (1, 9, 10)]
 
 

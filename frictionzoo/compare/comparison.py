@@ -23,9 +23,11 @@ from frictionzoo.compare.statistics import (
 )
 from frictionzoo.output import to_json
 from frictionzoo.report.result import read_schema as result_schema
+from frictionzoo.report.verdict import doubt_reference
 
 SCHEMA_VERSION = 3
-SHARED = ("data", "joints", "parameters", "network", "fit", "timing")  # sections taken over from result.json
+# Sections taken over from result.json.
+SHARED = ("data", "joints", "parameters", "not_identified", "network", "fit", "timing")
 LONGEST_LAG = 0.5  # s, of the residuals' autocorrelation
 FEW = 8  # rollouts below which an interval over them says little
 
@@ -69,6 +71,9 @@ def compare_runs(runs: Sequence[Run], failures: Sequence[Failure]) -> Comparison
         },
         "recommendation": _recommend(ranked, pairs),
         "reference": reference.label if reference else None,
+        "reference_doubt": doubt_reference(
+            reference.result["parameters"] if reference else ranked[0].result["reference"]
+        ),
         "runs": [_describe(run, reference) for run in ranked],
         "failures": [asdict(failure) for failure in failures],
         "differences": _list_differences(ranked),
@@ -128,6 +133,7 @@ def _recommend(ranked: Sequence[Run], pairs: Mapping[tuple[str, str], Difference
         "run": chosen.label,
         "best": best.label,
         "unidentifiable": _list_unidentifiable(chosen),
+        "not_identified": chosen.result["not_identified"],
         "reason": _explain(chosen, best, close, pairs),
     }
 
@@ -163,6 +169,8 @@ def _explain(chosen: Run, best: Run, close: Sequence[Run], pairs: Mapping[tuple[
     )
     doubtful = _list_unidentifiable(chosen)
     doubt = f" Not identifiable on these data, and no property of the drive: {', '.join(doubtful)}." if doubtful else ""
+    failed = chosen.result["not_identified"]
+    doubt += f" It did not identify the drive: {failed[0]}." if failed else ""
     caution = f" {rollouts} rollouts are few: raise evaluation.rollouts to be sure." if rollouts < FEW else ""
     return f"{text}.{network}{doubt}{caution}"
 
@@ -181,6 +189,7 @@ def _describe(run: Run, reference: Run | None) -> dict[str, Any]:
         "by_horizon": [{key: entry[key] for key in ("horizon", "train", "test")} for entry in result["by_horizon"]],
         "paper": {key: result["paper"][key]["model"] for key in ("a", "b")},
         "parameters": result["parameters"],
+        "not_identified": result["not_identified"],
         "network": result["network"],
         "fit": result["fit"],
         "settings": {key: result[key] for key in ("seed", "dtype", "engine")},

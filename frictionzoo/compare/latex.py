@@ -138,5 +138,6 @@ def _notes(comparison: Comparison) -> list[str]:
         f"{escape(failure['reason'])}"
         for failure in comparison["failures"]
     ]
-    notes = {"Rollouts that diverged, and are left out": lost, "No result": failed}
+    doubted = [escape(comparison["reference_doubt"])] if comparison["reference_doubt"] else []
+    notes = {"Rollouts that diverged, and are left out": lost, "No result": failed, "Change": doubted}
     return [f"{title}: {'; '.join(entries)}." for title, entries in notes.items() if entries]

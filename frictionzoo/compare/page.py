@@ -179,6 +179,8 @@ def check_comparison(comparison: Comparison, runs: Sequence[Run]) -> Iterator[Ch
     yield check_held_out(comparison["data"])
     yield _check_divergence(comparison)
     yield _check_bounds(comparison["runs"])
+    if doubt := comparison["reference_doubt"]:
+        yield Check("caution", "Reference", f"{doubt[0].upper()}{doubt[1:]}.")
     yield _check_fits(runs)
     yield _check_differences(comparison["differences"])
     yield check_origin(comparison["data"])
@@ -252,7 +254,7 @@ def _check_fits(runs: Sequence[Run]) -> Check:
     if doubtful:
         text = f"The fit of {_name(doubtful)} may not have reached its optimum: select the run to read why."
         return Check("caution", "Fits", text)
-    return Check("good", "Fits", "Every fit reached the end of its descent or tried all of its combinations.")
+    return Check("good", "Fits", "Every fit came to rest or tried all of its combinations.")
 
 
 def _check_differences(differences: Sequence[Mapping[str, Any]]) -> Check:

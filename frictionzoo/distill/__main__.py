@@ -1,12 +1,13 @@
 """Command line: `python -m frictionzoo.distill RUN model=NAME` fits a simpler law to a run's drive."""
 
 import argparse
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from frictionzoo.errors import FitError
 from frictionzoo.options import read_options
-from frictionzoo.run import mistakes_in_one_line
+from frictionzoo.run import NOT_IDENTIFIED, mistakes_in_one_line
 
 _OPTIONS = """options: model=NAME; output=FOLDER, distilled/NAME in the run's where it is left out; and those of a run
 that tell how to fit, such as fit, model.*, fit.*, segments.*, loop.*, seed. What is left out is as in the run, but for
@@ -30,6 +31,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(summarise_distillation(found.student, found.teacher, found.note, found.folder))
         if found.complaint:
             raise FitError(found.complaint)
+        if found.student["not_identified"]:
+            sys.exit(NOT_IDENTIFIED)
 
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:

@@ -14,7 +14,7 @@ from frictionzoo.compare.runs import read_runs
 from frictionzoo.config import check_overrides, compose_config, list_choices
 from frictionzoo.errors import ConfigError, OutputError, closest
 from frictionzoo.export.fitted import Fitted
-from frictionzoo.export.mjcf import evaluate_law
+from frictionzoo.export.nearest import evaluate_law
 from frictionzoo.job import run_job
 from frictionzoo.models import FrictionModel
 from frictionzoo.models.base import sliding_torque

@@ -17,7 +17,7 @@ from frictionzoo.errors import ConfigError, ExportError, closest
 from frictionzoo.export.base import Difference, Export, Target, measure, register_target
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.graph import compare
-from frictionzoo.export.mjcf import evaluate_law
+from frictionzoo.export.nearest import evaluate_law
 from frictionzoo.export.read_bam import DUTY, LAWS, load_parameters, read_bench
 from frictionzoo.export.simulate import Step, simulate, step_with_control
 from frictionzoo.models.base import sliding_torque

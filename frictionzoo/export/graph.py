@@ -9,7 +9,7 @@ import torch
 from frictionzoo.errors import ConfigError, closest
 from frictionzoo.export.base import Difference, measure
 from frictionzoo.export.fitted import Fitted
-from frictionzoo.export.mjcf import evaluate_law
+from frictionzoo.export.nearest import evaluate_law
 from frictionzoo.models.base import FrictionModel, sliding_torque
 from frictionzoo.types import DriveState, FrictionTerms
 

@@ -1,27 +1,23 @@
 """MuJoCo's own joint friction that moves a bench most like a law that MuJoCo does not have."""
 
+import copy
 from dataclasses import dataclass
 
 import jax
 import numpy as np
 import torch
 from jaxtyping import Float
+from scipy.optimize import nnls
 
 from frictionzoo.engine import friction_of, make_engine
+from frictionzoo.errors import RunError
 from frictionzoo.export.fitted import Fitted
-from frictionzoo.export.mjcf import (
-    evaluate_law,
-    is_constant,
-    nearest_frictionloss_and_damping,
-    say_exact,
-    without_inputs,
-)
 from frictionzoo.fit import LevenbergMarquardt, Objective, Space
-from frictionzoo.models import MujocoDefault
+from frictionzoo.models import FrictionModel, MujocoDefault
 from frictionzoo.models.base import sliding_torque
 from frictionzoo.params import UNITS
 from frictionzoo.rollout import make_rollout
-from frictionzoo.types import Segments
+from frictionzoo.types import DriveState, FrictionTerms, Segments
 
 _ITERATIONS = 50  # a dozen is usual
 _SMALLEST, _LARGEST = 1e-6, 1e3  # of the typical torque, between which friction is looked for
@@ -50,7 +46,8 @@ def find_nearest(fitted: Fitted) -> Nearest:
     """The drive with MuJoCo's own friction, refitted where the law is another.
 
     The start is the least-squares friction over the measured states. From there armature, frictionloss and damping
-    follow the fitted drive's own long rollouts, so that they make up for each other.
+    follow the fitted drive's own long rollouts, so that they make up for each other. Where those diverge, it stays at
+    the start, and says so.
 
     Args:
         fitted: The drive.
@@ -63,12 +60,26 @@ def find_nearest(fitted: Fitted) -> Nearest:
     if terms.torque is None and is_constant(loss) and is_constant(viscous):
         remark = say_exact(fitted.model) if fitted.model.inputs else ""
         return Nearest(bench, loss[0], viscous[0], exact=not remark, remark=remark)
-    start = nearest_frictionloss_and_damping(sliding_torque(np, terms, velocity), velocity)
-    return _refit(fitted, *start)
+    torque = sliding_torque(np, terms, velocity)
+    start = nearest_frictionloss_and_damping(torque, velocity)
+    try:
+        followed = fitted.follow(fitted.segments)
+    except RunError:
+        left = torque - sliding_torque(np, FrictionTerms(frictionloss=start[0], damping=start[1]), velocity)
+        rms, unit = _list(np.sqrt(np.square(left).mean(axis=0))), UNITS[fitted.bench.joint_type]["torque"]
+        return Nearest(
+            *(bench, *start),
+            exact=False,
+            remark=f"A frictionloss and a damping are no {fitted.model.name}, and the fitted drive diverges in its own "
+            f"{fitted.over}, so that they could not be refitted to those: they are the nearest to the law's torque at "
+            f"the measured states, from which they differ by {rms} {unit} RMS.",
+        )
+    return _refit(fitted, followed, *start)
 
 
-def _refit(fitted: Fitted, loss: Float[np.ndarray, "nv"], damping: Float[np.ndarray, "nv"]) -> Nearest:
-    followed = fitted.follow(fitted.segments)
+def _refit(
+    fitted: Fitted, followed: Segments, loss: Float[np.ndarray, "nv"], damping: Float[np.ndarray, "nv"]
+) -> Nearest:
     with jax.enable_x64(True):
         objective = _pose(fitted, followed, loss, damping)
         fit = LevenbergMarquardt(_ITERATIONS, 1e-8)
@@ -113,3 +124,54 @@ def _say(fitted: Fitted, armature: Float[np.ndarray, "nv"], before: float, after
 
 def _list(values: Float[np.ndarray, "nv"]) -> str:
     return ", ".join(f"{value:.4g}" for value in values)
+
+
+def nearest_frictionloss_and_damping(
+    torque: Float[np.ndarray, "samples nv"], velocity: Float[np.ndarray, "samples nv"]
+) -> tuple[Float[np.ndarray, "nv"], Float[np.ndarray, "nv"]]:
+    """Coulomb and viscous friction nearest to a friction torque, both >= 0, by non-negative least squares a joint.
+
+    Args:
+        torque: Friction torque or force, positive against positive velocity [N m or N].
+        velocity: Joint velocity [rad/s or m/s].
+
+    Returns:
+        frictionloss [N m or N] and damping [N m s/rad or N s/m].
+    """
+    fits = [nnls(np.stack([np.sign(v), v], axis=1), t)[0] for t, v in zip(torque.T, velocity.T, strict=True)]
+    loss, viscous = np.array(fits).T
+    return loss, viscous
+
+
+def evaluate_law(model: FrictionModel, samples: DriveState) -> FrictionTerms:
+    """The law's terms on samples as float64 numpy arrays of shape (samples, nv), or None.
+
+    Args:
+        model: The law with its values.
+        samples: Numpy arrays of shape (samples, nv).
+    """
+    double = copy.deepcopy(model).double()
+    terms = double(samples.map(lambda signal: torch.as_tensor(np.asarray(signal, dtype=np.float64))))
+    shape = np.shape(samples.qvel)
+    return FrictionTerms(*(None if term is None else np.broadcast_to(term.detach().numpy(), shape) for term in terms))
+
+
+def without_inputs(model: FrictionModel, samples: DriveState) -> DriveState:
+    """The samples as if the recordings lacked what the law looks at besides the state.
+
+    Args:
+        model: The law.
+        samples: Numpy arrays of shape (samples, nv).
+    """
+    return samples._replace(**{name: np.full(np.shape(samples.qvel), value) for name, value in model.inputs.items()})
+
+
+def say_exact(model: FrictionModel) -> str:
+    """In words, that a frictionloss and a damping are the law, and where."""
+    where = "".join(f", at {name} {value:g} and at no other" for name, value in model.inputs.items())
+    return f"{model.name}: represented exactly by the frictionloss and damping below{where}."
+
+
+def is_constant(values: Float[np.ndarray, "samples nv"]) -> bool:
+    """Whether a term is the same in all samples."""
+    return bool((values == values[0]).all())

@@ -32,6 +32,7 @@ from frictionzoo.report.page import (
     with_start,
 )
 from frictionzoo.report.terminal import ERRORS
+from frictionzoo.report.verdict import doubt_reference
 from frictionzoo.types import Segments
 
 OVERFIT = 1.5  # ratio of test to train error from which the page asks for caution
@@ -122,6 +123,8 @@ def check_result(
     for sentence in result["warnings"]:
         yield Check("caution", "Recordings", f"{sentence}.")
     yield _check_gain(result)
+    if doubt := doubt_reference(result["reference"]):
+        yield Check("caution", "Reference", f"{doubt[0].upper()}{doubt[1:]}.")
     yield check_held_out(result["data"])
     yield _check_train(result["metrics"])
     yield _check_fit(result["fit"], history["loss"])
@@ -189,7 +192,10 @@ def _check_fit(fit: Mapping[str, Any], loss: Shaped[np.ndarray, "iterations"]) -
             falling = _still_falling(loss)
             if falling > FALLING:
                 text += f" The last tenth still took {100 * falling:.2g} % off the loss: more iterations may find more."
-            return Check("caution" if falling > FALLING else "good", "Fit", text)
+            moving = ", ".join(fit["moving"])
+            if moving:
+                text += f" Still moving then: {moving}. Raise fit.iterations."
+            return Check("caution" if falling > FALLING or moving else "good", "Fit", text)
         case "patience":
             return Check("good", "Fit", f"{method} stopped after {count} iterations, as the loss fell no more; {kept}.")
         case "diverged":
@@ -262,7 +268,8 @@ def _say_headline(result: Mapping[str, Any]) -> str:
     if not baseline["position_mae"] or result["model"] == "baseline":
         return f"{text}."
     change = format_change(test["position_mae"], baseline["position_mae"])
-    return f"{text}; {format_number(baseline['position_mae'])} {test['unit']} without friction ({change})."
+    doubt = ", at a bound" if doubt_reference(result["reference"]) else ""
+    return f"{text}; {format_number(baseline['position_mae'])} {test['unit']} without friction{doubt} ({change})."
 
 
 def _list_errors(metrics: Mapping[str, Any]) -> Iterator[dict[str, Any]]:

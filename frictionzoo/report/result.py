@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Shaped
 
 from frictionzoo.bench.base import Bench
 from frictionzoo.evaluate import Evaluation, Judgement, Values
@@ -17,7 +18,7 @@ from frictionzoo.models.base import FrictionModel
 from frictionzoo.output import to_json, write_atomically
 from frictionzoo.params import Param
 from frictionzoo.proof import Proof
-from frictionzoo.report.verdict import explain_failure
+from frictionzoo.report.verdict import explain_failure, list_moving
 from frictionzoo.types import Dataset, Payload, Uncertainty
 
 SCHEMA_VERSION = 4
@@ -39,7 +40,9 @@ def build_result(
     evaluation: Evaluation,
     judgement: Judgement,
     baseline: Judgement,
+    reference: Mapping[str, np.ndarray],
     fit: Mapping[str, Any],
+    history: Mapping[str, Shaped[np.ndarray, "iterations ..."]],
     timing: Mapping[str, float],
     settings: Mapping[str, Any],
     engine: str,
@@ -59,7 +62,9 @@ def build_result(
         evaluation: The rollouts on which it was judged.
         judgement: Of the identified drive.
         baseline: Of the same bench identified without friction, on the same rollouts.
+        reference: The values of that bench.
         fit: `method`, `iterations`, `best_iteration`, `loss`, `stopped`, as the schema says.
+        history: What the fit went through, as `Outcome.history` has it.
         timing: Seconds of `setup`, `compile`, `fit`, `evaluate`, `total`.
         settings: All options of the run, among them `seed` and `dtype`.
         engine: What simulated.
@@ -68,6 +73,8 @@ def build_result(
         device: Where it ran.
         uncertainty: How far the data determine what was identified.
     """
+    # Iterations of a search are no path, and what converged or diverged says so itself.
+    descended = fit["stopped"] == "finished" and fit["method"] != "grid"
     result = {
         "schema_version": SCHEMA_VERSION,
         "model": name,
@@ -81,8 +88,12 @@ def build_result(
         "no_intervals": uncertainty.missing,
         "network": _describe_network(model),
         **_describe_metrics(judgement, baseline),
+        "reference": [
+            _describe_value("bench", param, name, reference[name], bench.joint_type)
+            for name, param in bench.params.items()
+        ],
         "evaluation": {"sha256": evaluation.sha256, "window": evaluation.window},
-        "fit": dict(fit),
+        "fit": dict(fit) | {"moving": list_moving(history, uncertainty.intervals) if descended else []},
         "timing": dict(timing),
         "seed": settings["seed"],
         "dtype": settings["dtype"],
@@ -172,19 +183,25 @@ def _list_parameters(
 ) -> list[dict[str, Any]]:
     return [
         {
-            "name": name,
-            "owner": owner,
-            "value": _number_or_list(values[name]),
-            "unit": param.unit(joint_type),
-            "low": param.low,
-            "high": param.high,
-            "identified": param.identify,
-            "at_bound": param.identify and bool(param.is_at_bound(values[name]).any()),
+            **_describe_value(owner, param, name, values[name], joint_type),
             "interval": _interval(uncertainty.intervals.get(f"{owner}.{name}")),
             "identifiable": uncertainty.identifiable.get(f"{owner}.{name}"),
         }
         for name, param in params.items()
     ]
+
+
+def _describe_value(owner: str, param: Param, name: str, value: np.ndarray, joint_type: str) -> dict[str, Any]:
+    return {
+        "name": name,
+        "owner": owner,
+        "value": _number_or_list(value),
+        "unit": param.unit(joint_type),
+        "low": param.low,
+        "high": param.high,
+        "identified": param.identify,
+        "at_bound": param.identify and bool(param.is_at_bound(value).any()),
+    }
 
 
 def _number_or_list(value: np.ndarray) -> float | list[float]:

@@ -4,6 +4,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from frictionzoo.report.verdict import doubt_reference
+
 Rows = Sequence[Sequence[str]]
 
 ERRORS = {  # row of the table: key of the metrics, key of its unit
@@ -84,6 +86,7 @@ def summarise_comparison(comparison: Mapping[str, Any], folder: Path) -> str:
         f"{count} run{'s' * (count != 1)} on {comparison['data']['name']}. {_say_kind(comparison['data'])}",
         _tabulate_runs(comparison),
         *_list_failures(comparison["failures"]),
+        *([f"warning: {comparison['reference_doubt']}"] if comparison["reference_doubt"] else []),
         _say_recommendation(comparison["recommendation"]),
         f"files: {folder}",
     ]
@@ -172,6 +175,10 @@ def _warn(result: Mapping[str, Any]) -> list[str]:
         f"warning: the data cannot tell apart {' and '.join(group)}; make all but one of them known, or record others"
         for group in result["indistinct"]
     ]
+    if moving := ", ".join(result["fit"]["moving"]):
+        lines.append(f"warning: still moving when the fit ended: {moving}; raise fit.iterations")
+    if doubt := doubt_reference(result["reference"]):
+        lines.append(f"warning: {doubt}")
     if result["not_identified"]:
         why, *reasons = result["not_identified"]
         lines.append(f"this did not identify the drive: {why}. Likely reasons, the likeliest first:")

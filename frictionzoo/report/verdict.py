@@ -1,10 +1,16 @@
-"""Whether a fit identified the drive at all."""
+"""Whether a fit identified the drive at all, and what its numbers are to be compared with."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Shaped
 
 BOUNDS = 2  # identified parameters at bounds from which on that is doubted
 LITTLE = 1 / 3  # of the test error without friction; a law that identifies a drive leaves less
+LATE = 0.1  # share of the iterations, the last ones, in which a parameter may not move
+MOVING = 1 / 3  # of half its interval, by which it moves then
+MOVING_BLINDLY = 0.01  # of its value, where it has no interval
 
 
 def explain_failure(result: Mapping[str, Any]) -> list[str] | None:
@@ -29,3 +35,45 @@ def explain_failure(result: Mapping[str, Any]) -> list[str] | None:
         "commands act late, which bench.params.delay would find",
         "the recordings do not excite the drive, or the bounds are not those of this drive",
     ]
+
+
+def list_moving(
+    history: Mapping[str, Shaped[np.ndarray, "iterations ..."]], intervals: Mapping[str, Float[np.ndarray, "nv 2"]]
+) -> list[str]:
+    """Names of the parameters that still moved when the fit ended.
+
+    The means over the two halves of the last tenth of the iterations differ by more than a third of the half width of
+    the parameter's 95 % interval, or by 1 % of its value where it has none.
+
+    Args:
+        history: An array with an entry an iteration by full name, `bench.armature`.
+        intervals: By full name.
+    """
+    moving = []
+    for name, values in history.items():
+        half = int(LATE * len(values)) // 2
+        if "." not in name or not half:
+            continue
+        before, last = values[-2 * half : -half].mean(axis=0), values[-half:].mean(axis=0)
+        ends = intervals.get(name, np.full((1, 2), np.nan))
+        width = MOVING * (ends[:, 1] - ends[:, 0]) / 2
+        allowed = np.where(np.isfinite(width), width, MOVING_BLINDLY * np.abs(last))
+        if (np.abs(last - before) > allowed).any():
+            moving.append(name)
+    return moving
+
+
+def doubt_reference(parameters: Sequence[Mapping[str, Any]]) -> str | None:
+    """That the drive without friction, by whose error others are judged, is none; None where it may be one.
+
+    Args:
+        parameters: Its own, as in `result.json`.
+    """
+    ended = [
+        f"{p['owner']}.{p['name']} at its bound of [{p['low']:g}, {p['high']:g}] {p['unit']}"
+        for p in parameters
+        if p["at_bound"]
+    ]
+    if not ended:
+        return None
+    return f"the drive without friction ended with {' and '.join(ended)}: a change against its error says little"
