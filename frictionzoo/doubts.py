@@ -32,7 +32,7 @@ LARGER = 5.0  # times; a position moves no more, and while it follows no less, t
 APART = 0.5  # times the motion that position and command are apart at the least
 OPPOSED = 0.0  # share of the work that a command exchanges with the drive from which on it takes energy
 DAMPING = ("kd", "kt2_over_r")  # parameters of actuator laws that only take energy
-SLOWEST, FASTEST = 0.1, 1e-5  # s, of sample intervals that are told
+SLOWEST, FASTEST = 0.5, 2e-5  # s; no recording of a drive has longer or shorter sample intervals
 STATES = 2000  # recorded states at which contacts and limits are looked for
 
 
@@ -98,7 +98,10 @@ def _contacts(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[str]:
 def _doubt_log(log: Log, bench: Bench) -> Iterator[tuple[str, str]]:
     """Kind and sentence of each doubt; LogError for what is certain."""
     if not FASTEST <= log.timestep <= SLOWEST:
-        yield "interval", f"{log.timestep:.3g} s between samples: look whether time is in seconds (data.units.time)"
+        raise LogError(
+            f"{log.name}: {log.timestep:.3g} s between samples, expected {FASTEST:g} to {SLOWEST:g} s of a drive's "
+            "recording; set data.units.time"
+        )
     for joint in range(log.qpos.shape[1]):
         of = f" of joint {joint + 1}" if log.qpos.shape[1] > 1 else ""
         for kind, sentence in _doubt_joint(log, of, joint, bench):
@@ -271,7 +274,7 @@ def _refuse_opposed(log: Log, of: str, bench: Bench, joint: int, cleaned: Mappin
         raise LogError(
             f"{log.name}: ctrl{of} takes energy from the drive all along ({100 * work:.0f} % of what it exchanges), "
             "expected to give it; set data.sign.ctrl=-1, or the sign of both qpos and qvel, or look whether qpos and "
-            "ctrl are swapped or belong to different times (data.columns)"
+            "ctrl are swapped, have other units or another zero, or belong to other times (data.columns, data.units)"
         )
 
 

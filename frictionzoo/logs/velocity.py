@@ -30,7 +30,10 @@ def estimate_velocity(
         ConfigError: The cut-off is not below half the sample rate.
     """
     if not cutoff < 0.5 / timestep:
-        raise ConfigError(f"{option}={cutoff:g}: expected less than half the sample rate, {0.5 / timestep:g} Hz")
+        raise ConfigError(
+            f"{option}={cutoff:g}: expected less than half the sample rate, {0.5 / timestep:g} Hz; lower it, or set "
+            "data.units.time"
+        )
     sections = np.asarray(scipy.signal.butter(order, cutoff, fs=1 / timestep, output="sos"))
     padding = 3 * (2 * len(sections) + 1)  # scipy's default, which it refuses to use on a log that is not longer
     if len(position) <= padding:

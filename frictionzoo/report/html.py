@@ -32,7 +32,7 @@ from frictionzoo.report.page import (
     with_start,
 )
 from frictionzoo.report.terminal import ERRORS
-from frictionzoo.report.verdict import doubt_reference
+from frictionzoo.report.verdict import doubt_gain, doubt_reference
 from frictionzoo.types import Segments
 
 OVERFIT = 1.5  # ratio of test to train error from which the page asks for caution
@@ -145,6 +145,8 @@ def _check_gain(result: Mapping[str, Any]) -> Check:
     if test >= baseline:
         text = "On test data the model is no better than a drive without friction. Do not use its friction."
         return Check("bad", "Gain", text)
+    if doubt := doubt_gain(result):
+        return Check("caution", "Gain", f"{doubt[0].upper()}{doubt[1:]}.")
     text = f"On test data the model's position error is {baseline / test:.3g} times smaller than without friction."
     return Check("good", "Gain", text)
 

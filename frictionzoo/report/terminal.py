@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from frictionzoo.report.verdict import doubt_reference
+from frictionzoo.report.verdict import doubt_gain, doubt_reference
 
 Rows = Sequence[Sequence[str]]
 
@@ -177,8 +177,8 @@ def _warn(result: Mapping[str, Any]) -> list[str]:
     ]
     if moving := ", ".join(result["fit"]["moving"]):
         lines.append(f"warning: still moving when the fit ended: {moving}; raise fit.iterations")
-    if doubt := doubt_reference(result["reference"]):
-        lines.append(f"warning: {doubt}")
+    doubts = doubt_gain(result), doubt_reference(result["reference"])
+    lines += [f"warning: {doubt}" for doubt in doubts if doubt]
     if result["not_identified"]:
         why, *reasons = result["not_identified"]
         lines.append(f"this did not identify the drive: {why}. Likely reasons, the likeliest first:")

@@ -8,6 +8,7 @@ from jaxtyping import Float, Shaped
 
 BOUNDS = 2  # identified parameters at bounds from which on that is doubted
 LITTLE = 1 / 3  # of the test error without friction; a law that identifies a drive leaves less
+NOTHING = 2 / 3  # of that error; a law that leaves more explains next to nothing
 LATE = 0.1  # share of the iterations, the last ones, in which a parameter may not move
 MOVING = 1 / 3  # of half its interval, by which it moves then
 MOVING_BLINDLY = 0.01  # of its value, where it has no interval
@@ -35,6 +36,21 @@ def explain_failure(result: Mapping[str, Any]) -> list[str] | None:
         "commands act late, which bench.params.delay would find",
         "the recordings do not excite the drive, or the bounds are not those of this drive",
     ]
+
+
+def doubt_gain(result: Mapping[str, Any]) -> str | None:
+    """That a law explains next to nothing of what a drive without friction leaves; None where it does.
+
+    Args:
+        result: What `result.json` holds.
+    """
+    error, without = (result["metrics"][part]["position_mae"] for part in ("test", "baseline"))
+    if result["model"] == "baseline" or error is None or not without or error <= NOTHING * without:
+        return None
+    return (
+        f"on test data the position error is {100 * error / without:.0f} % of that without friction: the law explains "
+        "next to nothing, or the recordings or the bench are not what they are taken for"
+    )
 
 
 def list_moving(

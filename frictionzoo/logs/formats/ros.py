@@ -47,11 +47,12 @@ class Ros(Format):
         with parsing(str(path), "a ROS 2 recording"):
             if path.is_file() and path.suffix not in STORAGES:
                 raise LogError(f"{path}: suffix {path.suffix or 'none'}, expected {' or '.join(STORAGES)}; rename it")
-            sha256 = hashlib.sha256()
+            digests = []
             for file in _files(path):
                 _check(file)
                 with file.open("rb") as stream:
-                    sha256.update(hashlib.file_digest(stream, "sha256").digest())
+                    digests.append(hashlib.file_digest(stream, "sha256"))
+            sha256 = digests[0] if path.is_file() else hashlib.sha256(b"".join(each.digest() for each in digests))
             store = typesys.get_typestore(typesys.Stores.LATEST)
             store.max_sequence_length = LONGEST
             with reader.Reader(path) as bag:
