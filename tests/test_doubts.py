@@ -11,9 +11,11 @@ from frictionzoo.bench import Bench
 from frictionzoo.doubts import doubt_motion, doubt_recordings
 from frictionzoo.errors import LogError
 from frictionzoo.logs.twin import Twin
-from frictionzoo.report.verdict import doubt_reference, explain_failure, list_moving
+from frictionzoo.params import read_params
+from frictionzoo.report.verdict import doubt_gain, doubt_reference, doubt_sizes, explain_failure, list_moving
 from frictionzoo.types import Dataset, Log
 
+ARMATURE = {"init": 50.0, "low": 1.0, "high": 1e3, "scale": "log", "identify": True}
 RNG = np.random.default_rng(0)
 
 
@@ -154,3 +156,19 @@ def test_a_drive_without_friction_at_a_bound_is_no_reference() -> None:
     said = doubt_reference([row])
     assert said is not None and "bench.armature at its bound of [1, 1000] kg" in said
     assert doubt_reference([row | {"at_bound": False}]) is None
+
+
+def test_a_law_that_explains_next_to_nothing_is_told() -> None:
+    metrics = {"test": {"position_mae": 0.09}, "baseline": {"position_mae": 0.1}}
+    assert "is 90 % of that without friction" in (doubt_gain({"model": "stribeck", "metrics": metrics}) or "")
+    assert doubt_gain({"model": "baseline", "metrics": metrics}) is None
+    assert doubt_gain({"model": "stribeck", "metrics": metrics | {"test": {"position_mae": 0.05}}}) is None
+
+
+def test_a_value_of_another_size_than_it_began_with_is_told() -> None:
+    armature = read_params("bench", {"armature": "inertia"}, {"armature": ARMATURE})
+    (said,) = doubt_sizes(armature, {"armature": np.array([1.6])}, "slide")
+    assert said.startswith("bench.armature went from 50 to 1.6 kg, 31 times: look at the units")
+    assert doubt_sizes(armature, {"armature": np.array([5.0])}, "slide") == []
+    known = read_params("bench", {"armature": "inertia"}, {"armature": ARMATURE | {"identify": False}})
+    assert doubt_sizes(known, {"armature": np.array([1.6])}, "slide") == []

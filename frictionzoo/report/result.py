@@ -18,7 +18,7 @@ from frictionzoo.models.base import FrictionModel
 from frictionzoo.output import to_json, write_atomically
 from frictionzoo.params import Param
 from frictionzoo.proof import Proof
-from frictionzoo.report.verdict import explain_failure, list_moving
+from frictionzoo.report.verdict import doubt_sizes, explain_failure, list_moving
 from frictionzoo.types import Dataset, Payload, Uncertainty
 
 SCHEMA_VERSION = 4
@@ -73,6 +73,8 @@ def build_result(
         device: Where it ran.
         uncertainty: How far the data determine what was identified.
     """
+    # Without friction, inertia makes up for it.
+    sizes = [] if name == "baseline" else doubt_sizes(bench.params, values["bench"], bench.joint_type)
     # Iterations of a search are no path, and what converged or diverged says so itself.
     descended = fit["stopped"] == "finished" and fit["method"] != "grid"
     result = {
@@ -99,7 +101,7 @@ def build_result(
         "dtype": settings["dtype"],
         "engine": engine,
         "proof": asdict(proof),
-        "warnings": list(warnings),
+        "warnings": [*warnings, *sizes],
         "device": device,
         "versions": _read_versions(),
         "settings": dict(settings),

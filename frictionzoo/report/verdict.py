@@ -6,9 +6,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Shaped
 
+from frictionzoo.params import Param
+
 BOUNDS = 2  # identified parameters at bounds from which on that is doubted
 LITTLE = 1 / 3  # of the test error without friction; a law that identifies a drive leaves less
 NOTHING = 2 / 3  # of that error; a law that leaves more explains next to nothing
+FAR = 20.0  # times from where it began, at which an identified value of the bench is told
 LATE = 0.1  # share of the iterations, the last ones, in which a parameter may not move
 MOVING = 1 / 3  # of half its interval, by which it moves then
 MOVING_BLINDLY = 0.01  # of its value, where it has no interval
@@ -51,6 +54,30 @@ def doubt_gain(result: Mapping[str, Any]) -> str | None:
         f"on test data the position error is {100 * error / without:.0f} % of that without friction: the law explains "
         "next to nothing, or the recordings or the bench are not what they are taken for"
     )
+
+
+def doubt_sizes(params: Mapping[str, Param], values: Mapping[str, Float[np.ndarray, "nv"]], unit: str) -> list[str]:
+    """Identified values of a bench that are of another size than a user expected them to be, a sentence each.
+
+    Args:
+        params: The bench's.
+        values: What was identified.
+        unit: `hinge` or `slide`.
+    """
+    doubts = []
+    for name, param in params.items():
+        if not param.identify or param.scale != "log":
+            continue
+        found = np.ravel(values[name])
+        times = np.exp(np.abs(np.log(found / param.init)))
+        joint = int(times.argmax())
+        if times[joint] > FAR:
+            moved = f"from {param.init:g} to {found[joint]:.4g} {param.unit(unit)}, {times[joint]:.2g} times"
+            doubts.append(
+                f"bench.{name} went {moved}: look at the units of time, qpos and ctrl (data.units) and at the bench's "
+                f"gains, or begin elsewhere (bench.params.{name}.init)"
+            )
+    return doubts
 
 
 def list_moving(
