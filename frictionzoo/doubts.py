@@ -22,8 +22,10 @@ LAGGING = 0.004  # s, by which a measured velocity may lag the position
 UNITS = 0.1  # relative difference of a measured velocity and the derivative from which on it is told
 STILL = 5  # steps of the encoder; a joint that moves through less stands still
 NOISE = 0.5  # of the largest ratio of the steps between samples to the spread, which is that of white noise
-SATURATED = 0.2  # share of the samples of a command at the ends of its range that is told, if it takes many values
-LEVELS = 10  # values; a command of fewer is a sequence of steps
+SATURATED = (
+    0.2  # share of the samples of a command at the ends of its range that is told, if it is no sequence of steps
+)
+LEVELS, HELD = 10, 0.9  # values that hold this share of the samples: such a command is a sequence of steps
 FROZEN = 20  # samples in which a sensor repeats itself before it jumps
 JUMP = 5.0  # times the largest usual step between samples that is a jump
 SPIKE = 0.05  # share of the motion that a spike within it leaves its neighbours by
@@ -239,7 +241,10 @@ def _doubt_command(of: str, ctrl: np.ndarray) -> Iterator[tuple[str, str]]:
         )
         return
     ends = float(np.mean((ctrl == low) | (ctrl == high)))
-    if ends > SATURATED and len(np.unique(ctrl)) > LEVELS:
+    # Resampling rounds the levels, and puts a few values between them.
+    _, counts = np.unique(np.round((ctrl - low) / (high - low), 6), return_counts=True)
+    steps = np.sort(counts)[-LEVELS:].sum() > HELD * len(ctrl)
+    if ends > SATURATED and not steps:
         yield (
             "saturated",
             f"ctrl{of} is at an end of its range, {low:.4g} or {high:.4g}, in {100 * ends:.0f} % of the samples: it "

@@ -51,6 +51,14 @@ def test_a_clean_recording_raises_no_doubt(recorded: tuple[Log, Bench]) -> None:
     assert doubts(*recorded) == ""
 
 
+def test_a_command_of_steps_is_not_cut_off(recorded: tuple[Log, Bench]) -> None:
+    log, bench = recorded
+    ctrl = np.sign(log.ctrl)  # with the traces that resampling leaves
+    ctrl[::400] *= 0.3
+    ctrl[1::2] *= 1 - 1e-9
+    assert "cut off" not in doubts(replace(log, ctrl=ctrl), bench)
+
+
 @pytest.mark.parametrize(
     ("spoil", "line"),
     [

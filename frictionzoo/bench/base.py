@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from frictionzoo.bench.actuators import Actuator, Affine
 from frictionzoo.errors import BenchError, ConfigError, closest
+from frictionzoo.logs.clean import EXTRAS
 from frictionzoo.params import Param, read_params
 from frictionzoo.types import Dataset, DriveState, Log, Payload, Sampling
 
@@ -371,9 +372,10 @@ class Bench:
         columns = []
         for name in self.actuator.inputs:
             if name not in log.extras:
+                column = f"map a column (data.columns.{name}), or " if name in EXTRAS else ""
                 raise BenchError(
-                    f"{log.name}: no {name}, which {type(self.actuator).__name__} needs; map a column "
-                    f"(data.columns.{name}), or give a field or a number (data.inputs.{name})"
+                    f"{log.name}: no {name}, which {type(self.actuator).__name__} needs; {column}give a field or a "
+                    f"number (data.inputs.{name})"
                 )
             columns.append(self._for_each_joint(log, name))
         return np.concatenate(columns, axis=1)
