@@ -34,10 +34,12 @@ from frictionzoo.config import (
     suggest_option,
 )
 from frictionzoo.errors import ConfigError, FrictionzooError, OutputError, closest
-from frictionzoo.output import RESULT, occupy
+from frictionzoo.output import RESULT, occupy, write_atomically
 from frictionzoo.sweep import SweepFolder, conclude_sweep, describe, objective_of, run_in_sweep
 from frictionzoo.threads import limit_threads, threads_each
 
+REFUSED = 2
+"""Exit status of what a user has to mend."""
 NOT_IDENTIFIED = 3
 """Exit status where a fit ended well and what it found is not the drive; of a sweep, where that is recommended."""
 
@@ -106,7 +108,8 @@ def main() -> None:
     with mistakes_in_one_line(_say_how_a_sweep_goes_on):
         sys.argv[1:] = _restore_overrides(sys.argv[1:])
         refuse_no_choice(sys.argv[1:])
-        complaint = _run_jobs()
+        with _keep_record(_last_value("hydra.run.dir", sys.argv[1:])):
+            complaint = _run_jobs()
         if SweepFolder.latest is not None:
             comparison, text, complaints = conclude_sweep(SweepFolder.latest)
             print(text)
@@ -116,6 +119,23 @@ def main() -> None:
                 _fail(*complaints)
             if comparison and (comparison["recommendation"] or {}).get("not_identified"):
                 sys.exit(NOT_IDENTIFIED)
+
+
+@contextlib.contextmanager
+def _keep_record(folder: str | None) -> Iterator[None]:
+    """Put a folder's record of how its run began back if today's command is refused: Hydra replaces it before that.
+
+    Args:
+        folder: The run's folder, if the command names one.
+    """
+    record = {} if folder is None else {path: path.read_bytes() for path in Path(folder, ".hydra").glob("*.yaml")}
+    try:
+        yield
+    except BaseException as error:
+        if not isinstance(error, SystemExit) or error.code == REFUSED:
+            for path, content in record.items():
+                write_atomically(path, content)
+        raise
 
 
 def _run_jobs() -> str | None:
@@ -215,7 +235,7 @@ def _say_how_a_sweep_goes_on() -> str:
     return f"{folder} keeps {done} finished jobs; go on with the same command and hydra.sweep.dir={folder} resume=true"
 
 
-def _fail(*lines: str, status: int = 2) -> NoReturn:
+def _fail(*lines: str, status: int = REFUSED) -> NoReturn:
     for line in lines:
         print(f"frictionzoo: {line}", file=sys.stderr)
     sys.exit(status)

@@ -116,13 +116,18 @@ def test_ended_elsewhere_and_resumed_is_as_if_nothing_had_happened(
 
 
 def test_a_finished_run_is_resumed_to_itself_and_by_its_own_command_alone(
-    call: Callable, finished_run: Callable, tmp_path: Path
+    call: Callable, finished_run: Callable, tmp_path: Path, tiny: tuple[str, ...]
 ) -> None:
     expected, _ = finished_run("coulomb_smooth")
     folder = shutil.copytree(expected, tmp_path / "copy")
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-    for override, complaint in {"fit.learning_rate=0.02": "last.ckpt: fit ", "seed=-3": "seed=-3; expected"}.items():
-        finished = call(f"resume={folder}", override)
+    anew = (*RUNS["coulomb_smooth"], *tiny, f"hydra.run.dir={folder}", "fit.learning_rate=0.02")
+    for arguments, complaint in {
+        (f"resume={folder}", "fit.learning_rate=0.02"): "last.ckpt: fit ",
+        (f"resume={folder}", "seed=-3"): "seed=-3; expected",
+        anew: "last.ckpt: fit ",
+    }.items():
+        finished = call(*arguments)
         assert finished.status == 2
         (line,) = [line for line in finished.err.splitlines() if line.startswith("frictionzoo: ")]
         assert complaint in line
