@@ -25,6 +25,7 @@ NOISE = 0.5  # of the largest ratio of the steps between samples to the spread, 
 SATURATED = (
     0.2  # share of the samples of a command at the ends of its range that is told, if it is no sequence of steps
 )
+PAST = 0.1  # share of a command's range by which the position passes it if the command is cut off
 LEVELS, HELD = 10, 0.9  # values that hold this share of the samples: such a command is a sequence of steps
 FROZEN = 20  # samples in which a sensor repeats itself before it jumps
 JUMP = 5.0  # times the largest usual step between samples that is a jump
@@ -124,9 +125,11 @@ def _doubt_joint(log: Log, of: str, joint: int, bench: Bench) -> Iterator[tuple[
         _refuse_wrapping(log.name, of, qpos)
     yield from _doubt_frozen(of, qpos)
     yield from _doubt_velocity(log, of, qpos, qvel)
-    yield from _doubt_command(of, ctrl)
+    to_position = bool({"stiffness", "1/position"} & set(bench.actuator.dimensions.values()))
+    on = np.ravel(log.extras.get("enable", np.ones(1))) > 0
+    yield from _doubt_command(of, ctrl, qpos[on if len(on) == len(qpos) else ...] if to_position and on.any() else None)
     if len(qpos) > SHORT and np.ptp(ctrl) > 0:
-        if {"stiffness", "1/position"} & set(bench.actuator.dimensions.values()):
+        if to_position:
             yield from _doubt_position_command(log, of, qpos, ctrl)
         _refuse_opposed(log, of, bench, joint, {"qpos": qpos, "qvel": qvel, "ctrl": ctrl})
 
@@ -232,7 +235,8 @@ def _doubt_velocity(log: Log, of: str, qpos: np.ndarray, qvel: np.ndarray) -> It
         )
 
 
-def _doubt_command(of: str, ctrl: np.ndarray) -> Iterator[tuple[str, str]]:
+def _doubt_command(of: str, ctrl: np.ndarray, follows: np.ndarray | None) -> Iterator[tuple[str, str]]:
+    """What the command alone says, and beside the position where that is to follow it."""
     low, high = float(ctrl.min()), float(ctrl.max())
     if low == high:
         yield (
@@ -240,11 +244,14 @@ def _doubt_command(of: str, ctrl: np.ndarray) -> Iterator[tuple[str, str]]:
             f"ctrl{of} is constant, {low:.4g}: the motion tells little of the drive; look at data.columns.ctrl",
         )
         return
-    ends = float(np.mean((ctrl == low) | (ctrl == high)))
-    # Resampling rounds the levels, and puts a few values between them.
-    _, counts = np.unique(np.round((ctrl - low) / (high - low), 6), return_counts=True)
+    # Resampling rounds levels, and puts a few values between them.
+    share = np.round((ctrl - low) / (high - low), 6)
+    ends = float(np.mean((share == 0) | (share == 1)))
+    _, counts = np.unique(share, return_counts=True)
     steps = np.sort(counts)[-LEVELS:].sum() > HELD * len(ctrl)
-    if ends > SATURATED and not steps:
+    # A position that is told to rest at two ends does not go far beyond them.
+    passed = 1.0 if follows is None else max(low - follows.min(), follows.max() - high) / (high - low)
+    if ends > SATURATED and not steps and passed > PAST:
         yield (
             "saturated",
             f"ctrl{of} is at an end of its range, {low:.4g} or {high:.4g}, in {100 * ends:.0f} % of the samples: it "

@@ -51,6 +51,13 @@ def test_a_clean_recording_raises_no_doubt(recorded: tuple[Log, Bench]) -> None:
     assert doubts(*recorded) == ""
 
 
+def test_a_position_that_rests_where_it_is_told_to_is_not_cut_off(recorded: tuple[Log, Bench]) -> None:
+    log, bench = recorded
+    trapezoids = cut_off(log.ctrl) * (1 + 1e-9 * RNG.normal(size=log.ctrl.shape))
+    assert "cut off" in doubts(replace(log, ctrl=trapezoids), bench)
+    assert "cut off" not in doubts(replace(log, qpos=late(trapezoids, 30), ctrl=trapezoids), bench)
+
+
 def test_a_command_of_steps_is_not_cut_off(recorded: tuple[Log, Bench]) -> None:
     log, bench = recorded
     ctrl = np.sign(log.ctrl)  # with the traces that resampling leaves
