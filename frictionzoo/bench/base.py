@@ -44,6 +44,7 @@ _NO_ACTUATORS = {
 }
 _NO_ACTUATORS |= {"tendon"}
 """What of an MJCF's defaults does not act on actuators."""
+_GEOMETRY = {"axis", "pos", "quat", "euler", "axisangle", "xyaxes", "zaxis", "size", "fromto", "mass", "diaginertia"}
 _KEPT = {"mujoco", "worldbody", "body", "compiler"}
 _HEAVIER = 100.0  # times a fitted armature, or a part of it, within which it may move where a bench starts again
 
@@ -345,16 +346,20 @@ class Bench:
     def simpler(self) -> Iterator[tuple[str, "Bench"]]:
         """What the MJCF could lack, one attribute or element at a time, in words, and the same test stand without it.
 
-        Not each of them compiles. Bodies and the identified joints stay.
+        Not each of them compiles. Bodies and the identified joints stay. Where things are, and how large, comes last:
+        without it the test stand may move so differently that what is at fault does not act.
         """
         elements = _elements(self._template.iter())
-        for element in elements:
-            of = _describe(element)
-            for name in set(element.attrib) - _NAMING:
-                yield f'{name}="{element.get(name)}" of {of}', self._without(element, name)
-        for element in elements:
-            if element.tag not in _KEPT and element.get("name") not in self.joints:
-                yield _describe(element), self._without(element)
+        attributes = [(element, name) for element in elements for name in element.attrib if name not in _NAMING]
+        parts = [element for element in elements if element.tag not in _KEPT and element.get("name") not in self.joints]
+        leaving_out = [
+            *((element, name) for element, name in attributes if name not in _GEOMETRY),
+            *((element, None) for element in parts),
+            *((element, name) for element, name in attributes if name in _GEOMETRY),
+        ]
+        for element, name in leaving_out:
+            what = _describe(element) if name is None else f'{name}="{element.get(name)}" of {_describe(element)}'
+            yield what, self._without(element, name)
 
     def _without(self, element: ET.Element, attribute: str | None = None) -> "Bench":
         place = list(self._template.iter()).index(element)
