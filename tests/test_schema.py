@@ -55,7 +55,7 @@ HASTY = {"xla_cpu_use_fusion_emitters": False}  # which compile for longer than 
 COMPARED = 4  # rollouts of each file, of which all that differs in a step is compared with an engine's sixteen
 
 
-SPECIFIC = r"""(?<==)"[^"]*"|\d[\d.e+-]*|'[^']*'|(?<=of |an |no )<.*?>|one of .*?;"""
+SPECIFIC = r"""(?<==)"[^"]*"|\d[\d.e+-]*|'[^']*'|(?<!\[)<[^>]*>|one of .*?;"""
 """What reasons of one kind differ in."""
 
 
