@@ -104,9 +104,10 @@ def prove(bench: Bench, model: FrictionModel, engine: str, values: Values, recor
             leaving out a single one mends it.
     """
     cases = _draw(recorded)
-    step, rollout = _compare(bench, model, engine, [values, _moved(bench, model, values)], cases)
+    compared = [values, _moved(bench, model, values)]
+    step, rollout = _compare(bench, model, engine, compared, cases)
     if not rollout <= TOLERANCE:
-        fault = _find_fault(bench, model, engine, [values], cases)
+        fault = _find_fault(bench, model, engine, compared, cases)
         what = "something in the MJCF" if fault is None else fault
         unit = "" if fault is None else "; leave it out of the MJCF, or fix what it acts on"
         raise BenchError(

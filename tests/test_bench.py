@@ -91,9 +91,41 @@ def test_joints_come_in_mujocos_order(tmp_path: Path) -> None:
             ["hip", "knee"],
             "joint hip has an actuator",
         ),
+        (
+            TWO_JOINTS.replace(
+                "</mujoco>",
+                '<tendon><fixed name="t"><joint joint="hip" coef="1"/></fixed></tendon>'
+                '<actuator><motor name="m" tendon="t"/></actuator></mujoco>',
+            ),
+            ["hip", "knee"],
+            "an actuator <motor m> in the MJCF, whose commands no recording has",
+        ),
+        (
+            TWO_JOINTS.replace("<option", '<default><motor ctrlrange="-1 1"/></default><option'),
+            ["hip", "knee"],
+            "defaults for <motor> in the MJCF would act on the drive",
+        ),
+        (
+            TWO_JOINTS.replace("<option", '<option actuatorgroupdisable="0"/><option'),
+            ["hip", "knee"],
+            "the MJCF disables actuators",
+        ),
         (TWO_JOINTS.replace('name="knee"', 'name="knee" type="slide"'), ["hip", "knee"], "all hinge or all slide"),
     ],
-    ids=["xml", "several", "unknown", "others", "include", "refused", "integrator", "actuator", "types"],
+    ids=[
+        "xml",
+        "several",
+        "unknown",
+        "others",
+        "include",
+        "refused",
+        "integrator",
+        "actuator",
+        "tendon",
+        "default",
+        "group",
+        "types",
+    ],
 )
 def test_a_template_that_does_not_fit_is_refused(tmp_path: Path, text: str, joint: Any, line: str) -> None:
     with pytest.raises(BenchError, match=line) as error:
@@ -105,6 +137,29 @@ def test_friction_in_the_template_is_refused(tmp_path: Path) -> None:
     text = TWO_JOINTS.replace('<joint name="hip"', '<joint name="hip" frictionloss="0.1"')
     with pytest.raises(BenchError, match="joint hip has frictionloss in the MJCF, expected none"):
         bench(tmp_path, text, ["hip", "knee"])
+
+
+@pytest.mark.parametrize(
+    ("attribute", "line"),
+    [
+        ('ref="10"', "joint knee has ref"),
+        ('range="-30 40"', "joint knee has range"),
+        ('stiffness="0 2"', "joint knee has stiffness"),
+    ],
+)
+def test_what_a_position_offset_would_not_move_along_is_refused(tmp_path: Path, attribute: str, line: str) -> None:
+    path = tmp_path / "bench.xml"
+    path.write_text(TWO_JOINTS.replace('name="knee"', f'name="knee" {attribute}'))
+    offset = {"position_offset": {"init": 0.1, "low": -0.2, "high": 0.2, "scale": 0.1, "identify": True}}
+    assert Bench(str(path), ["hip", "knee"], pd(), ARMATURE, [0.02, 1.0], None, None).nv == 2
+    with pytest.raises(BenchError, match=f"{line}, which bench.params.position_offset would not move along"):
+        Bench(str(path), ["hip", "knee"], pd(), ARMATURE | offset, [0.02, 1.0], None, None)
+
+
+def test_of_several_sections_all_are_heeded(tmp_path: Path) -> None:
+    path = tmp_path / "bench.xml"
+    path.write_text(TWO_JOINTS.replace("<worldbody>", '<option timestep="0.004"/><worldbody>', 1))
+    assert Bench(str(path), ["hip", "knee"], pd(), ARMATURE, [0.02, 1.0], None, 0.002).timestep == 0.002
 
 
 def test_joints_in_another_order_are_refused(tmp_path: Path) -> None:

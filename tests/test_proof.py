@@ -57,7 +57,9 @@ def test_what_is_simulated_as_mujoco_does_is_proven(
     [
         ({"flag": '<flag damper="disable"/>', "joint": SPRING}, 'damper="disable" of <flag>'),
         ({"joint": 'stiffness="3 2 1"'}, 'stiffness="3 2 1" of <joint j>'),
-        ({"more": '<default><general armature="0.1"/></default>'}, 'armature="0.1" of <general>'),
+        # It goes with the armature: with the initial one, all agrees.
+        ({"joint": 'group="2" springdamper="0.2 1"'}, 'springdamper="0.2 1" of <joint j>'),
+        ({"more": '<default><joint stiffness="3 2 1"/></default>'}, 'stiffness="3 2 1" of <joint>'),
     ],
 )
 def test_what_is_not_is_refused_by_name(prove_on: Callable[..., Proof], parts: dict[str, str], fault: str) -> None:

@@ -3,7 +3,7 @@
 import copy
 import logging
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
@@ -30,6 +30,22 @@ _OPTIONAL = ("delay", "position_offset")
 INERTIAL = 11
 """Numbers of a load that describe the body; the others are the joint-space inertia."""
 _NAMING = {"name", "class", "childclass", "joint", "joint1", "joint2", "body", "body1", "body2", "type"}
+_NO_ACTUATORS = {
+    "default",
+    "mesh",
+    "texture",
+    "material",
+    "joint",
+    "geom",
+    "site",
+    "camera",
+    "light",
+    "pair",
+    "equality",
+}
+_NO_ACTUATORS |= {"tendon"}
+"""What of an MJCF's defaults does not act on actuators."""
+_GEOMETRY = {"axis", "pos", "quat", "euler", "axisangle", "xyaxes", "zaxis", "size", "fromto", "mass", "diaginertia"}
 _KEPT = {"mujoco", "worldbody", "body", "compiler"}
 _HEAVIER = 100.0  # times a fitted armature, or a part of it, within which it may move where a bench starts again
 
@@ -101,10 +117,14 @@ class Bench:
         if timestep is not None:
             if not timestep > 0:
                 raise ConfigError(f"bench.timestep={timestep}; expected a positive number of seconds, or null")
-            _section(self._template, "option").set("timestep", _number(timestep))
+            _section(self._template, "option")
+            for option in self._template.findall("option"):  # of several, the last has the last word
+                option.set("timestep", _number(timestep))
         self.joints = self._choose_joints(joint)
         self._refuse_clashes()
         model = self.compile(constraint=False)
+        self._refuse_idle_drive(model)
+        self._refuse_other_references(model)
         self._refuse_own_friction(model)
         self.joint_type = self._read_joint_type(model)
         self.timestep = float(model.opt.timestep)
@@ -232,7 +252,7 @@ class Bench:
         values = {name: value for name, value in self.initial_values().items() if name not in _OPTIONAL}
         try:
             model = mujoco.MjModel.from_xml_string(self.mjcf(values, frictionloss))
-        except ValueError as error:
+        except (ValueError, RuntimeError) as error:  # MuJoCo has both for files that it does not take
             reason = " ".join(str(error).split())
             raise BenchError(f"{self.source}: MuJoCo does not compile it ({reason}); mend the MJCF") from None
         if model.nv != self.nv:
@@ -327,16 +347,20 @@ class Bench:
     def simpler(self) -> Iterator[tuple[str, "Bench"]]:
         """What the MJCF could lack, one attribute or element at a time, in words, and the same test stand without it.
 
-        Not each of them compiles. Bodies and the identified joints stay.
+        Not each of them compiles. Bodies and the identified joints stay. Where things are, and how large, comes last:
+        without it the test stand may move so differently that what is at fault does not act.
         """
-        elements = [element for element in self._template.iter() if isinstance(element.tag, str)]
-        for element in elements:
-            of = _describe(element)
-            for name in set(element.attrib) - _NAMING:
-                yield f'{name}="{element.get(name)}" of {of}', self._without(element, name)
-        for element in elements:
-            if element.tag not in _KEPT and element.get("name") not in self.joints:
-                yield _describe(element), self._without(element)
+        elements = _elements(self._template.iter())
+        attributes = [(element, name) for element in elements for name in element.attrib if name not in _NAMING]
+        parts = [element for element in elements if element.tag not in _KEPT and element.get("name") not in self.joints]
+        leaving_out = [
+            *((element, name) for element, name in attributes if name not in _GEOMETRY),
+            *((element, None) for element in parts),
+            *((element, name) for element, name in attributes if name in _GEOMETRY),
+        ]
+        for element, name in leaving_out:
+            what = _describe(element) if name is None else f'{name}="{element.get(name)}" of {_describe(element)}'
+            yield what, self._without(element, name)
 
     def _without(self, element: ET.Element, attribute: str | None = None) -> "Bench":
         place = list(self._template.iter()).index(element)
@@ -403,8 +427,8 @@ class Bench:
 
     def _angle_unit(self) -> float:
         """What the template's joint positions are in [rad or m]: MuJoCo's default for hinges is degrees."""
-        compiler = self._template.find("compiler")
-        radian = compiler is not None and compiler.get("angle") == "radian"
+        units = [compiler.get("angle") for compiler in self._template.findall("compiler") if compiler.get("angle")]
+        radian = units[-1:] == ["radian"]
         return np.pi / 180 if self.joint_type == "hinge" and not radian else 1.0
 
     def _delayed(self, values: Mapping[str, np.ndarray], index: int) -> dict[str, str]:
@@ -456,11 +480,41 @@ class Bench:
     def _refuse_clashes(self) -> None:
         if self._template.find(".//include") is not None:
             raise BenchError(f"{self.source}: it has an <include>, expected one self-contained MJCF; flatten it first")
-        for element in self._template.findall("./actuator/*"):
+        for element in _elements(self._template.findall("./actuator/*")):
             if element.get("joint") in self.joints:
                 raise BenchError(
                     f"{self.source}: joint {element.get('joint')} has an actuator in the MJCF, expected none because "
                     "bench.actuator describes it; remove it from the MJCF"
+                )
+            raise BenchError(
+                f"{self.source}: an actuator {_describe(element)} in the MJCF, whose commands no recording has; remove "
+                "it from the MJCF"
+            )
+        for element in _elements(self._template.findall("./default/*")):
+            if element.tag not in _NO_ACTUATORS:
+                raise BenchError(
+                    f"{self.source}: defaults for {_describe(element)} in the MJCF would act on the drive that "
+                    "bench.actuator describes, expected none outside of classes of their own; remove them"
+                )
+
+    def _refuse_idle_drive(self, model: mujoco.MjModel) -> None:
+        if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_ACTUATION or model.opt.disableactuator & 1:
+            raise BenchError(
+                f"{self.source}: the MJCF disables actuators (flag actuation or actuatorgroupdisable), and with them "
+                "the drive; remove that"
+            )
+
+    def _refuse_other_references(self, model: mujoco.MjModel) -> None:
+        """What is given in joint positions and would not move along with a position offset."""
+        if "position_offset" not in self.params:
+            return
+        given = {"ref": model.qpos0 != 0, "range": model.jnt_limited > 0, "stiffness": _springs(model) > 0}
+        for name, having in given.items():
+            if having.any() or (name == "stiffness" and model.ntendon):
+                what = f"joint {self.joints[int(np.argmax(having))]} has {name}" if having.any() else "it has tendons"
+                raise BenchError(
+                    f"{self.source}: {what}, which bench.params.position_offset would not move along; remove it from "
+                    "the MJCF, or set bench.params.position_offset to identify: false and init: 0"
                 )
 
     def _refuse_own_friction(self, model: mujoco.MjModel) -> None:
@@ -542,6 +596,11 @@ def _combine(model: mujoco.MjModel, body: int, payload: Payload) -> Float[np.nda
     return np.concatenate([[masses.sum()], centre, quaternion, principal])
 
 
+def _springs(model: mujoco.MjModel) -> Float[np.ndarray, "nv"]:
+    """Stiffness of each joint's spring, the largest coefficient of one that is no straight line."""
+    return np.abs(np.column_stack([model.jnt_stiffness, model.jnt_stiffnesspoly])).max(axis=1)
+
+
 def _put_inertial(model: mujoco.MjModel, body: int, inertial: Float[np.ndarray, "11"]) -> None:
     model.body_mass[body], model.body_ipos[body] = inertial[0], inertial[1:4]
     model.body_iquat[body], model.body_inertia[body] = inertial[4:8], inertial[8:]
@@ -549,6 +608,11 @@ def _put_inertial(model: mujoco.MjModel, body: int, inertial: Float[np.ndarray, 
     model.body_sameframe[body] = model.body_simple[body] = 0
     model.dof_simplenum[:] = 0
     mujoco.mj_setConst(model, mujoco.MjData(model))  # the mass of subtrees, where the origin of inertias lies
+
+
+def _elements(nodes: Iterable[ET.Element]) -> list[ET.Element]:
+    """Those that are no comments."""
+    return [node for node in nodes if isinstance(node.tag, str)]
 
 
 def _describe(element: ET.Element) -> str:
