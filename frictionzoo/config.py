@@ -1,7 +1,9 @@
 """The configuration: where it lies, its resolvers, and what an override may be."""
 
 import contextlib
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Mapping
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -17,29 +19,33 @@ from frictionzoo.threads import count_cores, jobs_at_once, threads_each
 _PACKAGE = Path(__file__).parent
 # A wheel ships conf/ inside the package; in a checkout it stands beside it.
 CONF_DIR = _PACKAGE / "conf" if (_PACKAGE / "conf").is_dir() else _PACKAGE.parent / "conf"
-_NUMBERS = (int, float)
-# Options that may be null, with an example of each kind of value that they take besides.
-_NULLABLE: dict[str, tuple[Any, ...]] = {
-    "resume": ("", True),
-    "threads": (0,),
-    "compilation_cache": ("",),
-    "segments.count": (0,),
-    "loop.patience": (0,),
-    "evaluation.rollouts": (0,),
-    "bench.joint": ("", []),
-    "bench.payload": ("",),
-    "bench.timestep": (0.1,),
-    "data.clean.wrap": (0.1,),
-    "data.folder": ("",),
-    "data.cache_dir": ("",),
-    "data.source": ("",),
-    "data.fields_from_name": ("",),
-    "data.train": ("", []),
-    "data.test": ("", []),
-    "data.split.test": ([], 0.0),
-    "data.clean.step": (0.0,),
-    "data.clean.velocity_lag": (0.0, ""),
+# What options take whose value in conf/ does not show all of it: an example of each kind, None for null.
+_TAKES: dict[str, tuple[Any, ...]] = {
+    "resume": ("", True, None),
+    "threads": (0, None),
+    "compilation_cache": ("", None),
+    "segments.count": (0, None),
+    "loop.patience": (0, None),
+    "evaluation.rollouts": (0, None),
+    "bench.joint": ("", [""], None),
+    "bench.payload": ("", None),
+    "bench.timestep": (0.1, None),
+    "*.params.*.scale": ("", 0.1),
+    "data.columns.*": ("", [""], None),
+    "data.units.*": ("", 0.1, None),
+    "data.clean.wrap": (0.1, None),
+    "data.folder": ("", None),
+    "data.cache_dir": ("", None),
+    "data.source": ("", None),
+    "data.fields_from_name": ("", None),
+    "data.train": ("", [""]),
+    "data.test": ("", [""]),
+    "data.split.test": ([], "", 0.0),
+    "data.clean.step": (0.1, None),
+    "data.clean.velocity_lag": (0.1, "", None),
 }
+_LARGEST, _LARGEST_SEED = 2**31 - 1, 2**63 - 1  # whole numbers as JAX counts in 32 bits, and as generators take them
+_KINDS = {bool: "true or false", int: "a whole number", float: "a number", list: "a list", str: "text"}
 # Sections whose keys a user chooses: names of fields and signals.
 _OPEN = ("data.columns", "data.units", "data.fields", "data.where", "data.exclude", "data.inputs")
 
@@ -102,7 +108,7 @@ def _hydra() -> Iterator[None]:
 
 
 def check_overrides(config: DictConfig, plain: DictConfig) -> None:
-    """Refuse options that do not exist, are gone, or have a value of another type than the one that it replaces.
+    """Refuse options that do not exist, are gone, or have a value of another kind than the one that it replaces.
 
     Args:
         config: The composed configuration.
@@ -111,55 +117,86 @@ def check_overrides(config: DictConfig, plain: DictConfig) -> None:
     Raises:
         ConfigError: A key or a value is not what `plain` has in its place.
     """
-    before, after = (
-        {key: value for key, value in list_options(OmegaConf.to_container(part, resolve=True)) if not _is_open(key)}
-        for part in (plain, config)
-    )
+    # First what is written as it is: a value that depends on a mistaken one fails to resolve, under its own name.
+    for resolve in (False, True):
+        before, after = (dict(list_options(OmegaConf.to_container(part, resolve=resolve))) for part in (plain, config))
+        _check_keys(before, after, plain)
+        for key, value in after.items():
+            _check_value(key, value, before.get(key))
+
+
+def _check_keys(before: Mapping[str, Any], after: Mapping[str, Any], plain: DictConfig) -> None:
     for key in [key for key in after if key not in before]:
         inside = [name.removeprefix(f"{key}.") for name in before if name.startswith(f"{key}.")]
         if inside:
             raise ConfigError(f"{key}={_text(after[key])}; expected a section with {', '.join(inside)}")
-        raise ConfigError(f"{key}: unknown option; {suggest_option(key, plain)}")
-    for key in [key for key in before if key not in after]:
+        if not _is_open(key):
+            raise ConfigError(f"{key}: unknown option; {suggest_option(key, plain)}")
+    for key in [key for key in before if key not in after and not _is_open(key)]:
         raise ConfigError(f"{key}: missing; expected a value such as {before[key]}; do not delete it")
-    for key, value in after.items():
-        _check_value(key, value, before[key])
 
 
 def _is_open(key: str) -> bool:
     return any(key == section or key.startswith(f"{section}.") for section in _OPEN)
 
 
-def _check_value(key: str, value: Any, example: Any) -> None:
-    name = key.rpartition(".")[2]
-    if name == "seed" and not (_same_kind(value, 0) and value >= 0):
-        raise ConfigError(f"{key}={_text(value)}; expected a whole number from 0 on, so that the run can be repeated")
-    # A parameter's scale is text or a number; `Param` looks at it.
-    if name == "scale" or (value is None and (key in _NULLABLE or example is None)):
+def _check_value(key: str, value: Any, default: Any) -> None:
+    """ConfigError for a value of another kind than this option takes, or with a number that is none."""
+    if any(isinstance(text, str) and "${" in text for text in (value, default)):
         return
-    examples = _NULLABLE.get(key, () if example is None else (example,))
-    if examples and not any(_same_kind(value, other) for other in examples):
-        such = "" if example is None else f" such as {example}"
-        raise ConfigError(f"{key}={_text(value)}; expected {' or '.join(map(_kind, examples))}{such}")
+    examples = next((taken for name, taken in _TAKES.items() if fnmatchcase(key, name)), (default,))
+    if examples == (None,):  # the part that takes the value looks at it
+        return
+    such = "" if default in (None, "") else f" such as {default}"
+    expected = " or ".join(_KINDS[type(example)] for example in examples if example is not None) + such
+    if None in examples:
+        expected += ", or null"
+    if _is_seed(key):
+        expected = "a whole number from 0 on, so that the run can be repeated"
+    fitting = [example for example in examples if _is_like(value, example)]
+    if not fitting or (_is_seed(key) and value < 0):
+        raise ConfigError(f"{key}={_text(value)}; expected {expected}")
+    counts = isinstance(fitting[0], int) and not _is_seed(key)
+    _check_numbers(key, value, _LARGEST if counts else _LARGEST_SEED)
+    if key.startswith("scale.") and not value > 0:
+        raise ConfigError(f"{key}={_text(value)}; expected a number above 0{such}")
 
 
-def _same_kind(value: Any, example: Any) -> bool:
+def _check_numbers(key: str, value: Any, largest: int) -> None:
+    """ConfigError for NaN and infinities, and for whole numbers that programs do not hold."""
+    for number in _numbers(value):
+        if isinstance(number, int) and abs(number) > largest:
+            raise ConfigError(f"{key}={_text(value)}; expected whole numbers of at most {largest}")
+        if not math.isfinite(number):
+            raise ConfigError(f"{key}={_text(value)}; expected a finite number")
+
+
+def _is_seed(key: str) -> bool:
+    return key.rpartition(".")[2] == "seed"
+
+
+def _is_like(value: Any, example: Any) -> bool:
+    """Whether a value is of an example's kind; text is so only where it says something."""
     if isinstance(example, bool) or isinstance(value, bool):
         return isinstance(value, bool) and isinstance(example, bool)
-    if isinstance(example, int):
-        return isinstance(value, int)
     if isinstance(example, list):
-        return isinstance(value, list) and all(_same_kind(item, first) for first in example[:1] for item in value)
-    return isinstance(value, _NUMBERS) if isinstance(example, float) else isinstance(value, type(example))
+        return isinstance(value, list) and all(_is_like(item, first) for first in example[:1] for item in value)
+    if isinstance(example, float):
+        return isinstance(value, int | float)
+    return isinstance(value, type(example)) and value != ""
+
+
+def _numbers(value: Any) -> Iterator[int | float]:
+    """The numbers in a value, those in lists and sections in lists among them."""
+    if isinstance(value, list | dict):
+        for item in value.values() if isinstance(value, dict) else value:
+            yield from _numbers(item)
+    elif isinstance(value, int | float):
+        yield value
 
 
 def _text(value: Any) -> str:
     return "null" if value is None else str(value)
-
-
-def _kind(example: Any) -> str:
-    kinds = {bool: "true or false", int: "a whole number", float: "a number", list: "a list", str: "text"}
-    return kinds.get(type(example), type(example).__name__)
 
 
 def list_options(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:

@@ -8,6 +8,7 @@ if __name__ == "__main__":
         signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 import contextlib
+import itertools
 import os
 import re
 import sys
@@ -19,6 +20,8 @@ from typing import Any, NoReturn, cast
 import hydra
 import yaml
 from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import ChoiceSweep, Glob, Override, QuotedString
 from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
@@ -45,6 +48,7 @@ NOT_IDENTIFIED = 3
 
 # What a resumed run takes over from its folder: an option of the job, not a flag or a way into Hydra's own settings.
 _OVERRIDE = re.compile(r"(\+\+?|~)?\w[\w/.-]*(=|$)")
+_OPTIONAL_GROUPS = ("experiment", "variant")
 
 
 class Stopped(BaseException):
@@ -244,8 +248,10 @@ def _fail(*lines: str, status: int = REFUSED) -> NoReturn:
 def _restore_overrides(arguments: list[str]) -> list[str]:
     """For `resume=FOLDER`, the overrides with which that run began, before those of today."""
     named = _last_value("resume", arguments)
-    if named in (None, "null", ""):
+    if named in (None, "null"):
         return arguments
+    if not named:
+        raise ConfigError("resume=: expected the folder of a run; name one, or leave it out")
     if named.lower() == "true" or {"-m", "--multirun"} & set(arguments):
         _refuse_no_sweep(named, arguments)
         return arguments
@@ -297,19 +303,54 @@ def _holds_jobs(sweep: Path) -> bool:
 
 
 def refuse_no_choice(arguments: list[str]) -> None:
-    """Refuse to go without a file of a group that a job needs, or to take several.
+    """Refuse what is no override, and what does not choose one file of a group.
 
     Args:
         arguments: Those of the command line.
 
     Raises:
-        ConfigError: One chooses none or several.
+        ConfigError: One cannot be read, or chooses none, several, or something that is no name.
     """
+    for override in _read_arguments(arguments):
+        group = override.key_or_group
+        if not ("/" in group or _is_group(group)):
+            continue
+        names = _choices(override)
+        known = all(isinstance(name, str) for name in names)
+        if group in _OPTIONAL_GROUPS and (override.is_delete() or (known and set(names) <= set(list_choices(group)))):
+            continue
+        if override.is_delete() or not known or group == "variant":
+            asked = str(override.input_line)
+            needed = (
+                "expected one name, or to leave it out" if group in _OPTIONAL_GROUPS else f"a job needs one {group}"
+            )
+            raise ConfigError(f"{asked}: {needed}; {closest(asked.partition('=')[2], list_choices(group))}")
+
+
+def _read_arguments(arguments: list[str]) -> Iterator[Override]:
+    """The arguments that are overrides; ConfigError for one that Hydra cannot read, with which it would not name it."""
+    parser = OverridesParser.create()
     for argument in arguments:
-        group, _, name = argument.lstrip("+~").partition("=")
-        needed = group != "experiment" and _is_group(group)
-        if needed and (argument.startswith("~") or name == "null" or name.startswith("[")):
-            raise ConfigError(f"{argument}: a job needs one {group}; {closest(name, list_choices(group))}")
+        if argument.startswith("-") or not ("=" in argument or argument.startswith("~")):
+            continue
+        if argument.startswith("="):
+            raise ConfigError(f"{argument}: expected KEY=VALUE")
+        try:
+            yield parser.parse_override(argument)
+        except HydraException as error:
+            reason = " ".join(str(error).partition("\nSee ")[0].split())
+            raise ConfigError(
+                f"{argument}: cannot be read ({reason}); expected KEY=VALUE, quoted for the shell"
+            ) from None
+
+
+def _choices(override: Override) -> list[Any]:
+    """What an override chooses of a group: names, one for each job of a sweep, or whatever stands in their place."""
+    value = override.value()
+    if isinstance(value, Glob):
+        return value.filter(list_choices(override.key_or_group))
+    chosen = value.list if isinstance(value, ChoiceSweep) else [value]
+    return [name.text if isinstance(name, QuotedString) else name for name in chosen]
 
 
 def choices_of(chosen: Mapping[str, str | None]) -> Iterator[str]:
@@ -335,6 +376,8 @@ def _explain(error: Exception) -> str | None:
         return _explain_refusal(str(error))
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename or 'the disk'}: {error.strerror}; free space or set hydra.run.dir to another folder"
+    if isinstance(error, MemoryError):
+        return f"out of memory ({' '.join(str(error).split()) or 'nothing is free'}); lower the sizes that were set"
     return _missing_plugin(error)
 
 
@@ -349,18 +392,35 @@ def _missing_plugin(error: Exception) -> str | None:
 
 def _explain_refusal(text: str) -> str:
     """One line for what Hydra or OmegaConf refuses, with the closest name."""
-    missing = re.search(r"(?:Could not find|In '.*?': Could not find) '(\w+)/([^']*)'", text)
-    if missing and missing[1] != "hydra":
+    missing = re.search(r"Could not find '([\w/]+)/([^'/]*)'", text)
+    if missing:
         group, name = missing.groups()
         return f"{group}={name}: no such {group}; {closest(name, list_choices(group))}"
     unknown = re.search(r"Could not override '([^']+)'", text)
     if unknown and not unknown[1].startswith("hydra."):
-        return f"{unknown[1]}: unknown option; {suggest_option(unknown[1], _config_of_choices())}"
+        return _explain_unknown(unknown[1])
+    section = re.fullmatch(r"Error merging override (.*)", text.strip())
+    if section:
+        return f"{section[1]}: expected a section; set one option in it, or give it as {{key: value}}"
     return " ".join(text.split())
 
 
-def _config_of_choices() -> DictConfig:
-    return compose_config(*(argument for argument in sys.argv[1:] if _is_group(argument.partition("=")[0])))
+def _explain_unknown(option: str) -> str:
+    """One line for an option that does not exist, in a sweep for the first job that lacks it."""
+    chosen = [override for override in _read_arguments(sys.argv[1:]) if _is_group(override.key_or_group)]
+    for names in itertools.product(*map(_choices, chosen)):
+        choices = [f"{override.key_or_group}={name}" for override, name in zip(chosen, names, strict=True)]
+        config = compose_config(*choices)
+        if not _has(OmegaConf.to_container(config), option):
+            swept = [choice for choice, override in zip(choices, chosen, strict=True) if override.is_sweep_override()]
+            job = f" with {' '.join(swept)}" if swept else ""
+            return f"{option}: unknown option{job}; {suggest_option(option, config)}"
+    return f"{option}: unknown option; compare with conf/"
+
+
+def _has(section: Any, option: str) -> bool:
+    name, _, rest = option.partition(".")
+    return isinstance(section, dict) and name in section and (not rest or _has(section[name], rest))
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """Composing a job, what an override may be, and building parts from their sections."""
 
+import fnmatch
 import functools
 import shlex
 from pathlib import Path
@@ -10,9 +11,9 @@ from omegaconf import DictConfig, OmegaConf
 
 from frictionzoo.build import build
 from frictionzoo.config import (
-    _NULLABLE,
+    _OPEN,
+    _TAKES,
     CONF_DIR,
-    _is_open,
     check_overrides,
     compose_config,
     list_options,
@@ -164,14 +165,15 @@ def test_overrides_of_the_right_kind_pass(data: str, overrides: list[str]) -> No
     check_overrides(changed(plain, *overrides), plain)
 
 
-def test_options_that_may_be_null_exist_and_no_other_is_null() -> None:
+def test_options_that_take_more_than_conf_shows_exist_and_no_other_is_null() -> None:
     """The list in the code and the files in conf/ must not drift apart."""
     nulls, keys = set(), set()
     for name in ("emps", "files", "twin"):
         plain = dict(list_options(OmegaConf.to_container(compose_once(f"data={name}"), resolve=True)))
         keys |= set(plain)
-        nulls |= {key for key, value in plain.items() if value is None and not _is_open(key)}
-    assert nulls <= set(_NULLABLE) <= keys
+        nulls |= {key for key, value in plain.items() if value is None and key not in _OPEN}
+    assert all(fnmatch.filter(keys, name) for name in _TAKES)
+    assert nulls == {key for name, kinds in _TAKES.items() if None in kinds for key in fnmatch.filter(nulls, name)}
 
 
 @pytest.mark.parametrize(
