@@ -48,6 +48,22 @@ class OutputError(FrictionzooError):
     """A result that cannot be written."""
 
 
+def refuse_outside(option: str, value: int | float, low: int | float, high: int | float) -> None:
+    """Refuse a number outside a range.
+
+    Args:
+        option: Dotted key of what a user sets.
+        value: What came.
+        low: Least that is meant.
+        high: Largest that is meant.
+
+    Raises:
+        ConfigError: It is less, more, or no number.
+    """
+    if not low <= value <= high:
+        raise ConfigError(f"{option}={value:g}: expected {low:g} to {high:g}")
+
+
 def closest(name: str, options: Iterable[str]) -> str:
     """Hint for an unknown name: the closest option if one is near, then all of them.
 

@@ -219,7 +219,7 @@ def test_repairs_of_many_logs_are_summed_up():
         ("velocity", "measure", "did you mean measured"),
         ("cutoff", 0.0, "positive frequency"),
         ("wrap", 0.0, "a positive angle in rad"),
-        ("order", 0, "1 or more"),
+        ("order", 0, "1 to 20"),
         ("velocity_lag", "automatic", "a time in s, auto or null"),
         ("shortest", -1.0, "from 0 on"),
     ],

@@ -24,7 +24,7 @@ from frictionzoo.logs.diagnose import (
     repair_spikes,
 )
 from frictionzoo.logs.recording import HELD, Recording
-from frictionzoo.logs.velocity import estimate_velocity
+from frictionzoo.logs.velocity import check_filter, estimate_velocity
 from frictionzoo.types import JITTER, Log
 
 CHOICES = {
@@ -36,6 +36,7 @@ RESAMPLED = {"ctrl": "mean", "enable": "held"}  # how these are found on another
 EXTRAS = ("supply", "enable", "temperature")
 FOLLOWED = 1e-6  # share of the median interval by which the same instant may differ in two clocks
 COMPARED = 200  # samples from which on a measured velocity is compared with the position
+MOST_FINER = 1000.0  # factor by which resampling may make an interval shorter; more adds nothing but length
 SAME_UNIT = 3.0  # factor between velocity and derivative that a unit does not explain; a filter may take off some
 NUMBER = re.compile(r"-?\d+(\.\d+)?(e-?\d+)?")
 
@@ -90,10 +91,7 @@ class Cleaning:
             raise ConfigError(f"data.clean.gap={self.gap}: expected at least 1.5 median intervals")
         if self.wrap is not None and not self.wrap > 0:
             raise ConfigError(f"data.clean.wrap={self.wrap}: expected a positive angle in rad, or null")
-        if not self.cutoff > 0:
-            raise ConfigError(f"data.clean.cutoff={self.cutoff}: expected a positive frequency in Hz")
-        if self.order < 1:
-            raise ConfigError(f"data.clean.order={self.order}: expected 1 or more")
+        check_filter("data.clean", self.cutoff, self.order)
         if not self.shortest >= 0:
             raise ConfigError(f"data.clean.shortest={self.shortest}: expected a time in s from 0 on")
         if isinstance(self.velocity_lag, str) and self.velocity_lag != "auto":
@@ -163,7 +161,7 @@ def _finish(piece: Piece, name: str, recording: Recording, cleaning: Cleaning) -
     piece = _fill_nan(piece)
     piece = _repair_spikes(piece) if cleaning.spikes == "repair" else piece
     piece = _shift_velocity(piece, name, cleaning)
-    piece = _resample(piece, cleaning)
+    piece = _resample(piece, name, cleaning)
     piece = _choose_velocity(piece, name, cleaning)
     if piece.time[0] != 0:
         start = piece.time[0]
@@ -292,7 +290,7 @@ def _find_lag(piece: Piece, name: str) -> float:
     return float(np.median(lags))
 
 
-def _resample(piece: Piece, cleaning: Cleaning) -> Piece:
+def _resample(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
     """On a uniform grid: that of `step`, or of the median interval where the clock varies too much."""
     steps = np.diff(piece.time)
     interval = float(np.median(steps))
@@ -301,7 +299,14 @@ def _resample(piece: Piece, cleaning: Cleaning) -> Piece:
     if uniform and (cleaning.step is None or abs(cleaning.step / mean - 1) <= FOLLOWED):
         return piece
     step = interval if cleaning.step is None else cleaning.step
+    if step < interval / MOST_FINER:
+        raise ConfigError(
+            f"data.clean.step={step:g}: expected at least {interval / MOST_FINER:g} s, for {name} has a sample every "
+            f"{interval:g} s"
+        )
     samples = int((piece.time[-1] - piece.time[0]) / step + FOLLOWED) + 1
+    if samples < 2:
+        raise LogError(f"{name}: shorter than data.clean.step={step:g} s; set a smaller one, or leave it out")
     grid = piece.time[0] + step * np.arange(samples)
     signals = {
         name: np.stack(

@@ -10,7 +10,7 @@ import scipy.io
 from jaxtyping import Float
 
 from frictionzoo.errors import ConfigError, LogError, closest
-from frictionzoo.logs.velocity import estimate_velocity
+from frictionzoo.logs.velocity import check_filter, estimate_velocity
 from frictionzoo.types import Dataset, Log
 
 CITATION = (
@@ -38,14 +38,14 @@ class Emps:
         order: Order of the velocity estimate's filter.
 
     Raises:
-        ConfigError: The filter's order is below 1 or its cut-off is not positive.
+        ConfigError: The filter's order or its cut-off is impossible, or a part has several files.
     """
 
     def __init__(self, name: str, folder: str | None, train: str, test: str, cutoff: float, order: int) -> None:
-        if order < 1:
-            raise ConfigError(f"data.order={order}: expected 1 or more")
-        if not cutoff > 0:
-            raise ConfigError(f"data.cutoff={cutoff}: expected a positive frequency in Hz")
+        check_filter("data", cutoff, order)
+        for option, file_name in (("train", train), ("test", test)):
+            if not isinstance(file_name, str):
+                raise ConfigError(f"data.{option}={file_name}: expected the name of one file in the folder emps/")
         self.name, self.folder, self.train, self.test = name, folder, train, test
         self.cutoff, self.order = cutoff, order
 

@@ -10,12 +10,13 @@ import numpy as np
 from frictionzoo.errors import ConfigError, LogError, closest
 from frictionzoo.logs.clean import Cleaning, clean, summarise_repairs
 from frictionzoo.logs.columns import Proposal, name_headers, propose, to_recording
-from frictionzoo.logs.formats import read_tables
+from frictionzoo.logs.formats import format_names, read_tables
 from frictionzoo.logs.paths import find_files
 from frictionzoo.logs.payloads import choose_payloads
 from frictionzoo.logs.recording import SIGNALS, Recording, Table
 from frictionzoo.logs.select import Selection
 from frictionzoo.logs.split import Split
+from frictionzoo.logs.units import ratio
 from frictionzoo.types import Dataset, Log, Payload
 
 logger = logging.getLogger(__name__)
@@ -69,10 +70,14 @@ class Files:
         split: Mapping[str, Any],
         simulated: bool,
     ) -> None:
+        if format not in ("auto", *format_names()):
+            raise ConfigError(f"data.format={format}: no such format; {closest(format, ('auto', *format_names()))}")
         self.name, self.folder, self.source, self.format = name, folder, source, format
         self.train, self.test = _names("train", train), _names("test", test)
         self.columns = {signal: name_headers(signal, given) for signal, given in _signals("columns", columns).items()}
         self.units, self.sign = _signals("units", units), _signs(sign)
+        for signal, unit in self.units.items():
+            ratio(signal, str(unit))  # refuses what is none, also of a signal that no file has
         fields, where, exclude = (
             _mapping(option, given) for option, given in (("fields", fields), ("where", where), ("exclude", exclude))
         )
@@ -180,9 +185,9 @@ class Files:
         lost = [recording.name for recording, cleaned in zip(recordings, logs, strict=True) if not cleaned]
         if not kept:
             raise LogError(
-                f"{lost[0]}: cleaning leaves nothing of it, and of {len(lost) - 1} others; expected "
-                f"{self.clean.shortest:g} s without gaps and NaN, and with data.clean.spikes=drop no spikes; look "
-                "at the file or change data.clean"
+                f"{lost[0]}: cleaning leaves nothing of it, and of {len(lost) - 1} others; expected the "
+                f"{self.clean.shortest:g} s of data.clean.shortest without gaps and NaN, and no spikes with "
+                "data.clean.spikes=drop; look at the file or change data.clean"
             )
         told = [f"{len(lost)} left out as data.clean asks, such as {lost[0]}"] if lost else []
         told += summarise_repairs(kept)

@@ -13,14 +13,16 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from frictionzoo.errors import ConfigError, LogError, closest
+from frictionzoo.errors import ConfigError, LogError, closest, refuse_outside
 from frictionzoo.logs.cache import cache_folder, cached, digest
 from frictionzoo.segments import split_by_time
 from frictionzoo.types import Dataset, Log
 
 FORMAT = 1  # raise it with every change of the simulation, so that no cache of an older one is taken
+MOST_STEPS = 100_000_000  # of a simulation: some ten minutes
 DIVERGED = 1e6  # torque [N m] that no sane drive reaches; above 1e10 MuJoCo itself would reset the state and go on
 SIGNALS = ("time", "qpos", "qvel", "ctrl")
+MOST_HARMONICS = 1000
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,19 @@ class Excitation:
     frequency: tuple[float, float]
     phase: tuple[float, float]
     velocity_limit: float
+
+    def __post_init__(self) -> None:
+        refuse_outside("data.excitation.harmonics", self.harmonics, 1, MOST_HARMONICS)
+        for name in ("amplitude", "frequency", "phase"):
+            low, high = getattr(self, name)
+            if not low <= high:
+                raise ConfigError(
+                    f"data.excitation.{name}=[{low:g}, {high:g}]: expected two numbers, the smaller first"
+                )
+        if not self.velocity_limit > 0:
+            raise ConfigError(
+                f"data.excitation.velocity_limit={self.velocity_limit:g}: expected a positive speed in rad/s"
+            )
 
     def command(self, time: Float[np.ndarray, "time"], rng: np.random.Generator) -> Float[np.ndarray, "time"]:
         """Desired position [rad] at these times [s].
@@ -138,6 +153,11 @@ class Sensor:
     position_quantum: float
     velocity_noise: float
 
+    def __post_init__(self) -> None:
+        for name in ("position_quantum", "velocity_noise"):
+            if not getattr(self, name) >= 0:
+                raise ConfigError(f"data.sensor.{name}={getattr(self, name):g}: expected 0 or more")
+
     def measure(
         self, qpos: Float[np.ndarray, "time nv"], qvel: Float[np.ndarray, "time nv"], rng: np.random.Generator
     ) -> tuple[Float[np.ndarray, "time nv"], Float[np.ndarray, "time nv"]]:
@@ -192,6 +212,11 @@ class Twin:
         for option, value, low in (("samples", samples, 2), ("substeps", substeps, 1), ("seed", seed, 0)):
             if not isinstance(value, int) or value < low:
                 raise ConfigError(f"data.{option}={value}: expected a whole number of {low} or more")
+        if samples * substeps > MOST_STEPS:
+            raise ConfigError(
+                f"data.samples={samples} with data.substeps={substeps}: {samples * substeps:g} simulation steps, "
+                f"expected at most {MOST_STEPS:g}; lower one of them"
+            )
         if not timestep > 0:
             raise ConfigError(f"data.timestep={timestep}: expected a positive number of seconds")
         self.name, self.seed, self.samples, self.timestep, self.substeps = name, seed, samples, timestep, substeps
@@ -273,7 +298,8 @@ class Twin:
         if not abs(torque) < DIVERGED:
             raise LogError(
                 f"{self.name}: the simulation diverged at sample {sample}; expected a drive that a step of "
-                f"{self.timestep / self.substeps:g} s holds; raise data.substeps or lower the friction in data.drive"
+                f"{self.timestep / self.substeps:g} s holds; raise data.substeps, or lower data.timestep or what "
+                "data.controller and data.drive hold"
             )
 
     def _spec(self) -> mujoco.MjSpec:

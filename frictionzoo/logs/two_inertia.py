@@ -10,6 +10,8 @@ from jaxtyping import Float
 from frictionzoo.errors import ConfigError
 from frictionzoo.logs.twin import Twin
 
+LIGHT = 1e-3  # kg m^2: what turns a lighter rotor counts by its acceleration, at which MuJoCo too resets the state
+
 
 @dataclass(frozen=True)
 class HiddenCoupling:
@@ -91,9 +93,11 @@ class TwoInertia(Twin):
                 qpos, qvel = data.qpos.tolist(), data.qvel.tolist()
                 motor = self.controller.kp * (command - qpos[load]) - self.controller.kd * qvel[load]
                 passed = self.drive.coupling(qpos[rotor] - qpos[load], qvel[rotor] - qvel[load])
-                self._refuse_divergence(passed, sample)
-                data.qfrc_applied[load] = passed
-                data.qfrc_applied[rotor] = motor - passed - self.drive.friction(qvel[rotor])
+                turning = motor - passed - self.drive.friction(qvel[rotor])
+                self._refuse_divergence(
+                    max(abs(passed), abs(turning) * max(1.0, LIGHT / self.drive.rotor_inertia)), sample
+                )
+                data.qfrc_applied[load], data.qfrc_applied[rotor] = passed, turning
                 mujoco.mj_step(model, data)
         return states[:, :1], states[:, 1:]
 
