@@ -200,7 +200,8 @@ class Evaluation:
             raise ConfigError("evaluation.horizons is empty, expected at least one length in seconds")
         if not 0 < window <= trajectory:
             raise ConfigError(
-                f"evaluation.window={window:g}; expected more than 0 s and at most the {trajectory:g} s shown"
+                f"evaluation.window={window:g}; expected more than 0 s and at most evaluation.trajectory, "
+                f"{trajectory:g} s"
             )
         parts = {"train": dataset.train, "test": dataset.test}
         self.joint_type = joint_type
@@ -209,9 +210,14 @@ class Evaluation:
             {part: cut_rollouts(logs, horizon, rollouts, placement, seed, history) for part, logs in parts.items()}
             for horizon in horizons
         ]
-        self.trajectories: Segments = cut_rollouts(dataset.test, trajectory, places, "random", seed, history)
-        self._places = cut_rollouts(dataset.test, horizons[0], places, "random", seed, history)
-        self.local: Segments = cut_rollouts(dataset.test, local, None, "consecutive", seed, history)
+        shared, more = ("random", seed, history), "evaluation.places"
+        self.trajectories: Segments = cut_rollouts(
+            dataset.test, trajectory, places, *shared, ("evaluation.trajectory", more)
+        )
+        self._places = cut_rollouts(dataset.test, horizons[0], places, *shared, ("evaluation.horizons", more))
+        self.local: Segments = cut_rollouts(
+            dataset.test, local, None, "consecutive", seed, history, ("evaluation.local", more)
+        )
 
     @property
     def sha256(self) -> str:

@@ -46,7 +46,13 @@ def cut_segments(logs: Sequence[Log], count: int | None, length: int, history: i
 
 
 def cut_rollouts(
-    logs: Sequence[Log], horizon_s: float, count: int | None, placement: str, seed: int, history: int = 0
+    logs: Sequence[Log],
+    horizon_s: float,
+    count: int | None,
+    placement: str,
+    seed: int,
+    history: int = 0,
+    options: tuple[str, str] = ("evaluation.horizons", "evaluation.rollouts"),
 ) -> Segments:
     """Windows for an evaluation.
 
@@ -58,23 +64,24 @@ def cut_rollouts(
             horizon, spread evenly if there are more of them than asked for.
         seed: Seed of the random starts.
         history: As in `cut_segments`.
+        options: Where a user sets `horizon_s` and `count`, for messages.
 
     Raises:
         LogError: The logs do not belong together, or one is shorter than the horizon.
         ConfigError: An option is impossible.
     """
     timestep = _refuse_mixture(logs)
-    length = _steps(horizon_s, timestep)
+    length = _steps(horizon_s, timestep, options[0])
     for log in logs:
         if log.samples < length + 1:
             raise LogError(
                 f"{log.name}: {log.samples} samples, expected at least {length + 1} for a rollout of {horizon_s:g} s; "
-                "use a longer log or smaller evaluation.horizons and evaluation.trajectory"
+                f"use a longer log or a smaller {options[0]}"
             )
     if placement == "consecutive":
-        places = _spread(_places([_consecutive(log, length) for log in logs]), count, "evaluation.rollouts")
+        places = _spread(_places([_consecutive(log, length) for log in logs]), count, options[1])
     elif placement == "random":
-        places = _draw(_places([np.arange(log.samples - length) for log in logs]), count, seed)
+        places = _draw(_places([np.arange(log.samples - length) for log in logs]), count, seed, options[1])
     else:
         raise ConfigError(f"evaluation.placement={placement}: unknown; {closest(placement, PLACEMENTS)}")
     return _windows(logs, places, length, history)
@@ -130,10 +137,10 @@ def _refuse_below_one(option: str, value: int | None) -> None:
         raise ConfigError(f"{option}={value}: expected 1 or more")
 
 
-def _steps(horizon_s: float, timestep: float) -> int:
+def _steps(horizon_s: float, timestep: float, option: str) -> int:
     steps = round(horizon_s / timestep)
     if steps < 1:
-        raise ConfigError(f"evaluation.horizons: {horizon_s:g} s, expected at least one step of {timestep:g} s")
+        raise ConfigError(f"{option}: {horizon_s:g} s, expected at least one step of {timestep:g} s")
     return steps
 
 
@@ -158,11 +165,13 @@ def _spread(places: Int[np.ndarray, "available 2"], count: int | None, option: s
     return places[np.arange(count) * available // count]
 
 
-def _draw(places: Int[np.ndarray, "available 2"], count: int | None, seed: int) -> Int[np.ndarray, "segments 2"]:
+def _draw(
+    places: Int[np.ndarray, "available 2"], count: int | None, seed: int, option: str
+) -> Int[np.ndarray, "segments 2"]:
     """At most `count` of the windows, drawn without repetition, in the order in which they were drawn."""
     if count is None:
-        raise ConfigError("evaluation.rollouts=null with evaluation.placement=random: expected a number of rollouts")
-    _refuse_below_one("evaluation.rollouts", count)
+        raise ConfigError(f"{option}=null with evaluation.placement=random: expected a number of rollouts")
+    _refuse_below_one(option, count)
     chosen = np.random.default_rng(seed).choice(len(places), size=min(count, len(places)), replace=False)
     return places[chosen]
 

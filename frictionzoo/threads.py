@@ -8,6 +8,7 @@ from frictionzoo.errors import ConfigError
 
 _log = logging.getLogger(__name__)
 
+MOST_THREADS = 1024  # more than any machine has cores; that many are started
 # Read once, by XLA's pool for the CPU, torch, and the libraries under numpy and scipy, when each is loaded.
 _VARIABLES = ("PJRT_NPROC", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
@@ -48,8 +49,8 @@ def limit_threads(threads: int | None) -> None:
     """
     if threads is None:
         return
-    if threads < 1:
-        raise ConfigError(f"threads={threads}; expected 1 or more, or null for all cores")
+    if not 1 <= threads <= MOST_THREADS:
+        raise ConfigError(f"threads={threads}; expected 1 or more and at most {MOST_THREADS}, or null for all cores")
     wanted = str(threads)
     if "jax" in sys.modules and os.environ.get(_VARIABLES[0]) != wanted:
         _log.warning("threads=%s comes too late: what the first job of this process took holds for all", wanted)

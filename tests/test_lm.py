@@ -201,7 +201,7 @@ def test_auto_takes_the_method_that_suits_the_law(make: Callable[..., Any], tmp_
     assert_recovered(run(few, auto, tmp_path / "few").values, 1e-6)
     found, adam = (run(many, fit, tmp_path / fit.name) for fit in (auto, make("fit", *ADAM)))
     np.testing.assert_array_equal(found.vector, adam.vector)
-    with pytest.raises(ConfigError, match=r"fit\.tries=0; expected at least 1"):
+    with pytest.raises(ConfigError, match=r"fit\.tries=0: expected 1 to 10000"):
         make("fit", "fit=auto", "fit.tries=0")
 
 

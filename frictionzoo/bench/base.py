@@ -24,6 +24,8 @@ _JOINT_TYPES = {mujoco.mjtJoint.mjJNT_HINGE: "hinge", mujoco.mjtJoint.mjJNT_SLID
 _INTEGRATORS = {mujoco.mjtIntegrator.mjINT_EULER: "Euler", mujoco.mjtIntegrator.mjINT_IMPLICITFAST: "implicitfast"}
 NO_PAYLOAD = Payload(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 _TIMESTEP_TOLERANCE = 0.01  # share by which the log's interval may differ from a whole number of simulation steps
+_MOST_SUBSTEPS = 10_000  # simulation steps from sample to sample
+_MOST_HISTORY = 10_000  # samples by which commands may act late
 _PARAMS = {"armature": "inertia", "delay": "time", "position_offset": "position"}
 _OPTIONAL = ("delay", "position_offset")
 INERTIAL = 11
@@ -95,6 +97,12 @@ class Bench:
         if "delay" in self.params and self.params["delay"].low < 0:
             raise ConfigError(f"bench.params.delay.low={self.params['delay'].low:g}; expected 0 s or more")
         self._start: dict[str, np.ndarray] = {}  # initial values that are not those of `params`
+        low, high = (min(solreffriction, default=0.0), max(solreffriction, default=0.0))
+        if len(solreffriction) != 2 or not (low > 0 or high < 0):
+            raise ConfigError(
+                f"bench.solreffriction={list(solreffriction)}; expected two numbers above 0, time constant in s and "
+                "damping ratio, or two below 0, as MuJoCo reads them"
+            )
         self._solreffriction = [float(number) for number in solreffriction]
         self._template = _read_template(mjcf)
         if timestep is not None:
@@ -118,10 +126,20 @@ class Bench:
         return len(self.joints)
 
     def sampling(self, interval: float) -> Sampling:
-        """How samples of this interval [s] relate to simulation steps and to late commands."""
+        """How samples of this interval [s] relate to simulation steps and to late commands.
+
+        Raises:
+            ConfigError: A command may act so late that it is none of this drive.
+        """
         delay = self.params.get("delay")
         latest = 0.0 if delay is None else delay.high if delay.identify else delay.init
-        return Sampling(interval, self._substeps(interval), int(np.ceil(latest / interval - 1e-9)))
+        history = int(np.ceil(latest / interval - 1e-9))
+        if history > _MOST_HISTORY:
+            raise ConfigError(
+                f"bench.params.delay: up to {latest:g} s, which are {history} samples, expected at most "
+                f"{_MOST_HISTORY}; lower its init or high"
+            )
+        return Sampling(interval, self._substeps(interval), history)
 
     def initial_values(self) -> dict[str, np.ndarray]:
         """Initial value of each parameter, of shape (nv,)."""
@@ -356,6 +374,11 @@ class Bench:
                     f"{log.name}: {signal} has {columns} columns, expected {self.nv} for the joints "
                     f"{', '.join(self.joints)} of {self.source}; choose other columns or another bench.joint"
                 )
+        if self._substeps(log.timestep) > _MOST_SUBSTEPS:
+            raise BenchError(
+                f"{log.name}: {log.timestep:.6g} s per sample are {self._substeps(log.timestep)} simulation steps of "
+                f"{self.timestep:.6g} s, expected at most {_MOST_SUBSTEPS}; set a longer bench.timestep"
+            )
         if abs(log.timestep / (self._substeps(log.timestep) * self.timestep) - 1) > _TIMESTEP_TOLERANCE:
             raise BenchError(
                 f"{log.name}: {log.timestep:.6g} s per sample, expected {self.timestep:.6g} s as in {self.source}, or "

@@ -1,9 +1,9 @@
 """The method that suits the law: what one sweep over laws of all kinds takes."""
 
-from frictionzoo.errors import ConfigError
+from frictionzoo.errors import refuse_outside
 from frictionzoo.fit.adam import Adam
 from frictionzoo.fit.base import Chunk, Fit, Progress
-from frictionzoo.fit.lm import MOST_COORDINATES, LevenbergMarquardt
+from frictionzoo.fit.lm import MOST_COORDINATES, MOST_TRIES, LevenbergMarquardt
 from frictionzoo.fit.objective import Objective
 
 
@@ -35,8 +35,7 @@ class Auto(Fit):
         derivative: str,
         schedule: str,
     ) -> None:
-        if tries < 1:
-            raise ConfigError(f"fit.tries={tries}; expected at least 1")
+        refuse_outside("fit.tries", tries, 1, MOST_TRIES)
         self._lm = LevenbergMarquardt(tries, tolerance)
         self._adam = Adam(iterations, learning_rate, b2, derivative, schedule)
 

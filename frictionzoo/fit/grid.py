@@ -18,6 +18,9 @@ from frictionzoo.fit.base import (
 )
 from frictionzoo.fit.objective import Blocks, Objective
 
+MOST_COMBINATIONS = 100_000_000  # and JAX counts them in 32 bits
+MOST_STATES = 1_000_000_000  # simulated at once: some GB of memory
+
 
 class Grid(Fit):
     """Every combination of evenly spaced values; an iteration is one combination, a chunk simulates many at once.
@@ -52,7 +55,13 @@ class Grid(Fit):
             raise ConfigError(
                 f"fit=grid: {objective.space.weights[0]} has no bounds; expected physical parameters only, use fit=adam"
             )
-        return self._points ** len(objective.space.start)
+        combinations = self._points ** len(objective.space.start)
+        if combinations > MOST_COMBINATIONS:
+            raise ConfigError(
+                f"fit.points={self._points}: {combinations:g} combinations of {len(objective.space.start)} parameters, "
+                f"expected at most {MOST_COMBINATIONS:g}; lower it"
+            )
+        return combinations
 
     def start(self, objective: Objective) -> Progress:
         """See `Fit.start`."""
@@ -60,6 +69,11 @@ class Grid(Fit):
 
     def chunk(self, objective: Objective, size: int) -> Chunk:
         """See `Fit.chunk`. A combination that diverges loses; it does not end the search."""
+        at_once = size * objective.data.qpos[0].size
+        if at_once > MOST_STATES:
+            raise ConfigError(
+                f"loop.chunk={size}: {at_once:g} states simulated at once, expected at most {MOST_STATES:g}; lower it"
+            )
 
         def run(progress: Progress, count: Array, data: Blocks) -> tuple[Progress, Trace]:
             rows = jnp.arange(size)

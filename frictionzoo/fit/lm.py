@@ -9,10 +9,11 @@ import numpy as np
 import scipy.optimize
 from jaxtyping import Float
 
-from frictionzoo.errors import ConfigError
+from frictionzoo.errors import ConfigError, refuse_outside
 from frictionzoo.fit.base import Chunk, Fit, Progress, Trace, begin, refuse_nothing, refuse_torch
 from frictionzoo.fit.objective import NormalEquations, Objective
 
+MOST_TRIES = 10_000  # each is remembered with its second derivative; ten are usual
 MOST_COORDINATES = 200  # a Jacobian has a column for each: more are a network's weights
 _SLACK = 30.0  # of the floating-point type's precision, below which a change of the loss is rounding
 
@@ -55,8 +56,7 @@ class LevenbergMarquardt(Fit):
     name = "lm"
 
     def __init__(self, iterations: int, tolerance: float) -> None:
-        if iterations < 1:
-            raise ConfigError(f"fit.iterations={iterations}; expected at least 1")
+        refuse_outside("fit.iterations", iterations, 1, MOST_TRIES)
         if not 0 < tolerance < 1:
             raise ConfigError(f"fit.tolerance={tolerance}; expected a number between 0 and 1")
         self._iterations = iterations

@@ -21,7 +21,7 @@ from tqdm import tqdm
 
 from frictionzoo.bridge import load_from_jax
 from frictionzoo.engine import Values
-from frictionzoo.errors import CheckpointError, ConfigError, FitError, OutputError
+from frictionzoo.errors import CheckpointError, ConfigError, FitError, OutputError, refuse_outside
 from frictionzoo.fit.base import Fit, Progress, Trace
 from frictionzoo.fit.loggers import RunLogger
 from frictionzoo.fit.objective import Objective
@@ -29,6 +29,7 @@ from frictionzoo.models import FrictionModel
 from frictionzoo.output import write_atomically
 
 CHECKPOINT = "last.ckpt"
+MOST_CHUNK = 1_000_000  # iterations in one call, which returns a row for each
 _log = logging.getLogger(__name__)
 
 
@@ -99,9 +100,9 @@ def run_fit(
         OutputError: A checkpoint or the logger's record cannot be written.
         ConfigError: An argument is out of range.
     """
-    for name, value in (("chunk", chunk), ("patience", patience)):
-        if value is not None and value < 1:
-            raise ConfigError(f"loop.{name}={value}; expected at least 1")
+    refuse_outside("loop.chunk", chunk, 1, MOST_CHUNK)
+    if patience is not None and patience < 1:
+        raise ConfigError(f"loop.patience={patience}; expected at least 1")
     checkpoint = _checked_checkpoint(folder, identity)
     began = time.perf_counter()
     module = FitModule(fit, objective, model, identity, chunk, patience)
@@ -137,14 +138,14 @@ class FitModule(pl.LightningModule):
         self.automatic_optimization = False
         self.friction = model
         self.total = fit.total(objective)
-        self.chunk = chunk
+        self.chunk = min(chunk, self.total)
         self.progress: Progress = fit.start(objective)
         self.history: list[Trace] = []
         self._fit = fit
         self._objective = objective
         self._identity = dict(identity)
         self._patience = patience
-        self._run = fit.chunk(objective, chunk)
+        self._run = fit.chunk(objective, self.chunk)
 
     @property
     def iteration(self) -> int:

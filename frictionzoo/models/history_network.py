@@ -5,8 +5,8 @@ from typing import Any
 
 import torch
 
-from frictionzoo.errors import ConfigError
-from frictionzoo.models.network import NetworkModel
+from frictionzoo.errors import ConfigError, refuse_outside
+from frictionzoo.models.network import MOST_WIDTH, NetworkModel
 from frictionzoo.models.registry import register_model
 from frictionzoo.types import DriveState, FrictionTerms
 
@@ -63,8 +63,7 @@ class HistoryNetwork(NetworkModel):
     time_constants: torch.Tensor
 
     def __init__(self, nv: int, hidden: Sequence[int], memory: int, time_constants: Sequence[float], seed: int) -> None:
-        if memory < 1:
-            raise ConfigError(f"model.memory={memory}; expected at least 1")
+        refuse_outside("model.memory", memory, 1, MOST_WIDTH)
         super().__init__(nv, hidden, 1 + 2 * memory, seed)
         if len(time_constants) != 2 or not 0 < time_constants[0] < time_constants[1] < float("inf"):
             raise ConfigError(f"model.time_constants={list(time_constants)}; expected two above 0 s, the shorter first")

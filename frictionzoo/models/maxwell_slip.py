@@ -3,11 +3,13 @@
 from collections.abc import Mapping
 from typing import Any
 
-from frictionzoo.errors import ConfigError
+from frictionzoo.errors import refuse_outside
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.models.bristles import settled_force, stribeck_force
 from frictionzoo.models.registry import register_model
 from frictionzoo.types import DriveState, FrictionTerms
+
+MOST_ELEMENTS = 1000
 
 
 @register_model("maxwell_slip")
@@ -62,8 +64,7 @@ class MaxwellSlip(FrictionModel):
 
     def __init__(self, nv: int, elements: int, params: Mapping[str, Mapping[str, Any]] | None = None) -> None:
         super().__init__(nv, params)
-        if elements < 1:
-            raise ConfigError(f"model.elements={elements}; expected at least 1")
+        refuse_outside("model.elements", elements, 1, MOST_ELEMENTS)
         self.memory = elements
 
     def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:

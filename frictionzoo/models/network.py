@@ -14,6 +14,7 @@ from frictionzoo.types import DriveState
 
 INPUTS = 4
 OCTAVES = (1, 2, 4, 8)  # radians of phase per standard deviation of the position
+MOST_WIDTH, MOST_LAYERS = 4096, 32  # of hidden layers; a law's are a hundred times smaller
 SPAN = 5.0  # standard deviations of the training data, beyond which a bounded input counts as at the edge
 
 
@@ -55,8 +56,11 @@ class NetworkModel(FrictionModel):
         params: Mapping[str, Mapping[str, Any]] | None = None,
     ) -> None:
         super().__init__(nv, params)
-        if not all(width >= 1 for width in hidden):
-            raise ConfigError(f"model.hidden={list(hidden)}; expected widths of at least 1")
+        if not all(1 <= width <= MOST_WIDTH for width in hidden) or len(hidden) > MOST_LAYERS:
+            raise ConfigError(
+                f"model.hidden={list(hidden)}; expected widths of at least 1 and at most {MOST_WIDTH}, and at most "
+                f"{MOST_LAYERS} of them"
+            )
         generator = torch.Generator().manual_seed(seed)
         widths = [self.columns, *hidden, outputs]
         self.layers = torch.nn.ModuleList(_linear(*pair, generator) for pair in itertools.pairwise(widths))
