@@ -30,7 +30,7 @@ def build(section: Mapping[str, Any], **more: Any) -> Any:
     try:
         return _find(target)(**arguments, **more)
     except TypeError as error:
-        raise ConfigError(f"{target}: {error}; compare the section with conf/") from error
+        raise ConfigError(f"{target}: {' '.join(str(error).split())}; compare the section with conf/") from error
 
 
 def _find(target: str) -> Any:

@@ -145,8 +145,8 @@ def _check_value(key: str, value: Any, default: Any) -> None:
     if any(isinstance(text, str) and "${" in text for text in (value, default)):
         return
     examples = next((taken for name, taken in _TAKES.items() if fnmatchcase(key, name)), (default,))
-    if examples == (None,):  # the part that takes the value looks at it
-        return
+    if examples == (None,):  # the part that takes the value looks at its kind
+        return _check_numbers(key, value, _LARGEST_SEED)
     such = "" if default in (None, "") else f" such as {default}"
     expected = " or ".join(_KINDS[type(example)] for example in examples if example is not None) + such
     if None in examples:

@@ -17,6 +17,9 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from frictionzoo import __version__
 from frictionzoo.drive import Drive
+from frictionzoo.export.bench import write_bench
+from frictionzoo.export.fitted import Fitted
+from frictionzoo.export.nearest import find_nearest
 from frictionzoo.job import Problem, _judge_baseline
 from frictionzoo.models import Baseline, FrictionModel
 from frictionzoo.report.result import read_schema
@@ -106,14 +109,17 @@ def check_friction(run: Path, module: FrictionModel, result: dict) -> None:
 
 
 def check_mjcf(run: Path, result: dict) -> None:
-    """MuJoCo C loads it, with the identified armature."""
-    model = mujoco.MjModel.from_xml_path(str(run / "identified.xml"))
-    armature = next(p["value"] for p in result["parameters"] if p["name"] == "armature")
-    np.testing.assert_array_equal(model.dof_armature, np.ravel(armature))
-    if result["model"].startswith("mujoco"):
-        values = {p["name"]: np.ravel(p["value"]) for p in result["parameters"]}
-        np.testing.assert_array_equal(model.dof_frictionloss, values["frictionloss"])
-        np.testing.assert_array_equal(model.dof_damping, values["damping"])
+    """MuJoCo C loads it, with the identified armature and friction or what an export puts in their place."""
+    path = run / "identified.xml"
+    model = mujoco.MjModel.from_xml_path(str(path))
+    values = {p["name"]: np.ravel(p["value"]) for p in result["parameters"]}
+    if result["model"] == "mujoco_default":
+        for name in ("armature", "frictionloss", "damping"):
+            np.testing.assert_array_equal(getattr(model, f"dof_{name}"), values[name])
+    elif result["model"] != "baseline":
+        fitted = Fitted.load(run)
+        assert path.read_text() == write_bench(fitted, find_nearest(fitted))
+        assert "A frictionloss and a damping are no" in path.read_text()
 
 
 def check_scalars(run: Path, result: dict) -> None:
@@ -138,6 +144,7 @@ def test_a_known_bench_is_judged_as_it_is_without_friction(
     expected = problem.evaluation.judge(
         drive.rollout.compiled, {"bench": problem.bench.initial_values(), "friction": {}}
     )
-    judged = _judge_baseline(problem, "float64", None)
+    judged, values = _judge_baseline(problem, "float64", None)
+    assert values["bench"] == problem.bench.initial_values()
     np.testing.assert_array_equal(judged.prediction.qpos, expected.prediction.qpos)
     assert (judged.rollout_mae["test"] > 0).all()

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 from omegaconf import DictConfig, OmegaConf
 
 from frictionzoo.compare.runs import read_runs
@@ -96,11 +97,19 @@ def compose_student(teacher: Fitted, options: Mapping[str, str]) -> DictConfig:
     refuse_no_choice([f"{group}={name}" for group, name in chosen.items()])
     plain = _replace_choices(teacher, {"fit": "auto"} | chosen)
     values = [f"{option}={value}" for option, value in options.items() if option not in chosen]
-    config = OmegaConf.merge(plain, OmegaConf.from_dotlist(values))
+    config = OmegaConf.merge(plain, *map(_read_value, values))
     assert isinstance(config, DictConfig)
     check_overrides(config, plain)
     config["teacher"] = str(teacher.folder.resolve())
     return config
+
+
+def _read_value(option: str) -> DictConfig:
+    """The configuration that has one option; ConfigError for a value that is not YAML."""
+    try:
+        return OmegaConf.from_dotlist([option])
+    except yaml.YAMLError:
+        raise ConfigError(f"{option}: cannot be read, expected KEY=VALUE; close quotes and brackets") from None
 
 
 def _replace_choices(teacher: Fitted, choices: Mapping[str, str]) -> DictConfig:

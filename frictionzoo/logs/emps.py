@@ -41,7 +41,7 @@ class Emps:
         ConfigError: The filter's order or its cut-off is impossible, or a part has several files.
     """
 
-    def __init__(self, name: str, folder: str | None, train: str, test: str, cutoff: float, order: int) -> None:
+    def __init__(self, name: str, folder: str | None, train: Any, test: Any, cutoff: float, order: int) -> None:
         check_filter("data", cutoff, order)
         for option, file_name in (("train", train), ("test", test)):
             if not isinstance(file_name, str):

@@ -75,9 +75,10 @@ class Files:
         self.name, self.folder, self.source, self.format = name, folder, source, format
         self.train, self.test = _names("train", train), _names("test", test)
         self.columns = {signal: name_headers(signal, given) for signal, given in _signals("columns", columns).items()}
-        self.units, self.sign = _signals("units", units), _signs(sign)
+        self.units = {signal: str(unit) for signal, unit in _signals("units", units).items()}
+        self.sign = _signs(sign)
         for signal, unit in self.units.items():
-            ratio(signal, str(unit))  # refuses what is none, also of a signal that no file has
+            ratio(signal, unit)  # refuses what is none, also of a signal that no file has
         fields, where, exclude = (
             _mapping(option, given) for option, given in (("fields", fields), ("where", where), ("exclude", exclude))
         )

@@ -21,7 +21,7 @@ def check_filter(section: str, cutoff: float, order: int) -> None:
         ConfigError: The cut-off is not positive, or the order is below 1 or above `MOST_ORDER`.
     """
     if not cutoff > 0:
-        raise ConfigError(f"{section}.cutoff={cutoff:g}: expected a positive frequency in Hz")
+        raise ConfigError(f"{section}.cutoff={cutoff}: expected a positive frequency in Hz")
     refuse_outside(f"{section}.order", order, 1, MOST_ORDER)
 
 
