@@ -113,7 +113,7 @@ def check_mjcf(run: Path, result: dict) -> None:
     path = run / "identified.xml"
     model = mujoco.MjModel.from_xml_path(str(path))
     values = {p["name"]: np.ravel(p["value"]) for p in result["parameters"]}
-    if result["model"] == "mujoco_default":
+    if result["model"].startswith("mujoco"):
         for name in ("armature", "frictionloss", "damping"):
             np.testing.assert_array_equal(getattr(model, f"dof_{name}"), values[name])
     elif result["model"] != "baseline":
