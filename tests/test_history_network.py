@@ -126,7 +126,7 @@ def test_it_depends_on_its_seed_alone():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"memory": 0}, r"model\.memory=0; expected at least 1"),
+        ({"memory": 0}, r"model\.memory=0: expected 1 to 4096"),
         ({"time_constants": [2.0, 0.002]}, r"model\.time_constants=\[2\.0, 0\.002\]; expected two above 0 s"),
         ({"time_constants": [0.0, 1.0]}, r"model\.time_constants=.*; expected two above 0 s"),
         ({"time_constants": [1.0]}, r"model\.time_constants=.*; expected two above 0 s"),

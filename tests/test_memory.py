@@ -236,7 +236,7 @@ def test_a_law_whose_memory_does_not_settle_is_refused(build: Callable[[str], Fr
 
 
 def test_there_is_an_element(make: Callable[..., Any]) -> None:
-    with pytest.raises(ConfigError, match="elements=0; expected at least 1"):
+    with pytest.raises(ConfigError, match="elements=0: expected 1 to 1000"):
         make("model", "model=maxwell_slip", "bench=emps", "model.elements=0", nv=1)
 
 
