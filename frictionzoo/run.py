@@ -48,6 +48,7 @@ NOT_IDENTIFIED = 3
 
 # What a resumed run takes over from its folder: an option of the job, not a flag or a way into Hydra's own settings.
 _OVERRIDE = re.compile(r"(\+\+?|~)?\w[\w/.-]*(=|$)")
+_FOLDERS = ("hydra.run.dir", "hydra.sweep.dir", "hydra.sweep.subdir")
 _OPTIONAL_GROUPS = ("experiment", "variant")
 
 
@@ -313,6 +314,7 @@ def refuse_no_choice(arguments: list[str]) -> None:
     """
     for override in _read_arguments(arguments):
         group = override.key_or_group
+        _refuse_no_setting(override)
         if not ("/" in group or _is_group(group)):
             continue
         names = _choices(override)
@@ -325,6 +327,15 @@ def refuse_no_choice(arguments: list[str]) -> None:
                 "expected one name, or to leave it out" if group in _OPTIONAL_GROUPS else f"a job needs one {group}"
             )
             raise ConfigError(f"{asked}: {needed}; {closest(asked.partition('=')[2], list_choices(group))}")
+
+
+def _refuse_no_setting(override: Override) -> None:
+    """ConfigError for a setting of Hydra's that it would take for the working directory, or fail over."""
+    name, value = override.key_or_group, override.value()
+    if name in _FOLDERS and value in (None, ""):
+        raise ConfigError(f"{override.input_line}: expected a folder; name one, or leave it out")
+    if name == "hydra.verbose" and not isinstance(value, bool | str | list):
+        raise ConfigError(f"{override.input_line}: expected true, false, or names of loggers")
 
 
 def _read_arguments(arguments: list[str]) -> Iterator[Override]:
@@ -399,23 +410,29 @@ def _explain_refusal(text: str) -> str:
     unknown = re.search(r"Could not override '([^']+)'", text)
     if unknown and not unknown[1].startswith("hydra."):
         return _explain_unknown(unknown[1])
-    section = re.fullmatch(r"Error merging override (.*)", text.strip())
-    if section:
-        return f"{section[1]}: expected a section; set one option in it, or give it as {{key: value}}"
+    unfit = re.fullmatch(r"Error merging override (.*)", text.strip())
+    if unfit:
+        return f"{unfit[1]}: expected a value, or a section, of the kind that it replaces; compare with --cfg all"
     return " ".join(text.split())
 
 
 def _explain_unknown(option: str) -> str:
     """One line for an option that does not exist, in a sweep for the first job that lacks it."""
     chosen = [override for override in _read_arguments(sys.argv[1:]) if _is_group(override.key_or_group)]
+    chosen = [override for override in chosen if override.key_or_group != option]
     for names in itertools.product(*map(_choices, chosen)):
         choices = [f"{override.key_or_group}={name}" for override, name in zip(chosen, names, strict=True)]
-        config = compose_config(*choices)
+        try:
+            config = compose_config(*choices)
+        except HydraException as error:
+            return _explain_refusal(str(error))
         if not _has(OmegaConf.to_container(config), option):
             swept = [choice for choice, override in zip(choices, chosen, strict=True) if override.is_sweep_override()]
             job = f" with {' '.join(swept)}" if swept else ""
             return f"{option}: unknown option{job}; {suggest_option(option, config)}"
-    return f"{option}: unknown option; compare with conf/"
+    # Hydra looks at a sweep as a whole first, with the default of each group that is swept.
+    group = option.partition(".")[0]
+    return f"{option}: each job of this sweep has it, the default {group} has not; write ++{option}=VALUE"
 
 
 def _has(section: Any, option: str) -> bool:

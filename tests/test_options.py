@@ -210,6 +210,19 @@ def test_an_argument_that_cannot_be_read_is_named(argument: str) -> None:
     assert str(refused.value).startswith(f"{argument}: ") and "expected KEY=VALUE" in str(refused.value)
 
 
+@pytest.mark.parametrize("argument", ["hydra.run.dir=", "hydra.sweep.dir=''", "hydra.sweep.subdir=null"])
+def test_no_folder_to_write_into_is_refused(argument: str) -> None:
+    with pytest.raises(ConfigError) as refused:
+        refuse_no_choice([argument])
+    assert str(refused.value) == f"{argument}: expected a folder; name one, or leave it out"
+
+
+def test_no_logger_to_be_verbose_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"^hydra\.verbose=nan: expected true, false, or names of loggers"):
+        refuse_no_choice(["hydra.verbose=nan"])
+    refuse_no_choice(["hydra.verbose=true", "hydra.verbose=[frictionzoo]", "hydra.run.dir=run"])
+
+
 def test_no_folder_to_resume_from_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"^resume=: expected the folder of a run"):
         _restore_overrides(["resume="])
@@ -222,10 +235,23 @@ def test_an_option_that_a_model_of_a_sweep_lacks_is_refused(call: Callable, tmp_
     assert not (tmp_path / "sweep").exists()
 
 
+def test_an_option_that_the_default_model_alone_lacks_is_told_how_to_set(call: Callable) -> None:
+    finished = call("-m", "model=neural_friction,odd_network", "model.hidden=[4]")
+    assert finished.status == 2 and finished.err.count("\n") == 1
+    assert "the default model has not; write ++model.hidden=VALUE" in finished.err
+
+
+def test_a_model_of_a_sweep_that_does_not_exist_is_refused(call: Callable) -> None:
+    finished = call("-m", "model=a,b", "model.hidden=[4]")
+    assert finished.status == 2 and finished.err.startswith("frictionzoo: model=a: no such model; ")
+    assert finished.err.count("\n") == 1
+
+
 def test_a_section_that_is_no_section_is_refused(call: Callable) -> None:
     finished = call("model.params=[1]")
     assert finished.status == 2 and finished.err == (
-        "frictionzoo: model.params=[1]: expected a section; set one option in it, or give it as {key: value}\n"
+        "frictionzoo: model.params=[1]: expected a value, or a section, of the kind that it replaces; compare with "
+        "--cfg all\n"
     )
 
 
