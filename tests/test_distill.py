@@ -23,6 +23,7 @@ from frictionzoo.fit import Objective
 from frictionzoo.fit.adam import Adam
 from frictionzoo.fit.lm import MOST_COORDINATES, LevenbergMarquardt
 from frictionzoo.report.terminal import summarise_distillation
+from frictionzoo.run import NOT_IDENTIFIED
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -130,7 +131,7 @@ def test_mujocos_friction_is_near_what_slides(
 def test_a_networks_student_is_a_run(finished_run: Callable, distill: Callable, tmp_path: Path) -> None:
     network, student = finished_run("neural_friction")[0], tmp_path / "student"
     finished = distill(network, "model=mujoco_default", f"output={student}")
-    assert finished.status == 0, finished.err
+    assert finished.status in (0, NOT_IDENTIFIED), finished.err
     assert {"report.html", "curves.safetensors", "friction.safetensors", "identified.xml"} <= {
         path.name for path in student.iterdir()
     }

@@ -23,6 +23,7 @@ from frictionzoo.export.nearest import find_nearest
 from frictionzoo.job import Problem, _judge_baseline
 from frictionzoo.models import Baseline, FrictionModel
 from frictionzoo.report.result import read_schema
+from frictionzoo.run import NOT_IDENTIFIED
 from frictionzoo.types import DriveState
 
 JOBS = {  # options besides those of `tiny`
@@ -50,7 +51,7 @@ def test_a_job_leaves_a_whole_record(
 ) -> None:
     overrides = (*tiny, f"model={name}", *JOBS[name])
     finished = call(*overrides, "hydra.run.dir=run")
-    assert finished.status == 0, finished.err
+    assert finished.status in (0, NOT_IDENTIFIED), finished.err
     check_record(tmp_path / "run", finished, name, make("model", *overrides, nv=1))
 
 
