@@ -42,7 +42,7 @@ class SpecialisedEngine(Engine):
     def __init__(self, bench: Bench, friction: Friction, constraint: bool) -> None:
         model = bench.compile(constraint)
         _refuse_other_constraints(model)
-        self._model_inputs, self._dynamics = _specialised(bench, constraint)
+        self._model_inputs, self._dynamics = _specialised(bench)
         self.note = f"the dynamics come down to {self._dynamics.operations} scalar operations"
         self._bench = bench
         self._friction = friction
@@ -105,17 +105,23 @@ def _drive_state(qpos: Array, qvel: Array, channels: Channels, here: Dynamics) -
     return DriveState(qpos, qvel, channels.command, *torques, **channels.observed)
 
 
-_known: dict[tuple[str, bool], tuple[Callable[[Values, Array], ModelInputs], Specialised]] = {}
-"""What was specialised in this process: a job simulates its bench with the law and without."""
+_known: dict[str, tuple[Callable[[Values, Array], ModelInputs], Specialised]] = {}
+"""What was specialised in this process: a job simulates its bench with several laws."""
 
 
-def _specialised(bench: Bench, constraint: bool) -> tuple[Callable[[Values, Array], ModelInputs], Specialised]:
-    """From values to MJX's inputs, and MJX's dynamics, of this bench."""
-    # Two benches that write the same MJCF differ in their initial values and bounds only.
-    key = (f"{type(bench.actuator).__qualname__} {bench.payload} {bench.mjcf(bench.initial_values())}", constraint)
+def _specialised(bench: Bench) -> tuple[Callable[[Values, Array], ModelInputs], Specialised]:
+    """From values to MJX's inputs, and MJX's dynamics, of this bench.
+
+    The friction constraint's coefficients are among them, whether the law needs them or not: XLA leaves out what is not
+    used, and one bench is specialised once.
+    """
+    # Two benches that write the same MJCF with the same values differ in initial values and bounds only, and those
+    # reach MJX's model by its inputs.
+    ones = dict.fromkeys(bench.params, np.ones(bench.nv))
+    key = f"{type(bench.actuator).__qualname__} {bench.payload} {bench.mjcf(ones)}"
     if key not in _known:
         with jax.enable_x64(True):
-            reference = MjxEngine(bench, without_memory(lambda values, state: FrictionTerms()), constraint)
+            reference = MjxEngine(bench, without_memory(lambda values, state: FrictionTerms()), constraint=True)
             values = {"bench": bench.initial_values()}
             inputs = jax.eval_shape(reference.model_inputs, values, jnp.asarray(bench.load(NO_PAYLOAD)))
             _known[key] = reference.model_inputs, specialise(reference.dynamics, inputs, *[np.zeros(bench.nv)] * 3)

@@ -85,9 +85,9 @@ def _refit(
         fit = LevenbergMarquardt(_ITERATIONS, 1e-8)
         progress, _ = fit.chunk(objective, _ITERATIONS)(fit.start(objective), _ITERATIONS)
         found = jax.tree.map(lambda value: np.asarray(value, np.float64), objective.space.values(progress.best))
-        before = float(np.sqrt(objective.compile(objective.loss)(objective.space.start, objective.data)))
     bench, friction = dict(found["bench"]), found["friction"]
-    remark = _say(fitted, bench["armature"], before, float(np.sqrt(progress.best_loss)))
+    before, after = (float(np.sqrt(loss)) for loss in (progress.method.loss[0], progress.best_loss))
+    remark = _say(fitted, bench["armature"], before, after)
     return Nearest(bench, friction["frictionloss"], friction["damping"], exact=False, remark=remark)
 
 
