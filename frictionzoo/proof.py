@@ -26,8 +26,8 @@ _BEYOND = 0.5  # share of the recorded range by which states lie beyond it, to e
 _MOVED = 0.05  # share of the bounds' distance by which values lie from the initial ones
 _OVERFLOW = 1e6  # of a position or velocity
 _TRIALS = 40  # of leaving something out
-_HASTY = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
-"""For functions that run once: they are compiled in less time than they would save."""
+_ONCE = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
+"""More for XLA, of functions that run once."""
 
 
 class Recorded(NamedTuple):
@@ -168,7 +168,7 @@ def _in_engine(
 ) -> Float[np.ndarray, "values 2 cases steps nv"]:
     with jax.enable_x64(True), naming_what_mjx_lacks(bench):
         rollout = Drive.assemble(bench, copy.deepcopy(model), engine).rollout
-        simulate = replace(rollout, compiler_options={**rollout.compiler_options, **_HASTY}).compiled
+        simulate = replace(rollout, compiler_options={**rollout.compiler_options, **_ONCE}).compiled
         known = [jax.tree.map(lambda value: np.asarray(value, np.float64), _without_delay(each)) for each in values]
         return np.stack([[np.asarray(part) for part in simulate(each, *cases)] for each in known])
 

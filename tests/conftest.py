@@ -27,6 +27,7 @@ from frictionzoo.build import build
 from frictionzoo.compare import Run
 from frictionzoo.config import compose_config
 from frictionzoo.report.curves import Curves
+from frictionzoo.rollout import FORWARD
 from frictionzoo.run import main
 
 # As for XLA in `pytest_configure`; torch is loaded and no longer looks at the environment.
@@ -60,6 +61,8 @@ def pytest_configure(config: pytest.Config) -> None:
     if config.option.markexpr == "not slow":
         os.environ[UNOPTIMISED.upper()] = "1"
         jax.config.update(UNOPTIMISED, True)
+        older = " ".join(f"--{option}={str(value).lower()}" for option, value in FORWARD.items())
+        os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {older}".strip()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -36,7 +36,7 @@ from frictionzoo.engine.choose import naming_what_mjx_lacks
 from frictionzoo.errors import FrictionzooError
 from frictionzoo.models import FrictionModel
 from frictionzoo.proof import TOLERANCE, Cases, Recorded, initial_values, prove
-from frictionzoo.rollout import make_rollout
+from frictionzoo.rollout import FORWARD, make_rollout
 from frictionzoo.types import DriveState
 
 ENGINES = ("specialised", "mjx")
@@ -51,7 +51,6 @@ UNSEEN = re.compile(
     "(?!actuator).*_group|.*(path|names_map).*|names|paths|bvh.*|vis|n[a-zA-Z].*|signature"
 )
 OVERFLOW = 1e6
-HASTY = {"xla_cpu_use_fusion_emitters": False}  # which compile for longer than they save here
 COMPARED = 4  # rollouts of each file, of which all that differs in a step is compared with an engine's sixteen
 
 
@@ -132,7 +131,7 @@ class Sweep:
             if other not in self.programs:
                 self.programs[other] = jax.jit(
                     functools.partial(roll, engine),
-                    compiler_options={**engine.compiler_options, **proof._HASTY, **HASTY},
+                    compiler_options={**engine.compiler_options, **FORWARD, **proof._ONCE},
                 )
             simulate = self.programs[other]
             known = [jax.tree.map(lambda value: np.asarray(value, np.float64), each) for each in values]

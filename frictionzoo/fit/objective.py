@@ -17,7 +17,7 @@ from frictionzoo.engine import Values
 from frictionzoo.engine.linear import solve_spd
 from frictionzoo.errors import ConfigError, closest
 from frictionzoo.fit.space import Space
-from frictionzoo.rollout import Rollout
+from frictionzoo.rollout import FORWARD, Rollout
 from frictionzoo.torch_rollout import TorchRollout
 from frictionzoo.types import Segments
 
@@ -258,7 +258,8 @@ class Objective:
     def _compile_equations(self, exact: bool) -> Callable[[np.ndarray], tuple[NormalEquations, np.ndarray]]:
         if exact not in self._programs:
             traced = self.compile(
-                lambda vector, data: jax.lax.map(lambda block: self._block_equations(vector, block, exact), data)
+                lambda vector, data: jax.lax.map(lambda block: self._block_equations(vector, block, exact), data),
+                FORWARD,
             )
             self._programs[exact] = traced.lower(self.spread(self.space.start), self.data).compile()
         compiled = self._programs[exact]
