@@ -131,7 +131,7 @@ class Sweep:
             if other not in self.programs:
                 self.programs[other] = jax.jit(
                     functools.partial(roll, engine),
-                    compiler_options={**engine.compiler_options, **FORWARD, **proof._ONCE},
+                    compiler_options={**FORWARD, **engine.compiler_options, **proof._ONCE},
                 )
             simulate = self.programs[other]
             known = [jax.tree.map(lambda value: np.asarray(value, np.float64), each) for each in values]

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from frictionzoo.bench import Bench, Channels
 from frictionzoo.bench.base import INERTIAL, can_collide, rigid_inertia
-from frictionzoo.engine.base import Engine, Friction, Values, control
+from frictionzoo.engine.base import UNFUSED, Engine, Friction, Values, control
 from frictionzoo.engine.linear import solve_spd
 from frictionzoo.types import DriveState, FrictionTerms
 
@@ -91,8 +91,7 @@ class MjxEngine(Engine):
         # mode cannot pass.
         model.opt.iterations = 1 if bench.nv == 1 else model.opt.iterations
         model.opt.tolerance = min(model.opt.tolerance, _TOLERANCE)
-        # On CPUs, XLA's fusion computes shared terms again for each of their uses: of many joints there are many.
-        self.compiler_options = {} if bench.nv <= _FUSED_JOINTS else {"xla_disable_hlo_passes": "fusion"}
+        self.compiler_options = {} if bench.nv <= _FUSED_JOINTS else UNFUSED
         self._bench = bench
         self._friction = friction
         self._timestep = float(model.opt.timestep)

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from frictionzoo.bench import Bench, Channels
 from frictionzoo.bench.base import NO_PAYLOAD, can_collide
-from frictionzoo.engine.base import Engine, Friction, Values, control, without_memory
+from frictionzoo.engine.base import UNFUSED, Engine, Friction, Values, control, without_memory
 from frictionzoo.engine.dry_friction import dry_friction
 from frictionzoo.engine.linear import solve_spd
 from frictionzoo.engine.mjx import Dynamics, MjxEngine, ModelInputs
@@ -52,8 +52,7 @@ class SpecialisedEngine(Engine):
         self._damper = not flags & mujoco.mjtDisableBit.mjDSBL_DAMPER
         euler = model.opt.integrator == mujoco.mjtIntegrator.mjINT_EULER
         self._damps_implicitly = not flags & mujoco.mjtDisableBit.mjDSBL_EULERDAMP if euler else self._damper
-        # XLA's fusion on CPUs computes shared terms again for each of their uses. For one joint they are few.
-        self.compiler_options = {} if bench.nv == 1 else {"xla_disable_hlo_passes": "fusion"}
+        self.compiler_options = {} if bench.nv == 1 else UNFUSED
 
     def step(
         self,
