@@ -360,13 +360,10 @@ RULES: list[tuple[str, How, *tuple[pytest.MarkDecorator, ...]]] = [
     (rf"{JOB}-m experiment=\w+ \"bench\..*", pose_jobs, SLOW, needs_data),
     (rf"{JOB}(-m )?experiment=.*", leave_to_the_experiments),
     (rf"{JOB}-m .*", do_jobs, SLOW),
-    # One job of each kind, and those like it
+    # One job of each kind of drive, and those like it, which differ in what they read
     (rf"{JOB}model=coulomb_stribeck", do_jobs),
-    (rf"{JOB}.*data\.units\.qvel=.*", do_jobs),
-    (rf"{JOB}.*data\.split\.by=kp .*", do_jobs),
     (rf"{JOB}bench=emps data=files .*", do_jobs),
     (rf"{JOB}.*bench\.payload=.*", do_jobs),
-    (rf"{JOB}.*\.mcap.*", do_jobs),
     (rf"{JOB}.*data=files .*", pose_jobs),
     (rf"{JOB}data=(sts3215|xl330) model=.*", do_jobs, SLOW, needs_data),
     (rf"{JOB}data=sts3215 .*", pose_jobs, SLOW, needs_data),
