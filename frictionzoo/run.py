@@ -9,6 +9,7 @@ if __name__ == "__main__":
 
 import contextlib
 import itertools
+import math
 import os
 import re
 import sys
@@ -21,7 +22,7 @@ import hydra
 import yaml
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import ChoiceSweep, Glob, Override, QuotedString
+from hydra.core.override_parser.types import ChoiceSweep, Glob, Override, QuotedString, RangeSweep
 from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
@@ -48,6 +49,7 @@ NOT_IDENTIFIED = 3
 
 # What a resumed run takes over from its folder: an option of the job, not a flag or a way into Hydra's own settings.
 _OVERRIDE = re.compile(r"(\+\+?|~)?\w[\w/.-]*(=|$)")
+MOST_JOBS = 100_000  # of one range in a sweep
 _FOLDERS = ("hydra.run.dir", "hydra.sweep.dir", "hydra.sweep.subdir")
 _OPTIONAL_GROUPS = ("experiment", "variant")
 
@@ -336,6 +338,19 @@ def _refuse_no_setting(override: Override) -> None:
         raise ConfigError(f"{override.input_line}: expected a folder; name one, or leave it out")
     if name == "hydra.verbose" and not isinstance(value, bool | str | list):
         raise ConfigError(f"{override.input_line}: expected true, false, or names of loggers")
+    # Hydra would write them all down before the first one begins.
+    if isinstance(value, RangeSweep) and not 0 < _count(value) <= MOST_JOBS:
+        raise ConfigError(
+            f"{override.input_line}: {_count(value):.3g} jobs, expected 1 to {MOST_JOBS}; range(start,stop,step) ends "
+            "before stop"
+        )
+
+
+def _count(values: RangeSweep) -> float:
+    """How many values a range has; below 0 or infinite where it leads nowhere."""
+    start, stop, step = (float(number or 0) for number in (values.start, values.stop, values.step))
+    steps = (stop - start) / step if step else math.inf
+    return float(math.ceil(steps)) if math.isfinite(steps) else math.inf
 
 
 def _read_arguments(arguments: list[str]) -> Iterator[Override]:

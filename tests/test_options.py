@@ -223,6 +223,14 @@ def test_no_logger_to_be_verbose_is_refused() -> None:
     refuse_no_choice(["hydra.verbose=true", "hydra.verbose=[frictionzoo]", "hydra.run.dir=run"])
 
 
+@pytest.mark.parametrize("values", ["range(1,1000000000)", "range(3,1)", "range(0,1,1e-9)", "range(1,9,0)"])
+def test_a_range_without_an_end_is_refused(values: str) -> None:
+    with pytest.raises(ConfigError) as refused:
+        refuse_no_choice(["-m", f"seed={values}"])
+    assert str(refused.value).startswith(f"seed={values}: ") and "expected 1 to 100000; " in str(refused.value)
+    refuse_no_choice(["-m", "seed=range(5)", "fit.learning_rate=range(0.1,0.5,0.1)", "seed=range(5,1,-1)"])
+
+
 def test_no_folder_to_resume_from_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"^resume=: expected the folder of a run"):
         _restore_overrides(["resume="])
