@@ -25,12 +25,12 @@ from omegaconf import OmegaConf
 from frictionzoo.bench import Bench
 from frictionzoo.build import build
 from frictionzoo.config import compose_config
-from frictionzoo.drive import Drive
-from frictionzoo.engine import Engine, MjxEngine, Values, friction_of
 from frictionzoo.fit import Objective, Space
 from frictionzoo.models import FrictionModel
-from frictionzoo.rollout import make_rollout
 from frictionzoo.segments import cut_segments
+from frictionzoo.simulate import Engine, MjxEngine, Values, friction_of
+from frictionzoo.simulate.drive import Drive
+from frictionzoo.simulate.rollout import make_rollout
 from frictionzoo.types import DriveState, Segments
 
 COLUMNS = {

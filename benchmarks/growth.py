@@ -113,9 +113,9 @@ def measure(kind: str, **what: int) -> dict[str, Any]:
 def measure_fit(samples: int, length: int) -> dict[str, Any]:
     """One identification; the data are made before."""
     from frictionzoo.build import build
-    from frictionzoo.drive import Drive
     from frictionzoo.fit import Objective, Space, run_fit
     from frictionzoo.segments import cut_segments
+    from frictionzoo.simulate.drive import Drive
 
     settings = compose("model=mujoco_default", "fit=lm", f"segments.length={length}", "segments.count=null")
     bench = build(settings["bench"])

@@ -24,11 +24,11 @@ from omegaconf import OmegaConf
 from frictionzoo.bench import Bench
 from frictionzoo.build import build
 from frictionzoo.config import compose_config
-from frictionzoo.engine import friction_of, make_engine, specialised
 from frictionzoo.fit import LevenbergMarquardt, Objective, Space
 from frictionzoo.models import FrictionModel
-from frictionzoo.rollout import make_rollout
 from frictionzoo.segments import cut_segments
+from frictionzoo.simulate import friction_of, make_engine, specialised
+from frictionzoo.simulate.rollout import make_rollout
 from frictionzoo.types import Log, Segments
 
 NAMES = ("armature", "damping", "frictionloss")

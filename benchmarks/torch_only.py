@@ -14,9 +14,9 @@ import torch
 from gradient import DTYPE, STEPS, Case, knee
 from measure import make_parser, median_time, report
 
-from frictionzoo.drive import Drive
 from frictionzoo.fit import Objective, Space
 from frictionzoo.models import CoulombStribeck, FrictionModel, TorchFriction
+from frictionzoo.simulate.drive import Drive
 from frictionzoo.types import DriveState, FrictionTerms
 
 COLUMNS = {

@@ -21,8 +21,6 @@ from frictionzoo.bench import Bench
 from frictionzoo.build import build
 from frictionzoo.config import list_options
 from frictionzoo.doubts import doubt_motion, doubt_recordings
-from frictionzoo.drive import Drive
-from frictionzoo.engine import Values
 from frictionzoo.errors import ConfigError, RunError
 from frictionzoo.evaluate import Evaluation, Judgement
 from frictionzoo.export.bench import write_bench
@@ -32,14 +30,16 @@ from frictionzoo.fit import Fit, Objective, Outcome, Space, estimate_uncertainty
 from frictionzoo.logs.cache import cache_folder, digest
 from frictionzoo.models import Baseline
 from frictionzoo.output import write_atomically
-from frictionzoo.proof import Proof, Recorded, initial_values, prove
 from frictionzoo.report.curves import Curves, sample_friction, write_curves
 from frictionzoo.report.figures import write_figures
 from frictionzoo.report.html import write_report
 from frictionzoo.report.result import build_result, describe_data, pick_metrics, write_result
 from frictionzoo.report.terminal import summarise_in_markdown
-from frictionzoo.rollout import make_observer
 from frictionzoo.segments import cut_segments
+from frictionzoo.simulate import Values
+from frictionzoo.simulate.drive import Drive
+from frictionzoo.simulate.proof import Proof, Recorded, initial_values, prove
+from frictionzoo.simulate.rollout import make_observer
 from frictionzoo.types import Dataset, DriveState, Sampling, Segments
 
 _log = logging.getLogger(__name__)

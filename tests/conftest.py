@@ -27,8 +27,8 @@ from frictionzoo.build import build
 from frictionzoo.compare import Run
 from frictionzoo.config import compose_config
 from frictionzoo.report.curves import Curves
-from frictionzoo.rollout import FORWARD
 from frictionzoo.run import main
+from frictionzoo.simulate.rollout import FORWARD
 
 # As for XLA in `pytest_configure`; torch is loaded and no longer looks at the environment.
 torch.set_num_threads(1)

@@ -11,15 +11,15 @@ import pytest
 import torch
 
 from frictionzoo.bench import Bench
-from frictionzoo.engine import Friction, friction_of, make_engine, without_memory
 from frictionzoo.errors import ConfigError, LogError
 from frictionzoo.fit import Objective, Space, estimate_uncertainty
 from frictionzoo.fit.lm import LevenbergMarquardt
 from frictionzoo.logs.two_inertia import TwoInertia
 from frictionzoo.models import Backlash
 from frictionzoo.models.backlash import _dead_zone
-from frictionzoo.rollout import make_rollout
 from frictionzoo.segments import cut_segments
+from frictionzoo.simulate import Friction, friction_of, make_engine, without_memory
+from frictionzoo.simulate.rollout import make_rollout
 from frictionzoo.types import DriveState, Log, Segments, Uncertainty
 
 MAKE = Callable[..., Any]

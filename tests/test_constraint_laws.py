@@ -13,11 +13,11 @@ from conftest import slow_but
 from test_models import friction
 
 from frictionzoo.bench import Bench
-from frictionzoo.engine import friction_of, make_engine
 from frictionzoo.fit import LevenbergMarquardt, Objective, Space
 from frictionzoo.models import get_model
-from frictionzoo.rollout import make_rollout
 from frictionzoo.segments import cut_segments
+from frictionzoo.simulate import friction_of, make_engine
+from frictionzoo.simulate.rollout import make_rollout
 from frictionzoo.types import DriveState, Log
 
 pytestmark = pytest.mark.usefixtures("in_haste")

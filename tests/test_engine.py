@@ -11,8 +11,8 @@ import pytest
 from conftest import slow_but
 from test_specialised import BODIES, change, law, make_bench, random_cases, step_of, steps_in_c
 
-from frictionzoo.engine import MjxEngine, SpecialisedEngine, without_memory
-from frictionzoo.rollout import make_rollout
+from frictionzoo.simulate import MjxEngine, SpecialisedEngine, without_memory
+from frictionzoo.simulate.rollout import make_rollout
 from frictionzoo.types import FrictionTerms
 
 ROD = "hinge with gravity"

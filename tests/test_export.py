@@ -11,7 +11,6 @@ import torch
 
 from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.bridge import to_jax
-from frictionzoo.engine import friction_of, make_engine
 from frictionzoo.export.bench import write_bench
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.nearest import find_nearest, nearest_frictionloss_and_damping
@@ -19,7 +18,8 @@ from frictionzoo.models.base import FrictionModel
 from frictionzoo.models.baseline import Baseline
 from frictionzoo.models.mujoco_default import MujocoDefault
 from frictionzoo.models.neural_friction import NeuralFriction
-from frictionzoo.rollout import make_rollout
+from frictionzoo.simulate import friction_of, make_engine
+from frictionzoo.simulate.rollout import make_rollout
 from frictionzoo.types import DriveState, FrictionTerms, Segments
 
 ANOTHER = {"frictionloss": 0.3, "damping": 0.1}

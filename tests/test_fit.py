@@ -19,12 +19,12 @@ from omegaconf import OmegaConf
 from frictionzoo.bench import Bench
 from frictionzoo.build import build
 from frictionzoo.config import compose_config
-from frictionzoo.engine import friction_of, make_engine
 from frictionzoo.errors import ConfigError, FitError
 from frictionzoo.fit import Adam, Grid, Objective, Space, fit_reference, run_fit
 from frictionzoo.fit.loggers import TensorBoard
 from frictionzoo.models import FrictionModel
-from frictionzoo.rollout import Rollout, make_rollout
+from frictionzoo.simulate import friction_of, make_engine
+from frictionzoo.simulate.rollout import Rollout, make_rollout
 from frictionzoo.types import DriveState, Segments
 
 LOSS = {"position": 1.0, "velocity": 1.0, "robust": "none", "robust_scale": 1.0, "refine": False}

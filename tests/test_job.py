@@ -16,7 +16,6 @@ from omegaconf import OmegaConf
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from frictionzoo import __version__
-from frictionzoo.drive import Drive
 from frictionzoo.export.bench import write_bench
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.nearest import find_nearest
@@ -24,6 +23,7 @@ from frictionzoo.job import Problem, _judge_baseline
 from frictionzoo.models import Baseline, FrictionModel
 from frictionzoo.report.result import read_schema
 from frictionzoo.run import NOT_IDENTIFIED
+from frictionzoo.simulate.drive import Drive
 from frictionzoo.types import DriveState
 
 JOBS = {  # options besides those of `tiny`

@@ -15,11 +15,11 @@ from scipy.integrate import solve_ivp
 
 from frictionzoo.bench import Bench
 from frictionzoo.check import check_model
-from frictionzoo.engine import friction_of, make_engine
 from frictionzoo.errors import ConfigError, ModelError
 from frictionzoo.fit import Objective, Space, fit_reference
 from frictionzoo.models import FrictionModel
-from frictionzoo.rollout import make_rollout
+from frictionzoo.simulate import friction_of, make_engine
+from frictionzoo.simulate.rollout import make_rollout
 from frictionzoo.types import DriveState, FrictionTerms, Sampling, Segments
 
 pytestmark = pytest.mark.usefixtures("in_haste")

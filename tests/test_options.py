@@ -18,8 +18,8 @@ from frictionzoo.distill.distillation import _read_value
 from frictionzoo.errors import ConfigError, FrictionzooError
 from frictionzoo.export.write import read_number
 from frictionzoo.fit import loggers, loop
-from frictionzoo.proof import Proof
 from frictionzoo.run import _explain, _restore_overrides, refuse_no_choice
+from frictionzoo.simulate.proof import Proof
 from frictionzoo.types import DriveState
 
 VALUES = (float("nan"), float("inf"), None, "", 0, -1, 1e9, "absurd", [])

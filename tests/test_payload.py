@@ -16,13 +16,13 @@ from test_specialised import BODIES, KNOWN, chain, law, random_cases, step_of
 
 from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.bench.base import NO_PAYLOAD
-from frictionzoo.engine import Engine, MjxEngine, SpecialisedEngine
 from frictionzoo.errors import BenchError, ConfigError
 from frictionzoo.evaluate import Evaluation, predict
 from frictionzoo.job import Problem
 from frictionzoo.logs.payloads import choose_payloads
 from frictionzoo.logs.recording import Recording
 from frictionzoo.report.result import describe_data
+from frictionzoo.simulate import Engine, MjxEngine, SpecialisedEngine
 from frictionzoo.types import Log, Payload
 
 PAYLOADS = [

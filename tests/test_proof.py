@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from frictionzoo.bench import Bench
-from frictionzoo.engine import mjx, specialised
 from frictionzoo.errors import BenchError
 from frictionzoo.models import FrictionModel
-from frictionzoo.proof import TOLERANCE, Proof, Recorded, initial_values, prove
+from frictionzoo.simulate import mjx, specialised
+from frictionzoo.simulate.proof import TOLERANCE, Proof, Recorded, initial_values, prove
 
 LINK = """<mujoco><compiler angle="radian"/><option timestep="0.002" {option}>{flag}</option>{more}<worldbody>
   <body name="arm"><joint name="j" axis="0 1 0" {joint}/><geom type="capsule" size=".02" fromto="0 0 0 0 0 -.2"/></body>
@@ -91,6 +91,6 @@ def test_a_fault_in_an_engine_is_caught(
         lambda data, channels: (state := right(data, channels))._replace(motor_torque=(1 + 1e-6) * state.motor_torque)
     )
     monkeypatch.setattr(module, place, wrong)
-    monkeypatch.setattr("frictionzoo.proof._find_fault", lambda *_: None)
+    monkeypatch.setattr("frictionzoo.simulate.proof._find_fault", lambda *_: None)
     with pytest.raises(BenchError, match=r"does not simulate something in the MJCF as MuJoCo C does \(position or"):
         prove_on("mujoco_default" if engine == "specialised" else "load_dependent", engine)

@@ -22,10 +22,10 @@ from frictionzoo.models.coulomb_stribeck import CoulombStribeck
 from frictionzoo.models.neural_friction import NeuralFriction
 from frictionzoo.output import write_atomically
 from frictionzoo.params import Param
-from frictionzoo.proof import Proof
 from frictionzoo.report.figures import draw_error, draw_parameters, draw_trajectory, write_figures
 from frictionzoo.report.result import _list_parameters, build_result, read_schema, write_result
 from frictionzoo.report.terminal import summarise
+from frictionzoo.simulate.proof import Proof
 from frictionzoo.types import Dataset, Log, Segments, Uncertainty
 
 TIMESTEP = 0.001

@@ -26,17 +26,16 @@ import torch
 from omegaconf import OmegaConf
 from schema import Variant, all_places, variants, write_files
 
-from frictionzoo import proof
 from frictionzoo.bench import Bench
 from frictionzoo.build import build
 from frictionzoo.config import compose_config
-from frictionzoo.drive import Drive
-from frictionzoo.engine import Engine, Values
-from frictionzoo.engine.choose import naming_what_mjx_lacks
 from frictionzoo.errors import FrictionzooError
 from frictionzoo.models import FrictionModel
-from frictionzoo.proof import TOLERANCE, Cases, Recorded, initial_values, prove
-from frictionzoo.rollout import FORWARD, make_rollout
+from frictionzoo.simulate import Engine, Values, proof
+from frictionzoo.simulate.choose import naming_what_mjx_lacks
+from frictionzoo.simulate.drive import Drive
+from frictionzoo.simulate.proof import TOLERANCE, Cases, Recorded, initial_values, prove
+from frictionzoo.simulate.rollout import FORWARD, make_rollout
 from frictionzoo.types import DriveState
 
 ENGINES = ("specialised", "mjx")

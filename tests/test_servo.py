@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from frictionzoo.bench import Bench, DcMotorPD, VoltageServo
-from frictionzoo.engine import friction_of, make_engine
 from frictionzoo.errors import BenchError, ConfigError
 from frictionzoo.evaluate import predict
 from frictionzoo.fit import Objective, Space, fit_reference
-from frictionzoo.rollout import applied, make_rollout
 from frictionzoo.segments import cut_segments
+from frictionzoo.simulate import friction_of, make_engine
+from frictionzoo.simulate.rollout import applied, make_rollout
 from frictionzoo.types import Log, Payload, Sampling
 
 INTERVAL = 0.01

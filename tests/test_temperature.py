@@ -17,15 +17,15 @@ from conftest import Finished, slow_but
 from frictionzoo.bench import Bench
 from frictionzoo.compare.runs import read_runs
 from frictionzoo.distill.__main__ import main as distill
-from frictionzoo.engine import Values, friction_of, make_engine
 from frictionzoo.errors import BenchError, ConfigError
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.module import load_module
 from frictionzoo.export.write import write_exports
 from frictionzoo.fit import LevenbergMarquardt, Objective, Space, estimate_uncertainty
 from frictionzoo.models.temperature import ABSOLUTE_ZERO
-from frictionzoo.rollout import make_rollout
 from frictionzoo.segments import cut_segments
+from frictionzoo.simulate import Values, friction_of, make_engine
+from frictionzoo.simulate.rollout import make_rollout
 from frictionzoo.types import Dataset, DriveState, Log, Uncertainty
 
 pytestmark = pytest.mark.usefixtures("in_haste")

@@ -15,7 +15,6 @@ from conftest import Finished
 
 from frictionzoo.bench import Bench
 from frictionzoo.check import check_model
-from frictionzoo.drive import Drive
 from frictionzoo.errors import ConfigError, ExportError, ModelError
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.write import write_exports
@@ -24,6 +23,7 @@ from frictionzoo.fit.loggers import Csv
 from frictionzoo.models import CoulombStribeck, FrictionModel, TorchFriction, register_model
 from frictionzoo.models.registry import REGISTRY
 from frictionzoo.report.curves import read_curves
+from frictionzoo.simulate.drive import Drive
 from frictionzoo.types import DriveState, FrictionTerms, Sampling, Segments
 
 LOSS = {"position": 1.0, "velocity": 1.0, "robust": "none", "robust_scale": 1.0, "refine": False}

@@ -16,15 +16,15 @@ from jaxtyping import Float
 from frictionzoo.bench import Bench
 from frictionzoo.build import build
 from frictionzoo.compare.runs import Run, read_runs
-from frictionzoo.drive import Drive
-from frictionzoo.engine import Engine
 from frictionzoo.errors import ConfigError, RunError
 from frictionzoo.evaluate import Values
 from frictionzoo.models import FrictionModel
 from frictionzoo.output import RESULT
-from frictionzoo.proof import Proof, Recorded, prove
 from frictionzoo.report.curves import FILE as CURVES
-from frictionzoo.rollout import applied, make_observer
+from frictionzoo.simulate import Engine
+from frictionzoo.simulate.drive import Drive
+from frictionzoo.simulate.proof import Proof, Recorded, prove
+from frictionzoo.simulate.rollout import applied, make_observer
 from frictionzoo.types import DriveState, Sampling, Segments
 
 LAW = "friction.safetensors"
@@ -181,7 +181,7 @@ class Fitted:
         """That this drive, with its fitted values, is simulated as MuJoCo C does.
 
         Raises:
-            BenchError: It is not; see `frictionzoo.proof.prove`.
+            BenchError: It is not; see `frictionzoo.simulate.proof.prove`.
         """
         segments = self.segments
         signals = segments.qpos[:, :-1], segments.qvel[:, :-1], segments.commands

@@ -9,14 +9,14 @@ import torch
 from jaxtyping import Float
 from scipy.optimize import nnls
 
-from frictionzoo.engine import friction_of, make_engine
 from frictionzoo.errors import RunError
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.fit import LevenbergMarquardt, Objective, Space
 from frictionzoo.models import FrictionModel, MujocoDefault
 from frictionzoo.models.base import sliding_torque
 from frictionzoo.params import UNITS
-from frictionzoo.rollout import make_rollout
+from frictionzoo.simulate import friction_of, make_engine
+from frictionzoo.simulate.rollout import make_rollout
 from frictionzoo.types import DriveState, FrictionTerms, Segments
 
 _ITERATIONS = 50  # a dozen is usual

@@ -13,12 +13,12 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float
 
 from frictionzoo.bridge import as_torch_function, to_arrays, to_tensors
-from frictionzoo.engine import Values
-from frictionzoo.engine.linear import solve_spd
 from frictionzoo.errors import ConfigError, closest
 from frictionzoo.fit.space import Space
-from frictionzoo.rollout import FORWARD, Rollout
-from frictionzoo.torch_rollout import TorchRollout
+from frictionzoo.simulate import Values
+from frictionzoo.simulate.linear import solve_spd
+from frictionzoo.simulate.rollout import FORWARD, Rollout
+from frictionzoo.simulate.torch_rollout import TorchRollout
 from frictionzoo.types import Segments
 
 BLOCK_STATES = 25_000

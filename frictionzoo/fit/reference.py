@@ -6,10 +6,10 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from frictionzoo.engine import Values
 from frictionzoo.fit.lm import LevenbergMarquardt
 from frictionzoo.fit.objective import Objective
 from frictionzoo.logs.cache import cached, digest
+from frictionzoo.simulate import Values
 
 _ITERATIONS = 50  # a handful is usual
 

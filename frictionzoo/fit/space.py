@@ -10,9 +10,9 @@ from jaxtyping import Array, Float, Shaped
 
 from frictionzoo.bench import Bench
 from frictionzoo.bridge import to_jax
-from frictionzoo.engine import Values
 from frictionzoo.models import FrictionModel
 from frictionzoo.params import Param
+from frictionzoo.simulate import Values
 
 
 class Space:

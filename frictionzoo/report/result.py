@@ -17,8 +17,8 @@ from frictionzoo.evaluate import Evaluation, Judgement, Values
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.output import to_json, write_atomically
 from frictionzoo.params import Param
-from frictionzoo.proof import Proof
 from frictionzoo.report.verdict import doubt_sizes, explain_failure, list_moving
+from frictionzoo.simulate.proof import Proof
 from frictionzoo.types import Dataset, Payload, Uncertainty
 
 SCHEMA_VERSION = 4

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from frictionzoo.engine import Engine, Values
+from frictionzoo.simulate import Engine, Values
 from frictionzoo.types import DriveState, Sampling
 
 State = tuple[Array, Array, Array]

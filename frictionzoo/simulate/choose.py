@@ -4,11 +4,11 @@ import contextlib
 from collections.abc import Iterator
 
 from frictionzoo.bench import Bench
-from frictionzoo.engine.base import Engine, Friction
-from frictionzoo.engine.mjx import MjxEngine
-from frictionzoo.engine.specialise import CannotSpecialiseError
-from frictionzoo.engine.specialised import SpecialisedEngine
 from frictionzoo.errors import BenchError, ConfigError, closest
+from frictionzoo.simulate.base import Engine, Friction
+from frictionzoo.simulate.mjx import MjxEngine
+from frictionzoo.simulate.specialise import CannotSpecialiseError
+from frictionzoo.simulate.specialised import SpecialisedEngine
 
 _CHOICES = ("auto", "mjx", "specialised")
 _MEASURED_JOINTS = 7

@@ -12,11 +12,11 @@ import torch
 from jaxtyping import Float
 
 from frictionzoo.bench import Bench
-from frictionzoo.drive import Drive
-from frictionzoo.engine import Values
-from frictionzoo.engine.choose import naming_what_mjx_lacks
 from frictionzoo.errors import BenchError, FrictionzooError
 from frictionzoo.models import FrictionModel
+from frictionzoo.simulate import Values
+from frictionzoo.simulate.choose import naming_what_mjx_lacks
+from frictionzoo.simulate.drive import Drive
 from frictionzoo.types import DriveState, Log
 
 TOLERANCE = 1e-9

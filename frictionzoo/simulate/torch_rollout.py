@@ -12,10 +12,10 @@ from jaxtyping import Array, Float
 
 from frictionzoo.bench import Bench
 from frictionzoo.bridge import as_torch_function, to_arrays, to_tensors
-from frictionzoo.engine import Engine, Friction, Values, without_memory
 from frictionzoo.errors import ModelError
 from frictionzoo.models import TorchFriction
-from frictionzoo.rollout import Rollout, applied
+from frictionzoo.simulate import Engine, Friction, Values, without_memory
+from frictionzoo.simulate.rollout import Rollout, applied
 from frictionzoo.types import DriveState, FrictionTerms, Sampling
 
 AS_GIVEN: Friction = without_memory(lambda values, state: FrictionTerms(**values))

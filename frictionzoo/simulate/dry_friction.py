@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from frictionzoo.engine.linear import solve_spd
+from frictionzoo.simulate.linear import solve_spd
 
 _NEWTON_STEPS = 100  # three or four are usual
 _ROUNDING = 1e-12

@@ -1,0 +1,17 @@
+"""The simulation: an engine's step of a bench with a law, rollouts of many steps, and the proof that they are MuJoCo's."""
+
+from frictionzoo.simulate.base import Engine, Friction, Values, friction_of, without_memory
+from frictionzoo.simulate.choose import make_engine
+from frictionzoo.simulate.mjx import MjxEngine
+from frictionzoo.simulate.specialised import SpecialisedEngine
+
+__all__ = [
+    "Engine",
+    "Friction",
+    "MjxEngine",
+    "SpecialisedEngine",
+    "Values",
+    "friction_of",
+    "make_engine",
+    "without_memory",
+]
