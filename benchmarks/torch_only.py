@@ -1,10 +1,12 @@
-"""What a friction law costs that exists only in torch: `python benchmarks/torch_only.py`.
+"""What torch costs, as a law of its own and as a loop of one's own: `python benchmarks/torch_only.py`.
 
-One law, `coulomb_stribeck`, as a formula over `xp` and as a module in torch alone, in one objective on the paper's
-drive and its twin's recording: seconds of the loss with its gradient, which is what an iteration of Adam costs.
+One law, `coulomb_stribeck`, as a formula over `xp`, as that formula in a loop by hand over `frictionzoo.rollout`, and
+as a module in torch alone, in one objective on the paper's drive and its twin's recording: seconds of the loss with its
+gradient, which is what an iteration of Adam costs.
 """
 
 import argparse
+import copy
 import time
 from typing import Any
 
@@ -14,6 +16,7 @@ import torch
 from gradient import DTYPE, STEPS, Case, knee
 from measure import make_parser, median_time, report
 
+import frictionzoo as fz
 from frictionzoo.fit import Objective, Space
 from frictionzoo.models import CoulombStribeck, FrictionModel, TorchFriction
 from frictionzoo.simulate.drive import Drive
@@ -57,11 +60,12 @@ def main() -> None:
     case = knee(options.quick)
     rows: list[dict[str, Any]] = []
     for engine in options.engines:
-        pair = [measure(case, engine, law, model) for law, model in laws(case)]
-        expected = pair[0][1]
-        for row, gradient in pair:
+        measured = [measure(case, engine, law, model) for law, model in laws(case)]
+        measured.insert(1, measure_loop(case, engine))
+        expected = measured[0][1]
+        for row, gradient in measured:
             difference = float(np.max(np.abs(gradient / expected - 1)))
-            rows.append(row | {"ratio": row["seconds"] / pair[0][0]["seconds"], "difference": difference})
+            rows.append(row | {"ratio": row["seconds"] / measured[0][0]["seconds"], "difference": difference})
     report(options.out, rows, COLUMNS, quick=options.quick, dtype=DTYPE, steps=STEPS)
 
 
@@ -92,7 +96,40 @@ def measure(case: Case, engine: str, law: str, model: FrictionModel) -> tuple[di
     jax.block_until_ready(function(start, objective.data))
     first = time.perf_counter() - began
     timed = median_time(function, start, objective.data)
-    row = {
+    return describe(case, engine, law, first, timed), np.asarray(timed.answer[1], np.float64)
+
+
+def measure_loop(case: Case, engine: str) -> tuple[dict[str, Any], np.ndarray]:
+    """As `measure`, of a loop in torch around `frictionzoo.rollout`."""
+    law = copy.deepcopy(case.model)
+    signals = case.segments.qpos, case.segments.qvel, case.segments.ctrl
+    qpos, qvel, ctrl = (torch.as_tensor(signal, dtype=torch.float32) for signal in signals)
+    armature = torch.tensor(case.bench.initial_values()["armature"], requires_grad=True)
+    moving = {"bench.armature": armature} | {f"friction.{name}": value for name, value in law.named_parameters()}
+    weights = case.loss["position"], case.loss["velocity"]
+
+    def differentiate() -> list[torch.Tensor]:
+        predicted = fz.rollout(
+            case.bench, law, qpos[:, 0], qvel[:, 0], ctrl, parameters={"armature": armature}, engine=engine
+        )
+        errors = (found - measured[:, 1:] for found, measured in zip(predicted, (qpos, qvel), strict=True))
+        loss = sum(weight * error.square().mean() for weight, error in zip(weights, errors, strict=True))
+        return list(torch.autograd.grad(loss, [moving[name] for name in case.space.names]))
+
+    began = time.perf_counter()
+    differentiate()
+    first = time.perf_counter() - began
+    timed = median_time(differentiate)
+    # An optimiser here moves logarithms.
+    gradient = [
+        g.numpy() * moving[name].detach().numpy() for g, name in zip(timed.answer, case.space.names, strict=True)
+    ]
+    return describe(case, engine, "rollout", first, timed), np.concatenate(gradient)
+
+
+def describe(case: Case, engine: str, law: str, first: float, timed: Any) -> dict[str, Any]:
+    """A row without comparisons."""
+    return {
         "engine": engine,
         "law": law,
         "segments": case.segments.count,
@@ -100,7 +137,6 @@ def measure(case: Case, engine: str, law: str, model: FrictionModel) -> tuple[di
         "seconds": timed.seconds,
         "calls": timed.calls,
     }
-    return row, np.asarray(timed.answer[1], np.float64)
 
 
 if __name__ == "__main__":

@@ -139,26 +139,38 @@ class Param:
         return UNITS[joint_type][self.dimension]
 
 
+def _complete(section: Any, defaults: Mapping[str, Any]) -> Any:
+    """A parameter's whole section; of a known value, bounds mean nothing and lie around it."""
+    if isinstance(section, (int, float)) and not isinstance(section, bool):
+        reach = abs(section) or 1.0
+        return {"init": section, "low": section - reach, "high": section + reach, "scale": reach, "identify": False}
+    return {**defaults, **section} if isinstance(section, Mapping) else section
+
+
 def read_params(
     owner: str,
     dimensions: Mapping[str, str],
-    config: Mapping[str, Mapping[str, Any]],
+    config: Mapping[str, Any],
     optional: Collection[str] = (),
+    defaults: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> dict[str, Param]:
     """The parameters that `owner` declares, from the configuration's section of the same names.
 
     Args:
         owner: Whose they are, for messages.
         dimensions: Dimension of each declared parameter.
-        config: Section of each parameter.
+        config: Section of each parameter, or its value if that is known.
         optional: Those among them that need no section, and that are left out where they are known to be 0: what they
             stand for is not there.
+        defaults: What a section need not say, of each parameter that has such.
 
     Raises:
         ConfigError: A parameter is missing or unknown.
     """
     for name in set(config) - set(dimensions):
         raise ConfigError(f"{owner}: unknown parameter {name}; {closest(name, dimensions)}")
+    config = {**{name: {} for name in defaults or {}}, **config}
+    config = {name: _complete(section, (defaults or {}).get(name, {})) for name, section in config.items()}
     for name in set(dimensions) - set(config) - set(optional):
         raise ConfigError(f"{owner}: no section for parameter {name}; add params.{name} with init, low, high")
     params = {name: Param.from_config(name, dimensions[name], config[name]) for name in dimensions if name in config}

@@ -28,7 +28,7 @@ def pd() -> PositionPD:
 def bench(tmp_path: Path, text: str, joint: Any = None) -> Bench:
     path = tmp_path / "bench.xml"
     path.write_text(text)
-    return Bench(str(path), joint, pd(), ARMATURE, [0.02, 1.0], None, None)
+    return Bench(str(path), joint, actuator=pd(), params=ARMATURE)
 
 
 def test_values_reach_the_compiled_model_unrounded(knee: Bench) -> None:
@@ -151,15 +151,15 @@ def test_what_a_position_offset_would_not_move_along_is_refused(tmp_path: Path, 
     path = tmp_path / "bench.xml"
     path.write_text(TWO_JOINTS.replace('name="knee"', f'name="knee" {attribute}'))
     offset = {"position_offset": {"init": 0.1, "low": -0.2, "high": 0.2, "scale": 0.1, "identify": True}}
-    assert Bench(str(path), ["hip", "knee"], pd(), ARMATURE, [0.02, 1.0], None, None).nv == 2
+    assert Bench(str(path), ["hip", "knee"], actuator=pd(), params=ARMATURE).nv == 2
     with pytest.raises(BenchError, match=f"{line}, which bench.params.position_offset would not move along"):
-        Bench(str(path), ["hip", "knee"], pd(), ARMATURE | offset, [0.02, 1.0], None, None)
+        Bench(str(path), ["hip", "knee"], actuator=pd(), params=ARMATURE | offset)
 
 
 def test_of_several_sections_all_are_heeded(tmp_path: Path) -> None:
     path = tmp_path / "bench.xml"
     path.write_text(TWO_JOINTS.replace("<worldbody>", '<option timestep="0.004"/><worldbody>', 1))
-    assert Bench(str(path), ["hip", "knee"], pd(), ARMATURE, [0.02, 1.0], None, 0.002).timestep == 0.002
+    assert Bench(str(path), ["hip", "knee"], actuator=pd(), params=ARMATURE, timestep=0.002).timestep == 0.002
 
 
 def test_joints_in_another_order_are_refused(tmp_path: Path) -> None:
@@ -178,7 +178,7 @@ def test_a_template_that_disables_friction_does_not_serve_a_law_that_needs_it(tm
 
 def test_a_template_that_is_missing_is_refused() -> None:
     with pytest.raises(BenchError, match=r"nowhere\.xml: cannot be read"):
-        Bench("nowhere.xml", None, pd(), ARMATURE, [0.02, 1.0], None, None)
+        Bench("nowhere.xml", actuator=pd(), params=ARMATURE)
 
 
 @pytest.mark.parametrize(

@@ -51,7 +51,7 @@ def known(**values):
 @pytest.fixture
 def bench():
     actuator = PositionPD(known(kp=5.0, kd=1.0))
-    return Bench("knee_rod.xml", None, actuator, known(armature=1 / 30), [0.02, 1.0], None, None)
+    return Bench("knee_rod.xml", actuator=actuator, params=known(armature=1 / 30))
 
 
 @pytest.fixture

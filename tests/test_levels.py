@@ -13,10 +13,10 @@ LEVELS = {
     **dict.fromkeys(("models", "build"), 2),
     **dict.fromkeys(("bench", "simulate"), 3),
     **dict.fromkeys(("bridge", "check", "doubts"), 4),
-    **dict.fromkeys(("simulate/drive", "simulate/proof", "simulate/torch_rollout"), 4),
+    **dict.fromkeys(("simulate/differentiable", "simulate/drive", "simulate/proof", "simulate/torch_rollout"), 4),
     **dict.fromkeys(("fit",), 5),
     **dict.fromkeys(("evaluate", "compare", "report", "export"), 6),
-    **dict.fromkeys(("config", "job", "sweep", "run", "inspect", "distill"), 7),
+    **dict.fromkeys(("config", "job", "library", "sweep", "run", "inspect", "distill"), 7),
 }
 FORBIDDEN = {0: {"torch", "jax", "mujoco"}, 1: {"torch", "jax"}, 2: {"jax"}, 3: {"torch"}}
 FILES = [path for path in sorted(PACKAGE.rglob("*.py")) if path != PACKAGE / "__init__.py"]

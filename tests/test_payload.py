@@ -49,7 +49,7 @@ def make_bench(
     )
     actuator = PositionPD({"kp": {"init": 20.0, **KNOWN}, "kd": {"init": 1.0, **KNOWN}})
     names = [f"j{index}" for index in range(joints)]
-    return Bench(str(path), names, actuator, {"armature": {"init": armature, **KNOWN}}, [0.02, 1.0], payload, None)
+    return Bench(str(path), names, actuator=actuator, params={"armature": {"init": armature, **KNOWN}}, payload=payload)
 
 
 def welded(bench: Bench, payload: Payload, constraint: bool, case: dict[str, np.ndarray]) -> mujoco.MjModel:

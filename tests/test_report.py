@@ -56,7 +56,7 @@ def make_log(name, samples, simulated=True):
 
 @pytest.fixture
 def bench():
-    return Bench("knee_rod.xml", None, PositionPD(GAINS), ARMATURE, [0.02, 1.0], None, None)
+    return Bench("knee_rod.xml", actuator=PositionPD(GAINS), params=ARMATURE)
 
 
 @pytest.fixture

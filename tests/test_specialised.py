@@ -54,7 +54,7 @@ def make_bench(tmp_path: Path, body: str, integrator: str = "Euler", joints: int
     )
     actuator = PositionPD({"kp": {"init": 20.0, **KNOWN}, "kd": {"init": 1.0, **KNOWN}})
     names = [f"j{index}" for index in range(joints)]
-    return Bench(str(path), names, actuator, {"armature": {"init": 0.02, **KNOWN}}, [0.02, 1.0], None, None)
+    return Bench(str(path), names, actuator=actuator, params={"armature": {"init": 0.02, **KNOWN}})
 
 
 def chain(joints: int) -> str:

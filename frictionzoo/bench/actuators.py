@@ -9,6 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
+from frictionzoo.errors import ConfigError
 from frictionzoo.params import Param, read_params
 
 
@@ -38,16 +39,20 @@ class Actuator(ABC):
 
     Args:
         params: Section of each parameter: `init`, `low`, `high`, `scale`, `identify`.
+        values: Parameters that are known, by name, in place of their sections: `PositionPD(kp=15, kd=0.5)`.
 
     Raises:
-        ConfigError: A parameter is missing, unknown, or its bounds make no sense.
+        ConfigError: A parameter is missing, unknown, given twice, or its bounds make no sense.
     """
 
     dimensions: ClassVar[Mapping[str, str]]
     inputs: ClassVar[tuple[str, ...]] = ()
 
-    def __init__(self, params: Mapping[str, Mapping[str, Any]]) -> None:
-        self.params: dict[str, Param] = read_params(type(self).__name__, self.dimensions, params)
+    def __init__(self, params: Mapping[str, Mapping[str, Any]] | None = None, **values: float | int) -> None:
+        owner, sections = type(self).__name__, dict(params or {})
+        for name in sections.keys() & values.keys():
+            raise ConfigError(f"{owner}: {name} is given twice, expected a value or a section; leave one out")
+        self.params: dict[str, Param] = read_params(owner, self.dimensions, {**sections, **values})
 
     @abstractmethod
     def affine(self, values: Mapping[str, Any]) -> Affine:

@@ -29,6 +29,10 @@ _MOST_SUBSTEPS = 10_000  # simulation steps from sample to sample
 _MOST_HISTORY = 10_000  # samples by which commands may act late
 _PARAMS = {"armature": "inertia", "delay": "time", "position_offset": "position"}
 _OPTIONAL = ("delay", "position_offset")
+DEFAULTS: dict[str, dict[str, Any]] = {
+    "armature": {"init": 0.01, "low": 1e-5, "high": 1.0, "scale": "log", "identify": True}
+}
+"""What a bench's parameter is where nothing else is said: the armature of a servo's joint [kg m^2]."""
 INERTIAL = 11
 """Numbers of a load that describe the body; the others are the joint-space inertia."""
 _NAMING = {"name", "class", "childclass", "joint", "joint1", "joint2", "body", "body1", "body2", "type"}
@@ -87,7 +91,8 @@ class Bench:
         joint: Name or names of the identified joints; None where the template has one joint only.
         actuator: The law that turns a command into torque.
         params: Sections of `armature`, and where wanted of `delay`, by which commands act late [s], and of
-            `position_offset`, which the measured position lacks [rad or m]. Known to be 0, these two are left out.
+            `position_offset`, which the measured position lacks [rad or m]; a number stands for a known value. What a
+            section does not say is that of `DEFAULTS`. Known to be 0, the two are left out.
         solreffriction: Time constant [s] and damping ratio of MuJoCo's friction constraint. MuJoCo's default is
             (0.02, 1); a shorter time constant makes sticking stiffer.
         payload: Name of the body that carries the payloads of recordings; None for recordings without.
@@ -101,16 +106,20 @@ class Bench:
     def __init__(
         self,
         mjcf: str,
-        joint: str | Sequence[str] | None,
+        joint: str | Sequence[str] | None = None,
+        *,
         actuator: Actuator,
-        params: Mapping[str, Mapping[str, Any]],
-        solreffriction: Sequence[float],
-        payload: str | None,
-        timestep: float | None,
+        params: Mapping[str, Any] | None = None,
+        solreffriction: Sequence[float] = (0.02, 1.0),
+        payload: str | None = None,
+        timestep: float | None = None,
     ) -> None:
         self.source = mjcf
         self.actuator = actuator
-        self.params: dict[str, Param] = {**read_params("bench", _PARAMS, params, _OPTIONAL), **actuator.params}
+        self.params: dict[str, Param] = {
+            **read_params("bench", _PARAMS, params or {}, _OPTIONAL, DEFAULTS),
+            **actuator.params,
+        }
         if "delay" in self.params and self.params["delay"].low < 0:
             raise ConfigError(f"bench.params.delay.low={self.params['delay'].low:g}; expected 0 s or more")
         self._start: dict[str, np.ndarray] = {}  # initial values that are not those of `params`
@@ -399,14 +408,26 @@ class Bench:
                     f"{log.name}: {signal} has {columns} columns, expected {self.nv} for the joints "
                     f"{', '.join(self.joints)} of {self.source}; choose other columns or another bench.joint"
                 )
-        if self._substeps(log.timestep) > _MOST_SUBSTEPS:
+        self.check_interval(log.timestep, log.name)
+
+    def check_interval(self, interval: float, whose: str) -> None:
+        """Refuse samples that are no whole number of simulation steps apart.
+
+        Args:
+            interval: Of the samples [s].
+            whose: What is sampled, for the message.
+
+        Raises:
+            BenchError: They are not, or too many steps.
+        """
+        if self._substeps(interval) > _MOST_SUBSTEPS:
             raise BenchError(
-                f"{log.name}: {log.timestep:.6g} s per sample are {self._substeps(log.timestep)} simulation steps of "
+                f"{whose}: {interval:.6g} s per sample are {self._substeps(interval)} simulation steps of "
                 f"{self.timestep:.6g} s, expected at most {_MOST_SUBSTEPS}; set a longer bench.timestep"
             )
-        if abs(log.timestep / (self._substeps(log.timestep) * self.timestep) - 1) > _TIMESTEP_TOLERANCE:
+        if abs(interval / (self._substeps(interval) * self.timestep) - 1) > _TIMESTEP_TOLERANCE:
             raise BenchError(
-                f"{log.name}: {log.timestep:.6g} s per sample, expected {self.timestep:.6g} s as in {self.source}, or "
+                f"{whose}: {interval:.6g} s per sample, expected {self.timestep:.6g} s as in {self.source}, or "
                 "a whole number of them; set bench.timestep to the log's interval or a part of it, or resample the log"
             )
 

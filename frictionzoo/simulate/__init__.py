@@ -1,4 +1,4 @@
-"""The simulation: engines, which step a bench with a law, rollouts of many steps, and the proof that they are MuJoCo's."""
+"""The simulation: engines step a bench with a law, rollouts take many steps, and a proof holds both to MuJoCo."""
 
 from frictionzoo.simulate.base import Engine, Friction, Values, friction_of, without_memory
 from frictionzoo.simulate.choose import make_engine

@@ -1,0 +1,179 @@
+"""What `import frictionzoo as fz` offers: laws by name, benches, and rollouts for torch."""
+
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import torch
+from conftest import ROOT
+from test_torch_only import TorchStribeck
+
+import frictionzoo as fz
+from frictionzoo.bench.base import DEFAULTS
+from frictionzoo.errors import BenchError, ConfigError, UnknownModelError
+from frictionzoo.models import register_model
+from frictionzoo.models.registry import REGISTRY
+from frictionzoo.simulate.drive import Drive
+from frictionzoo.types import Sampling
+
+BATCH, TIME = 3, 40
+STEP = 1e-5  # of central differences, as a share
+
+
+def signals(dtype: torch.dtype, nv: int = 1) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Initial states, and commands, of several drives."""
+    draw = torch.Generator().manual_seed(0)
+    sizes = (BATCH, nv), (BATCH, nv), (BATCH, TIME, nv)
+    return tuple(torch.randn(size, generator=draw, dtype=torch.float64).to(dtype) for size in sizes)  # type: ignore
+
+
+@pytest.fixture(scope="module")
+def bench() -> fz.Bench:
+    return fz.Bench("knee_rod.xml", actuator=fz.PositionPD(kp=20, kd=1.0))
+
+
+def test_it_offers_its_names_and_imports_nothing_heavy() -> None:
+    code = "import sys, frictionzoo as fz; print(*{'torch', 'jax', 'mujoco', 'numpy'} & {*sys.modules}, *dir(fz))"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert {*fz.__all__} <= {*found} and not {"torch", "jax", "mujoco", "numpy"} & {*found}
+    for name in fz.__all__:
+        assert callable(getattr(fz, name))
+    with pytest.raises(AttributeError, match="no attribute 'friction'"):
+        fz.friction  # noqa: B018
+
+
+def test_what_a_bench_has_if_nothing_is_said_is_what_the_configuration_has(compose: Callable) -> None:
+    assert compose("bench=knee").bench.params.armature == DEFAULTS["armature"]
+
+
+@pytest.mark.parametrize("name", ["coulomb_stribeck", "lugre", "neural_friction", "mujoco_default"])
+def test_gradients_are_those_of_central_differences(bench: fz.Bench, name: str) -> None:
+    law = fz.law(name, **({"hidden": [4]} if name == "neural_friction" else {})).double()
+    states = [signal.requires_grad_() for signal in signals(torch.float64)]
+    parameters = {"armature": torch.tensor([0.03], dtype=torch.float64), "kp": torch.tensor(18.0, dtype=torch.float64)}
+    moving = [*states, *(value.requires_grad_() for value in parameters.values()), *law.parameters()]
+    moving = [tensor for tensor in moving if tensor.requires_grad]
+    draw = torch.Generator().manual_seed(1)
+    weights = torch.randn(2, BATCH, TIME, 1, dtype=torch.float64, generator=draw)
+
+    def loss() -> torch.Tensor:
+        found = fz.rollout(bench, law, *states, parameters=parameters)
+        return sum((weight * part).sum() for weight, part in zip(weights, found, strict=True))
+
+    directions = [
+        tensor.detach().abs().mean() * torch.randn(tensor.shape, dtype=torch.float64, generator=draw)
+        for tensor in moving
+    ]
+    gradients = torch.autograd.grad(loss(), moving)
+    for tensor, direction, gradient in zip(moving, directions, gradients, strict=True):
+        sides = []
+        for sign in (1, -1):
+            with torch.no_grad():
+                tensor += sign * STEP * direction
+                sides.append(loss())
+                tensor -= sign * STEP * direction
+        expected = (sides[0] - sides[1]) / (2 * STEP)
+        assert (gradient * direction).sum().item() == pytest.approx(expected.item(), rel=1e-6, abs=3e-8)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+def test_a_rollout_is_that_of_a_fit(bench: fz.Bench, make: Callable, dtype: torch.dtype) -> None:
+    law = fz.law("dahl")
+    with torch.no_grad():
+        found = fz.rollout(bench, law, *signals(dtype), interval=0.002)
+    assert {part.dtype for part in found} == {dtype} and {part.shape for part in found} == {(BATCH, TIME, 1)}
+    known = make("bench", "bench.actuator.params.kp.init=20", "bench.actuator.params.kd.init=1")
+    rollout = Drive.assemble(known, make("model", "model=dahl", nv=1), "auto", Sampling(0.002, 2, 0)).rollout
+    values = {"bench": known.initial_values(), "friction": {k: v.detach().numpy() for k, v in law.state_dict().items()}}
+    with jax.enable_x64(dtype == torch.float64):
+        expected = rollout.compiled(values, *(jnp.asarray(signal.numpy()) for signal in signals(dtype)))
+    for part, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(part.numpy(), other, rtol=1e-4 if dtype == torch.float32 else 1e-12, atol=1e-6)
+
+
+def test_a_law_in_torch_alone_moves_as_its_formula(bench: fz.Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(REGISTRY, "entries", dict(REGISTRY.entries))
+    register_model("torch_stribeck")(type("OwnStribeck", (TorchStribeck,), {}))
+    formula = fz.law("coulomb_stribeck")
+    sections = {name: {**vars(param)} for name, param in formula.params.items()}
+    known = {n: {k: s[k] for k in ("init", "low", "high", "scale", "identify")} for n, s in sections.items()}
+    own = fz.law("torch_stribeck", params=known)
+    states = signals(torch.float64)
+    results = []
+    for law in (formula, own):
+        found, _ = fz.rollout(bench, law, *states)
+        results.append((found.detach(), *torch.autograd.grad(found.square().sum(), [law.static_torque])))
+    for one, other in zip(*results, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-9, atol=1e-12)
+
+
+def test_a_late_command_acts_as_if_the_first_had_lasted() -> None:
+    delayed = fz.Bench("knee_rod.xml", actuator=fz.PositionPD(kp=20, kd=1.0), params={"delay": 0.003})
+    at_once = fz.Bench("knee_rod.xml", actuator=fz.PositionPD(kp=20, kd=1.0))
+    law, (qpos, qvel, ctrl) = fz.law("coulomb_smooth"), signals(torch.float64)
+    late = torch.cat([ctrl[:, :1].expand(-1, 3, -1), ctrl[:, :-3]], dim=1)
+    with torch.no_grad():
+        found, _ = fz.rollout(delayed, law, qpos, qvel, ctrl)
+        expected, _ = fz.rollout(at_once, law, qpos, qvel, late)
+    torch.testing.assert_close(found, expected, rtol=1e-12, atol=1e-12)
+
+
+def test_what_else_was_recorded_is_given_by_name() -> None:
+    gains = {"kt_over_r": 0.4, "kt2_over_r": 0.4, "duty_gain": 0.16, "duty_limit": 1.0}
+    servo = fz.Bench("knee_rod.xml", actuator=fz.VoltageServo(**gains))
+    law, states = fz.law("temperature_linear", params={"damping_slope": {"init": 0.01}}), signals(torch.float64)
+    level = torch.ones(BATCH, TIME, 1, dtype=torch.float64)
+    recorded = {"gain": 16 * level, "supply": 12 * level, "enable": level}
+    with torch.no_grad():
+        cold, _ = fz.rollout(servo, law, *states, signals=recorded)
+        same, _ = fz.rollout(servo, law, *states, signals=recorded | {"temperature": law.inputs["temperature"] * level})
+        warm, _ = fz.rollout(servo, law, *states, signals=recorded | {"temperature": 60 * level})
+    assert torch.equal(cold, same) and not torch.equal(cold, warm)
+    with pytest.raises(BenchError, match=r"^signals\.supply: missing, and the bench's actuator needs it"):
+        fz.rollout(servo, law, *states, signals={"gain": level, "enable": level})
+
+
+@pytest.mark.parametrize(
+    ("changed", "error", "complaint"),
+    [
+        ({"parameters": {"mass": torch.ones(1)}}, ConfigError, r"^parameters\.mass: no such parameter of the bench; "),
+        ({"parameters": {"kp": torch.ones(2)}}, BenchError, r"^parameters\.kp: shape \(2,\), expected \(1,\)"),
+        ({"signals": {"supply": torch.ones(1)}}, BenchError, r"^signals\.supply: neither law looks at it"),
+        ({"ctrl": torch.ones(BATCH, TIME, 2)}, BenchError, r"^ctrl has shape \(3, 40, 2\), expected \(3, 40, 1\)"),
+        ({"qpos": torch.ones(BATCH)}, BenchError, r"^qpos of shape \(3,\) and ctrl of "),
+        ({"law": 2}, BenchError, r"^a law of 2 joints on knee_rod\.xml with 1, expected as many"),
+        ({"interval": 0.0015}, BenchError, r"^rollout: 0\.0015 s per sample, expected 0\.001 s as in knee_rod\.xml"),
+        ({"engine": "fast"}, ConfigError, r"^engine=fast: no such engine"),
+    ],
+)
+def test_what_does_not_fit_is_refused(bench: fz.Bench, changed: dict[str, Any], error: type, complaint: str) -> None:
+    qpos, qvel, ctrl = signals(torch.float64)
+    law = fz.law("coulomb_smooth", nv=changed.pop("law", 1))
+    qpos, ctrl = changed.pop("qpos", qpos), changed.pop("ctrl", ctrl)
+    with pytest.raises(error, match=complaint):
+        fz.rollout(bench, law, qpos, qvel, ctrl, **changed)
+
+
+def test_a_law_that_is_none_and_an_option_that_it_lacks_are_refused() -> None:
+    with pytest.raises(UnknownModelError, match=r"^lugr: no such friction model; did you mean lugre\?"):
+        fz.law("lugr")
+    with pytest.raises(ConfigError, match=r"^model\.hidden: unknown option"):
+        fz.law("lugre", hidden=[3])
+    with pytest.raises(ConfigError, match="kp is given twice"):
+        fz.PositionPD({"kp": {}}, kp=1, kd=1)
+
+
+def test_the_page_s_loop_finds_its_drive(capsys: pytest.CaptureFixture[str]) -> None:
+    (code,) = re.findall(r"^```python\n(.*?)^```$", (ROOT / "docs" / "python.md").read_text(), re.M | re.S)
+    before = torch.get_default_dtype()
+    try:
+        exec(code, {})
+    finally:
+        torch.set_default_dtype(before)
+    np.testing.assert_allclose([float(word) for word in capsys.readouterr().out.split()], [0.04, 0.2, 0.1], rtol=0.01)
