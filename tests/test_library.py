@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 from conftest import ROOT
-from test_torch_only import TorchStribeck
+from test_torch_only import TorchConstraint, TorchStribeck
 
 import frictionzoo as fz
 from frictionzoo.bench.base import DEFAULTS
@@ -111,6 +111,15 @@ def test_a_law_in_torch_alone_moves_as_its_formula(bench: fz.Bench, monkeypatch:
         results.append((found.detach(), *torch.autograd.grad(found.square().sum(), [law.static_torque])))
     for one, other in zip(*results, strict=True):
         torch.testing.assert_close(one, other, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+def test_a_law_in_torch_alone_keeps_to_the_type(bench: fz.Bench, dtype: torch.dtype) -> None:
+    law = TorchConstraint()  # which has a whole number among its values
+    found, _ = fz.rollout(bench, law, *signals(dtype))
+    assert found.dtype == dtype and bool(found.isfinite().all())
+    (gradient,) = torch.autograd.grad(found.square().sum(), [law.dry])
+    assert gradient.dtype == torch.float64 and gradient.item() != 0
 
 
 def test_a_late_command_acts_as_if_the_first_had_lasted() -> None:

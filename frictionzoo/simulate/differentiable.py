@@ -60,14 +60,17 @@ def rollout(
         BenchError: Shapes, joints, signals or the interval do not fit the bench, or MJX lacks something that it has.
         ConfigError: No such parameter or engine, or a gradient is asked of an engine that has none for this bench.
     """
+    bench, function, reverse, history = _compile(bench, law, engine, interval)  # first: it may change the law's type
     known, given = bench.initial_values(), dict(parameters or {})
     for name in given.keys() - known.keys():
         raise ConfigError(f"parameters.{name}: no such parameter of the bench; {closest(name, known)}")
     values = {
         "bench": {name: _of_joints(bench, name, given.get(name, value), qpos) for name, value in known.items()},
-        "friction": {name: value.to(qpos) for name, value in law.state_dict(keep_vars=True).items()},
+        "friction": {
+            name: value.to(qpos) if value.is_floating_point() else value.to(qpos.device)
+            for name, value in law.state_dict(keep_vars=True).items()
+        },
     }
-    bench, function, reverse, history = _compile(bench, law, engine, interval)
     channels = _join(bench, law, qpos, qvel, ctrl, dict(signals or {}))
     if history:
         channels = torch.cat([channels[:, :1].expand(-1, history, -1), channels], dim=1)

@@ -59,9 +59,10 @@ def make_torch_rollout(
     Raises:
         ModelError: The law has a memory.
     """
+    label = getattr(model, "name", type(model).__name__)  # a law of a notebook need not be registered
     if model.memory:
         raise ModelError(
-            f"{model.name}: a memory of {model.memory} in a law that exists only in torch, expected 0; derive it from "
+            f"{label}: a memory of {model.memory} in a law that exists only in torch, expected 0; derive it from "
             "FrictionModel"
         )
     model.double()
@@ -92,7 +93,7 @@ def make_torch_rollout(
         with torch.no_grad():
             return to_arrays(in_torch(*to_tensors((values, qpos, qvel, ctrl, load))))
 
-    return TorchRollout(in_arrays, engine.compiler_options, 0, engine.reverse, in_torch, model.name)
+    return TorchRollout(in_arrays, engine.compiler_options, 0, engine.reverse, in_torch, label)
 
 
 def _commands(
