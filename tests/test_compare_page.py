@@ -323,6 +323,7 @@ CLICKS = """
 """
 
 
+@pytest.mark.slow
 @needs_browser
 def test_a_browser_draws_every_figure_and_shows_the_run_that_is_clicked_or_linked(runs, tmp_path):
     path = tmp_path / "comparison.html"
