@@ -443,7 +443,7 @@ class Bench:
                 column = f"map a column (data.columns.{name}), or " if name in EXTRAS else ""
                 raise BenchError(
                     f"{log.name}: no {name}, which {type(self.actuator).__name__} needs; {column}give a field or a "
-                    f"number (data.inputs.{name})"
+                    f"number ('data.inputs={{{name}: VALUE}}')"
                 )
             columns.append(self._for_each_joint(log, name))
         return np.concatenate(columns, axis=1)
