@@ -166,7 +166,9 @@ def test_a_dc_motor_has_less_torque_the_faster_it_turns() -> None:
 def test_what_the_law_needs_has_to_be_recorded(servo: Callable[..., Bench]) -> None:
     log = record(wander(10, 0))
     without = replace(log, extras={name: values for name, values in log.extras.items() if name != "supply"})
-    with pytest.raises(BenchError, match=r"servo: no supply, which VoltageServo needs; .*data\.inputs=\{supply: VALUE\}"):
+    with pytest.raises(
+        BenchError, match=r"servo: no supply, which VoltageServo needs; .*data\.inputs=\{supply: VALUE\}"
+    ):
         servo().accept(without)
     assert servo().accept(log).channels.shape == (10, 1 + len(VoltageServo.inputs))
 
