@@ -14,7 +14,7 @@ from mujoco import mjx
 
 from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.bench.base import can_collide, rigid_inertia
-from frictionzoo.errors import ConfigError
+from frictionzoo.errors import BenchError, ConfigError
 from frictionzoo.simulate import MjxEngine, SpecialisedEngine, make_engine, without_memory
 from frictionzoo.simulate.dry_friction import dry_friction
 from frictionzoo.simulate.specialise import CannotSpecialiseError, specialise
@@ -188,6 +188,16 @@ def test_a_step_and_its_gradient_are_those_of_mujoco_c(
     np.testing.assert_allclose(after, steps_in_c(bench, cases, constraint), rtol=0, atol=1e-12)
     ahead, behind = (steps_in_c(bench, change(cases, size), constraint) for size in (1e-7, -1e-7))
     judge_gradient(gradient, WEIGHTS, ahead, behind, cases)
+
+
+def test_a_bench_without_friction_constraints_serves_laws_that_need_none(tmp_path: Path) -> None:
+    flag = '<option><flag frictionloss="disable"/></option>'
+    bench = make_bench(tmp_path, f"<body>{BODIES['hinge with gravity']}</body>", inside=flag)
+    cases = random_cases(100, 1)
+    after = jax.jit(jax.vmap(step_of(SpecialisedEngine(bench, law(False), False), bench)))(cases)
+    np.testing.assert_allclose(after, steps_in_c(bench, cases, False), rtol=0, atol=1e-12)
+    with pytest.raises(BenchError, match="disables friction constraints, which this friction model needs"):
+        SpecialisedEngine(bench, law(True), True)
 
 
 @pytest.mark.slow

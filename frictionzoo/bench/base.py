@@ -33,6 +33,8 @@ DEFAULTS: dict[str, dict[str, Any]] = {
     "armature": {"init": 0.01, "low": 1e-5, "high": 1.0, "scale": "log", "identify": True}
 }
 """What a bench's parameter is where nothing else is said: the armature of a servo's joint [kg m^2]."""
+NO_FRICTION_CONSTRAINT = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
+"""Flags of an MJCF that leave no friction constraint."""
 INERTIAL = 11
 """Numbers of a load that describe the body; the others are the joint-space inertia."""
 _NAMING = {"name", "class", "childclass", "joint", "joint1", "joint2", "body", "body1", "body2", "type"}
@@ -287,8 +289,7 @@ class Bench:
                 f"{self.source}: {model.nv} degrees of freedom, but {self.nv} identified joints "
                 f"({', '.join(self.joints)}); name every joint in bench.joint or fix the others"
             )
-        flags = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
-        if constraint and model.opt.disableflags & flags:
+        if constraint and model.opt.disableflags & NO_FRICTION_CONSTRAINT:
             raise BenchError(
                 f"{self.source}: the MJCF disables friction constraints, which this friction model needs; remove the "
                 "flag"

@@ -97,7 +97,6 @@ def _compile(bench: Bench, law: FrictionModel, engine: str, interval: float | No
     found = drive.rollout
     if isinstance(found, TorchRollout):
         return bench, found.in_torch, found.reverse, sampling.history
-
     return bench, as_torch_function(found.function, found.compiler_options), found.reverse, sampling.history
 
 

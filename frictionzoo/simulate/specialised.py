@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from frictionzoo.bench import Bench, Channels
-from frictionzoo.bench.base import NO_PAYLOAD, can_collide
+from frictionzoo.bench.base import NO_FRICTION_CONSTRAINT, NO_PAYLOAD, can_collide
 from frictionzoo.simulate.base import UNFUSED, Engine, Friction, Values, control, without_memory
 from frictionzoo.simulate.dry_friction import dry_friction
 from frictionzoo.simulate.linear import solve_spd
@@ -42,7 +42,7 @@ class SpecialisedEngine(Engine):
     def __init__(self, bench: Bench, friction: Friction, constraint: bool) -> None:
         model = bench.compile(constraint)
         _refuse_other_constraints(model)
-        self._model_inputs, self._dynamics = _specialised(bench)
+        self._model_inputs, self._dynamics = _specialised(bench, not model.opt.disableflags & NO_FRICTION_CONSTRAINT)
         self.note = f"the dynamics come down to {self._dynamics.operations} scalar operations"
         self._bench = bench
         self._friction = friction
@@ -108,11 +108,11 @@ _known: dict[str, tuple[Callable[[Values, Array], ModelInputs], Specialised]] = 
 """What was specialised in this process: a job simulates its bench with several laws."""
 
 
-def _specialised(bench: Bench) -> tuple[Callable[[Values, Array], ModelInputs], Specialised]:
+def _specialised(bench: Bench, constrainable: bool) -> tuple[Callable[[Values, Array], ModelInputs], Specialised]:
     """From values to MJX's inputs, and MJX's dynamics, of this bench.
 
     The friction constraint's coefficients are among them, whether the law needs them or not: XLA leaves out what is not
-    used, and one bench is specialised once.
+    used, and one bench is specialised once. An MJCF whose flags leave no such constraint has none.
     """
     # Two benches that write the same MJCF with the same values differ in initial values and bounds only, and those
     # reach MJX's model by its inputs.
@@ -120,7 +120,7 @@ def _specialised(bench: Bench) -> tuple[Callable[[Values, Array], ModelInputs], 
     key = f"{type(bench.actuator).__qualname__} {bench.payload} {bench.mjcf(ones)}"
     if key not in _known:
         with jax.enable_x64(True):
-            reference = MjxEngine(bench, without_memory(lambda values, state: FrictionTerms()), constraint=True)
+            reference = MjxEngine(bench, without_memory(lambda values, state: FrictionTerms()), constrainable)
             values = {"bench": bench.initial_values()}
             inputs = jax.eval_shape(reference.model_inputs, values, jnp.asarray(bench.load(NO_PAYLOAD)))
             _known[key] = reference.model_inputs, specialise(reference.dynamics, inputs, *[np.zeros(bench.nv)] * 3)
