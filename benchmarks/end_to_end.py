@@ -42,7 +42,7 @@ EXHAUSTIVE = ("mujoco_grid_search",)  # tries all combinations, whatever the num
 def main() -> None:
     """Run, print, write."""
     options = parse()
-    run_python("-c", "import frictionzoo.run")  # reads the packages from the disk, so that no model pays for it
+    run_python("-c", "import frictionzoo.cli.run")  # reads the packages from the disk, so that no model pays for it
     rows = []
     for model in options.models:
         rows.append(run_twice(model, overrides_of(model, options)))

@@ -23,15 +23,15 @@ from measure import compile_time, make_parser, median_time, report
 from omegaconf import OmegaConf
 
 from frictionzoo.bench import Bench
-from frictionzoo.build import build
-from frictionzoo.config import compose_config
+from frictionzoo.core.build import build
+from frictionzoo.core.config import compose_config
+from frictionzoo.core.segments import Segments, cut_segments
+from frictionzoo.core.state import DriveState
 from frictionzoo.fit import Objective, Space
 from frictionzoo.models import FrictionModel
-from frictionzoo.segments import cut_segments
 from frictionzoo.simulate import Engine, MjxEngine, Values, friction_of
 from frictionzoo.simulate.drive import Drive
 from frictionzoo.simulate.rollout import make_rollout
-from frictionzoo.types import DriveState, Segments
 
 COLUMNS = {
     "case": "case",

@@ -23,10 +23,10 @@ from measure import compile_time, make_parser, report
 from mujoco import mjx
 from omegaconf import OmegaConf
 
-from frictionzoo.build import build
-from frictionzoo.config import compose_config
+from frictionzoo.cli.job import Problem
+from frictionzoo.core.build import build
+from frictionzoo.core.config import compose_config
 from frictionzoo.fit import run_fit
-from frictionzoo.job import Problem
 
 COLUMNS = {
     "way": "way",

@@ -112,9 +112,9 @@ def measure(kind: str, **what: int) -> dict[str, Any]:
 
 def measure_fit(samples: int, length: int) -> dict[str, Any]:
     """One identification; the data are made before."""
-    from frictionzoo.build import build
+    from frictionzoo.core.build import build
+    from frictionzoo.core.segments import cut_segments
     from frictionzoo.fit import Objective, Space, run_fit
-    from frictionzoo.segments import cut_segments
     from frictionzoo.simulate.drive import Drive
 
     settings = compose("model=mujoco_default", "fit=lm", f"segments.length={length}", "segments.count=null")
@@ -153,7 +153,7 @@ def measure_fit(samples: int, length: int) -> dict[str, Any]:
 
 def record(rollout: Any, bench: Any, samples: int) -> Iterator[Any]:
     """Recordings of the known drive, one after the other, so that little more than themselves is in memory."""
-    from frictionzoo.types import Log
+    from frictionzoo.core.log import Log
 
     truth = {name: np.array([value]) for name, value in TRUTH.items()}
     armature = {"armature": truth.pop("armature")}
@@ -179,7 +179,7 @@ def command(time_axis: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def measure_network(segments: int, width: int) -> dict[str, Any]:
     """A loss with its gradient, as `fit=adam` takes it in each iteration."""
-    from frictionzoo.job import Problem
+    from frictionzoo.cli.job import Problem
 
     hidden = f"model.hidden=[{width},{width}]"
     counts = (f"segments.count={segments}", f"segments.length={LENGTH}")
@@ -203,7 +203,7 @@ def compose(*overrides: str) -> dict[str, Any]:
     """The settings of a job with these overrides, without the cache of compiled functions."""
     from omegaconf import OmegaConf
 
-    from frictionzoo.config import compose_config
+    from frictionzoo.core.config import compose_config
 
     config = compose_config("compilation_cache=null", *overrides)
     return cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))

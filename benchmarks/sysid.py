@@ -22,14 +22,14 @@ from mujoco import sysid
 from omegaconf import OmegaConf
 
 from frictionzoo.bench import Bench
-from frictionzoo.build import build
-from frictionzoo.config import compose_config
+from frictionzoo.core.build import build
+from frictionzoo.core.config import compose_config
+from frictionzoo.core.log import Log
+from frictionzoo.core.segments import Segments, cut_segments
 from frictionzoo.fit import LevenbergMarquardt, Objective, Space
 from frictionzoo.models import FrictionModel
-from frictionzoo.segments import cut_segments
 from frictionzoo.simulate import friction_of, make_engine, specialised
 from frictionzoo.simulate.rollout import make_rollout
-from frictionzoo.types import Log, Segments
 
 NAMES = ("armature", "damping", "frictionloss")
 SEQUENCES = 39

@@ -17,10 +17,10 @@ from gradient import DTYPE, STEPS, Case, knee
 from measure import make_parser, median_time, report
 
 import frictionzoo as fz
+from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.fit import Objective, Space
 from frictionzoo.models import CoulombStribeck, FrictionModel, TorchFriction
 from frictionzoo.simulate.drive import Drive
-from frictionzoo.types import DriveState, FrictionTerms
 
 COLUMNS = {
     "engine": "engine",

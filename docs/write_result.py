@@ -5,10 +5,10 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from frictionzoo.compare import comparison
+from frictionzoo.comparison import record as comparison
+from frictionzoo.core.output import write_atomically
 from frictionzoo.inspect import survey
-from frictionzoo.output import write_atomically
-from frictionzoo.report import result
+from frictionzoo.result import record as result
 
 DOCS = Path(__file__).parent
 SCHEMAS = {  # docs/NAME.md is made from the schema of NAME.json

@@ -19,9 +19,9 @@ from typing import Any
 
 import yaml
 
-from frictionzoo.compare import Comparison, compare_runs, read_runs, write_comparison
-from frictionzoo.output import write_atomically
-from frictionzoo.run import NOT_IDENTIFIED
+from frictionzoo.cli.run import NOT_IDENTIFIED
+from frictionzoo.comparison import Comparison, compare_runs, read_runs, write_comparison
+from frictionzoo.core.output import write_atomically
 
 EXPERIMENTS = Path(__file__).parent
 PROGRAM = "python -m frictionzoo.run "

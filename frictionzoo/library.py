@@ -5,8 +5,8 @@ from typing import Any, cast
 
 from omegaconf import DictConfig, OmegaConf
 
-from frictionzoo.build import build
-from frictionzoo.config import check_overrides, compose_config, list_choices
+from frictionzoo.core.build import build
+from frictionzoo.core.config import check_overrides, compose_config, list_choices
 from frictionzoo.models import FrictionModel, get_model
 
 

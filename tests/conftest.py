@@ -23,11 +23,11 @@ from jax.experimental.compilation_cache import compilation_cache as jax_cache
 from omegaconf import DictConfig, OmegaConf
 
 from frictionzoo.bench import Bench
-from frictionzoo.build import build
-from frictionzoo.compare import Run
-from frictionzoo.config import compose_config
-from frictionzoo.report.curves import Curves
-from frictionzoo.run import main
+from frictionzoo.cli.run import main
+from frictionzoo.comparison import Run
+from frictionzoo.core.build import build
+from frictionzoo.core.config import compose_config
+from frictionzoo.result.curves import Curves
 from frictionzoo.simulate.rollout import FORWARD
 
 # As for XLA in `pytest_configure`; torch is loaded and no longer looks at the environment.

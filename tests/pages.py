@@ -6,7 +6,7 @@ from pathlib import Path
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
-from frictionzoo.config import list_choices
+from frictionzoo.core.config import list_choices
 
 ROOT = Path(__file__).parent.parent
 PAGES = [

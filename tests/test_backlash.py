@@ -11,16 +11,18 @@ import pytest
 import torch
 
 from frictionzoo.bench import Bench
-from frictionzoo.errors import ConfigError, LogError
+from frictionzoo.core.errors import ConfigError, LogError
+from frictionzoo.core.log import Log
+from frictionzoo.core.segments import Segments, cut_segments
+from frictionzoo.core.state import DriveState
 from frictionzoo.fit import Objective, Space, estimate_uncertainty
 from frictionzoo.fit.lm import LevenbergMarquardt
+from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.logs.two_inertia import TwoInertia
 from frictionzoo.models import Backlash
 from frictionzoo.models.backlash import _dead_zone
-from frictionzoo.segments import cut_segments
 from frictionzoo.simulate import Friction, friction_of, make_engine, without_memory
 from frictionzoo.simulate.rollout import make_rollout
-from frictionzoo.types import DriveState, Log, Segments, Uncertainty
 
 MAKE = Callable[..., Any]
 QUIET = ("data.sensor.position_quantum=0", "data.sensor.velocity_noise=0")

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from omegaconf import OmegaConf
 
-from frictionzoo.errors import ConfigError
+from frictionzoo.cli.job import Problem
+from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.state import DriveState
 from frictionzoo.export.bam import friction_budget
 from frictionzoo.export.read_bam import LAWS, main, read_bam
-from frictionzoo.job import Problem
 from frictionzoo.models import get_model
-from frictionzoo.types import DriveState
 
 M1 = {
     **{"kt": 1.1776, "R": 2.4787, "armature": 0.0261, "q_offset": -0.0506, "command_delay": 0.0},

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from frictionzoo.bench import Bench, Force, PositionPD
-from frictionzoo.errors import BenchError
-from frictionzoo.types import Log
+from frictionzoo.core.errors import BenchError
+from frictionzoo.core.log import Log
 
 KNOWN = {"low": 1e-6, "high": 1e3, "scale": "log", "identify": False}
 ARMATURE = {"armature": {"init": 0.02, **KNOWN}}

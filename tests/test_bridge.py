@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from frictionzoo.bridge import as_torch_function, load_from_jax, to_jax
-from frictionzoo.errors import ConfigError, ModelError
+from frictionzoo.core.errors import ConfigError, ModelError
 from frictionzoo.models import NeuralFriction
+from frictionzoo.simulate.bridge import as_torch_function, load_from_jax, to_jax
 
 
 def network() -> NeuralFriction:

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from frictionzoo.check import check_model
-from frictionzoo.errors import ModelError
+from frictionzoo.core.errors import ModelError
+from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models import FrictionModel, registry
-from frictionzoo.types import DriveState, FrictionTerms
+from frictionzoo.models.contract import check_model
 
 DRY = {"dry": {"init": 0.5, "low": 0.1, "high": 1.0, "scale": "log", "identify": True}}
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from frictionzoo.errors import ConfigError, LogError
+from frictionzoo.core.errors import ConfigError, LogError
 from frictionzoo.logs.clean import Cleaning, clean, summarise_repairs
 from frictionzoo.logs.recording import Recording
 

@@ -35,9 +35,9 @@ from test_out_of_tree import COMMANDS as WITH_PACKAGE
 from test_sweep import LAUNCHERS
 from write_logs import WRITERS, write_degrees, write_log
 
-from frictionzoo.build import build
-from frictionzoo.config import CONF_DIR, compose_config
-from frictionzoo.job import Problem
+from frictionzoo.cli.job import Problem
+from frictionzoo.core.build import build
+from frictionzoo.core.config import CONF_DIR, compose_config
 from frictionzoo.logs.formats import get_format
 
 JOB = r"(?:python -m frictionzoo\.run|frictionzoo) "

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from test_report import VALUES, bench, build, dataset, evaluation, model  # noqa: F401
 
-from frictionzoo.compare import Failure, compare_runs, read_runs, read_schema, write_comparison
-from frictionzoo.compare.__main__ import main
-from frictionzoo.errors import RunError
-from frictionzoo.report.curves import Curves, read_curves, write_curves
-from frictionzoo.report.result import write_result
+from frictionzoo.cli.compare import main
+from frictionzoo.comparison import Failure, compare_runs, read_runs, read_schema, write_comparison
+from frictionzoo.core.errors import RunError
+from frictionzoo.result.curves import Curves, read_curves, write_curves
+from frictionzoo.result.record import write_result
 
 ROLLOUTS = 10
 RNG = np.random.default_rng(0)
@@ -283,7 +283,7 @@ def test_a_missing_file_is_said(zoo):
 def test_the_command_writes_into_the_folder_and_prints_the_table(zoo, capsys, monkeypatch):
     monkeypatch.chdir(zoo.parent)
     drawn = []
-    monkeypatch.setattr("frictionzoo.compare.files.write_figures", lambda folder, *_: drawn.append(str(folder)))
+    monkeypatch.setattr("frictionzoo.comparison.files.write_figures", lambda folder, *_: drawn.append(str(folder)))
     assert main(["sweep"]) == 0
     written = json.loads(Path("sweep/comparison/comparison.json").read_text())
     jsonschema.Draft202012Validator(read_schema()).validate(written)

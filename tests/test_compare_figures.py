@@ -10,8 +10,9 @@ import pytest
 from matplotlib import colors
 from matplotlib.image import imread
 
-from frictionzoo.compare import compare_runs, read_schema
-from frictionzoo.compare.figures import (
+from frictionzoo.comparison import compare_runs, read_schema
+from frictionzoo.result.evaluate import moving_mean_and_std
+from frictionzoo.show.comparison_figures import (
     choose_styles,
     draw_autocorrelation,
     draw_differences,
@@ -24,8 +25,7 @@ from frictionzoo.compare.figures import (
     draw_trajectories,
     write_figures,
 )
-from frictionzoo.evaluate import moving_mean_and_std
-from frictionzoo.report.figures import save_figure
+from frictionzoo.show.run_figures import save_figure
 
 LABELS = ("stribeck", "smooth", "baseline")
 AWKWARD = (
@@ -265,8 +265,8 @@ def test_awkward_runs_are_drawn(make_runs, monkeypatch, tmp_path, labels, lost, 
         flat(figure).draw_without_rendering()
         path.touch()
 
-    monkeypatch.setattr("frictionzoo.compare.figures.save_figure", draw)
-    monkeypatch.setattr("frictionzoo.compare.figures.FORMATS", ("png",))
+    monkeypatch.setattr("frictionzoo.show.comparison_figures.save_figure", draw)
+    monkeypatch.setattr("frictionzoo.show.comparison_figures.FORMATS", ("png",))
     runs = make_runs(labels, joints, diverged=lost)
     (tmp_path / "differences.png").write_bytes(b"of an older comparison")
     comparison = compare(runs)
@@ -317,7 +317,7 @@ def test_files_are_whole_and_the_same_each_time(runs, comparison, monkeypatch, t
     def save(figure, path):
         save_figure(flat(figure), path) if path.suffix == ".png" or path.stem in printed else path.touch()
 
-    monkeypatch.setattr("frictionzoo.compare.figures.save_figure", save)
+    monkeypatch.setattr("frictionzoo.show.comparison_figures.save_figure", save)
     write_figures(tmp_path / "first", comparison, runs)
     assert dict(matplotlib.rcParams) == before
     paths = sorted((tmp_path / "first").iterdir())

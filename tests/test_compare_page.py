@@ -14,10 +14,10 @@ from browser import WIDTHS, needs_browser, open_page
 from test_html import HOSTILE, Page, figures_of, judge_targets
 from test_report import bench, dataset, evaluation, model, result  # noqa: F401
 
-from frictionzoo.compare import Failure, Run, compare_runs
-from frictionzoo.compare.page import check_comparison, write_page
-from frictionzoo.compare.plots import choose_styles
-from frictionzoo.report.curves import Curves
+from frictionzoo.comparison import Failure, Run, compare_runs
+from frictionzoo.result.curves import Curves
+from frictionzoo.show.comparison_page import check_comparison, write_page
+from frictionzoo.show.comparison_plots import choose_styles
 
 LONG, SHORT, WINDOWS, TIMESTEP = 300, 100, 40, 0.001
 LABELS = ("coulomb_stribeck", "coulomb_smooth segments.length=20 seed=1", "baseline")

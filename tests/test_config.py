@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from omegaconf import DictConfig, OmegaConf
 
-from frictionzoo.build import build
-from frictionzoo.config import (
+from frictionzoo.core.build import build
+from frictionzoo.core.config import (
     _OPEN,
     _TAKES,
     CONF_DIR,
@@ -18,7 +18,7 @@ from frictionzoo.config import (
     compose_config,
     list_options,
 )
-from frictionzoo.errors import ConfigError
+from frictionzoo.core.errors import ConfigError
 from frictionzoo.fit import Grid, loggers
 from frictionzoo.models import Baseline, registry
 
@@ -100,7 +100,7 @@ def _choices(path: Path) -> list[str]:
         "builtins.eval",
         "frictionzoo",
         "eval",
-        "frictionzoo.errors.closest",  # a function
+        "frictionzoo.core.errors.closest",  # a function
         "frictionzoo.fit.Newton",
         "frictionzoo.nowhere.Adam",
         "frictionzoo_evil.Adam",

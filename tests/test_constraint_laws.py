@@ -13,12 +13,13 @@ from conftest import slow_but
 from test_models import friction
 
 from frictionzoo.bench import Bench
+from frictionzoo.core.log import Log
+from frictionzoo.core.segments import cut_segments
+from frictionzoo.core.state import DriveState
 from frictionzoo.fit import LevenbergMarquardt, Objective, Space
 from frictionzoo.models import get_model
-from frictionzoo.segments import cut_segments
 from frictionzoo.simulate import friction_of, make_engine
 from frictionzoo.simulate.rollout import make_rollout
-from frictionzoo.types import DriveState, Log
 
 pytestmark = pytest.mark.usefixtures("in_haste")
 

@@ -6,12 +6,12 @@ import torch
 from test_compare import HARD, make_curves
 from test_report import PARAMS
 
+from frictionzoo.core.state import DriveState
 from frictionzoo.models.baseline import Baseline
 from frictionzoo.models.coulomb_stribeck import CoulombStribeck
 from frictionzoo.models.mujoco_default import MujocoDefault
 from frictionzoo.models.neural_friction import NeuralFriction
-from frictionzoo.report.curves import NEIGHBOURS, read_curves, sample_friction, write_curves
-from frictionzoo.types import DriveState
+from frictionzoo.result.curves import NEIGHBOURS, read_curves, sample_friction, write_curves
 
 OWN = {"init": 0.3, "low": 1e-3, "high": 1.0, "scale": "log", "identify": True}
 

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from rosbags.rosbag2 import StoragePlugin, Writer
 from write_logs import OPTIONS, STORE, WRITERS, command, signals, write_bag, write_bam, write_log, write_npz
 
-from frictionzoo.errors import FrictionzooError, LogError
+from frictionzoo.core.errors import FrictionzooError, LogError
 from frictionzoo.logs.clean import Cleaning, clean
 from frictionzoo.logs.columns import propose, to_recording
 from frictionzoo.logs.formats import base, read_tables

@@ -14,7 +14,7 @@ FITS = {"adam": "fit.iterations=10", "lm": "fit.iterations=30", "grid": "fit.poi
 COMPARE = """
 import sys
 from frictionzoo.fit import objective
-from frictionzoo.run import NOT_IDENTIFIED, main
+from frictionzoo.cli.run import NOT_IDENTIFIED, main
 devices = objective._devices
 for fit, option in {fits}.items():
     for count in (1, 2):

@@ -7,7 +7,7 @@ import pytest
 from conftest import DATA, needs_data
 from recordings import make_recording, read_sts3215, read_xl330, simulate_servo
 
-from frictionzoo.errors import LogError
+from frictionzoo.core.errors import LogError
 from frictionzoo.logs.delay import estimate_delay
 from frictionzoo.logs.diagnose import (
     count_spikes,

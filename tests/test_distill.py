@@ -13,17 +13,17 @@ import safetensors.torch
 import torch
 from conftest import Finished, job_settings
 
-from frictionzoo.compare.comparison import compare_runs
-from frictionzoo.compare.runs import read_runs
-from frictionzoo.distill.__main__ import main
+from frictionzoo.cli.distill import main
+from frictionzoo.cli.export import main as export
+from frictionzoo.cli.run import NOT_IDENTIFIED
+from frictionzoo.comparison.record import compare_runs
+from frictionzoo.comparison.runs import read_runs
+from frictionzoo.core.errors import ConfigError
 from frictionzoo.distill.distillation import _note, _rms
-from frictionzoo.errors import ConfigError
-from frictionzoo.export.__main__ import main as export
 from frictionzoo.fit import Objective
 from frictionzoo.fit.adam import Adam
 from frictionzoo.fit.lm import MOST_COORDINATES, LevenbergMarquardt
-from frictionzoo.report.terminal import summarise_distillation
-from frictionzoo.run import NOT_IDENTIFIED
+from frictionzoo.show.terminal import summarise_distillation
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -12,7 +12,7 @@ import pytest
 from omegaconf import OmegaConf
 from pages import ROOT
 
-from frictionzoo.config import CONF_DIR
+from frictionzoo.core.config import CONF_DIR
 
 pytest.importorskip("mkdocs", reason="the extra docs is not installed")  # CI installs it and runs this file
 

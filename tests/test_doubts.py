@@ -8,12 +8,12 @@ import pytest
 from conftest import needs_data
 
 from frictionzoo.bench import Bench
-from frictionzoo.doubts import doubt_motion, doubt_recordings
-from frictionzoo.errors import LogError
+from frictionzoo.bench.doubts import doubt_motion, doubt_recordings
+from frictionzoo.core.errors import LogError
+from frictionzoo.core.log import Dataset, Log
+from frictionzoo.core.params import read_params
 from frictionzoo.logs.twin import Twin
-from frictionzoo.params import read_params
-from frictionzoo.report.verdict import doubt_gain, doubt_reference, doubt_sizes, explain_failure, list_moving
-from frictionzoo.types import Dataset, Log
+from frictionzoo.result.verdict import doubt_gain, doubt_reference, doubt_sizes, explain_failure, list_moving
 
 ARMATURE = {"init": 50.0, "low": 1.0, "high": 1e3, "scale": "log", "identify": True}
 RNG = np.random.default_rng(0)

@@ -10,7 +10,7 @@ import scipy.io
 from conftest import DATA, ROOT, needs_data
 from omegaconf import OmegaConf
 
-from frictionzoo.errors import ConfigError, LogError
+from frictionzoo.core.errors import ConfigError, LogError
 from frictionzoo.logs.emps import Emps
 from frictionzoo.logs.velocity import estimate_velocity
 

@@ -11,9 +11,9 @@ import pytest
 from conftest import slow_but
 from test_specialised import BODIES, change, law, make_bench, random_cases, step_of, steps_in_c
 
+from frictionzoo.core.state import FrictionTerms
 from frictionzoo.simulate import MjxEngine, SpecialisedEngine, without_memory
 from frictionzoo.simulate.rollout import make_rollout
-from frictionzoo.types import FrictionTerms
 
 ROD = "hinge with gravity"
 

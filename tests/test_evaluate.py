@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from frictionzoo.errors import ConfigError, LogError
-from frictionzoo.evaluate import Evaluation, Prediction, measure, moving_mean_and_std, rollout_mae
-from frictionzoo.types import Dataset, Log, Segments
+from frictionzoo.core.errors import ConfigError, LogError
+from frictionzoo.core.log import Dataset, Log
+from frictionzoo.core.segments import Segments
+from frictionzoo.result.evaluate import Evaluation, Prediction, measure, moving_mean_and_std, rollout_mae
 
 TIMESTEP = 0.01
 

@@ -12,10 +12,10 @@ import torch
 import yaml
 from conftest import needs_data
 
-from frictionzoo.compare import compare_runs, read_runs
+from frictionzoo.cli.run import NOT_IDENTIFIED
+from frictionzoo.comparison import compare_runs, read_runs
+from frictionzoo.core.state import DriveState
 from frictionzoo.logs import files
-from frictionzoo.run import NOT_IDENTIFIED
-from frictionzoo.types import DriveState
 
 ROOT = Path(__file__).parent.parent
 EXPERIMENTS = ROOT / "experiments"

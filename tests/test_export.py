@@ -10,7 +10,8 @@ import pytest
 import torch
 
 from frictionzoo.bench import Bench, PositionPD
-from frictionzoo.bridge import to_jax
+from frictionzoo.core.segments import Segments
+from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.export.bench import write_bench
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.nearest import find_nearest, nearest_frictionloss_and_damping
@@ -19,8 +20,8 @@ from frictionzoo.models.baseline import Baseline
 from frictionzoo.models.mujoco_default import MujocoDefault
 from frictionzoo.models.neural_friction import NeuralFriction
 from frictionzoo.simulate import friction_of, make_engine
+from frictionzoo.simulate.bridge import to_jax
 from frictionzoo.simulate.rollout import make_rollout
-from frictionzoo.types import DriveState, FrictionTerms, Segments
 
 ANOTHER = {"frictionloss": 0.3, "damping": 0.1}
 EXACT = "represented exactly"

@@ -16,9 +16,12 @@ import torch
 from conftest import slow_but
 from omegaconf import OmegaConf
 
-from frictionzoo.build import build
-from frictionzoo.config import compose_config
-from frictionzoo.errors import ConfigError, ExportError
+from frictionzoo.core.build import build
+from frictionzoo.core.config import compose_config
+from frictionzoo.core.errors import ConfigError, ExportError
+from frictionzoo.core.log import Payload
+from frictionzoo.core.segments import Segments
+from frictionzoo.core.state import DriveState
 from frictionzoo.export.base import Export, get_target
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.isaaclab import read_isaaclab
@@ -28,7 +31,6 @@ from frictionzoo.export.nearest import Nearest
 from frictionzoo.export.read_bam import LAWS, read_bam
 from frictionzoo.export.targets import __all__ as _registered  # noqa: F401 - importing it registers them
 from frictionzoo.models import FrictionModel, get_model, model_names
-from frictionzoo.types import DriveState, Payload, Segments
 
 SIGNALS = ["qpos", "qvel", "ctrl", "motor_torque", "external_torque"]
 PAYLOAD = Payload(0.5, (0.0, 0.0, -0.1), (1e-4, 1e-4, 1e-4))

@@ -16,11 +16,14 @@ from omegaconf import OmegaConf
 from test_levels import imports
 
 from frictionzoo.bench import Bench
-from frictionzoo.build import build
-from frictionzoo.config import compose_config
-from frictionzoo.errors import ConfigError, ExportError, FrictionzooError
+from frictionzoo.cli.export import main
+from frictionzoo.core.build import build
+from frictionzoo.core.config import compose_config
+from frictionzoo.core.errors import ConfigError, ExportError, FrictionzooError
+from frictionzoo.core.log import Payload
+from frictionzoo.core.segments import Segments
+from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.export import targets  # noqa: F401 - registers them
-from frictionzoo.export.__main__ import main
 from frictionzoo.export.base import get_target, target_names
 from frictionzoo.export.bench import Mjcf, run_bench
 from frictionzoo.export.fitted import Fitted
@@ -33,7 +36,6 @@ from frictionzoo.export.write import Written, write_exports
 from frictionzoo.models import FrictionModel, MujocoDefault, model_names
 from frictionzoo.models.base import sliding_torque
 from frictionzoo.models.network import NetworkModel
-from frictionzoo.types import DriveState, FrictionTerms, Payload, Segments
 
 PAYLOAD = Payload(0.1, (0.0, 0.0, -0.05), (1e-4, 1e-4, 1e-5))
 ROOT = Path(__file__).parent.parent

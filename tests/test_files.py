@@ -13,9 +13,9 @@ import pytest
 from conftest import DATA, needs_data
 from omegaconf import DictConfig, OmegaConf
 
-from frictionzoo.build import build
-from frictionzoo.config import compose_config
-from frictionzoo.errors import ConfigError, LogError
+from frictionzoo.core.build import build
+from frictionzoo.core.config import compose_config
+from frictionzoo.core.errors import ConfigError, LogError
 from frictionzoo.logs.files import Files
 from frictionzoo.logs.units import UNITS as SI
 from frictionzoo.logs.units import ratio, to_si

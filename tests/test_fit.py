@@ -17,15 +17,16 @@ import torch
 from omegaconf import OmegaConf
 
 from frictionzoo.bench import Bench
-from frictionzoo.build import build
-from frictionzoo.config import compose_config
-from frictionzoo.errors import ConfigError, FitError
+from frictionzoo.core.build import build
+from frictionzoo.core.config import compose_config
+from frictionzoo.core.errors import ConfigError, FitError
+from frictionzoo.core.segments import Segments
+from frictionzoo.core.state import DriveState
 from frictionzoo.fit import Adam, Grid, Objective, Space, fit_reference, run_fit
 from frictionzoo.fit.loggers import TensorBoard
 from frictionzoo.models import FrictionModel
 from frictionzoo.simulate import friction_of, make_engine
 from frictionzoo.simulate.rollout import Rollout, make_rollout
-from frictionzoo.types import DriveState, Segments
 
 LOSS = {"position": 1.0, "velocity": 1.0, "robust": "none", "robust_scale": 1.0, "refine": False}
 TRUTH = {"armature": 0.03, "frictionloss": 0.2, "damping": 0.1}

@@ -33,7 +33,7 @@ from write_logs import (
     write_log,
 )
 
-from frictionzoo.errors import ConfigError, LogError
+from frictionzoo.core.errors import ConfigError, LogError
 from frictionzoo.logs.columns import propose, to_recording
 from frictionzoo.logs.diagnose import refuse_incomplete
 from frictionzoo.logs.formats import format_names, read_tables, register_format, registry

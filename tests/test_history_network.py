@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import torch
 
-from frictionzoo.errors import ConfigError
+from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.state import DriveState
 from frictionzoo.models import Dahl, FrictionModel, HistoryNetwork, NeuralFriction
-from frictionzoo.types import DriveState
 
 STEP = 1e-3  # s
 TIMES = (0.002, 2.0)

@@ -13,9 +13,9 @@ import pytest
 from browser import DRAWN, WIDTHS, needs_browser, open_page
 from test_report import FIT, bench, dataset, evaluation, history, make_rollout, model, result  # noqa: F401
 
-from frictionzoo.evaluate import Prediction
-from frictionzoo.report.html import check_result, write_report
-from frictionzoo.report.page import POINTS
+from frictionzoo.result.evaluate import Prediction
+from frictionzoo.show.page import POINTS
+from frictionzoo.show.run_page import check_result, write_report
 
 HOSTILE = "</script><img src=x onerror=alert(1)>\"'&"
 

@@ -16,12 +16,12 @@ from conftest import DATA, ROOT, needs_data
 from recordings import make_recording, read_sts3215, simulate_servo
 from test_html import HOSTILE, Page, figures_of
 
-from frictionzoo.inspect.__main__ import main
+from frictionzoo.cli.inspect import main
+from frictionzoo.core.log import Dataset, Log
 from frictionzoo.inspect.page import write_page
 from frictionzoo.inspect.survey import list_recordings, rank_by_faults, read_schema, survey_recordings
 from frictionzoo.inspect.terminal import summarise
 from frictionzoo.logs.recording import Recording
-from frictionzoo.types import Dataset, Log
 
 TIME = 0.01 * np.arange(1000)
 BACK = np.where(TIME % 1 < 0.9, 0.1, -9.0)  # forward too slowly to count
@@ -197,7 +197,7 @@ def test_a_browser_draws_every_figure(page):
 
 def test_the_command_writes_what_it_says_without_torch_or_jax(recording, tmp_path):
     light = "assert not {'torch', 'jax', 'mujoco'} & set(sys.modules)"
-    code = f"import sys; from frictionzoo.inspect.__main__ import main; main(); {light}"
+    code = f"import sys; from frictionzoo.cli.inspect import main; main(); {light}"
     words = [sys.executable, "-c", code, "data=files", f"data.train=[{recording}]", "data.split.gap=0.05"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     finished = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True)

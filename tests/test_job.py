@@ -16,15 +16,15 @@ from omegaconf import OmegaConf
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from frictionzoo import __version__
+from frictionzoo.cli.job import Problem, _judge_baseline
+from frictionzoo.cli.run import NOT_IDENTIFIED
+from frictionzoo.core.state import DriveState
 from frictionzoo.export.bench import write_bench
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.nearest import find_nearest
-from frictionzoo.job import Problem, _judge_baseline
 from frictionzoo.models import Baseline, FrictionModel
-from frictionzoo.report.result import read_schema
-from frictionzoo.run import NOT_IDENTIFIED
+from frictionzoo.result.record import read_schema
 from frictionzoo.simulate.drive import Drive
-from frictionzoo.types import DriveState
 
 JOBS = {  # options besides those of `tiny`
     "mujoco_grid_search": ("fit.points=2",),

@@ -19,9 +19,9 @@ import pytest
 from conftest import ROOT, job_settings, run_main
 from test_torch_only import STRIBECK, TorchStribeck
 
+from frictionzoo.cli.run import NOT_IDENTIFIED
 from frictionzoo.models import register_model
 from frictionzoo.models.registry import REGISTRY
-from frictionzoo.run import NOT_IDENTIFIED
 
 JOBS = {
     "adam": ("model=coulomb_smooth", "fit.iterations=40"),
@@ -48,7 +48,7 @@ import signal
 signal.signal(signal.SIGINT, signal.SIG_DFL)
 from test_torch_only import TorchStribeck, register_model
 register_model("torch_stribeck")(TorchStribeck)
-from frictionzoo.run import main
+from frictionzoo.cli.run import main
 main()
 """
 
@@ -84,7 +84,7 @@ def prepared(monkeypatch: pytest.MonkeyPatch) -> None:
     """The law is known here too; a comparison is made without figures, most of its time."""
     monkeypatch.setattr(REGISTRY, "entries", dict(REGISTRY.entries))
     register_model("torch_stribeck")(TorchStribeck)
-    monkeypatch.setattr("frictionzoo.compare.files.write_figures", lambda *_: None)
+    monkeypatch.setattr("frictionzoo.comparison.files.write_figures", lambda *_: None)
 
 
 def folder_option(job: str) -> tuple[str]:

@@ -4,8 +4,8 @@ import re
 
 import pytest
 
-from frictionzoo.compare import Failure, compare_runs
-from frictionzoo.compare.latex import escape, tabulate_latex
+from frictionzoo.comparison import Failure, compare_runs
+from frictionzoo.show.latex import escape, tabulate_latex
 
 LABELS = ("stribeck", "smooth", "baseline")
 HOSTILE = r"""a_b $x$ \input{/etc/hosts} 50% & {#1} ~^ <>| "q" [x]"""

@@ -8,15 +8,16 @@ import pytest
 
 PACKAGE = Path(__file__).parent.parent / "frictionzoo"
 LEVELS = {
-    **dict.fromkeys(("types", "errors", "params", "options", "output", "registry", "threads"), 0),
-    **dict.fromkeys(("logs", "segments"), 1),
-    **dict.fromkeys(("models", "build"), 2),
+    **dict.fromkeys(("core",), 0),
+    **dict.fromkeys(("logs",), 1),
+    **dict.fromkeys(("models", "core/build"), 2),
     **dict.fromkeys(("bench", "simulate"), 3),
-    **dict.fromkeys(("bridge", "check", "doubts"), 4),
+    **dict.fromkeys(("bench/doubts", "models/contract", "simulate/bridge"), 4),
     **dict.fromkeys(("simulate/differentiable", "simulate/drive", "simulate/proof", "simulate/torch_rollout"), 4),
     **dict.fromkeys(("fit",), 5),
-    **dict.fromkeys(("evaluate", "compare", "report", "export"), 6),
-    **dict.fromkeys(("config", "job", "library", "sweep", "run", "inspect", "distill"), 7),
+    **dict.fromkeys(("result", "show", "comparison", "export", "inspect", "distill"), 6),
+    **dict.fromkeys(("library", "cli", "run", "compare", "distill/distillation"), 7),
+    **dict.fromkeys(("export/__main__", "inspect/__main__", "distill/__main__"), 7),
 }
 FORBIDDEN = {0: {"torch", "jax", "mujoco"}, 1: {"torch", "jax"}, 2: {"jax"}, 3: {"torch"}}
 FILES = [path for path in sorted(PACKAGE.rglob("*.py")) if path != PACKAGE / "__init__.py"]
@@ -59,15 +60,15 @@ def test_a_file_imports_only_from_its_level_and_those_above(path: Path) -> None:
 @pytest.mark.parametrize(
     ("file", "source"),
     [
-        ("types.py", "from frictionzoo.segments import cut_segments"),
+        ("core/log.py", "from frictionzoo.logs.files import Files"),
         ("logs/files.py", "import torch"),
-        ("segments.py", "def cut():\n    import jax.numpy as jnp"),
+        ("core/segments.py", "def cut():\n    import jax.numpy as jnp"),
         ("models/baseline.py", "from jax import numpy"),
         ("bench/base.py", "import torch.nn"),
-        ("simulate/mjx.py", "from frictionzoo import bridge"),
+        ("simulate/mjx.py", "from frictionzoo.simulate import bridge"),
         ("simulate/rollout.py", "from frictionzoo.simulate.drive import Drive"),
-        ("fit/adam.py", "from frictionzoo.report.figures import write_figures"),
-        ("evaluate.py", "import frictionzoo.job"),
+        ("fit/adam.py", "from frictionzoo.show.run_figures import write_figures"),
+        ("result/evaluate.py", "import frictionzoo.cli.job"),
     ],
 )
 def test_a_wrong_import_is_found(file: str, source: str) -> None:

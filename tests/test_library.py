@@ -16,11 +16,11 @@ from test_torch_only import TorchConstraint, TorchStribeck
 
 import frictionzoo as fz
 from frictionzoo.bench.base import DEFAULTS
-from frictionzoo.errors import BenchError, ConfigError, UnknownModelError
+from frictionzoo.core.errors import BenchError, ConfigError, UnknownModelError
+from frictionzoo.core.segments import Sampling
 from frictionzoo.models import register_model
 from frictionzoo.models.registry import REGISTRY
 from frictionzoo.simulate.drive import Drive
-from frictionzoo.types import Sampling
 
 BATCH, TIME = 3, 40
 STEP = 1e-5  # of central differences, as a share

@@ -12,12 +12,12 @@ import pytest
 from scipy.optimize._lsq.least_squares import IMPLEMENTED_LOSSES
 from test_fit import TRUTH, bowl, identified, pose, record, run, x64  # noqa: F401 - x64 is a fixture for all tests
 
-from frictionzoo.errors import ConfigError, FitError
+from frictionzoo.core.errors import ConfigError, FitError
+from frictionzoo.core.segments import Segments
 from frictionzoo.fit import LevenbergMarquardt
 from frictionzoo.fit import objective as objective_module
 from frictionzoo.fit.lm import _compress
 from frictionzoo.fit.objective import NormalEquations
-from frictionzoo.types import Segments
 
 LM = LevenbergMarquardt(100, 1e-12)
 ADAM = ("fit=adam", "fit.iterations=5", "fit.learning_rate=1e-3")

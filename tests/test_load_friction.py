@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from test_bam import M5, jax_as_before, pose, write, write_logs  # noqa: F401 - jax_as_before and write are fixtures
 
-from frictionzoo.evaluate import predict
+from frictionzoo.core.log import Log, Payload
+from frictionzoo.core.segments import cut_segments
 from frictionzoo.export.read_bam import read_bam
 from frictionzoo.fit import Objective, Space, fit_reference
-from frictionzoo.segments import cut_segments
+from frictionzoo.result.evaluate import predict
 from frictionzoo.simulate import Values, friction_of, make_engine
 from frictionzoo.simulate.rollout import Rollout, make_rollout
-from frictionzoo.types import Log, Payload
 
 pytestmark = pytest.mark.usefixtures("in_haste")
 

@@ -23,9 +23,9 @@ from tensorboard.plugins.hparams import metadata
 from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 from tensorboard.util import tensor_util
 
-from frictionzoo.build import build
-from frictionzoo.config import CONF_DIR
-from frictionzoo.errors import ConfigError
+from frictionzoo.core.build import build
+from frictionzoo.core.config import CONF_DIR
+from frictionzoo.core.errors import ConfigError
 from frictionzoo.fit import loop
 from frictionzoo.fit.loggers import Csv, RunLogger, TensorBoard
 

@@ -14,13 +14,14 @@ from conftest import slow_but
 from scipy.integrate import solve_ivp
 
 from frictionzoo.bench import Bench
-from frictionzoo.check import check_model
-from frictionzoo.errors import ConfigError, ModelError
+from frictionzoo.core.errors import ConfigError, ModelError
+from frictionzoo.core.segments import Sampling, Segments
+from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.fit import Objective, Space, fit_reference
 from frictionzoo.models import FrictionModel
+from frictionzoo.models.contract import check_model
 from frictionzoo.simulate import friction_of, make_engine
 from frictionzoo.simulate.rollout import make_rollout
-from frictionzoo.types import DriveState, FrictionTerms, Sampling, Segments
 
 pytestmark = pytest.mark.usefixtures("in_haste")
 

@@ -9,15 +9,15 @@ import torch
 from conftest import ROOT
 from omegaconf import OmegaConf
 
-from frictionzoo.build import build
-from frictionzoo.check import check_model
-from frictionzoo.config import compose_config
-from frictionzoo.errors import ConfigError
+from frictionzoo.core.build import build
+from frictionzoo.core.config import compose_config
+from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.params import UNITS
+from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models import FrictionModel, NeuralFriction, get_model, model_names
 from frictionzoo.models.base import sliding_torque
+from frictionzoo.models.contract import check_model
 from frictionzoo.models.network import NetworkModel
-from frictionzoo.params import UNITS
-from frictionzoo.types import DriveState, FrictionTerms
 
 CONF = ROOT / "conf"
 OURS = [name for name in model_names() if get_model(name).__module__.startswith("frictionzoo.")]

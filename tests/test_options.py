@@ -11,16 +11,16 @@ import pytest
 from jaxtyping import TypeCheckError
 from omegaconf import DictConfig, OmegaConf
 
-from frictionzoo import job
-from frictionzoo.build import build
-from frictionzoo.config import CONF_DIR, check_overrides, compose_config, list_options
+from frictionzoo.cli import job
+from frictionzoo.cli.run import _explain, _restore_overrides, refuse_no_choice
+from frictionzoo.core.build import build
+from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, list_options
+from frictionzoo.core.errors import ConfigError, FrictionzooError
+from frictionzoo.core.state import DriveState
 from frictionzoo.distill.distillation import _read_value
-from frictionzoo.errors import ConfigError, FrictionzooError
 from frictionzoo.export.write import read_number
 from frictionzoo.fit import loggers, loop
-from frictionzoo.run import _explain, _restore_overrides, refuse_no_choice
 from frictionzoo.simulate.proof import Proof
-from frictionzoo.types import DriveState
 
 VALUES = (float("nan"), float("inf"), None, "", 0, -1, 1e9, "absurd", [])
 NAMED = VALUES[:4]  # what never is the matter of another option

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from frictionzoo.errors import ConfigError
-from frictionzoo.params import UNITS, Param, read_params
+from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.params import UNITS, Param, read_params
 
 GOOD = {"init": 0.1, "low": 0.01, "high": 1.0, "scale": "log", "identify": True}
 

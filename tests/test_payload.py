@@ -16,14 +16,14 @@ from test_specialised import BODIES, KNOWN, chain, law, random_cases, step_of
 
 from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.bench.base import NO_PAYLOAD
-from frictionzoo.errors import BenchError, ConfigError
-from frictionzoo.evaluate import Evaluation, predict
-from frictionzoo.job import Problem
+from frictionzoo.cli.job import Problem
+from frictionzoo.core.errors import BenchError, ConfigError
+from frictionzoo.core.log import Log, Payload
 from frictionzoo.logs.payloads import choose_payloads
 from frictionzoo.logs.recording import Recording
-from frictionzoo.report.result import describe_data
+from frictionzoo.result.evaluate import Evaluation, predict
+from frictionzoo.result.record import describe_data
 from frictionzoo.simulate import Engine, MjxEngine, SpecialisedEngine
-from frictionzoo.types import Log, Payload
 
 PAYLOADS = [
     Payload(0.7, (0.02, -0.01, -0.2), (0.001, 0.002, 0.0015)),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from frictionzoo.bench import Bench
-from frictionzoo.errors import BenchError
+from frictionzoo.core.errors import BenchError
 from frictionzoo.models import FrictionModel
 from frictionzoo.simulate import mjx, specialised
 from frictionzoo.simulate.proof import TOLERANCE, Proof, Recorded, initial_values, prove

@@ -13,7 +13,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
 from pages import PACKAGE, PAGES, ROOT, blocks_of, expand, inline_of
 
-from frictionzoo.config import CONF_DIR, check_overrides, compose_config, list_options
+from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, list_options
 
 FLAGS = {"-m", "--cfg", "job"}
 PLACEHOLDER = re.compile(r"[A-Z]{3}")  # FOLDER, NAME, DATE: what a reader has to fill in

@@ -4,14 +4,14 @@ import sys
 
 import pytest
 
-from frictionzoo.errors import ModelError, UnknownModelError
+from frictionzoo.core.errors import ModelError, UnknownModelError
+from frictionzoo.core.state import FrictionTerms
 from frictionzoo.models import Baseline, FrictionModel, get_model, model_names, register_model, registry
-from frictionzoo.types import FrictionTerms
 
 PAPER = {"baseline", "mujoco_default", "coulomb_smooth", "coulomb_stribeck", "neural_friction"}
 LAW = """
 from frictionzoo.models import FrictionModel, register_model
-from frictionzoo.types import FrictionTerms
+from frictionzoo.core.state import FrictionTerms
 
 @register_model("{name}")
 class Rusty(FrictionModel):

@@ -16,17 +16,19 @@ from matplotlib import colors
 from matplotlib.image import imread
 
 from frictionzoo.bench import Bench, PositionPD
-from frictionzoo.errors import OutputError
-from frictionzoo.evaluate import Evaluation, Prediction
+from frictionzoo.core.errors import OutputError
+from frictionzoo.core.log import Dataset, Log
+from frictionzoo.core.output import write_atomically
+from frictionzoo.core.params import Param
+from frictionzoo.core.segments import Segments
+from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.models.coulomb_stribeck import CoulombStribeck
 from frictionzoo.models.neural_friction import NeuralFriction
-from frictionzoo.output import write_atomically
-from frictionzoo.params import Param
-from frictionzoo.report.figures import draw_error, draw_parameters, draw_trajectory, write_figures
-from frictionzoo.report.result import _list_parameters, build_result, read_schema, write_result
-from frictionzoo.report.terminal import summarise
+from frictionzoo.result.evaluate import Evaluation, Prediction
+from frictionzoo.result.record import _list_parameters, build_result, read_schema, write_result
+from frictionzoo.show.run_figures import draw_error, draw_parameters, draw_trajectory, write_figures
+from frictionzoo.show.terminal import summarise
 from frictionzoo.simulate.proof import Proof
-from frictionzoo.types import Dataset, Log, Segments, Uncertainty
 
 TIMESTEP = 0.001
 FIT = {"method": "adam", "iterations": 3, "best_iteration": 2, "loss": 1e-6, "stopped": "all iterations made"}

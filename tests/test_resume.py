@@ -18,13 +18,13 @@ from conftest import RUNS
 from omegaconf import OmegaConf
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from frictionzoo import job
-from frictionzoo.errors import CheckpointError, ConfigError, RunError
+from frictionzoo.cli import job
+from frictionzoo.cli.job import Problem, _identify
+from frictionzoo.cli.run import _restore_overrides
+from frictionzoo.core.errors import CheckpointError, ConfigError, RunError
+from frictionzoo.core.output import occupy
 from frictionzoo.fit import loop, run_fit
 from frictionzoo.fit.loggers import Csv
-from frictionzoo.job import Problem, _identify
-from frictionzoo.output import occupy
-from frictionzoo.run import _restore_overrides
 
 ITERATIONS = 40
 PATIENCE = 600.0  # s after which a process that has not come to the awaited moment is a failure
@@ -187,7 +187,7 @@ def test_what_ends_a_job_is_one_line_that_says_how_to_go_on(
     place: str,
     keeps: str,
 ) -> None:
-    monkeypatch.setattr("frictionzoo.job.run_job", lambda *_: end(number))
+    monkeypatch.setattr("frictionzoo.cli.job.run_job", lambda *_: end(number))
     handlers = [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)]
     ended = call(place, *(["-m"] if "sweep" in place else []))
     assert ended.status == status

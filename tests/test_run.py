@@ -20,11 +20,11 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from frictionzoo import __version__
-from frictionzoo.config import check_overrides, compose_config
-from frictionzoo.errors import CheckpointError, ConfigError, FrictionzooError
+from frictionzoo.cli.job import Problem
+from frictionzoo.cli.run import _explain, _restore_overrides, refuse_no_choice
+from frictionzoo.core.config import check_overrides, compose_config
+from frictionzoo.core.errors import CheckpointError, ConfigError, FrictionzooError
 from frictionzoo.fit.loop import CHECKPOINT, _checked_checkpoint
-from frictionzoo.job import Problem
-from frictionzoo.run import _explain, _restore_overrides, refuse_no_choice
 
 RUN = "hydra.run.dir=run"
 RESULTS = ("result.json", "friction.safetensors", "identified.xml")
@@ -301,7 +301,7 @@ LIGHT = """
 import atexit, sys
 heavy = {"torch", "jax", "mujoco", "lightning", "scipy", "matplotlib"}
 atexit.register(lambda: print("imported", *sorted(heavy & set(sys.modules)), flush=True))
-from frictionzoo.run import main
+from frictionzoo.cli.run import main
 main()
 """
 

@@ -27,16 +27,16 @@ from omegaconf import OmegaConf
 from schema import Variant, all_places, variants, write_files
 
 from frictionzoo.bench import Bench
-from frictionzoo.build import build
-from frictionzoo.config import compose_config
-from frictionzoo.errors import FrictionzooError
+from frictionzoo.core.build import build
+from frictionzoo.core.config import compose_config
+from frictionzoo.core.errors import FrictionzooError
+from frictionzoo.core.state import DriveState
 from frictionzoo.models import FrictionModel
 from frictionzoo.simulate import Engine, Values, proof
 from frictionzoo.simulate.choose import naming_what_mjx_lacks
 from frictionzoo.simulate.drive import Drive
 from frictionzoo.simulate.proof import TOLERANCE, Cases, Recorded, initial_values, prove
 from frictionzoo.simulate.rollout import FORWARD, make_rollout
-from frictionzoo.types import DriveState
 
 ENGINES = ("specialised", "mjx")
 LAWS = {  # of each kind: none, a constraint, an explicit torque, a memory, a network

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from frictionzoo.errors import ConfigError, LogError
-from frictionzoo.segments import cut_rollouts, cut_segments, split_by_time
-from frictionzoo.types import Log
+from frictionzoo.core.errors import ConfigError, LogError
+from frictionzoo.core.log import Log
+from frictionzoo.core.segments import cut_rollouts, cut_segments, split_by_time
 
 
 def make_log(

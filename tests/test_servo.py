@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from frictionzoo.bench import Bench, DcMotorPD, VoltageServo
-from frictionzoo.errors import BenchError, ConfigError
-from frictionzoo.evaluate import predict
+from frictionzoo.core.errors import BenchError, ConfigError
+from frictionzoo.core.log import Log, Payload
+from frictionzoo.core.segments import Sampling, cut_segments
 from frictionzoo.fit import Objective, Space, fit_reference
-from frictionzoo.segments import cut_segments
+from frictionzoo.result.evaluate import predict
 from frictionzoo.simulate import friction_of, make_engine
 from frictionzoo.simulate.rollout import applied, make_rollout
-from frictionzoo.types import Log, Payload, Sampling
 
 INTERVAL = 0.01
 PAYLOAD = Payload(0.5, (0.0, 0.0, -0.1), (1e-3, 1e-3, 1e-3))

@@ -14,11 +14,11 @@ from mujoco import mjx
 
 from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.bench.base import can_collide, rigid_inertia
-from frictionzoo.errors import BenchError, ConfigError
+from frictionzoo.core.errors import BenchError, ConfigError
+from frictionzoo.core.state import FrictionTerms
 from frictionzoo.simulate import MjxEngine, SpecialisedEngine, make_engine, without_memory
 from frictionzoo.simulate.dry_friction import dry_friction
 from frictionzoo.simulate.specialise import CannotSpecialiseError, specialise
-from frictionzoo.types import FrictionTerms
 
 KNOWN = {"low": 1e-6, "high": 1e3, "scale": "log", "identify": False}
 BODIES = {

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from frictionzoo.compare.statistics import (
+from frictionzoo.comparison.statistics import (
     BINS,
     autocorrelation,
     bin_evenly,

@@ -18,11 +18,11 @@ from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, OmegaConf
 
 from frictionzoo import __version__
-from frictionzoo.config import CONF_DIR, forget_plugin_schemas, register_resolvers
-from frictionzoo.errors import ConfigError
-from frictionzoo.job import run_job as run_real_job
-from frictionzoo.sweep import _complaint, conclude_sweep, run_in_sweep
-from frictionzoo.threads import count_cores, limit_threads
+from frictionzoo.cli.job import run_job as run_real_job
+from frictionzoo.cli.sweep import _complaint, conclude_sweep, run_in_sweep
+from frictionzoo.core.config import CONF_DIR, forget_plugin_schemas, register_resolvers
+from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.threads import count_cores, limit_threads
 
 ROOT = Path(__file__).parent.parent
 SWEEP = ("-m", "hydra.sweep.dir=sweep")
@@ -60,8 +60,8 @@ def test_a_failing_job_does_not_end_the_others(
         shutil.copytree(done[name], folder, dirs_exist_ok=True)
         return json.loads((folder / "result.json").read_text()), None
 
-    monkeypatch.setattr("frictionzoo.job.run_job", run_job)
-    monkeypatch.setattr("frictionzoo.compare.files.write_figures", lambda *_: None)  # most of a comparison's time
+    monkeypatch.setattr("frictionzoo.cli.job.run_job", run_job)
+    monkeypatch.setattr("frictionzoo.comparison.files.write_figures", lambda *_: None)  # most of a comparison's time
     finished = call(*SWEEP, *tiny, "fit=lm", "fit.iterations=3", "model=baseline,neural_friction,coulomb_smooth")
     assert finished.status == 2
     assert [(tmp_path / "sweep" / job / "result.json").exists() for job in jobs] == [True, False, True]
@@ -153,8 +153,8 @@ def test_a_stopped_sweep_goes_on_with_what_is_missing(
         shutil.copy(whole / folder.name / "result.json", folder)
         return json.loads((folder / "result.json").read_text()), None
 
-    monkeypatch.setattr("frictionzoo.job.run_job", run_job)
-    monkeypatch.setattr("frictionzoo.compare.files.write_figures", lambda *_: None)
+    monkeypatch.setattr("frictionzoo.cli.job.run_job", run_job)
+    monkeypatch.setattr("frictionzoo.comparison.files.write_figures", lambda *_: None)
     finished = call(*RUNS["sweep"], *tiny, "hydra.sweep.dir=sweep", "resume=true")
     assert finished.status == 0, finished.err
     assert done == ["coulomb_smooth"] and "0_baseline: has its result already" in finished.err
@@ -282,7 +282,7 @@ def test_jobs_at_a_time_times_threads_is_cores() -> None:
 
 COUNT = """
 from pathlib import Path
-from frictionzoo.threads import limit_threads
+from frictionzoo.core.threads import limit_threads
 limit_threads({threads})
 import jax, torch
 jax.devices()

@@ -15,18 +15,20 @@ import torch
 from conftest import Finished, slow_but
 
 from frictionzoo.bench import Bench
-from frictionzoo.compare.runs import read_runs
-from frictionzoo.distill.__main__ import main as distill
-from frictionzoo.errors import BenchError, ConfigError
+from frictionzoo.cli.distill import main as distill
+from frictionzoo.comparison.runs import read_runs
+from frictionzoo.core.errors import BenchError, ConfigError
+from frictionzoo.core.log import Dataset, Log
+from frictionzoo.core.segments import cut_segments
+from frictionzoo.core.state import DriveState
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.module import load_module
 from frictionzoo.export.write import write_exports
 from frictionzoo.fit import LevenbergMarquardt, Objective, Space, estimate_uncertainty
+from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.models.temperature import ABSOLUTE_ZERO
-from frictionzoo.segments import cut_segments
 from frictionzoo.simulate import Values, friction_of, make_engine
 from frictionzoo.simulate.rollout import make_rollout
-from frictionzoo.types import Dataset, DriveState, Log, Uncertainty
 
 pytestmark = pytest.mark.usefixtures("in_haste")
 

@@ -14,17 +14,18 @@ import torch
 from conftest import Finished
 
 from frictionzoo.bench import Bench
-from frictionzoo.check import check_model
-from frictionzoo.errors import ConfigError, ExportError, ModelError
+from frictionzoo.core.errors import ConfigError, ExportError, ModelError
+from frictionzoo.core.segments import Sampling, Segments
+from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.write import write_exports
 from frictionzoo.fit import Adam, Known, Objective, Space, loop, run_fit
 from frictionzoo.fit.loggers import Csv
 from frictionzoo.models import CoulombStribeck, FrictionModel, TorchFriction, register_model
+from frictionzoo.models.contract import check_model
 from frictionzoo.models.registry import REGISTRY
-from frictionzoo.report.curves import read_curves
+from frictionzoo.result.curves import read_curves
 from frictionzoo.simulate.drive import Drive
-from frictionzoo.types import DriveState, FrictionTerms, Sampling, Segments
 
 LOSS = {"position": 1.0, "velocity": 1.0, "robust": "none", "robust_scale": 1.0, "refine": False}
 DRY = {"dry": {"init": 0.1, "low": 0.01, "high": 1.0, "scale": "log", "identify": True}}

@@ -11,10 +11,10 @@ import pytest
 import scipy.integrate
 from omegaconf import OmegaConf
 
-from frictionzoo.errors import ConfigError, LogError
+from frictionzoo.core.errors import ConfigError, LogError
+from frictionzoo.core.segments import cut_segments
 from frictionzoo.logs import cache
 from frictionzoo.logs.twin import HiddenDrive, Twin
-from frictionzoo.segments import cut_segments
 
 CONF = Path(__file__).parent.parent / "conf" / "data"
 SIGNALS = ("time", "qpos", "qvel", "ctrl")

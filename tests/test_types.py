@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from frictionzoo.errors import LogError, closest
-from frictionzoo.segments import cut_segments
-from frictionzoo.types import Dataset, Log
+from frictionzoo.core.errors import LogError, closest
+from frictionzoo.core.log import Dataset, Log
+from frictionzoo.core.segments import cut_segments
 
 
 def make_log(**changes) -> Log:

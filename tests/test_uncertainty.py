@@ -15,14 +15,13 @@ from test_lm import noisy
 from test_servo import record as record_servo
 from test_servo import wander
 
+from frictionzoo.core.segments import Segments, cut_segments
 from frictionzoo.fit import Objective, Space, estimate_uncertainty
 from frictionzoo.fit import objective as objective_module
 from frictionzoo.fit.objective import NormalEquations
-from frictionzoo.fit.uncertainty import assess
-from frictionzoo.segments import cut_segments
+from frictionzoo.fit.uncertainty import Uncertainty, assess
 from frictionzoo.simulate import friction_of, make_engine
 from frictionzoo.simulate.rollout import Rollout, make_rollout
-from frictionzoo.types import Segments, Uncertainty
 
 START = np.log([TRUTH["armature"], TRUTH["frictionloss"], TRUTH["damping"]])
 FRICTION = ("static_torque", "kinetic_torque", "stribeck_velocity", "viscous_coefficient")

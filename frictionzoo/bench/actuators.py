@@ -9,8 +9,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
-from frictionzoo.errors import ConfigError
-from frictionzoo.params import Param, read_params
+from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.params import Param, read_params
 
 
 class Affine(NamedTuple):
@@ -33,7 +33,7 @@ class Actuator(ABC):
     """An actuator law.
 
     Attributes:
-        dimensions: Dimension of each parameter, a key of `frictionzoo.params.UNITS`.
+        dimensions: Dimension of each parameter, a key of `frictionzoo.core.params.UNITS`.
         inputs: What the controller needs in each sample besides the command; recordings have it among their `extras`.
         params: Each parameter's value or initial value, bounds and scale.
 

@@ -14,10 +14,12 @@ import numpy as np
 from jaxtyping import Float
 
 from frictionzoo.bench.actuators import Actuator, Affine
-from frictionzoo.errors import BenchError, ConfigError, closest
+from frictionzoo.core.errors import BenchError, ConfigError, closest
+from frictionzoo.core.log import Dataset, Log, Payload
+from frictionzoo.core.params import Param, read_params
+from frictionzoo.core.segments import Sampling
+from frictionzoo.core.state import DriveState
 from frictionzoo.logs.clean import EXTRAS
-from frictionzoo.params import Param, read_params
-from frictionzoo.types import Dataset, DriveState, Log, Payload, Sampling
 
 _log = logging.getLogger(__name__)
 

@@ -1,51 +1,7 @@
-"""Command line: `python -m frictionzoo.distill RUN model=NAME` fits a simpler law to a run's drive."""
+"""`python -m frictionzoo.distill`, see `frictionzoo.cli.distill`."""
 
-import argparse
 import sys
-from collections.abc import Sequence
-from pathlib import Path
 
-from frictionzoo.errors import FitError
-from frictionzoo.options import read_options
-from frictionzoo.run import NOT_IDENTIFIED, mistakes_in_one_line
+from frictionzoo.cli.distill import main
 
-_OPTIONS = """options: model=NAME; output=FOLDER, distilled/NAME in the run's where it is left out; and those of a run
-that tell how to fit, such as fit, model.*, fit.*, segments.*, loop.*, seed. What is left out is as in the run, but for
-fit=auto and segments as long as the rollouts that judge."""
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Entry point; a user's mistake is one line on the standard error and exit status 2.
-
-    Args:
-        arguments: Those of the command line where None.
-    """
-    parsed = _parse(arguments)
-    with mistakes_in_one_line():
-        options = read_options(parsed.options, "model=stribeck")
-        # Imported here, so that --help does not wait for it.
-        from frictionzoo.distill.distillation import distill
-        from frictionzoo.report.terminal import summarise_distillation
-
-        found = distill(parsed.folder, options)
-        print(summarise_distillation(found.student, found.teacher, found.note, found.folder))
-        if found.complaint:
-            raise FitError(found.complaint)
-        if found.student["not_identified"]:
-            sys.exit(NOT_IDENTIFIED)
-
-
-def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="python -m frictionzoo.distill",
-        description="Fit another law to the drive that a run identified, so that it moves like it under the recorded "
-        "commands, and say what that costs on held-out recordings.",
-        epilog=_OPTIONS,
-    )
-    parser.add_argument("folder", metavar="RUN", type=Path, help="the folder of a finished run, the teacher")
-    parser.add_argument("options", metavar="KEY=VALUE", nargs="*", help="model=NAME, and more")
-    return parser.parse_args(arguments)
-
-
-if __name__ == "__main__":
-    main()
+sys.exit(main())

@@ -11,17 +11,17 @@ import numpy as np
 import yaml
 from omegaconf import DictConfig, OmegaConf
 
-from frictionzoo.compare.runs import read_runs
-from frictionzoo.config import check_overrides, compose_config, list_choices
-from frictionzoo.errors import ConfigError, OutputError, closest
+from frictionzoo.cli.job import run_job
+from frictionzoo.cli.run import refuse_no_choice
+from frictionzoo.comparison.runs import read_runs
+from frictionzoo.core.config import check_overrides, compose_config, list_choices
+from frictionzoo.core.errors import ConfigError, OutputError, closest
+from frictionzoo.core.output import to_json, write_atomically
+from frictionzoo.core.params import UNITS
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.nearest import evaluate_law
-from frictionzoo.job import run_job
 from frictionzoo.models import FrictionModel
 from frictionzoo.models.base import sliding_torque
-from frictionzoo.output import to_json, write_atomically
-from frictionzoo.params import UNITS
-from frictionzoo.run import refuse_no_choice
 
 NOTE = "distillation.json"
 _GROUPS = ("model", "fit")  # what a student may choose anew, by the name of a file

@@ -1,47 +1,7 @@
-"""Command line: `python -m frictionzoo.export RUN target=NAME` writes a run's drive for another program."""
+"""`python -m frictionzoo.export`, see `frictionzoo.cli.export`."""
 
-import argparse
 import sys
-from collections.abc import Sequence
-from pathlib import Path
 
-from frictionzoo.errors import FrictionzooError
-from frictionzoo.options import read_options
+from frictionzoo.cli.export import main
 
-_OPTIONS = """options: target=NAME or target=all; timestep=SECONDS of the simulation, that of the run where it is left
-out; output=FOLDER, export/NAME in the run's where it is left out; and those of the target."""
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status, 2 for a user's mistake.
-
-    Args:
-        arguments: Those of the command line where None.
-    """
-    parsed = _parse(arguments)
-    # Imported here, so that --help does not wait for it.
-    from frictionzoo.export.table import summarise_exports
-    from frictionzoo.export.write import write_exports
-
-    try:
-        print(summarise_exports(write_exports(parsed.folder, read_options(parsed.options, "target=mjcf"))))
-    except FrictionzooError as error:
-        print(f"frictionzoo: {error}", file=sys.stderr)
-        return 2
-    return 0
-
-
-def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="python -m frictionzoo.export",
-        description="Write the drive that a run identified for another program, run what was written there, and say "
-        "how far it is from the fitted drive and what it cannot represent.",
-        epilog=_OPTIONS,
-    )
-    parser.add_argument("folder", metavar="RUN", type=Path, help="the folder of a finished run")
-    parser.add_argument("options", metavar="KEY=VALUE", nargs="*", help="target=NAME, and more")
-    return parser.parse_args(arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+sys.exit(main())

@@ -13,7 +13,8 @@ from jaxtyping import Float
 from scipy.optimize import nnls
 
 from frictionzoo.bench import VoltageServo
-from frictionzoo.errors import ConfigError, ExportError, closest
+from frictionzoo.core.errors import ConfigError, ExportError, closest
+from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.export.base import Difference, Export, Target, measure, register_target
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.graph import compare
@@ -21,7 +22,6 @@ from frictionzoo.export.nearest import evaluate_law
 from frictionzoo.export.read_bam import DUTY, LAWS, load_parameters, read_bench
 from frictionzoo.export.simulate import Step, simulate, step_with_control
 from frictionzoo.models.base import sliding_torque
-from frictionzoo.types import DriveState, FrictionTerms
 
 _AT_ONCE = 1e3  # rad/s, faster than any command: BAM's STS3215 else follows commands at its default speed
 _INPUTS = "Supply and gain are not in the file: BAM takes them from its logs, or as vin and kp."

@@ -9,10 +9,10 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from frictionzoo.errors import ConfigError, ExportError
+from frictionzoo.core.errors import ConfigError, ExportError
+from frictionzoo.core.params import UNITS
+from frictionzoo.core.registry import Registry
 from frictionzoo.export.fitted import Fitted
-from frictionzoo.params import UNITS
-from frictionzoo.registry import Registry
 
 
 @dataclass(frozen=True)

@@ -9,13 +9,13 @@ import numpy as np
 from jaxtyping import Float
 
 from frictionzoo.bench import Actuator
-from frictionzoo.errors import ConfigError
+from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.params import UNITS
 from frictionzoo.export.base import Export, Target, measure, register_target
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.nearest import Nearest, find_nearest, say_exact
 from frictionzoo.export.robot import ACTUATORS, Robot, compare_torque, put_into
 from frictionzoo.export.simulate import commands_before, simulate, step_with_control
-from frictionzoo.params import UNITS
 
 FILE = "bench.xml"
 

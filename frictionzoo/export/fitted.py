@@ -14,18 +14,19 @@ import safetensors.torch
 from jaxtyping import Float
 
 from frictionzoo.bench import Bench
-from frictionzoo.build import build
-from frictionzoo.compare.runs import Run, read_runs
-from frictionzoo.errors import ConfigError, RunError
-from frictionzoo.evaluate import Values
+from frictionzoo.comparison.runs import Run, read_runs
+from frictionzoo.core.build import build
+from frictionzoo.core.errors import ConfigError, RunError
+from frictionzoo.core.output import RESULT
+from frictionzoo.core.segments import Sampling, Segments
+from frictionzoo.core.state import DriveState
 from frictionzoo.models import FrictionModel
-from frictionzoo.output import RESULT
-from frictionzoo.report.curves import FILE as CURVES
+from frictionzoo.result.curves import FILE as CURVES
+from frictionzoo.result.evaluate import Values
 from frictionzoo.simulate import Engine
 from frictionzoo.simulate.drive import Drive
 from frictionzoo.simulate.proof import Proof, Recorded, prove
 from frictionzoo.simulate.rollout import applied, make_observer
-from frictionzoo.types import DriveState, Sampling, Segments
 
 LAW = "friction.safetensors"
 _WHOLE = 0.01  # share by which a time step may differ from a whole number of others, as for recordings

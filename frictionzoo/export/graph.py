@@ -6,12 +6,12 @@ from collections.abc import Mapping
 import numpy as np
 import torch
 
-from frictionzoo.errors import ConfigError, closest
+from frictionzoo.core.errors import ConfigError, closest
+from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.export.base import Difference, measure
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.nearest import evaluate_law
 from frictionzoo.models.base import FrictionModel, sliding_torque
-from frictionzoo.types import DriveState, FrictionTerms
 
 DTYPES = {"float64": torch.float64, "float32": torch.float32}
 LIMITS = (

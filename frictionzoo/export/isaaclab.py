@@ -6,6 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from frictionzoo.core.params import UNITS
 from frictionzoo.export.base import Export, Target, measure, register_target
 from frictionzoo.export.configclass import Field, read_calls, write_call, write_module
 from frictionzoo.export.fitted import Fitted
@@ -22,7 +23,6 @@ from frictionzoo.export.motor import (
     viscous_friction,
 )
 from frictionzoo.export.nearest import Nearest, find_nearest
-from frictionzoo.params import UNITS
 
 FILE = "isaaclab_actuators.py"
 _DOCSTRING = """Actuators of Isaac Lab 2.3 or later on Isaac Sim 5 or later, written by frictionzoo.

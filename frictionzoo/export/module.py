@@ -12,12 +12,12 @@ import numpy as np
 
 from frictionzoo import __version__
 from frictionzoo.bench import Actuator
-from frictionzoo.errors import ExportError
+from frictionzoo.core.errors import ExportError
+from frictionzoo.core.params import UNITS
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.graph import signals
 from frictionzoo.export.source import merge, read_source, write_values
 from frictionzoo.models import TorchFriction
-from frictionzoo.params import UNITS
 
 WEIGHTS = "weights.npz"
 

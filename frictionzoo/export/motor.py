@@ -9,12 +9,12 @@ import numpy as np
 from jaxtyping import Float
 
 from frictionzoo.bench import Actuator, DcMotorPD, PositionPD, VoltageServo
-from frictionzoo.errors import ExportError
+from frictionzoo.core.errors import ExportError
+from frictionzoo.core.params import UNITS
 from frictionzoo.export.base import read_number
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.nearest import Nearest
 from frictionzoo.export.simulate import Step, simulate
-from frictionzoo.params import UNITS
 
 INPUTS: Mapping[str, str] = {
     "gain": "of a servo's firmware; the recordings' median where it is left out",

@@ -9,15 +9,16 @@ import torch
 from jaxtyping import Float
 from scipy.optimize import nnls
 
-from frictionzoo.errors import RunError
+from frictionzoo.core.errors import RunError
+from frictionzoo.core.params import UNITS
+from frictionzoo.core.segments import Segments
+from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.fit import LevenbergMarquardt, Objective, Space
 from frictionzoo.models import FrictionModel, MujocoDefault
 from frictionzoo.models.base import sliding_torque
-from frictionzoo.params import UNITS
 from frictionzoo.simulate import friction_of, make_engine
 from frictionzoo.simulate.rollout import make_rollout
-from frictionzoo.types import DriveState, FrictionTerms, Segments
 
 _ITERATIONS = 50  # a dozen is usual
 _SMALLEST, _LARGEST = 1e-6, 1e3  # of the typical torque, between which friction is looked for

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from frictionzoo.errors import ConfigError, FrictionzooError, closest
+from frictionzoo.core.errors import ConfigError, FrictionzooError, closest
 
 _M1 = {"friction_base": "frictionloss", "friction_viscous": "damping"}
 _M2 = _M1 | {

@@ -9,11 +9,11 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from frictionzoo.errors import ConfigError, ExportError, closest
+from frictionzoo.core.errors import ConfigError, ExportError, closest
+from frictionzoo.core.state import DriveState
 from frictionzoo.export.base import Difference, measure
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.nearest import Nearest
-from frictionzoo.types import DriveState
 
 _JOINT = ("armature", "solreffriction", "frictionloss", "damping")
 _KEPT = ("name", "group", "ctrlrange", "ctrllimited", "forcerange", "forcelimited")  # of an actuator that is replaced

@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from frictionzoo.core.segments import Segments
 from frictionzoo.export.fitted import Fitted
-from frictionzoo.types import Segments
 
 Step = Callable[[mujoco.MjModel, mujoco.MjData, Float[np.ndarray, "channels"]], None]
 """Advances a model by one time step under one sample of the commands and both laws' other inputs."""

@@ -14,8 +14,8 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from frictionzoo.errors import ExportError
-from frictionzoo.types import DriveState, FrictionTerms
+from frictionzoo.core.errors import ExportError
+from frictionzoo.core.state import DriveState, FrictionTerms
 
 INLINE = 64  # numbers up to which an array is written as text; a larger one, of a network, goes into a file beside
 _PROVIDED = (DriveState, FrictionTerms)

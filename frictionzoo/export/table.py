@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from frictionzoo.export.write import Written
-from frictionzoo.report.terminal import align
+from frictionzoo.show.terminal import align
 
 
 def summarise_exports(written: Sequence[Written]) -> str:

@@ -9,12 +9,12 @@ from typing import ClassVar
 import numpy as np
 import torch
 
+from frictionzoo.core.output import write_atomically
+from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.export.base import Export, Target, register_target
 from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.graph import DTYPES, Graph, compare, example, inputs, limits, read_dtype
 from frictionzoo.models.base import FrictionModel
-from frictionzoo.output import write_atomically
-from frictionzoo.types import DriveState, FrictionTerms
 
 FILE = "friction.pt"
 _DEPRECATED = (

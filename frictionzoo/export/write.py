@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from frictionzoo import __version__
-from frictionzoo.errors import ConfigError, ExportError, FrictionzooError, OutputError, closest
+from frictionzoo.core.errors import ConfigError, ExportError, FrictionzooError, OutputError, closest
+from frictionzoo.core.output import to_json, write_atomically
+from frictionzoo.core.params import UNITS
 from frictionzoo.export import targets  # noqa: F401 - registers them
 from frictionzoo.export.base import Difference, Export, get_target, read_number, target_names
 from frictionzoo.export.fitted import Fitted
-from frictionzoo.output import to_json, write_atomically
-from frictionzoo.params import UNITS
 
 NOTE = "export.json"
 ALL = "all"

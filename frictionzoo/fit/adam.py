@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array
 
-from frictionzoo.errors import ConfigError, closest
+from frictionzoo.core.errors import ConfigError, closest
 from frictionzoo.fit.base import Chunk, Fit, Progress, Trace, begin, compile_chunk, keep_best, refuse_nothing
 from frictionzoo.fit.objective import Blocks, Objective
 

@@ -1,6 +1,6 @@
 """The method that suits the law: what one sweep over laws of all kinds takes."""
 
-from frictionzoo.errors import refuse_outside
+from frictionzoo.core.errors import refuse_outside
 from frictionzoo.fit.adam import Adam
 from frictionzoo.fit.base import Chunk, Fit, Progress
 from frictionzoo.fit.lm import MOST_COORDINATES, MOST_TRIES, LevenbergMarquardt

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from frictionzoo.errors import ConfigError
+from frictionzoo.core.errors import ConfigError
 from frictionzoo.fit.objective import Objective
 
 

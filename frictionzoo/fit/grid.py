@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from frictionzoo.errors import ConfigError
+from frictionzoo.core.errors import ConfigError
 from frictionzoo.fit.base import (
     Chunk,
     Fit,

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from frictionzoo.errors import ConfigError
+from frictionzoo.core.errors import ConfigError
 from frictionzoo.fit.base import Chunk, Fit, Progress, Trace, begin, compile_chunk, keep_best
 from frictionzoo.fit.objective import Blocks, Objective
 

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.optimize
 from jaxtyping import Float
 
-from frictionzoo.errors import ConfigError, refuse_outside
+from frictionzoo.core.errors import ConfigError, refuse_outside
 from frictionzoo.fit.base import Chunk, Fit, Progress, Trace, begin, refuse_nothing, refuse_torch
 from frictionzoo.fit.objective import NormalEquations, Objective
 

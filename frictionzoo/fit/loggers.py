@@ -14,8 +14,8 @@ from lightning.pytorch.loggers import CSVLogger, Logger, MLFlowLogger, TensorBoa
 from matplotlib.image import imread
 from torch.utils.tensorboard.summary import hparams
 
-from frictionzoo.errors import ConfigError
-from frictionzoo.output import write_atomically
+from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.output import write_atomically
 
 
 class RunLogger(ABC):

@@ -19,14 +19,14 @@ from lightning.pytorch.plugins import TorchCheckpointIO
 from lightning.pytorch.plugins.environments import LightningEnvironment
 from tqdm import tqdm
 
-from frictionzoo.bridge import load_from_jax
-from frictionzoo.errors import CheckpointError, ConfigError, FitError, OutputError, refuse_outside
+from frictionzoo.core.errors import CheckpointError, ConfigError, FitError, OutputError, refuse_outside
+from frictionzoo.core.output import write_atomically
 from frictionzoo.fit.base import Fit, Progress, Trace
 from frictionzoo.fit.loggers import RunLogger
 from frictionzoo.fit.objective import Objective
 from frictionzoo.models import FrictionModel
-from frictionzoo.output import write_atomically
 from frictionzoo.simulate import Values
+from frictionzoo.simulate.bridge import load_from_jax
 
 CHECKPOINT = "last.ckpt"
 MOST_CHUNK = 1_000_000  # iterations in one call, which returns a row for each

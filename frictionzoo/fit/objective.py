@@ -12,14 +12,14 @@ import torch
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float
 
-from frictionzoo.bridge import as_torch_function, to_arrays, to_tensors
-from frictionzoo.errors import ConfigError, closest
+from frictionzoo.core.errors import ConfigError, closest
+from frictionzoo.core.segments import Segments
 from frictionzoo.fit.space import Space
 from frictionzoo.simulate import Values
+from frictionzoo.simulate.bridge import as_torch_function, to_arrays, to_tensors
 from frictionzoo.simulate.linear import solve_spd
 from frictionzoo.simulate.rollout import FORWARD, Rollout
 from frictionzoo.simulate.torch_rollout import TorchRollout
-from frictionzoo.types import Segments
 
 BLOCK_STATES = 25_000
 """States that are simulated at once: they fit into a processor's cache, and memory does not grow with the log."""

@@ -9,10 +9,10 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Shaped
 
 from frictionzoo.bench import Bench
-from frictionzoo.bridge import to_jax
+from frictionzoo.core.params import Param
 from frictionzoo.models import FrictionModel
-from frictionzoo.params import Param
 from frictionzoo.simulate import Values
+from frictionzoo.simulate.bridge import to_jax
 
 
 class Space:

@@ -1,5 +1,7 @@
 """How far the data determine what was identified: intervals, and parameters that cannot be told apart."""
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +12,6 @@ from scipy.sparse.csgraph import connected_components
 from frictionzoo.fit.lm import MOST_COORDINATES
 from frictionzoo.fit.objective import NormalEquations, Objective
 from frictionzoo.fit.space import Space
-from frictionzoo.types import Uncertainty
 
 LEVEL = 0.95
 WIDEST = np.log(1.5)
@@ -26,6 +27,25 @@ Two columns then agree to about 1 %: a difference of which a time step or a negl
 TAKES_PART = 0.1  # entry of a combination of length 1 from which on a parameter belongs to it
 CORRELATED = 0.99  # magnitude from which on the estimates of two parameters are one
 _NOTHING = 1e-12  # curvature, as a share of the largest, below which a parameter has no effect at all
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """How far data determine what was identified from them.
+
+    Attributes:
+        intervals: Lower and upper end of the 95 % interval of each identified parameter by full name, `bench.armature`,
+            in its unit, of shape (nv, 2); NaN where there is none.
+        identifiable: Whether the data determine the parameter, in all joints.
+        indistinct: Groups of parameters that the data cannot tell apart. Of several joints, a name ends in `/` and the
+            joint's number.
+        missing: Why there are no intervals at all; None where there are.
+    """
+
+    intervals: Mapping[str, Float[np.ndarray, "nv 2"]] = field(default_factory=dict)
+    identifiable: Mapping[str, bool] = field(default_factory=dict)
+    indistinct: tuple[tuple[str, ...], ...] = ()
+    missing: str | None = None
 
 
 def estimate_uncertainty(objective: Objective, vector: Float[np.ndarray, "coordinates"]) -> Uncertainty:

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from frictionzoo.types import JITTER
+from frictionzoo.core.log import JITTER
 
 SAME = 1e-3  # relative difference of sample intervals from which on recordings cannot be fitted together
 UNITS = 0.1  # relative difference of measured velocity and derivative from which on their units are doubted

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from frictionzoo.core.output import write_atomically
 from frictionzoo.inspect.survey import pool_velocities, rank_by_faults
 from frictionzoo.inspect.terminal import list_quantities
 from frictionzoo.logs.diagnose import derive_velocity, find_spikes, regular_stretch, repair_spikes
 from frictionzoo.logs.recording import Recording
-from frictionzoo.output import write_atomically
-from frictionzoo.report.colors import BASELINE, BEST, MODEL
-from frictionzoo.report.page import (
+from frictionzoo.show.colors import BASELINE, BEST, MODEL
+from frictionzoo.show.page import (
     MEASURED,
     Check,
     Plot,

@@ -10,12 +10,12 @@ import numpy as np
 from jaxtyping import Float
 
 from frictionzoo import __version__
+from frictionzoo.core.log import Log
+from frictionzoo.core.output import to_json
 from frictionzoo.inspect.findings import list_findings
 from frictionzoo.logs.delay import estimate_delay
 from frictionzoo.logs.diagnose import SLOWEST, TOP, Diagnosis, derive_velocity, diagnose, repair_spikes
 from frictionzoo.logs.recording import Recording
-from frictionzoo.output import to_json
-from frictionzoo.types import Log
 
 SCHEMA_VERSION = 1
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from textwrap import fill
 from typing import Any
 
-from frictionzoo.report.terminal import align
+from frictionzoo.show.terminal import align
 
 WIDTH = 110  # characters of a line
 MARKS = {"good": "ok", "note": "note", "caution": "caution", "bad": "problem"}

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import platformdirs
 
-from frictionzoo.errors import OutputError
-from frictionzoo.output import write_atomically
+from frictionzoo.core.errors import OutputError
+from frictionzoo.core.output import write_atomically
 
 ABANDONED = 3600.0  # s after which nobody writes a temporary file any more
 logger = logging.getLogger(__name__)

@@ -14,7 +14,8 @@ import numpy as np
 import scipy.interpolate
 from jaxtyping import Bool, Float
 
-from frictionzoo.errors import ConfigError, LogError, closest
+from frictionzoo.core.errors import ConfigError, LogError, closest
+from frictionzoo.core.log import JITTER, Log
 from frictionzoo.logs.diagnose import (
     count_spikes,
     find_breaks,
@@ -25,7 +26,6 @@ from frictionzoo.logs.diagnose import (
 )
 from frictionzoo.logs.recording import HELD, Recording
 from frictionzoo.logs.velocity import check_filter, estimate_velocity
-from frictionzoo.types import JITTER, Log
 
 CHOICES = {
     "resample": ("linear", "cubic"),

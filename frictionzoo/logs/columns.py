@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Real
 
-from frictionzoo.errors import ConfigError, LogError, closest
+from frictionzoo.core.errors import ConfigError, LogError, closest
 from frictionzoo.logs.propose import BAM, Proposal, propose
 from frictionzoo.logs.recording import HELD, SIGNALS, Recording, Table
 from frictionzoo.logs.units import ratio, to_si

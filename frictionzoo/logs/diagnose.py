@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from frictionzoo.errors import LogError
+from frictionzoo.core.errors import LogError
+from frictionzoo.core.log import JITTER
 from frictionzoo.logs.recording import Recording
 from frictionzoo.logs.velocity import estimate_velocity
-from frictionzoo.types import JITTER
 
 GAP = 5.0  # median intervals; a longer one is a gap, not a few missing samples
 SPIKE = 20.0  # a spike leaves both neighbours by this many times the usual second difference

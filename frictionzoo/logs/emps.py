@@ -9,9 +9,9 @@ import numpy as np
 import scipy.io
 from jaxtyping import Float
 
-from frictionzoo.errors import ConfigError, LogError, closest
+from frictionzoo.core.errors import ConfigError, LogError, closest
+from frictionzoo.core.log import Dataset, Log
 from frictionzoo.logs.velocity import check_filter, estimate_velocity
-from frictionzoo.types import Dataset, Log
 
 CITATION = (
     'A. Janot, M. Gautier, M. Brunot, "Data Set and Reference Models of EMPS", Workshop on Nonlinear System '

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from frictionzoo.errors import ConfigError, LogError, closest
+from frictionzoo.core.errors import ConfigError, LogError, closest
+from frictionzoo.core.log import Dataset, Log, Payload
 from frictionzoo.logs.clean import Cleaning, clean, summarise_repairs
 from frictionzoo.logs.columns import Proposal, name_headers, propose, to_recording
 from frictionzoo.logs.formats import format_names, read_tables
@@ -17,7 +18,6 @@ from frictionzoo.logs.recording import SIGNALS, Recording, Table
 from frictionzoo.logs.select import Selection
 from frictionzoo.logs.split import Split
 from frictionzoo.logs.units import ratio
-from frictionzoo.types import Dataset, Log, Payload
 
 logger = logging.getLogger(__name__)
 

@@ -4,7 +4,7 @@ import glob
 from collections.abc import Sequence
 from pathlib import Path
 
-from frictionzoo.errors import LogError
+from frictionzoo.core.errors import LogError
 from frictionzoo.logs.formats import format_names, get_format
 
 

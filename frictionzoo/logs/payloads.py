@@ -4,10 +4,10 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from frictionzoo.errors import ConfigError
+from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.log import Payload
 from frictionzoo.logs.recording import Recording
 from frictionzoo.logs.select import describe, equal
-from frictionzoo.types import Payload
 
 
 def choose_payloads(given: Sequence[Any], recordings: Sequence[Recording]) -> list[Payload | None]:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from frictionzoo.errors import ConfigError, LogError, closest
+from frictionzoo.core.errors import ConfigError, LogError, closest
 from frictionzoo.logs.recording import Table
 
 

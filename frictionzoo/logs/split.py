@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool
 
-from frictionzoo.errors import ConfigError, LogError
+from frictionzoo.core.errors import ConfigError, LogError
+from frictionzoo.core.log import Log
+from frictionzoo.core.segments import split_by_time
 from frictionzoo.logs.recording import Recording
 from frictionzoo.logs.select import field_values, is_among, refuse_absent
-from frictionzoo.segments import split_by_time
-from frictionzoo.types import Log
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,10 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from frictionzoo.errors import ConfigError, LogError, closest, refuse_outside
+from frictionzoo.core.errors import ConfigError, LogError, closest, refuse_outside
+from frictionzoo.core.log import Dataset, Log
+from frictionzoo.core.segments import split_by_time
 from frictionzoo.logs.cache import cache_folder, cached, digest
-from frictionzoo.segments import split_by_time
-from frictionzoo.types import Dataset, Log
 
 FORMAT = 1  # raise it with every change of the simulation, so that no cache of an older one is taken
 MOST_STEPS = 100_000_000  # of a simulation: some ten minutes

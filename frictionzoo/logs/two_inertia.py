@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from frictionzoo.errors import ConfigError
+from frictionzoo.core.errors import ConfigError
 from frictionzoo.logs.twin import Twin
 
 LIGHT = 1e-3  # kg m^2: what turns a lighter rotor counts by its acceleration, at which MuJoCo too resets the state

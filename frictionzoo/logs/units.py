@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float, Real
 
-from frictionzoo.errors import ConfigError, closest
+from frictionzoo.core.errors import ConfigError, closest
 
 Ratio = tuple[float, float]
 """SI units in one unit, as a fraction: a division by 1000 is exact to the last bit, a factor of 0.001 is not."""

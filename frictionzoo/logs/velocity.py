@@ -4,7 +4,7 @@ import numpy as np
 import scipy.signal
 from jaxtyping import Float
 
-from frictionzoo.errors import ConfigError, LogError, refuse_outside
+from frictionzoo.core.errors import ConfigError, LogError, refuse_outside
 
 MOST_ORDER = 20  # of a filter; above, its coefficients are rounding
 

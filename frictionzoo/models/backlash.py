@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from typing import Any
 
+from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.models.registry import register_model
-from frictionzoo.types import DriveState, FrictionTerms
 
 _NEARLY_UNLOADED = 1e-3  # share of the rounding's torque below which a settled rotor floats, for a finite gradient
 

@@ -6,8 +6,8 @@ from typing import Any, ClassVar
 
 import torch
 
-from frictionzoo.params import Param, read_params
-from frictionzoo.types import DriveState, FrictionTerms
+from frictionzoo.core.params import Param, read_params
+from frictionzoo.core.state import DriveState, FrictionTerms
 
 
 class FrictionModel(torch.nn.Module, ABC):
@@ -19,7 +19,7 @@ class FrictionModel(torch.nn.Module, ABC):
 
     Attributes:
         name: The law's name, set by `register_model`.
-        dimensions: Dimension of each physical parameter, a key of `frictionzoo.params.UNITS`.
+        dimensions: Dimension of each physical parameter, a key of `frictionzoo.core.params.UNITS`.
         constraint: Whether the law answers with a `frictionloss`, so that the simulated joint needs MuJoCo's friction
             constraint.
         dissipative: Whether the law promises never to give energy to the drive, whatever its values within bounds: all

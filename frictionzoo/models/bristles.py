@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from frictionzoo.types import DriveState
+from frictionzoo.core.state import DriveState
 
 _NEARLY_ZERO = 1e-2  # below it, the series is exact to 1e-10, and the quotient loses digits in float32
 

@@ -5,9 +5,9 @@ from typing import Any
 
 import torch
 
+from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models.network import GearNetwork
 from frictionzoo.models.registry import register_model
-from frictionzoo.types import DriveState, FrictionTerms
 
 START = -3.0  # bias of both outputs at the start: softplus(-3) = 0.05
 

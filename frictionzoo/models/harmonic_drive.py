@@ -3,12 +3,12 @@
 from collections.abc import Mapping
 from typing import Any
 
+from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.models.directional import Directional
 from frictionzoo.models.limits import directional_limit, ripple_share
 from frictionzoo.models.registry import register_model
 from frictionzoo.models.ripple import Ripple
-from frictionzoo.types import DriveState, FrictionTerms
 
 _LEAST = 1e-3  # of frictionloss; at a limit of 0 MuJoCo locks the joint
 

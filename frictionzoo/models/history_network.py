@@ -5,10 +5,10 @@ from typing import Any
 
 import torch
 
-from frictionzoo.errors import ConfigError, refuse_outside
+from frictionzoo.core.errors import ConfigError, refuse_outside
+from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models.network import MOST_WIDTH, NetworkModel
 from frictionzoo.models.registry import register_model
-from frictionzoo.types import DriveState, FrictionTerms
 
 
 @register_model("history_network")

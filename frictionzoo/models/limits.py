@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from frictionzoo.types import DriveState
+from frictionzoo.core.state import DriveState
 
 _AT_REST = 1e-12  # keeps the logarithm and the slope finite at v = 0; the share there is 1 - 1e-6 with an exponent of 1
 _GONE = 5.0  # exp(-exp(5)) = 4e-65; further on float32 overflows

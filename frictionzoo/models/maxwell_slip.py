@@ -3,11 +3,11 @@
 from collections.abc import Mapping
 from typing import Any
 
-from frictionzoo.errors import refuse_outside
+from frictionzoo.core.errors import refuse_outside
+from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.models.bristles import settled_force, stribeck_force
 from frictionzoo.models.registry import register_model
-from frictionzoo.types import DriveState, FrictionTerms
 
 MOST_ELEMENTS = 1000
 

@@ -8,9 +8,9 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from frictionzoo.errors import ConfigError
+from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.state import DriveState
 from frictionzoo.models.base import FrictionModel
-from frictionzoo.types import DriveState
 
 INPUTS = 4
 OCTAVES = (1, 2, 4, 8)  # radians of phase per standard deviation of the position

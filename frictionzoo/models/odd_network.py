@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import torch
 
+from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models.network import GearNetwork
 from frictionzoo.models.registry import register_model
-from frictionzoo.types import DriveState, FrictionTerms
 
 
 @register_model("odd_network")

@@ -3,11 +3,11 @@
 from collections.abc import Mapping
 from typing import Any
 
+from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.models.directional import Directional
 from frictionzoo.models.limits import directional_limit, quadratic_gear_load, stribeck_share
 from frictionzoo.models.registry import register_model
-from frictionzoo.types import DriveState, FrictionTerms
 
 
 @register_model("quadratic")

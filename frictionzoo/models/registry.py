@@ -2,9 +2,9 @@
 
 from collections.abc import Callable
 
-from frictionzoo.errors import ModelError, UnknownModelError
+from frictionzoo.core.errors import ModelError, UnknownModelError
+from frictionzoo.core.registry import Registry, dotted_name
 from frictionzoo.models.base import FrictionModel
-from frictionzoo.registry import Registry, dotted_name
 
 REGISTRY = Registry(
     *("friction model", FrictionModel, "terms", "register_model", "frictionzoo.models"),

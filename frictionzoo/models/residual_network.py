@@ -5,10 +5,10 @@ from typing import Any
 
 import torch
 
-from frictionzoo.errors import ConfigError
+from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models.network import NetworkModel
 from frictionzoo.models.registry import register_model
-from frictionzoo.types import DriveState, FrictionTerms
 
 
 @register_model("residual_network")

@@ -3,10 +3,10 @@
 from collections.abc import Mapping
 from typing import Any
 
+from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.models.limits import ripple_share
 from frictionzoo.models.registry import register_model
-from frictionzoo.types import DriveState, FrictionTerms
 
 
 @register_model("ripple")

@@ -4,9 +4,9 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any
 
-from frictionzoo.errors import ConfigError
+from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models.base import FrictionModel
-from frictionzoo.types import DriveState, FrictionTerms
 
 ABSOLUTE_ZERO = -273.15  # degC
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import torch
 
-from frictionzoo.errors import ModelError
+from frictionzoo.core.errors import ModelError
+from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models.base import FrictionModel
-from frictionzoo.types import DriveState, FrictionTerms
 
 
 class TorchFriction(FrictionModel):

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from frictionzoo.bench import Bench, Channels
-from frictionzoo.types import DriveState, FrictionTerms
+from frictionzoo.core.state import DriveState, FrictionTerms
 
 Values = Mapping[str, Mapping[str, Any]]
 """Physical values by owner (`bench`, `friction`) and name."""

@@ -4,7 +4,7 @@ import contextlib
 from collections.abc import Iterator
 
 from frictionzoo.bench import Bench
-from frictionzoo.errors import BenchError, ConfigError, closest
+from frictionzoo.core.errors import BenchError, ConfigError, closest
 from frictionzoo.simulate.base import Engine, Friction
 from frictionzoo.simulate.mjx import MjxEngine
 from frictionzoo.simulate.specialise import CannotSpecialiseError

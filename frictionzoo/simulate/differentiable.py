@@ -10,12 +10,12 @@ from torch import Tensor
 
 from frictionzoo.bench import Bench
 from frictionzoo.bench.base import NO_PAYLOAD
-from frictionzoo.bridge import as_torch_function
-from frictionzoo.errors import BenchError, ConfigError, closest
+from frictionzoo.core.errors import BenchError, ConfigError, closest
+from frictionzoo.core.log import Payload
 from frictionzoo.models import FrictionModel
+from frictionzoo.simulate.bridge import as_torch_function
 from frictionzoo.simulate.drive import Drive
 from frictionzoo.simulate.torch_rollout import TorchRollout
-from frictionzoo.types import Payload
 
 _KEPT = 16  # compiled drives of this process
 

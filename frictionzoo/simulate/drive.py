@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 
 from frictionzoo.bench import Bench
+from frictionzoo.core.segments import Sampling
 from frictionzoo.models import FrictionModel, TorchFriction
 from frictionzoo.simulate import Engine, friction_of, make_engine
 from frictionzoo.simulate.rollout import Rollout, make_rollout
 from frictionzoo.simulate.torch_rollout import AS_GIVEN, make_torch_rollout
-from frictionzoo.types import Sampling
 
 
 @dataclass(frozen=True)

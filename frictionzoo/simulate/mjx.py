@@ -11,9 +11,9 @@ from jaxtyping import Array, Float
 
 from frictionzoo.bench import Bench, Channels
 from frictionzoo.bench.base import INERTIAL, can_collide, rigid_inertia
+from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.simulate.base import UNFUSED, Engine, Friction, Values, control
 from frictionzoo.simulate.linear import solve_spd
-from frictionzoo.types import DriveState, FrictionTerms
 
 with contextlib.redirect_stdout(io.StringIO()):  # it prints that its optional backend is not installed
     from mujoco import mjx

@@ -12,12 +12,13 @@ import torch
 from jaxtyping import Float
 
 from frictionzoo.bench import Bench
-from frictionzoo.errors import BenchError, FrictionzooError
+from frictionzoo.core.errors import BenchError, FrictionzooError
+from frictionzoo.core.log import Log
+from frictionzoo.core.state import DriveState
 from frictionzoo.models import FrictionModel
 from frictionzoo.simulate import Values
 from frictionzoo.simulate.choose import naming_what_mjx_lacks
 from frictionzoo.simulate.drive import Drive
-from frictionzoo.types import DriveState, Log
 
 TOLERANCE = 1e-9
 """Largest difference of a position or velocity, relative where they are above 1, that counts as rounding."""

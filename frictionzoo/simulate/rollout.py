@@ -9,8 +9,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from frictionzoo.core.segments import Sampling
+from frictionzoo.core.state import DriveState
 from frictionzoo.simulate import Engine, Values
-from frictionzoo.types import DriveState, Sampling
 
 State = tuple[Array, Array, Array]
 """Position, velocity and the friction law's memory, one row a segment."""

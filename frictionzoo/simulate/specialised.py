@@ -10,12 +10,12 @@ from jaxtyping import Array, Float
 
 from frictionzoo.bench import Bench, Channels
 from frictionzoo.bench.base import NO_FRICTION_CONSTRAINT, NO_PAYLOAD, can_collide
+from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.simulate.base import UNFUSED, Engine, Friction, Values, control, without_memory
 from frictionzoo.simulate.dry_friction import dry_friction
 from frictionzoo.simulate.linear import solve_spd
 from frictionzoo.simulate.mjx import Dynamics, MjxEngine, ModelInputs
 from frictionzoo.simulate.specialise import CannotSpecialiseError, Specialised, specialise
-from frictionzoo.types import DriveState, FrictionTerms
 
 
 class SpecialisedEngine(Engine):

@@ -11,12 +11,13 @@ import torch
 from jaxtyping import Array, Float
 
 from frictionzoo.bench import Bench
-from frictionzoo.bridge import as_torch_function, to_arrays, to_tensors
-from frictionzoo.errors import ModelError
+from frictionzoo.core.errors import ModelError
+from frictionzoo.core.segments import Sampling
+from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models import TorchFriction
 from frictionzoo.simulate import Engine, Friction, Values, without_memory
+from frictionzoo.simulate.bridge import as_torch_function, to_arrays, to_tensors
 from frictionzoo.simulate.rollout import Rollout, applied
-from frictionzoo.types import DriveState, FrictionTerms, Sampling
 
 AS_GIVEN: Friction = without_memory(lambda values, state: FrictionTerms(**values))
 """Friction for an engine whose law is evaluated elsewhere: its values are the friction terms of the step."""

@@ -5,10 +5,10 @@ import torch
 from frictionzoo_makkar.torch_law import LayerNormNetwork
 from omegaconf import OmegaConf
 
-from frictionzoo.build import build
-from frictionzoo.check import check_model
-from frictionzoo.config import compose_config
-from frictionzoo.types import DriveState
+from frictionzoo.core.build import build
+from frictionzoo.core.config import compose_config
+from frictionzoo.core.state import DriveState
+from frictionzoo.models.contract import check_model
 
 
 def make(*overrides: str, nv: int = 1) -> LayerNormNetwork:

@@ -10,10 +10,10 @@ from frictionzoo_makkar.law import Makkar
 from omegaconf import OmegaConf
 from scipy.optimize import least_squares
 
-from frictionzoo.build import build
-from frictionzoo.check import check_model
-from frictionzoo.config import compose_config
-from frictionzoo.types import DriveState
+from frictionzoo.core.build import build
+from frictionzoo.core.config import compose_config
+from frictionzoo.core.state import DriveState
+from frictionzoo.models.contract import check_model
 
 BENCHES = ("knee", "emps")  # a hinge and a slide
 

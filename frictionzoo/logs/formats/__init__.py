@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from frictionzoo.errors import LogError
+from frictionzoo.core.errors import LogError
 from frictionzoo.logs.formats.bam import Bam
 from frictionzoo.logs.formats.base import Format, parsing
 from frictionzoo.logs.formats.csv import Csv

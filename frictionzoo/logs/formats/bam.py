@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from frictionzoo.errors import LogError
+from frictionzoo.core.errors import LogError
 from frictionzoo.logs.formats.base import EXACT, Format, parse_json, parsing, read_bytes, tabulate, unzip
 from frictionzoo.logs.formats.registry import register_format
 from frictionzoo.logs.recording import Table

@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from frictionzoo.errors import FrictionzooError, LogError
+from frictionzoo.core.errors import FrictionzooError, LogError
 from frictionzoo.logs.recording import Table
 
 LIMIT = 4 << 30  # bytes of one file

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Real
 
-from frictionzoo.errors import LogError
+from frictionzoo.core.errors import LogError
 from frictionzoo.logs.formats.base import EXACT, Format, to_numbers
 from frictionzoo.logs.formats.registry import register_format
 from frictionzoo.logs.recording import Table

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from frictionzoo.errors import LogError
+from frictionzoo.core.errors import LogError
 from frictionzoo.logs.formats.base import Format, parse_json, parsing, read_bytes, tabulate
 from frictionzoo.logs.formats.parquet import read_columns
 from frictionzoo.logs.formats.registry import register_format

@@ -6,7 +6,7 @@ import zlib
 
 import scipy.io
 
-from frictionzoo.errors import LogError
+from frictionzoo.core.errors import LogError
 from frictionzoo.logs.formats.base import Format, check_unpacked, parsing, tabulate
 from frictionzoo.logs.formats.registry import register_format
 from frictionzoo.logs.recording import Table

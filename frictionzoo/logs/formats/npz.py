@@ -4,7 +4,7 @@ import io
 
 import numpy as np
 
-from frictionzoo.errors import LogError
+from frictionzoo.core.errors import LogError
 from frictionzoo.logs.formats.base import Format, parsing, tabulate, unzip
 from frictionzoo.logs.formats.registry import register_format
 from frictionzoo.logs.recording import Table

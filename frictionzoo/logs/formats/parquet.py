@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from frictionzoo.errors import LogError
+from frictionzoo.core.errors import LogError
 from frictionzoo.logs.formats.base import Format, check_unpacked, optional, parsing, tabulate
 from frictionzoo.logs.formats.registry import register_format
 from frictionzoo.logs.recording import Table

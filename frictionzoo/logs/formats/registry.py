@@ -2,9 +2,9 @@
 
 from collections.abc import Callable
 
-from frictionzoo.errors import ConfigError
+from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.registry import Registry
 from frictionzoo.logs.formats.base import Format
-from frictionzoo.registry import Registry
 
 REGISTRY = Registry(
     *("log format", Format, "parse", "register_format", "frictionzoo.formats"), *(ConfigError, ConfigError)

@@ -18,7 +18,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from frictionzoo.errors import LogError
+from frictionzoo.core.errors import LogError
 from frictionzoo.logs.formats.base import WIDE, Format, check_size, check_unpacked, optional, parsing, to_numbers
 from frictionzoo.logs.formats.registry import register_format
 from frictionzoo.logs.recording import Table

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
+from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models import FrictionModel, register_model
-from frictionzoo.types import DriveState, FrictionTerms
 
 
 @register_model("makkar")

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import torch
 
+from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models import TorchFriction, register_model
-from frictionzoo.types import DriveState, FrictionTerms
 
 
 @register_model("layer_norm_network")

@@ -5,7 +5,7 @@ from importlib.resources import files
 from hydra.core.config_search_path import ConfigSearchPath
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 
-from frictionzoo.config import CONF_DIR
+from frictionzoo.core.config import CONF_DIR
 
 
 class FrictionzooMakkar(SearchPathPlugin):

@@ -1,0 +1,1 @@
+"""Command lines: run, compare, inspect, export and distil."""

@@ -1,0 +1,44 @@
+"""Command line: `python -m frictionzoo.compare FOLDER...` compares runs that exist."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from frictionzoo.core.errors import FrictionzooError
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point; returns the exit status, 2 for a user's mistake.
+
+    Args:
+        arguments: Those of the command line where None.
+    """
+    options = _parse(arguments)
+    output = options.output or (options.folders[0] if len(options.folders) == 1 else Path()) / "comparison"
+    # Imported here, so that --help does not wait for it.
+    from frictionzoo.comparison.files import write_comparison
+    from frictionzoo.show.terminal import summarise_comparison
+
+    try:
+        print(summarise_comparison(write_comparison(options.folders, output), output))
+    except FrictionzooError as error:
+        print(f"frictionzoo: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="python -m frictionzoo.compare",
+        description="Compare runs on the same data and the same rollouts, and write comparison.json, comparison.html, "
+        "figures and a LaTeX table.",
+    )
+    parser.add_argument("folders", metavar="FOLDER", nargs="+", type=Path, help="a run's folder, or a sweep's")
+    parser.add_argument(
+        "--output",
+        metavar="FOLDER",
+        type=Path,
+        help="where to write; by default comparison/ in the folder, or here where several are given",
+    )
+    return parser.parse_args(arguments)

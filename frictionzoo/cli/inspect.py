@@ -1,0 +1,76 @@
+"""Command line: `python -m frictionzoo.inspect data=...` tells what is in a data set before any fit."""
+
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Any, cast
+
+import hydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
+from omegaconf import DictConfig, OmegaConf
+
+from frictionzoo.cli.run import choices_of, mistakes_in_one_line, refuse_no_choice
+from frictionzoo.core.build import build
+from frictionzoo.core.config import (
+    CONF_DIR,
+    check_overrides,
+    compose_config,
+    forget_plugin_schemas,
+    register_resolvers,
+)
+from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.output import write_atomically
+
+FOLDER = "outputs/${now:%Y-%m-%d}/${now:%H-%M-%S}_inspect_${hydra:runtime.choices.data}"
+
+
+@hydra.main(version_base="1.3", config_path=str(CONF_DIR), config_name="config")
+def _inspect(config: DictConfig) -> None:
+    # Ended inside, because Hydra adds a line of its own to an error that passes through it.
+    with mistakes_in_one_line():
+        hydra_config = HydraConfig.get()
+        if hydra_config.mode == RunMode.MULTIRUN:
+            raise ConfigError("--multirun: one data set at a time; leave it out")
+        check_overrides(config, compose_config(*choices_of(hydra_config.runtime.choices)))
+        print(inspect_data(config, Path(hydra_config.runtime.output_dir)))
+
+
+def inspect_data(config: DictConfig, folder: Path) -> str:
+    """Look at the data set of a configuration; write `inspect.html` and `inspect.json`.
+
+    Args:
+        config: The composed configuration, of which `data` counts.
+        folder: Where to write.
+
+    Returns:
+        The summary for the terminal.
+
+    Raises:
+        FrictionzooError: The input is at fault, or a file cannot be written.
+    """
+    # Imported here, so that --help and a typing error do not wait for it.
+    from frictionzoo.inspect.page import write_page
+    from frictionzoo.inspect.survey import list_recordings, survey_recordings
+    from frictionzoo.inspect.terminal import summarise
+
+    data = cast(dict[str, Any], OmegaConf.to_container(config.data, resolve=True))
+    recordings = list_recordings(build(data))
+    survey = survey_recordings(str(data.get("name", "data")), recordings)
+    write_page(folder / "inspect.html", survey, recordings)
+    write_atomically(folder / "inspect.json", (json.dumps(survey, indent=2, allow_nan=False) + "\n").encode())
+    return summarise(survey, folder)
+
+
+def main() -> None:
+    """Entry point; a user's mistake is one line on the standard error and exit status 2."""
+    register_resolvers()
+    forget_plugin_schemas()
+    # Hydra would print its own page; with this it raises, and one line is printed instead.
+    os.environ["HYDRA_FULL_ERROR"] = "1"
+    with mistakes_in_one_line():
+        refuse_no_choice(sys.argv[1:])
+        # A later one, the user's, wins.
+        sys.argv[1:1] = [f"hydra.run.dir={FOLDER}"]
+        _inspect()

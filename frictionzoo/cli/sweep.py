@@ -1,0 +1,158 @@
+"""A sweep of many jobs: one that fails leaves its reason and does not end the others."""
+
+import contextlib
+import json
+import logging
+import math
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from filelock import FileLock
+from hydra.experimental.callback import Callback
+from omegaconf import DictConfig, OmegaConf
+
+from frictionzoo import __version__
+from frictionzoo.core.errors import OutputError, RunError
+from frictionzoo.core.output import FAILURE, RESULT, RUNNING, occupy, to_json, write_atomically
+
+_log = logging.getLogger(__name__)
+
+
+class SweepFolder(Callback):
+    """Hydra's callback by which the program learns its sweep's folder.
+
+    Attributes:
+        latest: The folder of the sweep that this process began last; None before the first.
+    """
+
+    latest: Path | None = None
+
+    def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
+        """Remember the folder; have a Ray cluster of this machine listen on its loopback interface only."""
+        SweepFolder.latest = Path(config.hydra.sweep.dir).absolute()
+        # Read by Ray when it is imported; without it a node listens on all interfaces, whatever its address.
+        if OmegaConf.select(config, "hydra.launcher.ray.init.address") == "local":
+            os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"
+
+
+def run_in_sweep(
+    job: Callable[[], tuple[dict[str, Any], str | None]],
+    folder: Path,
+    model: str,
+    overrides: Sequence[str],
+    explain: Callable[[Exception], str | None],
+    finished: Mapping[str, Any] | None = None,
+) -> float:
+    """Run one job of a sweep; whatever it raises becomes `failure.json` in its folder, if that can be written.
+
+    Where another process works in the folder, this one waits until it has ended.
+
+    Args:
+        job: Returns what `result.json` holds, and a complaint if the fit diverged.
+        folder: The job's folder; results of an earlier job in it are removed.
+        model: The chosen model.
+        overrides: The job's options.
+        explain: One line for an error that a user can cause, None for an unexpected one.
+        finished: The job's settings, if a `result.json` with just these is to stand instead of being made again.
+
+    Returns:
+        What a sweeper may minimise, see `objective_of`; infinite for a job that failed.
+    """
+    with occupy(folder, wait=True):
+        if finished is not None and (result := _read_finished(folder, finished)):
+            _log.info("%s: has its result already", folder.name)
+            return math.inf if result["fit"]["stopped"] == "diverged" else objective_of(result)
+        for name in (RESULT, FAILURE):
+            (folder / name).unlink(missing_ok=True)
+        try:
+            result, complaint = job()
+        except Exception as error:
+            foreseen = explain(error)
+            result, complaint = None, foreseen or describe(error)
+            content = {"model": model, "overrides": list(overrides), "reason": complaint}
+            _log.error("%s: %s", folder.name, complaint, exc_info=None if foreseen else error)
+            # On a full disk the log alone tells it: an error here, Hydra would report in lines of its own.
+            with contextlib.suppress(OutputError):
+                write_atomically(folder / FAILURE, f"{json.dumps(content, indent=2)}\n".encode())
+        else:
+            if complaint:
+                _log.error("%s: %s", folder.name, complaint)
+    return math.inf if result is None or complaint else objective_of(result)
+
+
+def _read_finished(folder: Path, settings: Mapping[str, Any]) -> dict[str, Any] | None:
+    """What a job's `result.json` holds if this version made it with these settings, else None."""
+    try:
+        result = json.loads((folder / RESULT).read_text(encoding="utf-8"))
+        same = result["settings"] == json.loads(json.dumps(to_json(settings)))
+        return result if same and result["versions"]["frictionzoo"] == __version__ else None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def objective_of(result: dict[str, Any]) -> float:
+    """What a sweeper may minimise: the position error of open-loop rollouts of the training part [rad or m].
+
+    Unlike the loss, it does not depend on how segments are cut or errors are weighted, so that jobs compare; and the
+    test part stays unseen by what is chosen by it.
+
+    Args:
+        result: What `result.json` holds.
+
+    Returns:
+        The mean absolute error; infinite if a rollout diverged, because the mean leaves that one out.
+    """
+    train = result["metrics"]["train"]
+    return math.inf if train["diverged"] else float(train["position_mae"])
+
+
+def conclude_sweep(folder: Path) -> tuple[dict[str, Any] | None, str, list[str]]:
+    """Compare what the jobs of a sweep left, in whatever processes and on whatever machines they ran.
+
+    Waits for jobs that still run, as some do when their launcher gave up on another one.
+
+    Args:
+        folder: The sweep's folder; the comparison goes into its `comparison/`.
+
+    Returns:
+        What `comparison.json` holds, or None where nothing can be compared; what to tell the user; and one line for
+        each job that failed: with a `failure.json`, with a fit that diverged, or with neither file because its process
+        was killed.
+
+    Raises:
+        OutputError: The comparison cannot be written.
+    """
+    for path in folder.rglob(RUNNING):
+        with FileLock(path):
+            pass
+    # Imported here, so that --help and a typing error do not wait for it.
+    from frictionzoo.comparison import find_runs, write_comparison
+    from frictionzoo.show.terminal import summarise_comparison
+
+    complaints: list[str] = []
+    try:
+        complaints += [f"{run}: {reason}" for run in find_runs(folder) if (reason := _complaint(run))]
+        comparison = write_comparison([folder], folder / "comparison")
+    except RunError as error:
+        return None, f"no comparison: {error}", complaints
+    return comparison, summarise_comparison(comparison, folder / "comparison"), complaints
+
+
+def _complaint(folder: Path) -> str | None:
+    """What is wrong with the job in a folder; None if it did its work."""
+    from frictionzoo.comparison import read_failure
+
+    if failure := read_failure(folder):
+        return failure.reason
+    fit = json.loads((folder / RESULT).read_text())["fit"]
+    if fit["stopped"] == "diverged":
+        return f"fit diverged after {fit['iterations']} iterations; {RESULT} holds the best before that"
+    return None
+
+
+def describe(error: Exception) -> str:
+    """One line for an unexpected error: its type and the first line of its message."""
+    lines = str(error).strip().splitlines()
+    return ": ".join([type(error).__name__, *lines[:1]])

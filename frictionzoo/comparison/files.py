@@ -1,0 +1,36 @@
+"""What a comparison leaves behind: JSON, page, figures, and a table for a paper."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from frictionzoo.comparison.record import Comparison, compare_runs
+from frictionzoo.comparison.runs import read_runs
+from frictionzoo.core.errors import RunError
+from frictionzoo.core.output import write_atomically
+from frictionzoo.show.comparison_figures import write_figures
+from frictionzoo.show.comparison_page import write_page
+from frictionzoo.show.latex import tabulate_latex
+
+
+def write_comparison(folders: Sequence[Path], output: Path) -> Comparison:
+    """Compare runs and write all that a comparison leaves behind, `comparison.json` last.
+
+    Args:
+        folders: Folders of runs or of sweeps.
+        output: Where to write.
+
+    Raises:
+        RunError: A folder holds no run, runs are not comparable, or no run has a result.
+        OutputError: A file cannot be written.
+    """
+    runs, failures = read_runs(folders)
+    if not runs:
+        reasons = "; ".join(f"{failure.run}: {failure.reason}" for failure in failures)
+        raise RunError(f"no run has a result to compare: {reasons}")
+    comparison = compare_runs(runs, failures)
+    write_figures(output / "figures", comparison, runs)
+    write_atomically(output / "table.tex", tabulate_latex(comparison).encode())
+    write_page(output / "comparison.html", comparison, runs)
+    write_atomically(output / "comparison.json", (json.dumps(comparison, indent=2, allow_nan=False) + "\n").encode())
+    return comparison

@@ -1,0 +1,265 @@
+"""`comparison.json`: runs side by side, described by `comparison.schema.json` beside this file."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from importlib import resources
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from frictionzoo.comparison.runs import NAMED, Failure, Run, differing
+from frictionzoo.comparison.statistics import (
+    MATTERS,
+    Difference,
+    autocorrelation,
+    bin_evenly,
+    difference,
+    error_by_horizon,
+    mean_of_finite,
+    resample,
+)
+from frictionzoo.core.output import to_json
+from frictionzoo.result.record import read_schema as result_schema
+from frictionzoo.result.verdict import doubt_reference
+
+SCHEMA_VERSION = 3
+# Sections taken over from result.json.
+SHARED = ("data", "joints", "parameters", "not_identified", "network", "fit", "timing")
+LONGEST_LAG = 0.5  # s, of the residuals' autocorrelation
+FEW = 8  # rollouts below which an interval over them says little
+
+Comparison = dict[str, Any]
+"""What `comparison.json` holds."""
+
+
+def read_schema() -> dict[str, Any]:
+    """The JSON schema of `comparison.json`; its descriptions are the documentation of every field."""
+    schema = json.loads(resources.files("frictionzoo.comparison").joinpath("comparison.schema.json").read_text("utf-8"))
+    result = result_schema()
+    # What a run's own record describes already is described there.
+    schema["$defs"] |= result["$defs"] | {name: result["properties"][name] for name in SHARED}
+    return schema
+
+
+def compare_runs(runs: Sequence[Run], failures: Sequence[Failure]) -> Comparison:
+    """Runs on the same data and rollouts side by side, best first.
+
+    Args:
+        runs: Runs that `read_runs` found comparable, at least one.
+        failures: Jobs without a result, to be listed.
+    """
+    ranked = sorted(runs, key=_rank)
+    pairs = _compare_pairs(ranked)
+    first = ranked[0].result
+    reference = next((run for run in ranked if run.result["model"] == "baseline"), None)
+    comparison = {
+        "schema_version": SCHEMA_VERSION,
+        "data": first["data"],
+        "joints": first["joints"],
+        "unit": first["metrics"]["test"]["unit"],
+        "velocity_unit": first["metrics"]["test"]["velocity_unit"],
+        "torque_unit": "N m" if first["metrics"]["test"]["unit"] == "rad" else "N",
+        "evaluation": {
+            "sha256": first["evaluation"]["sha256"],
+            "horizon": first["metrics"]["test"]["horizon"],
+            "rollouts": first["metrics"]["test"]["rollouts"],
+            "long_rollouts": len(ranked[0].curves.qpos),
+            "long_horizon": first["paper"]["a"]["model"]["horizon"],
+        },
+        "recommendation": _recommend(ranked, pairs),
+        "reference": reference.label if reference else None,
+        "reference_doubt": doubt_reference(
+            reference.result["parameters"] if reference else ranked[0].result["reference"]
+        ),
+        "runs": [_describe(run, reference) for run in ranked],
+        "failures": [asdict(failure) for failure in failures],
+        "differences": _list_differences(ranked),
+        "pairs": [{"run": a, "other": b, **asdict(pair)} for (a, b), pair in pairs.items()],
+        "by_horizon": _by_horizon(ranked),
+        "by_speed": _by_local(ranked, "local_speed"),
+        "by_load": _by_local(ranked, "local_load"),
+        "friction": {run.label: _describe_friction(run) for run in ranked},
+        "autocorrelation": _describe_autocorrelation(ranked),
+    }
+    return to_json(comparison)
+
+
+def position_error(run: Run) -> Float[np.ndarray, "rollouts steps"]:
+    """Absolute position error in the long test rollouts, mean over joints [rad or m].
+
+    Args:
+        run: The run.
+    """
+    return np.abs(_residual(run)).mean(axis=2)
+
+
+def _residual(run: Run) -> Float[np.ndarray, "rollouts steps nv"]:
+    return run.curves.qpos - run.curves.measured_qpos[:, 1:]
+
+
+def _rank(run: Run) -> tuple[int, float, int]:
+    test = run.result["metrics"]["test"]
+    error = np.inf if test["position_mae"] is None else test["position_mae"]
+    return test["diverged"], error, _count_identified(run)
+
+
+def _count_identified(run: Run) -> int:
+    """Numbers that the fit chose."""
+    values = [p["value"] for p in run.result["parameters"] if p["identified"]]
+    network = run.result["network"]
+    return sum(np.size(value) for value in values) + (network["weights"] if network else 0)
+
+
+def _compare_pairs(runs: Sequence[Run]) -> dict[tuple[str, str], Difference]:
+    """Every pair, the better-ranked run second: how much worse is the first?"""
+    counts = resample(len(runs[0].curves.test_mae))
+    return {
+        (worse.label, better.label): difference(worse.curves.test_mae, better.curves.test_mae, counts)
+        for better, worse in combinations(runs, 2)
+    }
+
+
+def _recommend(ranked: Sequence[Run], pairs: Mapping[tuple[str, str], Difference]) -> dict[str, Any] | None:
+    """The simplest run within noise of the best, why, and what it leaves open; None where all lost all rollouts."""
+    best = ranked[0]
+    if best.result["metrics"]["test"]["position_mae"] is None:
+        return None
+    close = [best, *(run for run in ranked[1:] if pairs[run.label, best.label].verdict == "noise")]
+    chosen = min(close, key=lambda run: (_count_identified(run), _rank(run)))
+    return {
+        "run": chosen.label,
+        "best": best.label,
+        "unidentifiable": _list_unidentifiable(chosen),
+        "not_identified": chosen.result["not_identified"],
+        "reason": _explain(chosen, best, close, pairs),
+    }
+
+
+def _list_unidentifiable(run: Run) -> list[str]:
+    """Full names of the parameters that the run's data do not determine."""
+    return [f"{p['owner']}.{p['name']}" for p in run.result["parameters"] if p["identifiable"] is False]
+
+
+def _explain(chosen: Run, best: Run, close: Sequence[Run], pairs: Mapping[tuple[str, str], Difference]) -> str:
+    test = chosen.result["metrics"]["test"]
+    unit, rollouts = test["unit"], test["rollouts"]
+    values = _count_identified(chosen)
+    error = f"Its mean position error on test data is {test['position_mae']:.3g} {unit} with {values} identified values"
+    if chosen is not best:
+        pair = pairs[chosen.label, best.label]
+        lowest = best.result["metrics"]["test"]["position_mae"]
+        text = (
+            f"{error}. The lowest error, {lowest:.3g} {unit} of {best.label} with {_count_identified(best)}, is within "
+            f"noise of it (difference {pair.mean:.2g} {unit}, 95 % interval {pair.low:.2g} to {pair.high:.2g} over "
+            f"{rollouts} paired rollouts; {100 * MATTERS:g} % of the error would matter), and no simpler one is"
+        )
+    elif len(close) > 1:
+        text = (
+            f"{error}, the lowest; {' and '.join(run.label for run in close[1:])} are within noise of it but no simpler"
+        )
+    else:
+        text = f"{error}, the lowest, and all others are worse by more than noise over {rollouts} paired rollouts"
+    network = (
+        " It is a network: it predicts, and its physical parameters need not be the drive's."
+        if chosen.result["network"]
+        else ""
+    )
+    doubtful = _list_unidentifiable(chosen)
+    doubt = f" Not identifiable on these data, and no property of the drive: {', '.join(doubtful)}." if doubtful else ""
+    failed = chosen.result["not_identified"]
+    doubt += f" It did not identify the drive: {failed[0]}." if failed else ""
+    caution = f" {rollouts} rollouts are few: raise evaluation.rollouts to be sure." if rollouts < FEW else ""
+    return f"{text}.{network}{doubt}{caution}"
+
+
+def _describe(run: Run, reference: Run | None) -> dict[str, Any]:
+    result = run.result
+    without = {part: _without_friction(run, reference, part) for part in ("train", "test")}
+    return {
+        "label": run.label,
+        "run": run.folder.name,
+        "model": result["model"],
+        "identified": _count_identified(run),
+        **{part: result["metrics"][part] for part in ("train", "test")},
+        "change": {part: _change(result["metrics"][part]["position_mae"], error) for part, error in without.items()},
+        "rollout_mae": run.curves.test_mae.tolist(),
+        "by_horizon": [{key: entry[key] for key in ("horizon", "train", "test")} for entry in result["by_horizon"]],
+        "paper": {key: result["paper"][key]["model"] for key in ("a", "b")},
+        "parameters": result["parameters"],
+        "not_identified": result["not_identified"],
+        "network": result["network"],
+        "fit": result["fit"],
+        "settings": {key: result[key] for key in ("seed", "dtype", "engine")},
+        "timing": result["timing"],
+    }
+
+
+def _without_friction(run: Run, reference: Run | None, part: str) -> float | None:
+    """The error without friction: of the run that has none, else of the baseline that each run fits itself."""
+    if reference:
+        return reference.result["metrics"][part]["position_mae"]
+    return run.result["metrics"]["baseline"]["position_mae"] if part == "test" else None
+
+
+def _change(value: float | None, reference: float | None) -> float | None:
+    return value / reference - 1 if value is not None and reference else None
+
+
+def _list_differences(runs: Sequence[Run]) -> list[dict[str, Any]]:
+    """Options besides the law's own in which the runs differ."""
+    options = differing([run.result["settings"] | {"engine": run.result["engine"]} for run in runs], NAMED)
+    labels = [run.label for run in runs]
+    return [{"option": name, "values": dict(zip(labels, values, strict=True))} for name, values in options.items()]
+
+
+def _by_horizon(runs: Sequence[Run]) -> dict[str, Any]:
+    timestep = runs[0].result["data"]["timestep"]
+    curves = {run.label: error_by_horizon(position_error(run), timestep) for run in runs}
+    horizon = next(iter(curves.values()))[0]
+    return {
+        "horizon": horizon.tolist(),
+        "position_mae": {label: error.tolist() for label, (_, error) in curves.items()},
+    }
+
+
+def _seconds(times: Float[np.ndarray, "times"]) -> list[float]:
+    """Times without the rounding that multiplying brings."""
+    return times.round(9).tolist()
+
+
+def _by_local(runs: Sequence[Run], signal: str) -> dict[str, Any]:
+    """Error of the short rollouts in bins of what was measured in them."""
+    measured = getattr(runs[0].curves, signal)
+    members = bin_evenly(measured)
+    return {
+        "centre": [float(measured[windows].mean()) for windows in members],
+        "low": [float(measured[windows].min()) for windows in members],
+        "high": [float(measured[windows].max()) for windows in members],
+        "windows": [len(windows) for windows in members],
+        "position_mae": {
+            run.label: [mean_of_finite(run.curves.local_mae[windows]) for windows in members] for run in runs
+        },
+    }
+
+
+def _describe_friction(run: Run) -> dict[str, Any]:
+    curves = run.curves
+    torques = {"torque": curves.friction, "low": curves.friction_low, "high": curves.friction_high}
+    return {"velocity": curves.velocity.tolist(), **{name: torque.T.tolist() for name, torque in torques.items()}}
+
+
+def _describe_autocorrelation(runs: Sequence[Run]) -> dict[str, Any]:
+    timestep = runs[0].result["data"]["timestep"]
+    rollouts, steps, joints = runs[0].curves.qpos.shape
+    curves = {}
+    for run in runs:
+        residual = np.moveaxis(_residual(run), 2, 1).reshape(rollouts * joints, steps)
+        lag, curves[run.label] = autocorrelation(residual, timestep, LONGEST_LAG)
+    return {
+        "lag": _seconds(lag),
+        "band": 1.96 / np.sqrt(rollouts * joints * steps),
+        "coefficient": {label: curve.tolist() for label, curve in curves.items()},
+    }

@@ -1,0 +1,221 @@
+"""Run folders to runs that can be compared."""
+
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import yaml
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from frictionzoo.core.errors import RunError
+from frictionzoo.core.output import FAILURE, RESULT, RUNNING
+from frictionzoo.result.curves import Curves, read_curves
+from frictionzoo.result.record import SCHEMA_VERSION, read_schema
+
+MOST_NAMED = 2  # options in a label
+# Options that may differ between runs that are compared, and are then named. A law's own options belong to the law, and
+# data and evaluation must not differ.
+NAMED = ("seed", "dtype", "engine", "segments", "loss", "fit", "bench", "teacher")
+
+
+@dataclass(frozen=True)
+class Run:
+    """One finished run.
+
+    Attributes:
+        label: What it is called among the others: its model, and what distinguishes it from others of that model.
+        folder: Where it lies.
+        result: What its `result.json` holds.
+        curves: What its `curves.safetensors` holds.
+    """
+
+    label: str
+    folder: Path
+    result: Mapping[str, Any]
+    curves: Curves
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A job of a sweep that has no result.
+
+    Attributes:
+        run: Name of its folder.
+        model: The model, or empty where that is not known.
+        reason: One line.
+    """
+
+    run: str
+    model: str
+    reason: str
+
+
+def read_runs(folders: Sequence[Path]) -> tuple[list[Run], list[Failure]]:
+    """The runs in some folders, and what failed there.
+
+    Args:
+        folders: Folders of runs, or of sweeps, in which runs lie.
+
+    Raises:
+        RunError: A folder holds no run, a run cannot be read, or two runs are not comparable.
+    """
+    found = list(dict.fromkeys(run.resolve() for folder in folders for run in find_runs(folder)))
+    failures = [failure for folder in found if (failure := read_failure(folder))]
+    runs = [_read(folder) for folder in found if (folder / RESULT).exists()]
+    for run in runs[1:]:
+        _refuse_incomparable(run, runs[0])
+    return _label(runs), failures
+
+
+def find_runs(folder: Path) -> list[Path]:
+    """Folders of the jobs in a folder, in their order, or that folder itself if it is a job's.
+
+    Args:
+        folder: Of a run or of a sweep.
+
+    Raises:
+        RunError: There is none.
+    """
+    names = (RESULT, FAILURE, RUNNING, ".hydra")
+    if any((folder / name).exists() for name in names):
+        return [folder]
+    found = {path.parent for name in names for path in folder.rglob(name)}
+    if not found:
+        raise RunError(f"{folder}: no run in it, expected the folder of a run or of a sweep; name one")
+    return sorted(found, key=_natural)
+
+
+def _natural(folder: Path) -> list[Any]:
+    """Paths in the order of the numbers in them: 2_coulomb before 10_neural."""
+    return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", str(folder))]
+
+
+def read_failure(folder: Path) -> Failure | None:
+    """Why a job has no result; None if it has one.
+
+    Args:
+        folder: The job's.
+
+    Raises:
+        RunError: What it left cannot be read.
+    """
+    if (folder / RESULT).exists():
+        return None
+    if not (folder / FAILURE).exists():
+        return Failure(folder.name, _read_model(folder), "no result: its process ended before it was done")
+    saved = _read_json(folder / FAILURE)
+    model, reason = (" ".join(str(saved.get(key, "")).split()) for key in ("model", "reason"))
+    return Failure(folder.name, model, reason)
+
+
+def _read_model(folder: Path) -> str:
+    """The model of a job, from what Hydra wrote before it began; empty where that was cut short."""
+    try:
+        saved = OmegaConf.load(folder / ".hydra" / "hydra.yaml")
+        return str(OmegaConf.select(saved, "hydra.runtime.choices.model") or "")
+    except (OSError, yaml.YAMLError, OmegaConfBaseException):
+        return ""
+
+
+def _read(folder: Path) -> Run:
+    path = folder / RESULT
+    result = _read_json(path)
+    if result.get("schema_version") != SCHEMA_VERSION:
+        raise RunError(
+            f"{path}: schema_version {result.get('schema_version')}, expected {SCHEMA_VERSION}; run it again with this "
+            "version"
+        )
+    error = jsonschema.Draft202012Validator(read_schema()).iter_errors(result)
+    if first := next(iter(error), None):
+        raise RunError(f"{path}: {first.json_path}: {first.message[:200]}; expected the file that this version writes")
+    return Run(result["model"], folder, result, read_curves(folder))
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise RunError(f"{path}: {error.strerror}; expected a file that can be read") from None
+    except ValueError as error:
+        raise RunError(f"{path}: not JSON ({error}); expected the file that this version writes") from None
+    if not isinstance(content, dict):
+        raise RunError(f"{path}: {type(content).__name__}, expected an object; name a folder that this program made")
+    return content
+
+
+def _refuse_incomparable(run: Run, first: Run) -> None:
+    came, expected = run.result, first.result
+    if came["data"]["sha256"] != expected["data"]["sha256"]:
+        raise RunError(
+            f"{run.folder}: data {_name_data(came)}, expected {_name_data(expected)} as in {first.folder}; "
+            "compare runs on the same data"
+        )
+    if came["evaluation"]["sha256"] != expected["evaluation"]["sha256"]:
+        options = differing([came["settings"], expected["settings"]], ("evaluation", "data"))
+        named = [f"{name}={came}, expected {expected}" for name, (came, expected) in options.items()]
+        raise RunError(
+            f"{run.folder}: {'; '.join(named) or 'other rollouts'} as in {first.folder}; compare runs judged "
+            "on the same rollouts"
+        )
+    for field in fields(Curves):
+        came, expected = (getattr(curves, field.name) for curves in (run.curves, first.curves))
+        # The history is each fit's own, and what drives a rollout reaches back as far as the bench's delay.
+        if field.name not in ("history", "ctrl") and came.shape != expected.shape:
+            raise RunError(
+                f"{run.folder}: {field.name} of shape {came.shape}, expected {expected.shape} as in {first.folder}; "
+                "run it again"
+            )
+
+
+def _name_data(result: Mapping[str, Any]) -> str:
+    return f"{result['data']['name']} (SHA-256 {result['data']['sha256'][:12]})"
+
+
+def differing(settings: Sequence[Mapping[str, Any]], sections: Sequence[str]) -> dict[str, list[Any]]:
+    """Options in which runs differ: dotted name to the value of each run, None where a run does not have it.
+
+    Args:
+        settings: Options of each run.
+        sections: Keys to look at.
+    """
+    leaves = [dict(_leaves({name: options.get(name) for name in sections})) for options in settings]
+    names = dict.fromkeys(name for options in leaves for name in options)
+    table = {name: [options.get(name) for options in leaves] for name in names}
+    return {name: values for name, values in table.items() if any(value != values[0] for value in values)}
+
+
+def _leaves(section: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in section.items():
+        if isinstance(value, Mapping):
+            yield from _leaves(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
+
+
+def _label(runs: Sequence[Run]) -> list[Run]:
+    """Each run under its model; several of one model under what they differ in, else under their folders' names."""
+    return [replace(run, label=_label_among(run, [r for r in runs if r.label == run.label])) for run in runs]
+
+
+def _label_among(run: Run, same: Sequence[Run]) -> str:
+    if len(same) == 1:
+        return run.label
+    place = same.index(run)
+    for described in _describe(same):
+        if len(set(described)) == len(same):
+            return f"{run.label} {described[place]}"
+    return f"{run.label} ({run.folder.name} {place})"
+
+
+def _describe(same: Sequence[Run]) -> Iterator[list[str]]:
+    """What may tell runs of one model apart, the plainest first: one text a run."""
+    yield [f"fit={run.result['fit']['method']}" for run in same]
+    options = differing([run.result["settings"] for run in same], (*NAMED, "model"))
+    if len(options) <= MOST_NAMED:
+        yield [" ".join(f"{name}={values[i]}" for name, values in options.items()) for i in range(len(same))]
+    yield [f"({run.folder.name})" for run in same]

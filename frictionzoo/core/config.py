@@ -1,0 +1,225 @@
+"""The configuration: where it lies, its resolvers, and what an override may be."""
+
+import contextlib
+import math
+from collections.abc import Iterator, Mapping
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+from hydra import compose, initialize_config_dir
+from hydra.core.config_store import ConfigStore
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.plugins import Plugins
+from omegaconf import DictConfig, OmegaConf
+
+from frictionzoo.core.errors import ConfigError, closest
+from frictionzoo.core.threads import count_cores, jobs_at_once, threads_each
+
+_PACKAGE = Path(__file__).parents[1]
+# A wheel ships conf/ inside the package; in a checkout it stands beside it.
+CONF_DIR = _PACKAGE / "conf" if (_PACKAGE / "conf").is_dir() else _PACKAGE.parent / "conf"
+# What options take whose value in conf/ does not show all of it: an example of each kind, None for null.
+_TAKES: dict[str, tuple[Any, ...]] = {
+    "resume": ("", True, None),
+    "threads": (0, None),
+    "compilation_cache": ("", None),
+    "segments.count": (0, None),
+    "loop.patience": (0, None),
+    "evaluation.rollouts": (0, None),
+    "bench.joint": ("", [""], None),
+    "bench.payload": ("", None),
+    "bench.timestep": (0.1, None),
+    "*.params.*.scale": ("", 0.1),
+    "data.columns.*": ("", [""], None),
+    "data.units.*": ("", 0.1, None),
+    "data.clean.wrap": (0.1, None),
+    "data.folder": ("", None),
+    "data.cache_dir": ("", None),
+    "data.source": ("", None),
+    "data.fields_from_name": ("", None),
+    "data.train": ("", [""]),
+    "data.test": ("", [""]),
+    "data.split.test": ([], "", 0.0),
+    "data.clean.step": (0.1, None),
+    "data.clean.velocity_lag": (0.1, "", None),
+}
+_LARGEST, _LARGEST_SEED = 2**31 - 1, 2**63 - 1  # whole numbers as JAX counts in 32 bits, and as generators take them
+_KINDS = {bool: "true or false", int: "a whole number", float: "a number", list: "a list", str: "text"}
+# Sections whose keys a user chooses: names of fields and signals.
+_OPEN = ("data.columns", "data.units", "data.fields", "data.where", "data.exclude", "data.inputs")
+
+
+def register_resolvers() -> None:
+    """Make `mul`, `div`, `run_dir` (the resumed folder, else a new one) and counts of cores known to configurations."""
+    resolvers = {
+        "mul": lambda factor, other: float(factor) * float(other),
+        "div": lambda dividend, divisor: float(dividend) / float(divisor),
+        "run_dir": lambda resume, new: new if resume in (None, "None") else resume,
+        "cores": count_cores,
+        "threads_each": threads_each,
+        "jobs_at_once": jobs_at_once,
+    }
+    for name, resolver in resolvers.items():
+        OmegaConf.register_new_resolver(name, resolver, replace=True)
+
+
+def forget_plugin_schemas() -> None:
+    """Let `conf/hydra/` stand alone against configurations of the same name that Hydra's plugins bring.
+
+    Hydra would merge the two, with a warning that this is deprecated, or refuse to.
+    """
+    Plugins.instance()  # imports the plugins, which store theirs
+    store = ConfigStore.instance()
+    for path in (CONF_DIR / "hydra").glob("*/*.yaml"):
+        store.repo.get("hydra", {}).get(path.parent.name, {}).pop(path.name, None)
+
+
+def compose_config(*overrides: str) -> DictConfig:
+    """The configuration of a job with these overrides, as the command line would compose it.
+
+    Args:
+        overrides: `key=value`, as on the command line.
+    """
+    register_resolvers()
+    forget_plugin_schemas()
+    with _hydra():
+        return compose("config", overrides=list(overrides))
+
+
+def list_choices(group: str) -> list[str]:
+    """Names of the files of a configuration group, those that other packages bring included, sorted.
+
+    Args:
+        group: Its folder below conf/.
+    """
+    with _hydra():
+        return GlobalHydra.instance().config_loader().get_group_options(group)
+
+
+@contextlib.contextmanager
+def _hydra() -> Iterator[None]:
+    """Hydra as the program that runs has started it, or else started here."""
+    if GlobalHydra.instance().is_initialized():
+        yield
+    else:
+        with initialize_config_dir(str(CONF_DIR), version_base="1.3"):
+            yield
+
+
+def check_overrides(config: DictConfig, plain: DictConfig) -> None:
+    """Refuse options that do not exist, are gone, or have a value of another kind than the one that it replaces.
+
+    Args:
+        config: The composed configuration.
+        plain: The same with nothing but the choices of groups.
+
+    Raises:
+        ConfigError: A key or a value is not what `plain` has in its place.
+    """
+    # First what is written as it is: a value that depends on a mistaken one fails to resolve, under its own name.
+    for resolve in (False, True):
+        before, after = (dict(list_options(OmegaConf.to_container(part, resolve=resolve))) for part in (plain, config))
+        _check_keys(before, after, plain)
+        for key, value in after.items():
+            _check_value(key, value, before.get(key))
+
+
+def _check_keys(before: Mapping[str, Any], after: Mapping[str, Any], plain: DictConfig) -> None:
+    for key in [key for key in after if key not in before]:
+        inside = [name.removeprefix(f"{key}.") for name in before if name.startswith(f"{key}.")]
+        if inside:
+            raise ConfigError(f"{key}={_text(after[key])}; expected a section with {', '.join(inside)}")
+        if not _is_open(key):
+            raise ConfigError(f"{key}: unknown option; {suggest_option(key, plain)}")
+    for key in [key for key in before if key not in after and not _is_open(key)]:
+        raise ConfigError(f"{key}: missing; expected a value such as {before[key]}; do not delete it")
+
+
+def _is_open(key: str) -> bool:
+    return any(key == section or key.startswith(f"{section}.") for section in _OPEN)
+
+
+def _check_value(key: str, value: Any, default: Any) -> None:
+    """ConfigError for a value of another kind than this option takes, or with a number that is none."""
+    if any(isinstance(text, str) and "${" in text for text in (value, default)):
+        return
+    examples = next((taken for name, taken in _TAKES.items() if fnmatchcase(key, name)), (default,))
+    if examples == (None,):  # the part that takes the value looks at its kind
+        return _check_numbers(key, value, _LARGEST_SEED)
+    such = "" if default in (None, "") else f" such as {default}"
+    expected = " or ".join(_KINDS[type(example)] for example in examples if example is not None) + such
+    if None in examples:
+        expected += ", or null"
+    if _is_seed(key):
+        expected = "a whole number from 0 on, so that the run can be repeated"
+    fitting = [example for example in examples if _is_like(value, example)]
+    if not fitting or (_is_seed(key) and value < 0):
+        raise ConfigError(f"{key}={_text(value)}; expected {expected}")
+    counts = isinstance(fitting[0], int) and not _is_seed(key)
+    _check_numbers(key, value, _LARGEST if counts else _LARGEST_SEED)
+    if key.startswith("scale.") and not value > 0:
+        raise ConfigError(f"{key}={_text(value)}; expected a number above 0{such}")
+
+
+def _check_numbers(key: str, value: Any, largest: int) -> None:
+    """ConfigError for NaN and infinities, and for whole numbers that programs do not hold."""
+    for number in _numbers(value):
+        if isinstance(number, int) and abs(number) > largest:
+            raise ConfigError(f"{key}={_text(value)}; expected whole numbers of at most {largest}")
+        if not math.isfinite(number):
+            raise ConfigError(f"{key}={_text(value)}; expected a finite number")
+
+
+def _is_seed(key: str) -> bool:
+    return key.rpartition(".")[2] == "seed"
+
+
+def _is_like(value: Any, example: Any) -> bool:
+    """Whether a value is of an example's kind; text is so only where it says something."""
+    if isinstance(example, bool) or isinstance(value, bool):
+        return isinstance(value, bool) and isinstance(example, bool)
+    if isinstance(example, list):
+        return isinstance(value, list) and all(_is_like(item, first) for first in example[:1] for item in value)
+    if isinstance(example, float):
+        return isinstance(value, int | float)
+    return isinstance(value, type(example)) and value != ""
+
+
+def _numbers(value: Any) -> Iterator[int | float]:
+    """The numbers in a value, those in lists and sections in lists among them."""
+    if isinstance(value, list | dict):
+        for item in value.values() if isinstance(value, dict) else value:
+            yield from _numbers(item)
+    elif isinstance(value, int | float):
+        yield value
+
+
+def _text(value: Any) -> str:
+    return "null" if value is None else str(value)
+
+
+def list_options(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Every value with its dotted key, lists as values.
+
+    Args:
+        config: A section, resolved, as nested dictionaries.
+        prefix: What its keys begin with.
+    """
+    for key, value in config.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, dict):
+            yield from list_options(value, f"{name}.")
+        else:
+            yield name, value
+
+
+def suggest_option(key: str, config: DictConfig) -> str:
+    """Hint for an unknown dotted key: the closest name at the first place where it leaves the configuration."""
+    section, known = config, ""
+    for name in key.split("."):
+        inner = section.get(name) if name in section else None
+        if not isinstance(inner, DictConfig):
+            return f"{closest(name, map(str, section))}{f' in {known}' if known else ''}"
+        section, known = inner, f"{known}.{name}".lstrip(".")
+    return closest(key, map(str, config))

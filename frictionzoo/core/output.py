@@ -1,0 +1,101 @@
+"""Writing of results: a file is there whole, or not at all."""
+
+import contextlib
+import logging
+import math
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from filelock import FileLock, Timeout
+
+from frictionzoo.core.errors import OutputError, RunError
+
+# Files by which the folder of a job tells how it stands.
+RESULT = "result.json"  # done
+FAILURE = "failure.json"  # it failed, and why
+RUNNING = ".running"  # locked while it runs, in whatever process; left behind unlocked by a job that was killed
+
+_log = logging.getLogger(__name__)
+
+
+@contextlib.contextmanager
+def occupy(folder: Path, *, wait: bool) -> Iterator[None]:
+    """Have a job's folder to oneself: no other process is in it that occupies it too.
+
+    The lock is the operating system's and ends with its process, however that ends. What a killed process had begun to
+    write is removed.
+
+    Args:
+        folder: The job's; it exists.
+        wait: Wait for the other process instead of raising.
+
+    Raises:
+        RunError: Another process is in it, and this one is not to wait.
+        OSError: The folder cannot be written.
+    """
+    lock = FileLock(folder / RUNNING)
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        if not wait:
+            raise RunError(
+                f"{folder}: another process works in it, expected a folder of this run's own; wait until that one has "
+                "ended, or set hydra.run.dir to another folder"
+            ) from None
+        _log.info("waiting for the process that works in %s", folder)
+        lock.acquire()
+    try:
+        for part in folder.rglob(".*.part"):
+            part.unlink(missing_ok=True)
+        yield
+    finally:
+        # Before it is released: who waits for a file that is gone looks anew.
+        with contextlib.suppress(OSError):
+            (folder / RUNNING).unlink()
+        lock.release()
+
+
+def write_atomically(path: Path, content: bytes) -> None:
+    """Write a file under a temporary name in the same folder, then rename it.
+
+    Args:
+        path: The file; missing folders are made, an older file of that name is replaced.
+        content: All of it.
+
+    Raises:
+        OutputError: The disk is full or the folder cannot be written; nothing new is left behind.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with open(temporary, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except OSError as error:
+        raise OutputError(
+            f"{path}: {error.strerror} while writing {len(content)} bytes, expected a folder that can be written; "
+            "free space or set hydra.run.dir to another folder"
+        ) from error
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+
+
+def to_json(value: Any) -> Any:
+    """The same with numpy numbers as Python's and non-finite numbers as None, which JSON calls null.
+
+    Args:
+        value: Mappings, lists, tuples, numbers and text.
+    """
+    if isinstance(value, Mapping):
+        return {key: to_json(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [to_json(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value

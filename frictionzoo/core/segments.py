@@ -1,0 +1,264 @@
+"""Logs to segments: the windows that a fit learns from, and the longer ones that an evaluation rolls out."""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from frictionzoo.core.errors import ConfigError, LogError, closest
+from frictionzoo.core.log import Log
+
+logger = logging.getLogger(__name__)
+
+SAME_TIMESTEP = 1e-3  # largest relative difference between the timesteps of logs that belong together
+PLACEMENTS = ("random", "consecutive")
+
+
+@dataclass(frozen=True)
+class Segments:
+    """Windows cut from logs: each starts at a measured state and is driven by the recorded commands.
+
+    Sample i of `commands` acts between samples i and i + 1 of `qpos` and `qvel`, so the states have one more.
+
+    Attributes:
+        qpos: Measured position [rad or m].
+        qvel: Measured velocity [rad/s or m/s].
+        ctrl: Command, one column an actuator, then the other inputs of the actuator law, then what the friction law
+            looks at; `history` samples before the first state, and the samples from there on.
+        timestep: Sample interval [s].
+        load: What each one's payload changes in the bench's model; None where there is none.
+        history: Samples of `ctrl` before the first state.
+        observed: Columns at the end of `ctrl` that the friction law looks at.
+    """
+
+    qpos: Float[np.ndarray, "batch states nv"]
+    qvel: Float[np.ndarray, "batch states nv"]
+    ctrl: Float[np.ndarray, "batch samples channels"]
+    timestep: float
+    load: Float[np.ndarray, "batch load"] | None = None
+    history: int = 0
+    observed: int = 0
+
+    @property
+    def commands(self) -> Float[np.ndarray, "batch time channels"]:
+        """The samples of `ctrl` from the first state on."""
+        return self.ctrl[:, self.history :]
+
+    @property
+    def driven(self) -> Float[np.ndarray, "batch time driving"]:
+        """`commands` without what only the friction law looks at: the same for all laws."""
+        return self.commands[:, :, : self.ctrl.shape[2] - self.observed]
+
+    @property
+    def loads(self) -> Float[np.ndarray, "batch load"]:
+        """`load`, with no column where there is none."""
+        return np.zeros((self.count, 0)) if self.load is None else self.load
+
+    @property
+    def count(self) -> int:
+        """Number of segments."""
+        return len(self.ctrl)
+
+    @property
+    def length(self) -> int:
+        """Sample intervals in each segment."""
+        return self.ctrl.shape[1] - self.history
+
+    @property
+    def first(self) -> "Segments":
+        """The first of them alone."""
+        load = None if self.load is None else self.load[:1]
+        return replace(self, qpos=self.qpos[:1], qvel=self.qvel[:1], ctrl=self.ctrl[:1], load=load)
+
+
+class Sampling(NamedTuple):
+    """How the samples of recordings relate to steps of the simulation.
+
+    Attributes:
+        interval: Of the samples [s].
+        substeps: Simulation steps in it.
+        history: Samples of the command before a segment's first state that may still act in it, however late commands
+            act.
+    """
+
+    interval: float
+    substeps: int
+    history: int
+
+
+def cut_segments(logs: Sequence[Log], count: int | None, length: int, history: int = 0) -> Segments:
+    """Windows for a fit: they share no step, and are spread evenly if there are more of them than asked for.
+
+    Neighbours share the sample on their border: it ends one and starts the other.
+
+    Args:
+        logs: Recordings with the same columns and timestep.
+        count: Largest number of segments; None takes all.
+        length: Sample intervals in a segment; it spans one sample more.
+        history: Samples of the command before the first state. Before a log begins, its first one counts.
+
+    Raises:
+        LogError: The logs do not belong together, or none is long enough for one segment.
+        ConfigError: `count` or `length` is below 1.
+    """
+    _refuse_mixture(logs)
+    _refuse_below_one("segments.length", length)
+    available = [_consecutive(log, length) for log in logs]
+    if not any(len(starts) for starts in available):
+        longest = max(logs, key=lambda log: log.samples)
+        raise LogError(
+            f"{longest.name}: {longest.samples} samples, expected at least {length + 1} for one segment of {length} "
+            "steps; record a longer log or set a smaller segments.length"
+        )
+    for log, starts in zip(logs, available, strict=True):
+        if not len(starts):
+            logger.warning("%s: %d samples, too short for %d steps; left out", log.name, log.samples, length)
+    return _windows(logs, _spread(_places(available), count, "segments.count"), length, history)
+
+
+def cut_rollouts(
+    logs: Sequence[Log],
+    horizon_s: float,
+    count: int | None,
+    placement: str,
+    seed: int,
+    history: int = 0,
+    options: tuple[str, str] = ("evaluation.horizons", "evaluation.rollouts"),
+) -> Segments:
+    """Windows for an evaluation.
+
+    Args:
+        logs: Recordings with the same columns and timestep.
+        horizon_s: Length of a rollout [s].
+        count: Largest number of rollouts; None takes all, with `consecutive` only.
+        placement: `random`: distinct starts drawn from `seed`, which may overlap; `consecutive`: a restart every
+            horizon, spread evenly if there are more of them than asked for.
+        seed: Seed of the random starts.
+        history: As in `cut_segments`.
+        options: Where a user sets `horizon_s` and `count`, for messages.
+
+    Raises:
+        LogError: The logs do not belong together, or one is shorter than the horizon.
+        ConfigError: An option is impossible.
+    """
+    timestep = _refuse_mixture(logs)
+    length = _steps(horizon_s, timestep, options[0])
+    for log in logs:
+        if log.samples < length + 1:
+            raise LogError(
+                f"{log.name}: {log.samples} samples, expected at least {length + 1} for a rollout of {horizon_s:g} s; "
+                f"use a longer log or a smaller {options[0]}"
+            )
+    if placement == "consecutive":
+        places = _spread(_places([_consecutive(log, length) for log in logs]), count, options[1])
+    elif placement == "random":
+        places = _draw(_places([np.arange(log.samples - length) for log in logs]), count, seed, options[1])
+    else:
+        raise ConfigError(f"evaluation.placement={placement}: unknown; {closest(placement, PLACEMENTS)}")
+    return _windows(logs, places, length, history)
+
+
+def split_by_time(log: Log, test_share: float, gap: float) -> tuple[Log, Log]:
+    """Train and test part of one log: its first block and its last, with a gap that neither sees.
+
+    Args:
+        log: The recording.
+        test_share: Share of the samples that goes into the test part, between 0 and 1.
+        gap: Time between the parts [s], so that the drive's state at the end of the one says nothing about the other.
+
+    Raises:
+        LogError: A part would have fewer than two samples.
+        ConfigError: The share lies outside 0 to 1, or the gap is negative.
+    """
+    if not 0 <= test_share <= 1:
+        raise ConfigError(f"data.split.test_share={test_share}: expected a share between 0 and 1")
+    if not gap >= 0:
+        raise ConfigError(f"data.split.gap={gap}: expected 0 s or more")
+    test = round(test_share * log.samples)
+    train = log.samples - test - round(gap / log.timestep)
+    for part, samples in (("train", train), ("test", test)):
+        if samples < 2:
+            raise LogError(
+                f"{log.name}: the {part} part has {max(samples, 0)} of {log.samples} samples with data.split."
+                f"test_share={test_share:g} and gap={gap:g} s, expected at least 2; change data.split"
+            )
+    return log.between(0, train, "train"), log.between(log.samples - test, log.samples, "test")
+
+
+def _refuse_mixture(logs: Sequence[Log]) -> float:
+    """The timestep [s] of logs that belong together; LogError where they do not."""
+    if not logs:
+        raise LogError("no log was given, expected at least one")
+    first = logs[0]
+    for log in logs[1:]:
+        if abs(log.timestep - first.timestep) > SAME_TIMESTEP * first.timestep:
+            raise LogError(
+                f"{log.name}: timestep {log.timestep:.6g} s, expected {first.timestep:.6g} s as in {first.name}; "
+                "resample the logs to one timestep"
+            )
+        for signal in ("qpos", "ctrl"):
+            came, expected = getattr(log, signal).shape[1], getattr(first, signal).shape[1]
+            if came != expected:
+                raise LogError(f"{log.name}: {came} columns of {signal}, expected {expected} as in {first.name}")
+    return first.timestep
+
+
+def _refuse_below_one(option: str, value: int | None) -> None:
+    if value is not None and value < 1:
+        raise ConfigError(f"{option}={value}: expected 1 or more")
+
+
+def _steps(horizon_s: float, timestep: float, option: str) -> int:
+    steps = round(horizon_s / timestep)
+    if steps < 1:
+        raise ConfigError(f"{option}: {horizon_s:g} s, expected at least one step of {timestep:g} s")
+    return steps
+
+
+def _consecutive(log: Log, length: int) -> Int[np.ndarray, "segments"]:
+    """First samples of the windows of `length` steps that fit into a log one after the other."""
+    return np.arange((log.samples - 1) // length) * length
+
+
+def _places(starts: Sequence[Int[np.ndarray, "..."]]) -> Int[np.ndarray, "segments 2"]:
+    """Index of the log and first sample of every window, from the first samples in each log."""
+    return np.concatenate(
+        [np.stack([np.full_like(first, number), first], axis=1) for number, first in enumerate(starts)]
+    )
+
+
+def _spread(places: Int[np.ndarray, "available 2"], count: int | None, option: str) -> Int[np.ndarray, "segments 2"]:
+    """At most `count` of the windows, evenly spread."""
+    _refuse_below_one(option, count)
+    available = len(places)
+    if count is None or count >= available:
+        return places
+    return places[np.arange(count) * available // count]
+
+
+def _draw(
+    places: Int[np.ndarray, "available 2"], count: int | None, seed: int, option: str
+) -> Int[np.ndarray, "segments 2"]:
+    """At most `count` of the windows, drawn without repetition, in the order in which they were drawn."""
+    if count is None:
+        raise ConfigError(f"{option}=null with evaluation.placement=random: expected a number of rollouts")
+    _refuse_below_one(option, count)
+    chosen = np.random.default_rng(seed).choice(len(places), size=min(count, len(places)), replace=False)
+    return places[chosen]
+
+
+def _windows(logs: Sequence[Log], places: Int[np.ndarray, "segments 2"], length: int, history: int) -> Segments:
+    """The windows that start at these places (index of the log, first sample)."""
+    offset = np.cumsum([0] + [log.samples for log in logs[:-1]])
+    start = offset[places[:, 0]]
+    index = (start + places[:, 1])[:, None] + np.arange(length + 1)
+    before = np.maximum(start[:, None], index[:, :1] + np.arange(-history, 0))
+    signals = ("qpos", "qvel", "channels")
+    qpos, qvel, channels = (np.concatenate([getattr(log, signal) for log in logs]) for signal in signals)
+    load = np.stack([log.load for log in logs])[places[:, 0]]
+    ctrl = channels[np.concatenate([before, index[:, :-1]], axis=1)]
+    observed = 0 if logs[0].observed is None else logs[0].observed.shape[1]
+    return Segments(qpos[index], qvel[index], ctrl, logs[0].timestep, load, history, observed)

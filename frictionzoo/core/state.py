@@ -1,0 +1,51 @@
+"""The state that a friction law sees, and the terms it answers with."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+
+class DriveState(NamedTuple):
+    """What a friction law may look at, each of shape (..., nv), in numpy, torch or JAX alike.
+
+    Attributes:
+        qpos: Joint position [rad or m].
+        qvel: Joint velocity [rad/s or m/s].
+        ctrl: Command of the joint's actuator.
+        motor_torque: Torque or force of the joint's actuator [N m or N].
+        external_torque: Torque or force of everything but actuator and friction: gravity, springs, payload, Coriolis
+            [N m or N]; the paper's tau_e.
+        temperature: Recorded temperature of the drive [degC]; None unless the law has it among its `inputs`.
+    """
+
+    qpos: Any
+    qvel: Any
+    ctrl: Any
+    motor_torque: Any
+    external_torque: Any
+    temperature: Any = None
+
+    def given(self) -> dict[str, Any]:
+        """The signals that are there, by name."""
+        return {name: signal for name, signal in self._asdict().items() if signal is not None}
+
+    def map(self, change: Callable[[Any], Any]) -> "DriveState":
+        """The state with each signal that is there changed.
+
+        Args:
+            change: From a signal to what takes its place.
+        """
+        return DriveState(**{**dict.fromkeys(self._fields), **{n: change(s) for n, s in self.given().items()}})
+
+
+class FrictionTerms(NamedTuple):
+    """A friction law's answer, each of shape (..., nv) or None where the law does not use it.
+
+    Attributes:
+        torque: Explicit friction torque [N m or N], subtracted from the drive torque; positive against positive qvel.
+        frictionloss: Limit of MuJoCo's own dry-friction constraint [N m or N]. Strictly positive: at 0 the joint locks.
+        damping: MuJoCo's own joint damping [N m s/rad or N s/m].
+    """
+
+    torque: Any = None
+    frictionloss: Any = None
+    damping: Any = None

@@ -1,0 +1,446 @@
+"""The contract that every friction model keeps, as one call for its author's tests."""
+
+import copy
+import textwrap
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any, NoReturn
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import safetensors.torch
+import torch
+
+from frictionzoo.core.errors import ModelError, UnknownModelError, closest
+from frictionzoo.core.params import UNITS
+from frictionzoo.core.state import DriveState, FrictionTerms
+from frictionzoo.models.base import FrictionModel, sliding_torque
+from frictionzoo.models.registry import get_model
+from frictionzoo.models.torch_friction import TorchFriction
+
+TOLERANCE = 1e-12  # of torch against JAX in float64, relative to the largest entry of an array, absolute below 1
+SAMPLES = 64
+TIMESTEP = 1e-3  # s
+INPUT_SPREAD = 20.0  # of drawn inputs about the value at which the law acts without; degC of a temperature
+NOWHERE = "where all is 0"
+SETTLED = 1e-6  # share of a settled memory by which a step may still change it
+DRAWS = 5  # of values between their bounds, where the promise to dissipate holds too
+
+Values = Mapping[str, Any]
+Formula = Callable[[Any, Values, DriveState], dict[str, Any]]
+
+
+def check_model(model: FrictionModel, samples: DriveState | None = None) -> None:
+    """See that a friction model keeps the contract of `FrictionModel`; the model itself is left as it was.
+
+    The clauses, in order: it is registered under its own name; its dimensions have units; its inputs are signals of
+    `DriveState`; its values are within bounds;
+    `terms` gives terms of the right kind and shape, is pure, deterministic and reads `values` only, also under
+    `jax.jit`, and keeps the floating-point type; torch and JAX agree in value and gradient; gradients are finite, at
+    standstill too; a law with a memory keeps its shape, agrees in torch and JAX over a step, has finite gradients, and
+    its memory settles; a saved state is complete; a law that declares `dissipative` gives no energy to the drive, with
+    its own values and with others between their bounds: all its terms together oppose the motion, at standstill its
+    torque is within its frictionloss, and no damping is negative. A law that exists only in torch keeps the same
+    contract in torch alone; it has no memory, and its terms in one state do not depend on the others of a batch.
+
+    Args:
+        model: An instance of the model.
+        samples: States to check it on, numpy arrays of shape (samples, nv); by default drawn with a fixed seed, of
+            order 1 with some at standstill. They also stand for training data in `prepare`.
+
+    Raises:
+        ModelError: A clause is broken; the message names it.
+    """
+    if not isinstance(model, FrictionModel):
+        raise ModelError(
+            f"{type(model).__name__}: not a FrictionModel; derive it from frictionzoo.models.FrictionModel"
+        )
+    _check_name(model)
+    _check_units(model)
+    _check_inputs(model)
+    _check_bounds(model)
+    samples = _draw_samples(model) if samples is None else samples
+    prepared = copy.deepcopy(model)
+    prepared.prepare(samples)
+    _check_bounds(prepared)
+    with jax.enable_x64(True):
+        _check_terms(prepared, samples)
+        _check_purity(prepared, samples)
+        _check_types(prepared, samples)
+        _check_agreement(prepared, samples)
+        _check_memory(prepared, samples)
+    _check_rows(prepared, samples)
+    _check_saved_state(model, prepared, samples)
+    _check_dissipation(prepared, samples)
+
+
+def _fail(model: FrictionModel, clause: str, message: str, cause: Exception | None = None) -> NoReturn:
+    """Raise with the model, the broken clause, and what to do about it."""
+    raise ModelError(f"{getattr(type(model), 'name', type(model).__name__)}: {clause}: {message}") from cause
+
+
+def _check_name(model: FrictionModel) -> None:
+    cls = type(model)
+    name = vars(cls).get("name")
+    try:
+        registered = name is not None and get_model(name) is cls
+    except UnknownModelError:
+        registered = False
+    if not registered:
+        _fail(model, "name", f"class {cls.__qualname__} is not registered; decorate it @register_model(NAME)")
+
+
+def _check_units(model: FrictionModel) -> None:
+    for name, dimension in model.dimensions.items():
+        for joint_type, units in UNITS.items():
+            if dimension not in units:
+                _fail(
+                    model, "units", f"{name} has dimension {dimension} on a {joint_type}; {closest(dimension, units)}"
+                )
+
+
+def _check_inputs(model: FrictionModel) -> None:
+    """What the law looks at besides the state is a signal that recordings can have, with a value where they lack it."""
+    recorded = tuple(DriveState._field_defaults)
+    for name, value in model.inputs.items():
+        if name not in recorded:
+            _fail(model, "inputs", f"{name} is no recorded signal of DriveState; {closest(name, recorded)}")
+        if not np.isfinite(value):
+            _fail(model, "inputs", f"{name} is {value} where recordings lack it; give a finite number")
+
+
+def _check_bounds(model: FrictionModel) -> None:
+    """Physical values lie within bounds, and every number is finite."""
+    for name, tensor in model.state_dict().items():
+        if not torch.isfinite(tensor).all():
+            _fail(model, "values", f"{name} is NaN or infinite; give finite values in the constructor and in prepare")
+    parameters = dict(model.named_parameters())
+    for name, param in model.params.items():
+        if name not in parameters or tuple(parameters[name].shape) != (model.nv,):
+            _fail(model, "values", f"{name} is no parameter of shape ({model.nv},); leave it to FrictionModel.__init__")
+        value = parameters[name].detach()
+        if not ((value >= param.low) & (value <= param.high)).all():
+            _fail(model, "bounds", f"{name}={value.tolist()} outside [{param.low:g}, {param.high:g}]; start inside")
+
+
+def _check_terms(model: FrictionModel, samples: DriveState) -> None:
+    """The right terms, arrays of the namespace asked for, of the state's shape, whatever the batch dimensions."""
+    for batch in ((), (3,), (2, 3), samples.qvel.shape[:-1]):
+        state = _resized(samples, (*batch, model.nv))
+        terms = _torch_terms(model, state)
+        _check_kinds(model, terms, "torch", torch.Tensor, batch)
+        if terms.frictionloss is not None and not bool((terms.frictionloss > 0).all()):
+            _fail(model, "frictionloss", "is 0 or negative somewhere, where MuJoCo locks the joint; keep it above 0")
+        if _is_over_jax(model):
+            _check_kinds(model, _jax_terms(model, state), "jax.numpy", jax.ShapeDtypeStruct, batch)
+
+
+def _check_kinds(model: FrictionModel, terms: Any, namespace: str, kind: type, batch: tuple[int, ...]) -> None:
+    if not isinstance(terms, FrictionTerms):
+        _fail(model, "terms", f"gives {type(terms).__name__} over {namespace}; return FrictionTerms")
+    if model.constraint and terms.frictionloss is None:
+        _fail(model, "constraint", "is declared and frictionloss is None; answer with it or set constraint = False")
+    if not model.constraint and terms.frictionloss is not None:
+        _fail(model, "constraint", "is not declared and frictionloss is given; set constraint = True")
+    for name, term in _given(terms).items():
+        if not isinstance(term, kind):
+            _fail(model, "terms", f"{name} is a {type(term).__name__} over {namespace}; compute it with xp from values")
+        _check_shape(model, f"{name} over {namespace}", tuple(term.shape), (*batch, model.nv))
+
+
+def _check_shape(model: FrictionModel, what: str, shape: tuple[int, ...], expected: tuple[int, ...]) -> None:
+    try:
+        fits = np.broadcast_shapes(shape, expected) == expected
+    except ValueError:
+        fits = False
+    if not fits:
+        _fail(model, "shape", f"{what} is {shape}, expected {expected} or what broadcasts to it; keep (..., nv)")
+
+
+def _check_purity(model: FrictionModel, samples: DriveState) -> None:
+    """Same inputs, same bits; nothing is written; the numbers come from `values`; no branch on a number."""
+    values, state = _torch_values(model), _torch_state(samples)
+    before, kept_values, kept_state = _saved(model), copy.deepcopy(values), copy.deepcopy(state)
+    first = model.terms(torch, values, state)
+    if not _same(first, model.terms(torch, values, state)):
+        _fail(model, "deterministic", "two calls with the same inputs differ; take no random number in terms")
+    unwritten = _equal(kept_values, values) and _equal(kept_state.given(), state.given())
+    if not unwritten or not _equal(before, _saved(model)):
+        _fail(model, "pure", "terms writes into values, state or the module; return new arrays instead")
+    if not _same(first, _changed(model).terms(torch, values, state)):
+        _fail(model, "pure", "terms reads a parameter or buffer from the module; take it from values")
+
+
+def _check_types(model: FrictionModel, samples: DriveState) -> None:
+    """float32 in, float32 out: a constant of another type would break a compiled rollout."""
+    answers = {"torch": model.terms(torch, _torch_values(model, torch.float32), _torch_state(samples, torch.float32))}
+    if _is_over_jax(model):
+        answers["jax.numpy"] = _jax_terms(model, samples, jnp.float32)
+    for namespace, terms in answers.items():
+        for name, term in _given(terms).items():
+            if not str(term.dtype).endswith("float32"):
+                _fail(model, "type", f"{name} is {term.dtype} of float32 inputs over {namespace}; use Python constants")
+
+
+def _check_agreement(model: FrictionModel, samples: DriveState) -> None:
+    """Torch equals JAX in value and gradient, and the gradient is finite, on the samples and at standstill."""
+
+    def terms(xp: Any, values: Values, drive: DriveState) -> dict[str, Any]:
+        return _given(model.terms(xp, values, drive))
+
+    for where, ours, theirs in _check_formula(model, samples, terms, "value", ("gradient", "")):
+        if theirs and where != NOWHERE:  # there |x| has one slope in torch and another in JAX
+            _compare(model, f"gradient {where}", ours, theirs)
+
+
+def _check_memory(model: FrictionModel, samples: DriveState) -> None:
+    """A step of a law with a memory, from its settled memory on; one that has settled in motion stays there."""
+    if not model.memory:
+        return
+    if isinstance(model, TorchFriction):
+        _fail(model, "memory", "a law that exists only in torch has none; derive it from FrictionModel")
+    shape = (*samples.qvel.shape, model.memory)
+
+    def step(xp: Any, values: Values, drive: DriveState) -> dict[str, Any]:
+        memory = model.settle(xp, values, drive)
+        terms, after = model.advance(xp, values, drive, memory, TIMESTEP)
+        for name, held in (("settled memory", memory), ("memory", after)):
+            _check_shape(model, name, tuple(held.shape), shape)
+        return {**_given(terms), "settled memory": memory, "memory": after}
+
+    _check_formula(model, samples, step, "a step", ("memory", "gradient "))
+    fast = _torch_state(samples._replace(qvel=np.sign(samples.qvel) + (samples.qvel == 0)))
+    settled = model.settle(torch, _torch_values(model), fast)
+    after = model.advance(torch, _torch_values(model), fast, settled, TIMESTEP)[1]
+    change = float((after - settled).abs().max() / settled.abs().max())
+    if not change <= SETTLED:
+        _fail(model, "memory", f"settled in motion it still changes by {change:.3g} of itself in a step; see settle")
+
+
+def _check_formula(
+    model: FrictionModel, samples: DriveState, formula: Formula, what: str, gradient: tuple[str, str]
+) -> list[tuple[str, dict[str, np.ndarray], dict[str, np.ndarray]]]:
+    """A formula's values agree and its gradients are finite; the gradients of torch and of JAX, which may lack it.
+
+    JAX compiles the formula once, for all states.
+    """
+    standstill = samples._replace(qvel=np.zeros_like(samples.qvel))
+    places = {"on the samples": samples, "at qvel = 0": standstill, NOWHERE: samples.map(np.zeros_like)}
+    random, shape = np.random.default_rng(0), samples.qvel.shape
+    weights = {name: random.standard_normal(shape) for name in FrictionTerms._fields}
+    weights |= {name: random.standard_normal((*shape, model.memory)) for name in ("settled memory", "memory")}
+    in_jax = _jax_slopes(model, list(places.values()), formula, weights) if _is_over_jax(model) else None
+    found = []
+    for place, (where, state) in enumerate(places.items()):
+        values, ours = _torch_slopes(model, state, formula, weights)
+        theirs = {}
+        if in_jax is not None:
+            their_values, theirs = ({name: part[place] for name, part in parts.items()} for parts in in_jax)
+            _compare(model, f"{what} {where}", values, their_values)
+        for name, slope in (*ours.items(), *theirs.items()):
+            if not np.isfinite(slope).all():
+                message = f"{gradient[1]}with respect to {name} is not finite {where}; smooth the law there"
+                _fail(model, gradient[0], message)
+        found.append((where, ours, theirs))
+    return found
+
+
+def _check_rows(model: FrictionModel, samples: DriveState) -> None:
+    """A law in torch is given all segments at once and answers for each alone; in JAX, `vmap` sees to that."""
+    if not isinstance(model, TorchFriction):
+        return
+    whole = _numpy(_given(_torch_terms(model, samples)))
+    for row in (0, len(samples.qvel) - 1):
+        alone = _given(_torch_terms(model, samples.map(lambda signal, row=row: signal[row])))
+        for name, term in _numpy(alone).items():
+            error = np.abs(term - np.broadcast_to(whole[name], samples.qvel.shape)[row]).max()
+            if not error <= TOLERANCE * max(1.0, np.abs(term).max()):
+                _fail(model, "batch", f"{name} of one state changes by {error:.3g} with the others; compute it alone")
+
+
+def _check_saved_state(fresh: FrictionModel, prepared: FrictionModel, samples: DriveState) -> None:
+    """A new instance that loads the saved state is the same law: nothing that counts lies outside the state."""
+    loaded = _changed(fresh)
+    try:
+        state = safetensors.torch.load(safetensors.torch.save(prepared.state_dict()))
+        loaded.load_state_dict(state)
+    except (RuntimeError, ValueError) as error:
+        message = f"does not go through safetensors and back ({_in_short(error)}); keep names and shapes fixed"
+        _fail(fresh, "state_dict", message, error)
+    if not _same(_torch_terms(prepared, samples), _torch_terms(loaded, samples)):
+        _fail(fresh, "state_dict", "is not complete: loaded into a new instance it gives other terms; use buffers")
+
+
+def _check_dissipation(model: FrictionModel, samples: DriveState) -> None:
+    if not model.dissipative:
+        return
+    random, drawn = np.random.default_rng(0), _torch_values(model)
+    for _ in range(1 + DRAWS):
+        _check_power(model, drawn, samples)
+        for name, param in model.params.items():
+            low, high = (param.to_coordinate(bound, np) for bound in (param.low, param.high))
+            value = param.from_coordinate(random.uniform(low, high, model.nv), np)
+            drawn[name] = torch.tensor(value)
+
+
+def _check_power(model: FrictionModel, values: dict[str, torch.Tensor], samples: DriveState) -> None:
+    """With these values the law takes energy from the drive, or none."""
+    terms = FrictionTerms(**_numpy(_given(model.terms(torch, values, _torch_state(samples)))))
+    power = sliding_torque(np, terms, samples.qvel) * samples.qvel
+    if (power < 0).any():
+        at = tuple(int(index) for index in np.argwhere(power < 0)[0])
+        message = f"friction drives the joint at qvel={samples.qvel[at]:.3g}; oppose qvel, or drop the claim"
+        _fail(model, "dissipative", message)
+    torque, frictionloss, damping = (np.zeros(()) if term is None else term for term in terms)
+    if ((np.abs(torque) > frictionloss) & (samples.qvel == 0)).any():
+        message = "torque moves a joint that stands still; keep it within frictionloss there, or drop the claim"
+        _fail(model, "dissipative", message)
+    if (damping < 0).any():
+        _fail(model, "dissipative", "damping is negative; keep it at 0 or above, or drop the claim")
+
+
+def _draw_samples(model: FrictionModel) -> DriveState:
+    """States of order 1, of both signs and many magnitudes, some at standstill; what else it looks at varies widely."""
+    random = np.random.default_rng(0)
+    names = [name for name in DriveState._fields if name not in DriveState._field_defaults]
+    signals = (
+        random.standard_normal((len(names), SAMPLES, model.nv)) * random.choice([1e-3, 0.1, 1.0], SAMPLES)[:, None]
+    )
+    others = {
+        name: value + INPUT_SPREAD * random.standard_normal((SAMPLES, model.nv)) for name, value in model.inputs.items()
+    }
+    state = DriveState(*signals, **others)
+    state.qvel[: SAMPLES // 8] = 0.0
+    return state
+
+
+def _resized(state: DriveState, shape: tuple[int, ...]) -> DriveState:
+    return state.map(lambda signal: np.resize(signal, shape))
+
+
+def _given(terms: FrictionTerms) -> dict[str, Any]:
+    return {name: term for name, term in terms._asdict().items() if term is not None}
+
+
+def _numpy(arrays: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    return {name: a.detach().numpy() if isinstance(a, torch.Tensor) else np.asarray(a) for name, a in arrays.items()}
+
+
+def _equal(ours: Mapping[str, torch.Tensor], theirs: Mapping[str, torch.Tensor]) -> bool:
+    return ours.keys() == theirs.keys() and all(torch.equal(ours[name], theirs[name]) for name in ours)
+
+
+def _same(ours: FrictionTerms, theirs: FrictionTerms) -> bool:
+    return _equal(_given(ours), _given(theirs))
+
+
+def _saved(model: FrictionModel) -> dict[str, torch.Tensor]:
+    return {name: tensor.detach().clone() for name, tensor in model.state_dict().items()}
+
+
+def _changed(model: FrictionModel) -> FrictionModel:
+    """A copy whose every number differs."""
+    changed = copy.deepcopy(model)
+    for tensor in changed.state_dict().values():
+        tensor.copy_(tensor * 2 + 1)
+    return changed
+
+
+def _torch_values(model: FrictionModel, dtype: torch.dtype = torch.float64) -> dict[str, torch.Tensor]:
+    state = _saved(model)
+    return {name: tensor.to(dtype) if tensor.is_floating_point() else tensor for name, tensor in state.items()}
+
+
+def _torch_state(state: DriveState, dtype: torch.dtype = torch.float64) -> DriveState:
+    return state.map(lambda signal: torch.tensor(signal, dtype=dtype))
+
+
+def _is_over_jax(model: FrictionModel) -> bool:
+    return not isinstance(model, TorchFriction)
+
+
+def _torch_terms(model: FrictionModel, state: DriveState) -> Any:
+    return _called(model, "torch", lambda: model.terms(torch, _torch_values(model), _torch_state(state)))
+
+
+def _jax_terms(model: FrictionModel, state: DriveState, dtype: Any = jnp.float64) -> Any:
+    """Shape and type of the terms as a compiled rollout sees them; nothing is compiled."""
+
+    def traced(array: np.ndarray) -> jax.ShapeDtypeStruct:
+        return jax.ShapeDtypeStruct(array.shape, dtype if np.issubdtype(array.dtype, np.floating) else array.dtype)
+
+    values, drive = jax.tree.map(traced, (_numpy(_saved(model)), state))
+    return _called(model, "jax.numpy", lambda: jax.eval_shape(partial(model.terms, jnp), values, drive))
+
+
+def _called(model: FrictionModel, namespace: str, call: Callable[[], Any]) -> Any:
+    """The terms, or whatever a broken law gives instead."""
+    try:
+        return call()
+    except jax.errors.ConcretizationTypeError as error:
+        _fail(model, "pure", f"jax.jit cannot compile terms ({_in_short(error)}); use xp.where, not if", error)
+    except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
+        advice = "use values, declared inputs and what torch and jax.numpy share"
+        message = f"fails over {namespace} ({_in_short(error)}); {advice}"
+        _fail(model, "terms", message, error)
+
+
+def _in_short(error: Exception) -> str:
+    return textwrap.shorten(str(error), 160)
+
+
+def _weighted(terms: Mapping[str, Any], weights: Mapping[str, Any]) -> Any:
+    """One number that depends on every entry of every term."""
+    return sum((weights[name] * term).sum() for name, term in terms.items())
+
+
+def _moving(model: FrictionModel, values: Values, state: DriveState) -> dict[str, Any]:
+    """What a gradient is taken with respect to: all parameters, and the state."""
+    return {name: values[name] for name, _ in model.named_parameters()} | state.given()
+
+
+def _torch_slopes(
+    model: FrictionModel, state: DriveState, formula: Formula, weights: Mapping[str, np.ndarray]
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """A formula's values in torch, and the gradient of their weighted sum."""
+    values, drive = _torch_values(model), _torch_state(state)
+    moving = _moving(model, values, drive)
+    for tensor in moving.values():
+        tensor.requires_grad_()
+    found = formula(torch, values, drive)
+    total = _weighted(found, {name: torch.tensor(weight) for name, weight in weights.items()})
+    if not isinstance(total, torch.Tensor) or not total.requires_grad:
+        return _numpy(found), {name: np.zeros(tuple(tensor.shape)) for name, tensor in moving.items()}
+    gradient = torch.autograd.grad(total, list(moving.values()), allow_unused=True, materialize_grads=True)
+    return _numpy(found), _numpy(dict(zip(moving, gradient, strict=True)))
+
+
+def _jax_slopes(
+    model: FrictionModel, states: list[DriveState], formula: Formula, weights: Mapping[str, np.ndarray]
+) -> list[dict[str, np.ndarray]]:
+    """The same in JAX, in each of several states: with a first dimension."""
+
+    def slopes(values: Values, weights: Values, drive: DriveState) -> tuple[Any, Any]:
+        def total(moving: dict[str, jax.Array]) -> tuple[jax.Array, dict[str, jax.Array]]:
+            moved = drive._replace(**{name: moving[name] for name in drive.given()})
+            found = formula(jnp, {**values, **moving}, moved)
+            return jnp.zeros(()) + _weighted(found, weights), found
+
+        gradient, found = jax.grad(total, has_aux=True)(_moving(model, values, drive))
+        return found, gradient
+
+    together = jax.tree.map(lambda *signals: np.stack(signals), *states)
+    compiled = jax.jit(jax.vmap(slopes, in_axes=(None, None, 0)))
+    return [_numpy(part) for part in compiled(_numpy(_torch_values(model)), weights, together)]
+
+
+def _compare(model: FrictionModel, what: str, ours: dict[str, np.ndarray], theirs: dict[str, np.ndarray]) -> None:
+    if ours.keys() != theirs.keys():
+        _fail(
+            model, "torch equals JAX", f"terms {sorted(ours)} in torch and {sorted(theirs)} in JAX; write one formula"
+        )
+    for name, array in ours.items():
+        error = float(np.abs(array - theirs[name]).max(initial=0.0))
+        if not error <= TOLERANCE * max(1.0, float(np.abs(array).max(initial=0.0))):
+            _fail(model, "torch equals JAX", f"{what} of {name} differs by {error:.3g}; write one formula over xp")

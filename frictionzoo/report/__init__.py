@@ -1,1 +1,0 @@
-"""What a run tells: `result.json`, figures, and a summary on the terminal."""

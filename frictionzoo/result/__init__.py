@@ -1,0 +1,1 @@
+"""What a run found, and how it is judged: rollouts against recordings, and the record `result.json`."""

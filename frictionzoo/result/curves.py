@@ -1,0 +1,142 @@
+"""`curves.safetensors`: the arrays that figures of a run, and of comparisons of runs, are drawn from."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import safetensors
+import safetensors.numpy
+import torch
+from jaxtyping import Float, Shaped
+
+from frictionzoo.core.errors import RunError
+from frictionzoo.core.output import write_atomically
+from frictionzoo.core.state import DriveState
+from frictionzoo.models.base import FrictionModel, sliding_torque
+
+FILE = "curves.safetensors"
+POINTS = 81  # velocities at which a law is drawn; odd, so that 0 is one of them
+SAMPLES = 20_000  # of the recorded states that are looked at, evenly spread
+NEIGHBOURS = 200  # recorded states, those of the closest velocity, that stand for all states at a velocity
+SPREAD = (0.1, 0.9)  # quantiles of a law's torque over these states
+_HISTORY = "history."
+
+
+@dataclass(frozen=True)
+class Curves:
+    """What a run leaves for figures, in `float64`.
+
+    Attributes:
+        measured_qpos: Position in the long test rollouts [rad or m].
+        measured_qvel: Velocity in them [rad/s or m/s].
+        ctrl: What drives them, as `Segments` has it.
+        load: What their payloads change in the bench's model.
+        qpos: The same, simulated.
+        qvel: The same, simulated.
+        train_mae: Position MAE of each training rollout of the main horizon [rad or m]; NaN where it diverged.
+        test_mae: That of each test rollout.
+        local_mae: That of each short rollout over the test part.
+        local_speed: Mean absolute measured velocity in each short rollout [rad/s or m/s].
+        local_load: Mean absolute torque of the motor in each, with the bench's initial values [N m or N].
+        velocity: Velocities at which the law is drawn [rad/s or m/s].
+        friction: The law's torque there, the median over states that were recorded at about that velocity [N m or N].
+        friction_low: Its 10 % quantile over these states.
+        friction_high: Its 90 % quantile.
+        history: One row an iteration of the fit: `iteration`, `loss`, `grad_norm`, `bench.NAME`, `friction.NAME`.
+    """
+
+    measured_qpos: Float[np.ndarray, "rollouts states nv"]
+    measured_qvel: Float[np.ndarray, "rollouts states nv"]
+    ctrl: Float[np.ndarray, "rollouts samples channels"]
+    load: Float[np.ndarray, "rollouts load"]
+    qpos: Float[np.ndarray, "rollouts steps nv"]
+    qvel: Float[np.ndarray, "rollouts steps nv"]
+    train_mae: Float[np.ndarray, "train"]
+    test_mae: Float[np.ndarray, "test"]
+    local_mae: Float[np.ndarray, "windows"]
+    local_speed: Float[np.ndarray, "windows"]
+    local_load: Float[np.ndarray, "windows"]
+    velocity: Float[np.ndarray, "points"]
+    friction: Float[np.ndarray, "points nv"]
+    friction_low: Float[np.ndarray, "points nv"]
+    friction_high: Float[np.ndarray, "points nv"]
+    history: Mapping[str, Shaped[np.ndarray, "iterations ..."]]
+
+
+def write_curves(folder: Path, curves: Curves) -> None:
+    """Write `curves.safetensors` into a run's folder.
+
+    Args:
+        folder: The run's folder.
+        curves: What to write.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    arrays = {field.name: getattr(curves, field.name) for field in fields(curves) if field.name != "history"}
+    arrays |= {f"{_HISTORY}{name}": values for name, values in curves.history.items()}
+    whole = {name: np.ascontiguousarray(values, dtype=np.float64) for name, values in arrays.items()}
+    write_atomically(folder / FILE, safetensors.numpy.save(whole))
+
+
+def read_curves(folder: Path) -> Curves:
+    """Read `curves.safetensors` of a run.
+
+    Args:
+        folder: The run's folder.
+
+    Raises:
+        RunError: The file is missing, damaged or of another version.
+    """
+    path = folder / FILE
+    try:
+        arrays: dict[str, Any] = safetensors.numpy.load(path.read_bytes())
+        names = [field.name for field in fields(Curves) if field.name != "history"]
+        history = {key.removeprefix(_HISTORY): value for key, value in arrays.items() if key.startswith(_HISTORY)}
+        return Curves(**{name: arrays[name] for name in names}, history=history)
+    except OSError as error:
+        raise RunError(f"{path}: {error.strerror}; expected the folder of a finished run; run it again") from None
+    except (safetensors.SafetensorError, KeyError) as error:
+        raise RunError(
+            f"{path}: {' '.join(str(error).split())}; expected the file that this version writes; run it again"
+        ) from None
+
+
+def sample_friction(
+    model: FrictionModel, samples: DriveState
+) -> tuple[
+    Float[np.ndarray, "points"],
+    Float[np.ndarray, "points nv"],
+    Float[np.ndarray, "points nv"],
+    Float[np.ndarray, "points nv"],
+]:
+    """A law's torque over velocity: median, low and high quantile over the states recorded at about each velocity.
+
+    A law of the velocity alone has no spread. MuJoCo's dry friction is drawn at its limit, which it has while sliding.
+
+    Args:
+        model: The law with its identified values.
+        samples: Recorded states, of shape (samples, nv).
+
+    Returns:
+        Velocities, evenly spaced over the recorded speeds in both directions, and the three curves.
+    """
+    thinned = samples.map(lambda signal: signal[:: max(1, len(signal) // SAMPLES)])
+    fastest = float(np.abs(thinned.qvel).max()) or 1.0
+    share = np.linspace(-1, 1, POINTS)
+    velocity = fastest * np.sign(share) * share**2  # dense around standstill, where laws differ most
+    curves = np.stack([_torque_near(model, thinned, at) for at in velocity])
+    return velocity, curves[:, 0], curves[:, 1], curves[:, 2]
+
+
+def _torque_near(model: FrictionModel, samples: DriveState, velocity: float) -> Float[np.ndarray, "3 nv"]:
+    distance = np.abs(samples.qvel - velocity).max(axis=1)
+    nearest = np.argpartition(distance, min(NEIGHBOURS, len(distance)) - 1)[:NEIGHBOURS]
+    states = samples.map(lambda signal: torch.from_numpy(np.asarray(signal[nearest], np.float64)))
+    states = states._replace(qvel=torch.full_like(states.qvel, velocity))
+    with torch.no_grad():
+        torque = sliding_torque(torch, model(states), states.qvel)
+    low, high = (torch.quantile(torque, share, dim=0) for share in SPREAD)
+    return np.stack([torch.quantile(torque, 0.5, dim=0).numpy(), low.numpy(), high.numpy()])

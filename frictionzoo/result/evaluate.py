@@ -1,0 +1,269 @@
+"""Open-loop rollouts against the recording: how far a simulated drive drifts from the measured one."""
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.log import Dataset
+from frictionzoo.core.params import UNITS
+from frictionzoo.core.segments import Segments, cut_rollouts
+
+Values = Mapping[str, Mapping[str, np.ndarray]]
+Rollout = Callable[..., tuple]
+"""`rollout(values, qpos, qvel, ctrl, load)`: predicted qpos and qvel, each (batch, time, nv)."""
+
+
+@dataclass(frozen=True)
+class Metrics:
+    """Errors of open-loop rollouts that start at measured states.
+
+    Diverged rollouts are counted and left out of the errors, which are NaN where all diverged.
+
+    Attributes:
+        position_mae: Mean over rollouts of each one's absolute position error, averaged over time and joints [unit].
+        position_mae_std: Population standard deviation of that error over the rollouts, the paper's sigma_MAE [unit]; 0
+            for a single rollout.
+        position_rmse: Root mean square position error over all samples [unit].
+        velocity_rmse: Root mean square velocity error over all samples [velocity_unit].
+        unit: `rad` or `m`.
+        velocity_unit: `rad/s` or `m/s`.
+        horizon: Length of a rollout [s].
+        rollouts: How many were simulated.
+        diverged: How many of them left the finite numbers.
+    """
+
+    position_mae: float
+    position_mae_std: float
+    position_rmse: float
+    velocity_rmse: float
+    unit: str
+    velocity_unit: str
+    horizon: float
+    rollouts: int
+    diverged: int
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Simulated states of some segments, after each step.
+
+    Attributes:
+        qpos: Position [rad or m].
+        qvel: Velocity [rad/s or m/s].
+    """
+
+    qpos: Float[np.ndarray, "batch time nv"]
+    qvel: Float[np.ndarray, "batch time nv"]
+
+    @property
+    def first(self) -> "Prediction":
+        """The first of them alone."""
+        return Prediction(self.qpos[:1], self.qvel[:1])
+
+    @property
+    def diverged(self) -> Bool[np.ndarray, "batch"]:
+        """Which rollouts hold a sample that is not finite."""
+        finite = np.isfinite(self.qpos) & np.isfinite(self.qvel)
+        return np.logical_not(finite.all(axis=(1, 2)))
+
+
+def predict(rollout: Rollout, values: Values, segments: Segments) -> Prediction:
+    """Simulate each segment from its first measured state under its recorded commands.
+
+    Args:
+        rollout: Bench, friction law and engine.
+        values: Values of the bench's and the law's parameters.
+        segments: What was measured.
+    """
+    qpos, qvel = rollout(values, segments.qpos[:, 0], segments.qvel[:, 0], segments.ctrl, segments.load)
+    return Prediction(np.asarray(qpos, dtype=np.float64), np.asarray(qvel, dtype=np.float64))
+
+
+def measure(prediction: Prediction, segments: Segments, joint_type: str) -> Metrics:
+    """Errors of simulated against measured states.
+
+    Args:
+        prediction: Simulated states of `segments`.
+        segments: What was measured.
+        joint_type: `hinge` or `slide`, for the units.
+    """
+    kept = ~prediction.diverged
+    position = prediction.qpos[kept] - segments.qpos[kept, 1:]
+    velocity = prediction.qvel[kept] - segments.qvel[kept, 1:]
+    mae = rollout_mae(prediction, segments)[kept]
+    return Metrics(
+        position_mae=float(mae.mean()) if kept.any() else np.nan,
+        position_mae_std=float(mae.std()) if kept.any() else np.nan,
+        position_rmse=_rms(position),
+        velocity_rmse=_rms(velocity),
+        unit=UNITS[joint_type]["position"],
+        velocity_unit=UNITS[joint_type]["velocity"],
+        horizon=round(segments.length * segments.timestep, 9),
+        rollouts=segments.count,
+        diverged=int(prediction.diverged.sum()),
+    )
+
+
+def rollout_mae(prediction: Prediction, segments: Segments) -> Float[np.ndarray, "batch"]:
+    """Absolute position error of each rollout, averaged over time and joints [rad or m]; NaN where it diverged.
+
+    Args:
+        prediction: Simulated states of `segments`.
+        segments: What was measured.
+    """
+    error = np.abs(prediction.qpos - segments.qpos[:, 1:])
+    return np.where(prediction.diverged, np.nan, error.mean(axis=(1, 2)))
+
+
+def _rms(error: Float[np.ndarray, "batch time nv"]) -> float:
+    return float(np.sqrt(np.square(error).mean())) if error.size else np.nan
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What one drive's rollouts say about it.
+
+    Attributes:
+        by_horizon: Metrics of each horizon, the main one first, for the parts `train` and `test`.
+        rollout_mae: Position MAE of each rollout of the main horizon, for the parts `train` and `test` [rad or m].
+        trajectory: The paper's evaluation (a): one long test rollout.
+        places: The paper's evaluation (b): test rollouts at random places.
+        prediction: The simulated states of the long test rollouts, that of (a) first.
+        local_mae: Position MAE of each of the short rollouts over the whole test part [rad or m].
+    """
+
+    by_horizon: tuple[Mapping[str, Metrics], ...]
+    rollout_mae: Mapping[str, Float[np.ndarray, "rollouts"]]
+    trajectory: Metrics
+    places: Metrics
+    prediction: Prediction
+    local_mae: Float[np.ndarray, "windows"]
+
+    @property
+    def train(self) -> Metrics:
+        """Metrics of the training part at the main horizon."""
+        return self.by_horizon[0]["train"]
+
+    @property
+    def test(self) -> Metrics:
+        """Metrics of the test part at the main horizon."""
+        return self.by_horizon[0]["test"]
+
+
+class Evaluation:
+    """The rollouts on which drives are compared; all drives meet the same ones.
+
+    The windows are cut at once, so that logs too short for them are refused before a fit and not after it.
+
+    Attributes:
+        trajectories: Long windows of the test part; the first is that of the paper's evaluation (a).
+        local: Short windows one after the other over the whole test part.
+        window: Length of the moving mean over the error of (a) [s].
+
+    Args:
+        dataset: Recordings, train and test.
+        joint_type: `hinge` or `slide`.
+        horizons: Lengths of the rollouts [s], the main one first.
+        rollouts: Largest number of rollouts at a horizon in a part; None takes all, with `consecutive` only.
+        placement: Where they start, `random` or `consecutive`, as in `cut_rollouts`.
+        trajectory: Length of the long rollouts [s], of which (a) is the first.
+        window: Length of the moving mean over its error [s].
+        places: How many rollouts at random places (b) has, of the main horizon, and how many long rollouts there are.
+        local: Length of the short rollouts [s].
+        seed: Of the random places.
+        history: Samples of the command before each rollout that may still act in it.
+
+    Raises:
+        ConfigError: An option is impossible.
+        LogError: A log is shorter than a rollout.
+    """
+
+    def __init__(
+        self,
+        dataset: Dataset,
+        joint_type: str,
+        horizons: Sequence[float],
+        rollouts: int | None,
+        placement: str,
+        trajectory: float,
+        window: float,
+        places: int,
+        local: float,
+        seed: int,
+        history: int = 0,
+    ) -> None:
+        if not horizons:
+            raise ConfigError("evaluation.horizons is empty, expected at least one length in seconds")
+        if not 0 < window <= trajectory:
+            raise ConfigError(
+                f"evaluation.window={window:g}; expected more than 0 s and at most evaluation.trajectory, "
+                f"{trajectory:g} s"
+            )
+        parts = {"train": dataset.train, "test": dataset.test}
+        self.joint_type = joint_type
+        self.window = window
+        self._by_horizon = [
+            {part: cut_rollouts(logs, horizon, rollouts, placement, seed, history) for part, logs in parts.items()}
+            for horizon in horizons
+        ]
+        shared, more = ("random", seed, history), "evaluation.places"
+        self.trajectories: Segments = cut_rollouts(
+            dataset.test, trajectory, places, *shared, ("evaluation.trajectory", more)
+        )
+        self._places = cut_rollouts(dataset.test, horizons[0], places, *shared, ("evaluation.horizons", more))
+        self.local: Segments = cut_rollouts(
+            dataset.test, local, None, "consecutive", seed, history, ("evaluation.local", more)
+        )
+
+    @property
+    def sha256(self) -> str:
+        """Hash of all measured windows and payloads: drives with the same one were judged on the same rollouts."""
+        cut = [segments for parts in self._by_horizon for segments in parts.values()]
+        digest = hashlib.sha256()
+        for segments in (*cut, self.trajectories, self._places, self.local):
+            loads = (segments.loads,) if segments.loads.size else ()
+            for signal in (segments.qpos, segments.qvel, segments.driven, *loads):
+                digest.update(str(signal.shape).encode() + np.ascontiguousarray(signal, np.float64).tobytes())
+        return digest.hexdigest()
+
+    def judge(self, rollout: Rollout, values: Values) -> Judgement:
+        """Simulate every window with one drive and measure its errors.
+
+        Args:
+            rollout: Bench, friction law and engine.
+            values: Values of the bench's and the law's parameters.
+        """
+
+        def metrics(prediction: Prediction, segments: Segments) -> Metrics:
+            return measure(prediction, segments, self.joint_type)
+
+        predicted = [
+            {part: (predict(rollout, values, segments), segments) for part, segments in parts.items()}
+            for parts in self._by_horizon
+        ]
+        long = predict(rollout, values, self.trajectories)
+        return Judgement(
+            by_horizon=tuple({part: metrics(*pair) for part, pair in parts.items()} for parts in predicted),
+            rollout_mae={part: rollout_mae(*pair) for part, pair in predicted[0].items()},
+            trajectory=metrics(long.first, self.trajectories.first),
+            places=metrics(predict(rollout, values, self._places), self._places),
+            prediction=long,
+            local_mae=rollout_mae(predict(rollout, values, self.local), self.local),
+        )
+
+
+def moving_mean_and_std(
+    samples: Float[np.ndarray, "time"], width: int
+) -> tuple[Float[np.ndarray, "windows"], Float[np.ndarray, "windows"]]:
+    """Mean and standard deviation over each full window of a signal; `windows` is time - width + 1.
+
+    Args:
+        samples: The signal.
+        width: Samples in a window, from 1 to the signal's length.
+    """
+    windows = np.lib.stride_tricks.sliding_window_view(samples, width)
+    return windows.mean(axis=1), windows.std(axis=1)

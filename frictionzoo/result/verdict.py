@@ -1,0 +1,122 @@
+"""Whether a fit identified the drive at all, and what its numbers are to be compared with."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Shaped
+
+from frictionzoo.core.params import Param
+
+BOUNDS = 2  # identified parameters at bounds from which on that is doubted
+LITTLE = 1 / 3  # of the test error without friction; a law that identifies a drive leaves less
+NOTHING = 2 / 3  # of that error; a law that leaves more explains next to nothing
+FAR = 20.0  # times from where it began, at which an identified value of the bench is told
+LATE = 0.1  # share of the iterations, the last ones, in which a parameter may not move
+MOVING = 1 / 3  # of half its interval, by which it moves then
+MOVING_BLINDLY = 0.01  # of its value, where it has no interval
+
+
+def explain_failure(result: Mapping[str, Any]) -> list[str] | None:
+    """Why a fit did not identify the drive, and the likely reasons, the likeliest first; None where it may have.
+
+    It did not if several parameters ended at a bound and the test error is still more than a third of that without
+    friction: then the law makes up for something else with values that no drive has.
+
+    Args:
+        result: What `result.json` holds.
+    """
+    ended = [f"{p['owner']}.{p['name']}" for p in result["parameters"] if p["at_bound"]]
+    error, without = (result["metrics"][part]["position_mae"] for part in ("test", "baseline"))
+    gained_little = error is None or (without is not None and error > LITTLE * without)
+    if len(ended) < BOUNDS or not gained_little:
+        return None
+    share = "cannot be told" if error is None or not without else f"is {100 * error / without:.0f} % of no friction's"
+    return [
+        f"{' and '.join(ended)} ended at their bounds, and the test error {share}",
+        *result["warnings"],
+        "what is taken as known is not so: the actuator's gains, the MJCF's inertia and gravity, the recordings' units",
+        "commands act late, which bench.params.delay would find",
+        "the recordings do not excite the drive, or the bounds are not those of this drive",
+    ]
+
+
+def doubt_gain(result: Mapping[str, Any]) -> str | None:
+    """That a law explains next to nothing of what a drive without friction leaves; None where it does.
+
+    Args:
+        result: What `result.json` holds.
+    """
+    error, without = (result["metrics"][part]["position_mae"] for part in ("test", "baseline"))
+    if result["model"] == "baseline" or error is None or not without or error <= NOTHING * without:
+        return None
+    return (
+        f"on test data the position error is {100 * error / without:.0f} % of that without friction: the law explains "
+        "next to nothing, or the recordings or the bench are not what they are taken for"
+    )
+
+
+def doubt_sizes(params: Mapping[str, Param], values: Mapping[str, Float[np.ndarray, "nv"]], unit: str) -> list[str]:
+    """Identified values of a bench that are of another size than a user expected them to be, a sentence each.
+
+    Args:
+        params: The bench's.
+        values: What was identified.
+        unit: `hinge` or `slide`.
+    """
+    doubts = []
+    for name, param in params.items():
+        if not param.identify or param.scale != "log":
+            continue
+        found = np.ravel(values[name])
+        times = np.exp(np.abs(np.log(found / param.init)))
+        joint = int(times.argmax())
+        if times[joint] > FAR:
+            moved = f"from {param.init:g} to {found[joint]:.4g} {param.unit(unit)}, {times[joint]:.2g} times"
+            doubts.append(
+                f"bench.{name} went {moved}: look at the units of time, qpos and ctrl (data.units) and at the bench's "
+                f"gains, or begin elsewhere (bench.params.{name}.init)"
+            )
+    return doubts
+
+
+def list_moving(
+    history: Mapping[str, Shaped[np.ndarray, "iterations ..."]], intervals: Mapping[str, Float[np.ndarray, "nv 2"]]
+) -> list[str]:
+    """Names of the parameters that still moved when the fit ended.
+
+    The means over the two halves of the last tenth of the iterations differ by more than a third of the half width of
+    the parameter's 95 % interval, or by 1 % of its value where it has none.
+
+    Args:
+        history: An array with an entry an iteration by full name, `bench.armature`.
+        intervals: By full name.
+    """
+    moving = []
+    for name, values in history.items():
+        half = int(LATE * len(values)) // 2
+        if "." not in name or not half:
+            continue
+        before, last = values[-2 * half : -half].mean(axis=0), values[-half:].mean(axis=0)
+        ends = intervals.get(name, np.full((1, 2), np.nan))
+        width = MOVING * (ends[:, 1] - ends[:, 0]) / 2
+        allowed = np.where(np.isfinite(width), width, MOVING_BLINDLY * np.abs(last))
+        if (np.abs(last - before) > allowed).any():
+            moving.append(name)
+    return moving
+
+
+def doubt_reference(parameters: Sequence[Mapping[str, Any]]) -> str | None:
+    """That the drive without friction, by whose error others are judged, is none; None where it may be one.
+
+    Args:
+        parameters: Its own, as in `result.json`.
+    """
+    ended = [
+        f"{p['owner']}.{p['name']} at its bound of [{p['low']:g}, {p['high']:g}] {p['unit']}"
+        for p in parameters
+        if p["at_bound"]
+    ]
+    if not ended:
+        return None
+    return f"the drive without friction ended with {' and '.join(ended)}: a change against its error says little"

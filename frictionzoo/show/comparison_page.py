@@ -1,0 +1,269 @@
+"""`comparison.html`: runs side by side on one page, from the one to take down to the curves of each."""
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from frictionzoo import __version__
+from frictionzoo.comparison.record import FEW, Comparison
+from frictionzoo.comparison.runs import Run
+from frictionzoo.comparison.statistics import MATTERS
+from frictionzoo.core.output import write_atomically
+from frictionzoo.show.comparison_plots import (
+    Style,
+    choose_styles,
+    dark_colors,
+    plot_autocorrelation,
+    plot_by_bin,
+    plot_by_horizon,
+    plot_differences,
+    plot_error,
+    plot_errors,
+    plot_friction,
+    plot_loss,
+    plot_trajectories,
+)
+from frictionzoo.show.page import Check, Plot, render_page
+from frictionzoo.show.run_page import METHODS, check_held_out, check_origin, check_result, list_timing, plot_history
+
+NAMED = 4  # runs that a sentence names, the others are counted
+LONG = 4  # differing options above which they are folded away
+FITTED = ("fit", "segments", "loss", "bench")  # options that make fits unlike each other
+FILES = {"comparison.json": "every number of this page, for programs", "table.tex": "the ranking as a LaTeX table"}
+STOPPED = {
+    "converged": "converged",
+    "finished": "all iterations made",
+    "patience": "the loss fell no more",
+    "diverged": "diverged",
+}
+VERDICTS = {"better": "better", "noise": "within noise", "worse": "worse"}
+
+
+def write_page(path: Path, comparison: Comparison, runs: Sequence[Run]) -> None:
+    """Write the page of a comparison.
+
+    Args:
+        path: The file; it links to what lies beside it and to the reports of the runs.
+        comparison: The runs side by side.
+        runs: The same runs with their curves.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    labels = [entry["label"] for entry in comparison["runs"]]
+    named = {run.label: run for run in runs}
+    ranked = [named[label] for label in labels]
+    styles = choose_styles(labels)
+    plots = _draw_plots(comparison, ranked, styles)
+    rows = [_describe(i, run, comparison, styles[run.label], path.parent) for i, run in enumerate(ranked)]
+    checks = list(check_comparison(comparison, ranked))
+    page = render_page(
+        "show/comparison.html.jinja",
+        [plot.figure for section in plots.values() for plot in section],
+        comparison=comparison,
+        rows=rows,
+        joints=tuple(comparison["joints"]),
+        matters=MATTERS,
+        recommended=next((row for row in rows if row["recommended"]), None),
+        checks=checks,
+        doubts=sum(check.state in ("caution", "bad") for check in checks),
+        parameters=list(_list_parameters(comparison["runs"])),
+        folded=len(comparison["differences"]) > LONG,
+        files=_list_files(path.parent),
+        plots=plots,
+        first=_count_before(plots),
+        state={"labels": labels, "selected": next((row["index"] for row in rows if row["recommended"]), 0)},
+        dark=dark_colors(),
+        version=__version__,
+    )
+    write_atomically(path, page)
+
+
+def _draw_plots(comparison: Comparison, runs: Sequence[Run], styles: Mapping[str, Style]) -> dict[str, list[Plot]]:
+    """Figures by section, in the order of the page; those of each run under its place in the ranking."""
+    joints = tuple(comparison["joints"])
+    histories = {str(i): list(plot_history(run.result, run.curves.history, joints)) for i, run in enumerate(runs)}
+    return histories | {
+        "errors": [plot_errors(comparison, styles), plot_differences(comparison, styles)],
+        "rollout": [*plot_trajectories(comparison, runs, styles), plot_error(comparison, runs, styles)],
+        "where": [
+            plot_by_horizon(comparison, styles),
+            *plot_by_bin(comparison, styles),
+            plot_autocorrelation(comparison, styles),
+        ],
+        "friction": [*plot_friction(comparison, styles), plot_loss(comparison, runs, styles)],
+    }
+
+
+def _count_before(plots: Mapping[str, Sequence[Plot]]) -> dict[str, int]:
+    """Number of the first figure of each section."""
+    names = list(plots)
+    return {name: sum(len(plots[before]) for before in names[:i]) for i, name in enumerate(names)}
+
+
+def _describe(index: int, run: Run, comparison: Comparison, style: Style, folder: Path) -> dict[str, Any]:
+    """What the page says about one run: its row in the ranking and its panel."""
+    entry = comparison["runs"][index]
+    recommendation = comparison["recommendation"]
+    pairs = {(pair["run"], pair["other"]): pair for pair in comparison["pairs"]}
+    pair = pairs.get((run.label, comparison["runs"][0]["label"]))
+    report = run.folder / "report.html"
+    return {
+        "index": index,
+        "label": run.label,
+        "entry": entry,
+        "result": run.result,
+        "style": style,
+        "recommended": bool(recommendation) and recommendation["run"] == run.label,
+        "verdict": "" if recommendation is None else VERDICTS[pair["verdict"]] if pair else "best",
+        "pair": pair,
+        "several": any(isinstance(parameter["value"], list) for parameter in entry["parameters"]),
+        "errors": list(_list_errors(entry)),
+        "method": str(METHODS.get(entry["fit"]["method"], entry["fit"]["method"])).removeprefix("The "),
+        "stopped": STOPPED.get(entry["fit"]["stopped"], entry["fit"]["stopped"]),
+        "timing": list_timing(entry["timing"]),
+        "doubts": [check for check in _check_run(run) if check.state in ("caution", "bad")],
+        "report": _link(report, folder) if report.exists() else None,
+    }
+
+
+def _check_run(run: Run) -> list[Check]:
+    return list(check_result(run.result, run.curves.history))
+
+
+def _link(target: Path, folder: Path) -> str:
+    """A relative address; quoted, so that no name of a folder is read as a scheme, a query or a fragment."""
+    return quote(Path(os.path.relpath(target.resolve(), folder.resolve())).as_posix())
+
+
+def _list_errors(entry: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """Every metric of a run: the rollouts of each horizon on train and test, and the long one."""
+    for horizon in entry["by_horizon"]:
+        yield {"on": "test", **horizon["test"]}
+        yield {"on": "train", **horizon["train"]}
+    yield {"on": "one long test", **entry["paper"]["a"]}
+    yield {"on": "random places", **entry["paper"]["b"]}
+
+
+def _list_parameters(entries: Sequence[Mapping[str, Any]]) -> Iterator[dict[str, Any]]:
+    """Rows of the table of all parameters, those of most runs first."""
+    keys = [(p["owner"], p["name"], p["unit"]) for entry in entries for p in entry["parameters"]]
+    for owner, name, unit in sorted(dict.fromkeys(keys), key=lambda key: -keys.count(key)):
+        values = [
+            next((p for p in entry["parameters"] if (p["owner"], p["name"], p["unit"]) == (owner, name, unit)), None)
+            for entry in entries
+        ]
+        yield {"owner": owner, "name": name, "unit": unit, "values": values}
+
+
+def _list_files(folder: Path) -> dict[str, str]:
+    """What lies beside the page, with what it is; `comparison.json` is written last."""
+    found = {name: text for name, text in FILES.items() if name == "comparison.json" or (folder / name).exists()}
+    drawings = sorted((folder / "figures").glob("*.pdf"))
+    return found | {f"figures/{drawing.name}": "for print" for drawing in drawings}
+
+
+def check_comparison(comparison: Comparison, runs: Sequence[Run]) -> Iterator[Check]:
+    """What speaks for the ranking and what against it.
+
+    Args:
+        comparison: The runs side by side.
+        runs: The same runs with their curves, best first.
+    """
+    if comparison["failures"]:
+        yield _check_failures(comparison)
+    yield _check_order(comparison)
+    yield _check_rollouts(comparison["evaluation"])
+    yield check_held_out(comparison["data"])
+    yield _check_divergence(comparison)
+    yield _check_bounds(comparison["runs"])
+    if doubt := comparison["reference_doubt"]:
+        yield Check("caution", "Reference", f"{doubt[0].upper()}{doubt[1:]}.")
+    yield _check_fits(runs)
+    yield _check_differences(comparison["differences"])
+    yield check_origin(comparison["data"])
+
+
+def _check_failures(comparison: Comparison) -> Check:
+    failed = len(comparison["failures"])
+    text = f"{failed} of {failed + len(comparison['runs'])} jobs left no result; their reasons are named."
+    return Check("bad", "Failed jobs", text)
+
+
+def _check_order(comparison: Comparison) -> Check:
+    first, *others = (entry["label"] for entry in comparison["runs"])
+    if comparison["recommendation"] is None:
+        return Check("bad", "Order", "There is no order: every test rollout of every run diverged.")
+    if not others:
+        return Check("note", "Order", "There is one run: nothing to compare it with.")
+    pairs = {pair["run"]: pair for pair in comparison["pairs"] if pair["other"] == first}
+    close = [label for label in others if pairs[label]["verdict"] == "noise"]
+    if close:
+        text = f"Within noise of the best, {first}: {_name(close)}. These data do not tell them apart by what matters"
+        return Check("note", "Order", f"{text}; the simplest is recommended.")
+    return Check("good", "Order", f"{first} is better than each of the others by more than noise.")
+
+
+def _name(labels: Sequence[str]) -> str:
+    """Names in a sentence."""
+    return ", ".join(labels[:NAMED]) + (f" and {len(labels) - NAMED} more" if len(labels) > NAMED else "")
+
+
+def _check_rollouts(evaluation: Mapping[str, Any]) -> Check:
+    text = f"All runs were judged on the same {evaluation['rollouts']} test rollouts of {evaluation['horizon']:g} s"
+    if evaluation["rollouts"] < FEW:
+        return Check("caution", "Few rollouts", f"{text}: too few for a sure order. Raise evaluation.rollouts.")
+    return Check("good", "Same rollouts", f"{text}.")
+
+
+def _check_divergence(comparison: Comparison) -> Check:
+    lost = [entry for entry in comparison["runs"] if entry["test"]["diverged"] or entry["train"]["diverged"]]
+    if not lost:
+        return Check("good", "Stability", "All train and test rollouts of all runs stayed finite and count.")
+    counts = [
+        f"{entry['label']} ({entry['test']['diverged']} of {entry['test']['rollouts']} on test, "
+        f"{entry['train']['diverged']} of {entry['train']['rollouts']} on train)"
+        for entry in lost
+    ]
+    chosen = (comparison["recommendation"] or {}).get("run")
+    state = "bad" if chosen is None or chosen in [entry["label"] for entry in lost] else "caution"
+    return Check(state, "Stability", f"Rollouts diverged, and are left out of the errors, of {_name(counts)}.")
+
+
+def _check_bounds(entries: Sequence[Mapping[str, Any]]) -> Check:
+    ended = [
+        f"{entry['label']} ({', '.join(names)})"
+        for entry in entries
+        if (names := [parameter["name"] for parameter in entry["parameters"] if parameter["at_bound"]])
+    ]
+    if ended:
+        return Check(
+            "caution", "Bounds", f"Parameters ended at a bound in {_name(ended)}. Widen it or doubt the model."
+        )
+    return Check("good", "Bounds", "No identified parameter of any run ended at a bound.")
+
+
+def _check_fits(runs: Sequence[Run]) -> Check:
+    doubtful = [
+        run.label
+        for run in runs
+        if any(check.title == "Fit" and check.state in ("caution", "bad") for check in _check_run(run))
+    ]
+    if doubtful:
+        text = f"The fit of {_name(doubtful)} may not have reached its optimum: select the run to read why."
+        return Check("caution", "Fits", text)
+    return Check("good", "Fits", "Every fit came to rest or tried all of its combinations.")
+
+
+def _check_differences(differences: Sequence[Mapping[str, Any]]) -> Check:
+    options = [difference["option"] for difference in differences]
+    sections = list(dict.fromkeys(option.partition(".")[0] for option in options))
+    unlike = [section for section in sections if section in FITTED]
+    if unlike:
+        text = f"Runs differ in more than their law: in options of {_name(unlike)}, listed on this page"
+        return Check("caution", "Fitted alike?", f"{text}. Part of a difference may come from there.")
+    if options:
+        return Check("note", "Fitted alike", f"Besides the law, runs differ in {_name(options)} alone.")
+    return Check("good", "Fitted alike", "Runs differ in their law alone; all other options are the same.")

@@ -1,0 +1,502 @@
+"""`report.html`: one run on one page that opens without a network, from the answer down to the curves behind it."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Shaped
+
+from frictionzoo.core.output import write_atomically
+from frictionzoo.core.segments import Segments
+from frictionzoo.result.evaluate import Prediction, moving_mean_and_std
+from frictionzoo.result.verdict import doubt_gain, doubt_reference
+from frictionzoo.show.colors import BASELINE, BEST, JOINTS, MODEL
+from frictionzoo.show.page import (
+    BANDS,
+    MEASURED,
+    TEXT,
+    Check,
+    Plot,
+    draw_band,
+    draw_points,
+    escape,
+    find_frame,
+    format_change,
+    format_number,
+    format_unit,
+    make_axis,
+    make_layout,
+    render_page,
+    round_points,
+    spans_decades,
+    with_start,
+)
+from frictionzoo.show.run_figures import FLATTENED
+from frictionzoo.show.terminal import ERRORS
+
+OVERFIT = 1.5  # ratio of test to train error from which the page asks for caution
+FALLING = 0.01  # share of the loss that the last tenth of the iterations may still take off
+TRAIN = "#009E73"
+METHODS = {"adam": "Adam", "lm": "Levenberg-Marquardt", "grid": "The grid search", "known": "Known values"}
+FILES = {  # what else a run leaves behind, by path beside the page
+    "result.json": "every number of this page, for programs",
+    "identified.xml": "the test stand with the identified drive, for MuJoCo",
+    "friction.safetensors": "the friction law's values or weights",
+    "figures/figure3_parameters.png": "parameters over iterations, as an image",
+    "figures/figure4_trajectory.png": "the trajectory, as an image",
+    "figures/figure5_error.png": "its error, as an image",
+    "tensorboard/": "the course of the fit and its result, for TensorBoard",
+    "csv/": "the course of the fit and its result, as tables and text",
+    "wandb/": "the course of the fit and its result, for Weights & Biases",
+    "mlflow/": "the course of the fit and its result, for MLflow",
+    "checkpoints/": "what an interrupted run goes on from",
+    ".hydra/config.yaml": "the configuration of the run",
+}
+
+
+def write_report(
+    path: Path,
+    result: Mapping[str, Any],
+    *,
+    segments: Segments,
+    model: Prediction,
+    baseline: Prediction,
+    joints: tuple[str, ...],
+    history: Mapping[str, Shaped[np.ndarray, "iterations ..."]],
+    window: float,
+) -> None:
+    """Write the page of a run.
+
+    Args:
+        path: The file, in the run's folder, to whose other files the page links.
+        result: What `result.json` holds.
+        segments: One measured window; of several, the first is drawn.
+        model: Of the identified drive, over that window.
+        baseline: Of the bench without friction.
+        joints: Names of the joints.
+        history: `iteration`, `loss`, and values under `bench.NAME` and `friction.NAME`.
+        window: Length of the moving window over the error [s].
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    checks = list(check_result(result, history))
+    sections = {
+        "rollout": [
+            *plot_trajectory(result, segments, model, baseline, joints),
+            plot_error(result, segments, model, baseline, window),
+        ],
+        "history": list(plot_history(result, history, joints)),
+        "horizons": [plot_horizons(result)] if len(result["by_horizon"]) > 1 else [],
+    }
+    page = render_page(
+        "show/run.html.jinja",
+        [plot.figure for plots in sections.values() for plot in plots],
+        result=result,
+        joints=joints if any(isinstance(p["value"], list) for p in result["parameters"]) else ("value",),
+        headline=_say_headline(result),
+        checks=checks,
+        doubts=sum(check.state in ("caution", "bad") for check in checks),
+        errors=list(_list_errors(result["metrics"])),
+        evaluations=list(_list_evaluations(result)),
+        timing=list_timing(result["timing"]),
+        files={name: text for name, text in FILES.items() if name == "result.json" or (path.parent / name).exists()},
+        sections=sections,
+        version=result["versions"]["frictionzoo"],
+    )
+    write_atomically(path, page)
+
+
+def check_result(
+    result: Mapping[str, Any], history: Mapping[str, Shaped[np.ndarray, "iterations ..."]]
+) -> Iterator[Check]:
+    """What speaks for the result and what against it.
+
+    Args:
+        result: What `result.json` holds.
+        history: With the `loss` of each iteration.
+    """
+    if result["not_identified"]:
+        why, *reasons = result["not_identified"]
+        yield Check("bad", "Not identified", f"This did not identify the drive: {why}. Likely: {'; '.join(reasons)}.")
+    for sentence in result["warnings"]:
+        yield Check("caution", "Recordings", f"{sentence}.")
+    yield _check_gain(result)
+    if doubt := doubt_reference(result["reference"]):
+        yield Check("caution", "Reference", f"{doubt[0].upper()}{doubt[1:]}.")
+    yield check_held_out(result["data"])
+    yield _check_train(result["metrics"])
+    yield _check_fit(result["fit"], history["loss"])
+    yield _check_bounds(result)
+    yield _check_identifiability(result)
+    yield _check_divergence(result)
+    yield check_origin(result["data"])
+
+
+def _check_gain(result: Mapping[str, Any]) -> Check:
+    test, baseline = (result["metrics"][part]["position_mae"] for part in ("test", "baseline"))
+    if result["model"] == "baseline":
+        return Check("note", "Gain", "This model is the drive without friction: it is compared with itself.")
+    if test is None:
+        return Check("bad", "Gain", "There is no test error: every test rollout diverged.")
+    if not baseline:
+        return Check("note", "Gain", "The drive without friction has no test error to compare with.")
+    if test >= baseline:
+        text = "On test data the model is no better than a drive without friction. Do not use its friction."
+        return Check("bad", "Gain", text)
+    if doubt := doubt_gain(result):
+        return Check("caution", "Gain", f"{doubt[0].upper()}{doubt[1:]}.")
+    text = f"On test data the model's position error is {baseline / test:.3g} times smaller than without friction."
+    return Check("good", "Gain", text)
+
+
+def check_held_out(data: Mapping[str, Any]) -> Check:
+    """How much was tested that the fit did not see; `data` as in `result.json`."""
+    seconds = {
+        part: data["timestep"] * sum(log["samples"] for log in data["logs"] if log["part"] == part)
+        for part in ("train", "test")
+    }
+    hashes = {part: {log["sha256"] for log in data["logs"] if log["part"] == part} for part in ("train", "test")}
+    text = f"The fit saw {seconds['train']:.3g} s of data and was tested on {seconds['test']:.3g} s that it did not see"
+    if hashes["train"] & hashes["test"]:
+        return Check("good", "Held-out data", f"{text}, another stretch of time of the same recording.")
+    return Check("good", "Held-out data", f"{text}, from other recordings.")
+
+
+def _check_train(metrics: Mapping[str, Any]) -> Check:
+    train, test = (metrics[part]["position_mae"] for part in ("train", "test"))
+    if train is None or test is None or train == 0:
+        return Check("caution", "Test against train", "Test and training error cannot be compared: one is missing.")
+    unit = metrics["test"]["unit"]
+    text = f"The test error, {format_number(test)} {unit}, is {test / train:.2g} times that on the training data"
+    if test > OVERFIT * train:
+        why = "the fit may have learnt its own data by heart, or the test data ask for more"
+        return Check("caution", "Test against train", f"{text}: {why}.")
+    return Check("good", "Test against train", f"{text}: no sign of overfitting.")
+
+
+def _check_fit(fit: Mapping[str, Any], loss: Shaped[np.ndarray, "iterations"]) -> Check:
+    method, count = METHODS.get(fit["method"], fit["method"]), fit["iterations"]
+    kept = f"iteration {fit['best_iteration']}, that of the lowest training loss, is reported"
+    match fit["stopped"]:
+        case "converged":
+            return Check("good", "Fit", f"{method} converged after {count} iterations; {kept}.")
+        case "finished" if fit["method"] == "known":
+            return Check("note", "Fit", "Nothing was identified: the given values are judged as they are.")
+        case "finished" if fit["method"] == "grid":
+            return Check("good", "Fit", f"The grid search tried all of its {count} combinations; the best is reported.")
+        case "finished" if fit["method"] == "lm":
+            text = f"{method} made all of its {count} iterations without converging; {kept}. Raise fit.iterations."
+            return Check("caution", "Fit", text)
+        case "finished":
+            text = f"{method} made all of its {count} iterations; {kept}."
+            falling = _still_falling(loss)
+            if falling > FALLING:
+                text += f" The last tenth still took {100 * falling:.2g} % off the loss: more iterations may find more."
+            moving = ", ".join(fit["moving"])
+            if moving:
+                text += f" Still moving then: {moving}. Raise fit.iterations."
+            return Check("caution" if falling > FALLING or moving else "good", "Fit", text)
+        case "patience":
+            return Check("good", "Fit", f"{method} stopped after {count} iterations, as the loss fell no more; {kept}.")
+        case "diverged":
+            text = f"{method} diverged after {count} iterations; {kept}. Lower its step or start from other values."
+            return Check("bad", "Fit", text)
+        case other:
+            return Check("bad", "Fit", f"{method} was {other} after {count} iterations; {kept}.")
+
+
+def _still_falling(loss: Shaped[np.ndarray, "iterations"]) -> float:
+    """Share by which the last tenth of the iterations lowered the lowest loss."""
+    finite = np.where(np.isfinite(loss), loss, np.inf).astype(np.float64)
+    before = finite[: len(finite) - len(finite) // 10].min(initial=np.inf)
+    return 1 - float(finite.min() / before) if np.isfinite(before) and before > 0 else 0.0
+
+
+def _check_bounds(result: Mapping[str, Any]) -> Check:
+    identified = [parameter for parameter in result["parameters"] if parameter["identified"]]
+    ended = [
+        f"{p['owner']}.{p['name']} ended at a bound of [{format_number(p['low'])}, {format_number(p['high'])}] "
+        f"{format_unit(p['unit'])}"
+        for p in identified
+        if p["at_bound"]
+    ]
+    if ended:
+        return Check("caution", "Bounds", f"{'; '.join(ended)}. Widen the bounds or doubt the model.")
+    return Check("good", "Bounds", f"No identified parameter, of {len(identified)}, ended at a bound.")
+
+
+def _check_identifiability(result: Mapping[str, Any]) -> Check:
+    if result["no_intervals"] is not None:
+        return Check("note", "Identifiability", f"No parameter has an interval: {result['no_intervals']}.")
+    identified = [parameter for parameter in result["parameters"] if parameter["identified"]]
+    doubtful = [f"{p['owner']}.{p['name']}" for p in identified if not p["identifiable"]]
+    text = [f"Not identifiable on these data: {', '.join(doubtful)}. Do not read a property of the drive into them."]
+    text = text if doubtful else [f"The data determine each of the {len(identified)} identified parameters."]
+    text += [f"They cannot tell apart {' and '.join(group)}." for group in result["indistinct"]]
+    return Check("caution" if doubtful or result["indistinct"] else "good", "Identifiability", " ".join(text))
+
+
+def _check_divergence(result: Mapping[str, Any]) -> Check:
+    names = {"test": "test", "train": "training", "model": "test", "baseline": "frictionless test"}
+    judged = [(names[part], entry[part]) for entry in result["by_horizon"] for part in ("test", "train", "baseline")]
+    judged += [(names[part], metrics) for part, metrics in result["paper"]["a"].items()]
+    lost = [(name, metrics) for name, metrics in judged if metrics["diverged"]]
+    if not lost:
+        total = sum(metrics["rollouts"] for _, metrics in judged)
+        return Check("good", "Stability", f"All {total} rollouts stayed finite and count in the errors.")
+    counts = [f"{m['diverged']} of {m['rollouts']} {name} rollouts of {m['horizon']:g} s" for name, m in lost]
+    own = any(name != names["baseline"] for name, _ in lost)
+    return Check(
+        "bad" if own else "caution", "Stability", f"Diverged, and left out of the errors: {'; '.join(counts)}."
+    )
+
+
+def check_origin(data: Mapping[str, Any]) -> Check:
+    """Whether the numbers say anything about hardware; `data` as in `result.json`."""
+    if data["simulated"]:
+        text = "A simulator made these data. The numbers say how well the law imitates it, and nothing about hardware."
+        return Check("note", "Simulated data", text)
+    return Check("good", "Real data", "The data were recorded on hardware.")
+
+
+def _say_headline(result: Mapping[str, Any]) -> str:
+    test, baseline = result["metrics"]["test"], result["metrics"]["baseline"]
+    if test["position_mae"] is None:
+        return f"All {test['rollouts']} test rollouts of {test['horizon']:g} s diverged: there is no error to report."
+    rollouts = f"{test['rollouts']} open-loop rollout{'s' * (test['rollouts'] > 1)} of {test['horizon']:g} s"
+    text = f"Mean position error {format_number(test['position_mae'])} {test['unit']} over {rollouts} on test data"
+    if not baseline["position_mae"] or result["model"] == "baseline":
+        return f"{text}."
+    change = format_change(test["position_mae"], baseline["position_mae"])
+    doubt = ", at a bound" if doubt_reference(result["reference"]) else ""
+    return f"{text}; {format_number(baseline['position_mae'])} {test['unit']} without friction{doubt} ({change})."
+
+
+def _list_errors(metrics: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """Rows of the main table: each error of the model beside that without friction."""
+    test, baseline = metrics["test"], metrics["baseline"]
+    for name, (key, unit) in ERRORS.items():
+        yield {"name": name, "unit": test[unit], "model": test[key], "baseline": baseline[key]}
+
+
+def _list_evaluations(result: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """Rows of the table of all evaluations: the metrics under a name of their rollouts and of the drive."""
+    names = {"test": "test, this model", "train": "train, this model", "baseline": "test, no friction"}
+    for entry in result["by_horizon"]:
+        yield from ({"on": name, **entry[part]} for part, name in names.items())
+    for key, where in (("a", "the trajectory above"), ("b", "random places")):
+        for part, name in (("model", "this model"), ("baseline", "no friction")):
+            yield {"on": f"{where}, {name}", **result["paper"][key][part]}
+
+
+def list_timing(timing: Mapping[str, float]) -> dict[str, float]:
+    """Seconds of every part, the rest of the total last."""
+    parts = {name: seconds for name, seconds in timing.items() if name != "total"}
+    return parts | {"figures and files": max(0.0, timing["total"] - sum(parts.values()))}
+
+
+def plot_trajectory(
+    result: Mapping[str, Any], segments: Segments, model: Prediction, baseline: Prediction, joints: tuple[str, ...]
+) -> Iterator[Plot]:
+    """A figure a joint: measured and simulated position above velocity.
+
+    Args:
+        result: What `result.json` holds, for the units.
+        segments: One measured window; of several, the first is drawn.
+        model: Of the identified drive.
+        baseline: Of the bench without friction.
+        joints: Names of the joints.
+    """
+    metrics, duration = result["metrics"]["test"], segments.length * segments.timestep
+    time = np.arange(segments.length + 1) * segments.timestep
+    for joint, name in enumerate(joints):
+        layout = make_layout(xaxis=make_axis("time [s]", range=[0, duration], anchor="y2"))
+        data: list[dict[str, Any]] = []
+        errors: list[str] = []
+        rows = (("qpos", "y", "position", metrics["unit"]), ("qvel", "y2", "velocity", metrics["velocity_unit"]))
+        for signal, axis, quantity, unit in rows:
+            measured = getattr(segments, signal)[0, :, joint].astype(np.float64)
+            curves = [with_start(measured, getattr(p, signal)[0, :, joint]) for p in (model, baseline)]
+            drawn = _draw_curves(time, measured, *curves, axis=axis, legend=axis == "y", unit=unit)
+            # A measured velocity is noisy and would hide what is drawn under it.
+            data += drawn if signal == "qpos" else [drawn[2] | {"opacity": 0.55}, *drawn[:2]]
+            domain = [0.42, 1] if axis == "y" else [0, 0.36]
+            frame = find_frame([measured, curves[0]], curves[1:])
+            layout[f"yaxis{axis[1:]}"] = make_axis(f"{quantity} [{unit}]", range=frame, domain=domain)
+            if signal == "qpos":
+                errors = [_say_error(curve - measured, unit) for curve in curves]
+        text = (
+            f"Measured and simulated position and velocity of joint {name} over {duration:g} s; "
+            f"the mean position error is {errors[0]} with the model and {errors[1]} without friction."
+        )
+        yield Plot(f"Trajectory of {name}", text, {"data": data, "layout": layout}, time=True)
+
+
+def plot_error(
+    result: Mapping[str, Any], segments: Segments, model: Prediction, baseline: Prediction, window: float
+) -> Plot:
+    """Absolute position error over time, mean over joints: its moving mean and +- one standard deviation.
+
+    Args:
+        result: What `result.json` holds, for the units.
+        segments: One measured window; of several, the first is drawn.
+        model: Of the identified drive.
+        baseline: Of the bench without friction.
+        window: Length of the moving window [s].
+    """
+    unit, duration = result["metrics"]["test"]["unit"], segments.length * segments.timestep
+    width = min(max(1, round(window / segments.timestep)), segments.length + 1)
+    measured = segments.qpos[0].astype(np.float64)
+    errors = [np.abs(with_start(measured, p.qpos[0]) - measured).mean(axis=1) for p in (model, baseline)]
+    largest = [float(np.nanmax(error)) for error in errors]
+    logarithmic = max(largest) > FLATTENED * min(largest) > 0
+    data: list[dict[str, Any]] = []
+    for name, color, error in zip(("this model", "no friction"), (MODEL, BASELINE), errors, strict=True):
+        error = error[np.isfinite(error)]
+        span = min(width, len(error))
+        mean, std = moving_mean_and_std(error, span)
+        at = segments.timestep * (np.arange(len(mean)) + (span - 1) / 2)
+        data += draw_band(mean, std, at, name, color, BANDS[color], unit)
+    if logarithmic:
+        # A band that reaches below 0 has no place on a logarithmic axis.
+        data = [trace for trace in data if "fill" not in trace]
+    vertical = {"type": "log"} if logarithmic else {"rangemode": "tozero"}
+    layout = make_layout(
+        xaxis=make_axis("time [s]", range=[0, duration]),
+        yaxis=make_axis(f"absolute position error [{unit}]", **vertical),
+    )
+    text = (
+        f"Moving mean and standard deviation over {window:g} s of the absolute position error; the largest error is "
+        f"{format_number(largest[0])} {unit} with the model and {format_number(largest[1])} {unit} without friction."
+    )
+    return Plot("Its error", text, {"data": data, "layout": layout}, time=True)
+
+
+def plot_history(
+    result: Mapping[str, Any],
+    history: Mapping[str, Shaped[np.ndarray, "iterations ..."]],
+    joints: tuple[str, ...],
+) -> Iterator[Plot]:
+    """The loss and every identified parameter over the iterations, the reported iteration marked.
+
+    Args:
+        result: What `result.json` holds.
+        history: `iteration`, `loss`, and values under `bench.NAME` and `friction.NAME`.
+        joints: Names of the joints.
+    """
+    units = {f"{p['owner']}.{p['name']}": format_unit(p["unit"]) for p in result["parameters"] if p["identified"]}
+    iteration, best = history["iteration"], result["fit"]["best_iteration"]
+    at = int(np.flatnonzero(iteration == best)[0])
+    mode = "markers" if result["fit"]["method"] == "grid" else "lines"
+    for key in ("loss", *(key for key in units if key in history)):
+        columns = np.reshape(history[key], (len(iteration), -1)).T.astype(np.float64)
+        name, unit, several = key.rpartition(".")[2], units.get(key, ""), len(columns) > 1
+        reached = ", ".join(format_number(value) for value in columns[:, at])
+        text = f"{name} over {len(iteration)} iterations; {reached} {unit}".rstrip()
+        traces = [_draw_history(iteration, column, mode, i, joints) for i, column in enumerate(columns)]
+        traces.append(_mark(best, columns[:, at]))
+        vertical = make_axis(unit, nticks=5, type="log" if key == "loss" and spans_decades(columns) else "linear")
+        layout = make_layout(xaxis=make_axis("iteration", nticks=6), yaxis=vertical)
+        layout |= {"showlegend": several, "margin": layout["margin"] | {"t": 40 if several else 12}}
+        figure = {"data": traces, "layout": layout}
+        yield Plot(name, f"{text} at iteration {best}, which is reported and marked.", figure)
+
+
+def plot_horizons(result: Mapping[str, Any]) -> Plot:
+    """Position error at every horizon: train, test and without friction.
+
+    Args:
+        result: What `result.json` holds.
+    """
+    entries = sorted(result["by_horizon"], key=lambda entry: entry["horizon"])
+    unit = entries[0]["test"]["unit"]
+    parts = (("test", "test", MODEL), ("train", "train", TRAIN), ("baseline", "test, no friction", BASELINE))
+    data = [
+        {
+            "type": "bar",
+            "name": name,
+            "x": [f"{entry['horizon']:g} s" for entry in entries],
+            "y": [entry[part]["position_mae"] for entry in entries],
+            "error_y": {"array": [entry[part]["position_mae_std"] for entry in entries], "color": TEXT, "thickness": 1},
+            "marker": {"color": color},
+            "hovertemplate": f"%{{y:.4g}} {unit}",
+        }
+        for part, name, color in parts
+    ]
+    layout = make_layout(
+        xaxis=make_axis("length of the rollouts", type="category"), yaxis=make_axis(f"position MAE [{unit}]")
+    )
+    text = "; ".join(
+        f"at {entry['horizon']:g} s {format_number(entry['test']['position_mae'])} {unit} on test data, "
+        f"{format_number(entry['baseline']['position_mae'])} {unit} without friction"
+        for entry in entries
+    )
+    return Plot("Position error by horizon", f"Mean position error {text}.", {"data": data, "layout": layout})
+
+
+def _draw_curves(
+    time: Float[np.ndarray, "time"],
+    measured: Float[np.ndarray, "time"],
+    model: Float[np.ndarray, "time"],
+    baseline: Float[np.ndarray, "time"],
+    *,
+    axis: str,
+    legend: bool,
+    unit: str,
+) -> list[dict[str, Any]]:
+    """Without friction at the back, measured in front, as in figure 4."""
+    curves = (("no friction", baseline, BASELINE), ("this model", model, MODEL), ("measured", measured, MEASURED))
+    return [
+        {
+            "type": "scatter",
+            "mode": "lines",
+            "name": name,
+            "legendgroup": name,
+            "showlegend": legend,
+            "yaxis": axis,
+            "line": {"color": color, "width": 1.6, "dash": "dash"} if name == "measured" else {"color": color},
+            "hovertemplate": f"%{{y:.4g}} {unit}",
+            **draw_points(time, curve),
+        }
+        for name, curve, color in curves
+    ]
+
+
+def _draw_history(
+    iteration: Shaped[np.ndarray, "iterations"],
+    values: Float[np.ndarray, "iterations"],
+    mode: str,
+    joint: int,
+    joints: tuple[str, ...],
+) -> dict[str, Any]:
+    color = JOINTS[joint % len(JOINTS)]
+    return {
+        "type": "scatter",
+        "mode": mode,
+        "name": escape(joints[joint]) if joint < len(joints) else f"joint {joint}",
+        "line": {"color": color},
+        "marker": {"color": color, "size": 4},
+        "hovertemplate": "%{y:.5g}",
+        **draw_points(iteration.astype(np.float64), values),
+    }
+
+
+def _mark(best: int, values: Float[np.ndarray, "joints"]) -> dict[str, Any]:
+    return {
+        "type": "scatter",
+        "mode": "markers",
+        "name": "reported",
+        "x": [best] * len(values),
+        "y": round_points(values),
+        "marker": {"color": BEST, "size": 9, "symbol": "diamond"},
+        "hovertemplate": "%{y:.5g}",
+        "cliponaxis": False,
+    }
+
+
+def _say_error(error: Float[np.ndarray, "samples"], unit: str) -> str:
+    """The mean absolute error of a rollout's steps, or that it has none."""
+    steps = np.abs(error[1:])
+    return f"{steps.mean():.4g} {unit}" if np.isfinite(steps).all() else "without a value (the rollout diverged)"

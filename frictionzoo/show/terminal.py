@@ -1,0 +1,236 @@
+"""The summary of a run, or of several, in plain text, legible on a terminal and in a log file alike."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from frictionzoo.result.verdict import doubt_gain, doubt_reference
+
+Rows = Sequence[Sequence[str]]
+
+ERRORS = {  # row of the table: key of the metrics, key of its unit
+    "position MAE": ("position_mae", "unit"),
+    "sigma of the MAE": ("position_mae_std", "unit"),
+    "position RMSE": ("position_rmse", "unit"),
+    "velocity RMSE": ("velocity_rmse", "velocity_unit"),
+}
+
+
+def summarise(result: Mapping[str, Any], folder: Path) -> str:
+    """Parameters, test errors beside those without friction, warnings, and where the files are.
+
+    Args:
+        result: What `result.json` holds.
+        folder: The run's folder.
+    """
+    return _arrange(result, folder, align)
+
+
+def summarise_in_markdown(result: Mapping[str, Any], folder: Path) -> str:
+    """The same as a page of Markdown, for loggers that show one.
+
+    Args:
+        result: What `result.json` holds.
+        folder: The run's folder.
+    """
+    return _arrange(result, folder, _tabulate_in_markdown)
+
+
+def _arrange(result: Mapping[str, Any], folder: Path, tabulate: Callable[[Rows], str]) -> str:
+    metrics = result["metrics"]
+    blocks = [
+        _say_origin(result),
+        tabulate(_list_parameters(result)),
+        tabulate(_list_errors(metrics["test"], metrics["baseline"], ("this model", "no friction"))),
+        *_warn(result),
+        f"files: {folder}",
+    ]
+    return "\n\n".join(blocks)
+
+
+def summarise_distillation(
+    student: Mapping[str, Any], teacher: Mapping[str, Any], note: Mapping[str, Any], folder: Path
+) -> str:
+    """The student's parameters, its errors beside its teacher's, how far the two are apart, and where the files are.
+
+    Args:
+        student: What its `result.json` holds.
+        teacher: What its `result.json` holds.
+        note: What `distillation.json` holds.
+        folder: The student's.
+    """
+    test, expected = (run["metrics"]["test"] for run in (student, teacher))
+    rows = [("student and teacher differ by, RMS", "", "unit")]
+    rows += [(f"{d['quantity']}, {d['over']}", _format_value(d["rms"]), d["unit"]) for d in note["differences"]]
+    blocks = [
+        f"{student['model']} in place of {teacher['model']} on {student['data']['name']}. {_say_kind(student['data'])}",
+        align(_list_parameters(student)),
+        align(_list_errors(test, expected, ("student", "teacher"))),
+        align(rows),
+        *_warn(student),
+        *note["notes"],
+        f"files: {folder}",
+    ]
+    return "\n\n".join(blocks)
+
+
+def summarise_comparison(comparison: Mapping[str, Any], folder: Path) -> str:
+    """The runs best first, what failed, the recommendation, and where the files are.
+
+    Args:
+        comparison: What `comparison.json` holds.
+        folder: Where the comparison lies.
+    """
+    count = len(comparison["runs"])
+    blocks = [
+        f"{count} run{'s' * (count != 1)} on {comparison['data']['name']}. {_say_kind(comparison['data'])}",
+        _tabulate_runs(comparison),
+        *_list_failures(comparison["failures"]),
+        *([f"warning: {comparison['reference_doubt']}"] if comparison["reference_doubt"] else []),
+        _say_recommendation(comparison["recommendation"]),
+        f"files: {folder}",
+    ]
+    return "\n\n".join(blocks)
+
+
+def _tabulate_runs(comparison: Mapping[str, Any]) -> str:
+    evaluation, unit = comparison["evaluation"], comparison["unit"]
+    best = comparison["runs"][0]["label"]
+    verdicts = {pair["run"]: pair["verdict"] for pair in comparison["pairs"] if pair["other"] == best}
+    test = f"test, {evaluation['rollouts']} x {evaluation['horizon']:g} s [{unit}]"
+    rows = [
+        ("model", "identified", f"train MAE [{unit}]", test, "sigma", "change", "against best", "diverged", "fit [s]")
+    ]
+    for run in comparison["runs"]:
+        change = run["change"]["test"]
+        rows.append(
+            (
+                run["label"],
+                str(run["identified"]),
+                _format_value(run["train"]["position_mae"]),
+                _format_value(run["test"]["position_mae"]),
+                _format_value(run["test"]["position_mae_std"]),
+                "" if change is None else f"{round(100 * change):+d} %",
+                "best" if run["label"] == best else verdicts[run["label"]],
+                str(run["test"]["diverged"]),
+                f"{run['timing']['fit']:.1f}",
+            )
+        )
+    return align(rows)
+
+
+def _list_failures(failures: Sequence[Mapping[str, str]]) -> list[str]:
+    lines = [f"failed: {failure['run']}: {failure['reason']}" for failure in failures]
+    return ["\n".join(lines)] if lines else []
+
+
+def _say_recommendation(recommendation: Mapping[str, str] | None) -> str:
+    if not recommendation:
+        return "No run has a test error: all test rollouts diverged. None can be recommended."
+    return f"recommended: {recommendation['run']}. {recommendation['reason']}"
+
+
+def _say_origin(result: Mapping[str, Any]) -> str:
+    return f"{result['model']} on {result['data']['name']}. {_say_kind(result['data'])}"
+
+
+def _say_kind(data: Mapping[str, Any]) -> str:
+    return "The data are simulated." if data["simulated"] else "The data are real, recorded on hardware."
+
+
+def _list_parameters(result: Mapping[str, Any]) -> Rows:
+    rows = [("parameter", "value", "95 % interval", "unit", "")]
+    for parameter in result["parameters"]:
+        name = f"{parameter['owner']}.{parameter['name']}"
+        value, interval = _format_value(parameter["value"]), format_interval(parameter["interval"])
+        rows.append((name, value, interval, parameter["unit"], say_status(parameter)))
+    if result["network"]:
+        rows.append(("friction network", str(result["network"]["weights"]), "", "weights", "identified"))
+    return rows
+
+
+def _list_errors(test: Mapping[str, Any], reference: Mapping[str, Any], names: tuple[str, str]) -> Rows:
+    """Errors of one drive beside those of another, and the change from that to it."""
+    rows = [(f"test, {test['rollouts']} x {test['horizon']:g} s", *names, "unit", "change")]
+    for row, (key, unit) in ERRORS.items():
+        change = _format_change(test[key], reference[key])
+        rows.append((row, _format_value(test[key]), _format_value(reference[key]), test[unit], change))
+    rows.append(("diverged", str(test["diverged"]), str(reference["diverged"]), "rollouts", ""))
+    return rows
+
+
+def _warn(result: Mapping[str, Any]) -> list[str]:
+    """What is doubtful: of the recordings, of parameters at a bound, not identifiable or indistinct, and of it all."""
+    lines = [f"warning: {sentence}" for sentence in result["warnings"]]
+    lines += [
+        f"warning: {parameter['owner']}.{parameter['name']} ended at a bound of [{parameter['low']:g}, "
+        f"{parameter['high']:g}] {parameter['unit']}; widen the bounds or doubt the model"
+        for parameter in result["parameters"]
+        if parameter["at_bound"]
+    ]
+    doubtful = [f"{p['owner']}.{p['name']}" for p in result["parameters"] if p["identifiable"] is False]
+    if doubtful:
+        lines.append(f"warning: not identifiable on these data: {', '.join(doubtful)}")
+    lines += [
+        f"warning: the data cannot tell apart {' and '.join(group)}; make all but one of them known, or record others"
+        for group in result["indistinct"]
+    ]
+    if moving := ", ".join(result["fit"]["moving"]):
+        lines.append(f"warning: still moving when the fit ended: {moving}; raise fit.iterations")
+    doubts = doubt_gain(result), doubt_reference(result["reference"])
+    lines += [f"warning: {doubt}" for doubt in doubts if doubt]
+    if result["not_identified"]:
+        why, *reasons = result["not_identified"]
+        lines.append(f"this did not identify the drive: {why}. Likely reasons, the likeliest first:")
+        lines += [f"  {number}. {reason}" for number, reason in enumerate(reasons, 1)]
+    return ["\n".join(lines)] if lines else []
+
+
+def _format_value(value: float | Sequence[float] | None) -> str:
+    if value is None:
+        return "none"
+    return f"{value:.4g}" if isinstance(value, int | float) else " ".join(f"{joint:.4g}" for joint in value)
+
+
+def say_status(parameter: Mapping[str, Any]) -> str:
+    """Where the value of a parameter, as in `result.json`, comes from, and whether the data determine it."""
+    if not parameter["identified"]:
+        return "known"
+    return "not identifiable" if parameter["identifiable"] is False else "identified"
+
+
+def format_interval(interval: Sequence[Any] | None) -> str:
+    """A parameter's interval, or those of its joints, as in `result.json`; empty where there is none."""
+    if interval is None:
+        return ""
+    if not isinstance(interval[0], int | float):
+        return ", ".join(format_interval(joint) or "none" for joint in interval)
+    return f"{interval[0]:.4g} to {interval[1]:.4g}"
+
+
+def _format_change(value: float | None, reference: float | None) -> str:
+    """Relative change, where there is something to compare."""
+    return f"{round(100 * (value / reference - 1)):+d} %" if value is not None and reference else ""
+
+
+def align(rows: Rows) -> str:
+    """Columns padded to their longest entry, the first flush left and numbers flush right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    numbers = [all(_is_number(row[i]) for row in rows[1:]) for i in range(len(widths))]
+    lines = (
+        "  ".join(
+            cell.rjust(width) if number else cell.ljust(width)
+            for cell, width, number in zip(row, widths, numbers, strict=True)
+        )
+        for row in rows
+    )
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _tabulate_in_markdown(rows: Rows) -> str:
+    head, *body = (f"| {' | '.join(row)} |" for row in rows)
+    return "\n".join([head, "|---" * len(rows[0]) + "|", *body])
+
+
+def _is_number(cell: str) -> bool:
+    return not cell or cell == "none" or cell[0] in "+-.0123456789"
