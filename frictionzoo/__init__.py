@@ -5,15 +5,17 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from frictionzoo.bench import Bench, DcMotorPD, Force, PositionPD, VoltageServo
-    from frictionzoo.library import law
+    from frictionzoo.library import law, load
+    from frictionzoo.result.identified import Identified
     from frictionzoo.simulate.differentiable import rollout
 
-__all__ = ["Bench", "DcMotorPD", "Force", "PositionPD", "VoltageServo", "law", "rollout"]
+__all__ = ["Bench", "DcMotorPD", "Force", "Identified", "PositionPD", "VoltageServo", "law", "load", "rollout"]
 __version__ = "0.1.0"
 
 _HOMES = {
     **dict.fromkeys(("Bench", "DcMotorPD", "Force", "PositionPD", "VoltageServo"), "frictionzoo.bench"),
-    "law": "frictionzoo.library",
+    **dict.fromkeys(("law", "load"), "frictionzoo.library"),
+    "Identified": "frictionzoo.result.identified",
     "rollout": "frictionzoo.simulate.differentiable",
 }
 

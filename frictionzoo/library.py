@@ -1,6 +1,7 @@
 """Parts of the zoo by name, for programs and notebooks."""
 
 import copy
+from pathlib import Path
 from typing import Any, cast
 
 from omegaconf import DictConfig, OmegaConf
@@ -8,6 +9,20 @@ from omegaconf import DictConfig, OmegaConf
 from frictionzoo.core.build import build
 from frictionzoo.core.config import check_overrides, compose_config, list_choices
 from frictionzoo.models import FrictionModel, get_model
+from frictionzoo.result.identified import Identified
+
+
+def load(folder: str | Path) -> Identified:
+    """A run that has ended, read back from what it left.
+
+    Args:
+        folder: Where `result.json` lies.
+
+    Raises:
+        RunError: It is not the folder of a finished run of this version, or one of its files is damaged.
+        BenchError: The bench's MJCF is not there any more, or not what it was.
+    """
+    return Identified.load(Path(folder))
 
 
 def law(name: str, nv: int = 1, **options: Any) -> FrictionModel:

@@ -333,6 +333,8 @@ def _make_run(place: int, label: str, joints: int, diverged: bool, grid: bool) -
             np.zeros((3, 0)),
             measured[:, 1:] + error,
             5 * (measured[:, 1:] + error),
+            measured[:, 1:],
+            5 * measured[:, 1:],
         ),
         *(mae, mae, *np.abs(noise.normal(size=(3, 40))), velocity),
         *(friction, friction - 0.1 * place, friction + 0.1 * place),

@@ -31,6 +31,8 @@ def make_curves(test_mae, nv=1, length=60):
         load=np.zeros((3, 0)),
         qpos=position[:, 1:] + drift,
         qvel=velocity[:, 1:],
+        baseline_qpos=position[:, 1:],
+        baseline_qvel=velocity[:, 1:],
         train_mae=np.ones(4),
         test_mae=np.asarray(test_mae),
         local_mae=np.resize(test_mae, 40),

@@ -42,6 +42,7 @@ def make_curves(error, joints, rollouts, seed):
     local = np.linspace(0.1, 3, WINDOWS)
     return Curves(
         **{"measured_qpos": measured, "measured_qvel": 2 * measured, "qpos": simulated, "qvel": 2 * simulated},
+        **{"baseline_qpos": simulated, "baseline_qvel": 2 * simulated},
         **{"ctrl": measured[:, 1:], "load": np.zeros((len(measured), 0))},
         **{"train_mae": varied, "test_mae": varied, "local_mae": error * local, "local_speed": local},
         **{"local_load": local[::-1].copy(), "velocity": velocity, "friction": friction},

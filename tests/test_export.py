@@ -13,12 +13,12 @@ from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.export.bench import write_bench
-from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.nearest import find_nearest, nearest_frictionloss_and_damping
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.models.baseline import Baseline
 from frictionzoo.models.mujoco_default import MujocoDefault
 from frictionzoo.models.neural_friction import NeuralFriction
+from frictionzoo.result.identified import Identified
 from frictionzoo.simulate import friction_of, make_engine
 from frictionzoo.simulate.bridge import to_jax
 from frictionzoo.simulate.rollout import make_rollout
@@ -68,7 +68,7 @@ def fit(bench, model, values=None):
     friction = {name: value.detach().numpy() for name, value in model.double().state_dict().items()}
     values = {"bench": bench.initial_values() if values is None else values, "friction": friction}
     segments = Segments(*states, ctrl, bench.timestep)
-    return Fitted(Path("run"), {}, bench, model, values, segments, bench.sampling(bench.timestep))
+    return Identified(Path("run"), {}, bench, model, values, segments, bench.sampling(bench.timestep))
 
 
 def export(bench, model, values=None):

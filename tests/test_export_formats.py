@@ -22,15 +22,16 @@ from frictionzoo.core.errors import ConfigError, ExportError
 from frictionzoo.core.log import Payload
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import DriveState
-from frictionzoo.export.base import Export, get_target
-from frictionzoo.export.fitted import Fitted
+from frictionzoo.export.base import get_target
 from frictionzoo.export.isaaclab import read_isaaclab
 from frictionzoo.export.mjlab import read_mjlab
 from frictionzoo.export.motor import lag, motors, read_inputs
 from frictionzoo.export.nearest import Nearest
 from frictionzoo.export.read_bam import LAWS, read_bam
 from frictionzoo.export.targets import __all__ as _registered  # noqa: F401 - importing it registers them
+from frictionzoo.export.written import Export
 from frictionzoo.models import FrictionModel, get_model, model_names
+from frictionzoo.result.identified import Identified
 
 SIGNALS = ["qpos", "qvel", "ctrl", "motor_torque", "external_torque"]
 PAYLOAD = Payload(0.5, (0.0, 0.0, -0.1), (1e-4, 1e-4, 1e-4))
@@ -40,7 +41,7 @@ GRAPHS = list(itertools.product(MODELS, ("torchscript", "onnx")))
 KINDS = ("neural_friction", "temperature_arrhenius")  # of laws: ONNX's exporter takes seconds for each
 
 
-class Drawn(Fitted):
+class Drawn(Identified):
     """A drive in random states that does not move: nothing is compiled."""
 
     @cached_property
@@ -59,7 +60,7 @@ def compose_once(*overrides: str) -> Any:
 
 
 @cache  # with what a drive has compiled
-def fit(law: str, *overrides: str, kind: type[Fitted] = Fitted) -> Fitted:
+def fit(law: str, *overrides: str, kind: type[Identified] = Identified) -> Identified:
     """A drive with the configuration's initial values, two rollouts of half a second, and overrides."""
     config = compose_once(*(f"+model@laws.{law}={law}" for law in ([law] if overrides else MODELS)), *overrides)
     model = build(config["laws"][law], nv=1)
@@ -86,7 +87,7 @@ def state(model: FrictionModel) -> dict[str, np.ndarray]:
     return {name: value.detach().double().numpy() for name, value in model.state_dict().items()}
 
 
-def write(target: str, fitted: Fitted, folder: Path, **options: str) -> Export:
+def write(target: str, fitted: Identified, folder: Path, **options: str) -> Export:
     export = get_target(target)().write(fitted, folder, options)
     assert {path.name for path in folder.iterdir()} == set(export.files)
     assert export.limits

@@ -26,16 +26,17 @@ from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.export import targets  # noqa: F401 - registers them
 from frictionzoo.export.base import get_target, target_names
 from frictionzoo.export.bench import Mjcf, run_bench
-from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.mjx_module import Mjx
 from frictionzoo.export.module import load_module, write_module
 from frictionzoo.export.mujoco_c import MujocoC
 from frictionzoo.export.nearest import find_nearest
 from frictionzoo.export.table import summarise_exports
-from frictionzoo.export.write import Written, write_exports
+from frictionzoo.export.write import write_exports
+from frictionzoo.export.written import Written
 from frictionzoo.models import FrictionModel, MujocoDefault, model_names
 from frictionzoo.models.base import sliding_torque
 from frictionzoo.models.network import NetworkModel
+from frictionzoo.result.identified import Identified
 
 PAYLOAD = Payload(0.1, (0.0, 0.0, -0.05), (1e-4, 1e-4, 1e-5))
 ROOT = Path(__file__).parent.parent
@@ -99,7 +100,7 @@ def make_law(name: str, *overrides: str) -> FrictionModel:
 
 
 @functools.cache  # so that each is compiled once
-def make_fitted(model: str | FrictionModel, *overrides: str, steps: int = 150) -> Fitted:
+def make_fitted(model: str | FrictionModel, *overrides: str, steps: int = 150) -> Identified:
     """A drive as if identified, and two rollouts of it; a command each that swings it back and forth."""
     law = model if isinstance(model, FrictionModel) else make_law(model, *overrides)
     bench: Bench = build(compose(*overrides)["bench"]).observing(law.inputs)
@@ -116,7 +117,7 @@ def make_fitted(model: str | FrictionModel, *overrides: str, steps: int = 150) -
     )
     values = {"bench": bench.initial_values(), "friction": {k: v.detach().numpy() for k, v in law.state_dict().items()}}
     result = {"settings": compose(*overrides), "model": law.name}
-    return Fitted(Path("run"), result, bench, law, values, segments, bench.sampling(interval))
+    return Identified(Path("run"), result, bench, law, values, segments, bench.sampling(interval))
 
 
 def known(size):
@@ -250,7 +251,7 @@ def test_another_law_is_refitted_and_says_what_that_costs(tmp_path):
 
 @pytest.mark.parametrize("target", ["onnx", "torchscript"])
 def test_a_law_that_remembers_is_no_function_of_an_instant(target, tmp_path, monkeypatch):
-    monkeypatch.setattr(Fitted, "load", lambda folder: make_fitted("lugre"))
+    monkeypatch.setattr(Identified, "load", lambda folder: make_fitted("lugre"))
     with pytest.raises(ExportError, match=f"target={target}: lugre remembers what was before, expected"):
         write_exports(tmp_path, {"target": target, "output": str(tmp_path / "drive")})
     assert list(tmp_path.iterdir()) == []
@@ -400,7 +401,7 @@ def test_the_command_writes_a_run_and_a_note(run_folder, tmp_path, capsys):
     (difference,) = note["differences"]
     assert difference["largest"] < EXACT
     # A run keeps what was exported, to its last digit.
-    values, model = Fitted.load(run_folder).values, mujoco.MjModel.from_xml_path(str(place / "bench.xml"))
+    values, model = Identified.load(run_folder).values, mujoco.MjModel.from_xml_path(str(place / "bench.xml"))
     assert model.dof_frictionloss == values["friction"]["frictionloss"]
 
 

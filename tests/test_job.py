@@ -20,9 +20,9 @@ from frictionzoo.cli.job import Problem, _judge_baseline
 from frictionzoo.cli.run import NOT_IDENTIFIED
 from frictionzoo.core.state import DriveState
 from frictionzoo.export.bench import write_bench
-from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.nearest import find_nearest
 from frictionzoo.models import Baseline, FrictionModel
+from frictionzoo.result.identified import Identified
 from frictionzoo.result.record import read_schema
 from frictionzoo.simulate.drive import Drive
 
@@ -118,7 +118,7 @@ def check_mjcf(run: Path, result: dict) -> None:
         for name in ("armature", "frictionloss", "damping"):
             np.testing.assert_array_equal(getattr(model, f"dof_{name}"), values[name])
     elif result["model"] != "baseline":
-        fitted = Fitted.load(run)
+        fitted = Identified.load(run)
         assert path.read_text() == write_bench(fitted, find_nearest(fitted))
         assert "A frictionloss and a damping are no" in path.read_text()
 

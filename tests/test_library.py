@@ -1,9 +1,12 @@
 """What `import frictionzoo as fz` offers: laws by name, benches, and rollouts for torch."""
 
+import json
 import re
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -16,10 +19,11 @@ from test_torch_only import TorchConstraint, TorchStribeck
 
 import frictionzoo as fz
 from frictionzoo.bench.base import DEFAULTS
-from frictionzoo.core.errors import BenchError, ConfigError, UnknownModelError
+from frictionzoo.core.errors import BenchError, ConfigError, RunError, UnknownModelError
 from frictionzoo.core.segments import Sampling
 from frictionzoo.models import register_model
 from frictionzoo.models.registry import REGISTRY
+from frictionzoo.result.curves import read_curves
 from frictionzoo.simulate.drive import Drive
 
 BATCH, TIME = 3, 40
@@ -178,11 +182,64 @@ def test_a_law_that_is_none_and_an_option_that_it_lacks_are_refused() -> None:
         fz.PositionPD({"kp": {}}, kp=1, kd=1)
 
 
+def blocks() -> list[str]:
+    """The code of the documentation's page."""
+    return re.findall(r"^```python\n(.*?)^```$", (ROOT / "docs" / "python.md").read_text(), re.M | re.S)
+
+
 def test_the_page_s_loop_finds_its_drive(capsys: pytest.CaptureFixture[str]) -> None:
-    (code,) = re.findall(r"^```python\n(.*?)^```$", (ROOT / "docs" / "python.md").read_text(), re.M | re.S)
     before = torch.get_default_dtype()
     try:
-        exec(code, {})
+        exec(blocks()[1], {})
     finally:
         torch.set_default_dtype(before)
     np.testing.assert_allclose([float(word) for word in capsys.readouterr().out.split()], [0.04, 0.2, 0.1], rtol=0.01)
+
+
+def test_the_page_reads_a_run_back(
+    finished_run: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, finished = finished_run("mujoco_default")
+    (tmp_path / "run").symlink_to(folder)
+    monkeypatch.chdir(tmp_path)
+    exec(blocks()[0], {})
+    *summary, armature, errors = capsys.readouterr().out.strip().splitlines()
+    assert "\n".join(summary[:-1]) in finished.out  # but for the folder
+    result = json.loads((folder / "result.json").read_text())
+    (row,) = [row for row in result["parameters"] if row["name"] == "armature"]
+    value, ends = armature.split(" kg m^2 ")
+    assert float(value.strip("[]")) == pytest.approx(row["value"], rel=1e-6)
+    assert [float(end) for end in ends.strip("[]").split()] == pytest.approx(row["interval"], rel=1e-6)
+    assert [float(error) for error in errors.split()] == [
+        result["metrics"][part]["position_mae"] for part in ("test", "baseline")
+    ]
+    same = (tmp_path / "drive.xml").read_text() == (folder / "identified.xml").read_text()
+    assert same, "another drive than the run's own file holds"
+    assert (tmp_path / "rollout.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_run_that_was_read_back_is_shown_and_exported(finished_run: Callable, tmp_path: Path) -> None:
+    fit = fz.load(finished_run("mujoco_default")[0])
+    curves = read_curves(fit.folder)
+    drawn = [line.get_ydata() for line in fit.plot().axes[0].lines]
+    for states in (curves.measured_qpos[0, :, 0], curves.qpos[0, :, 0], curves.baseline_qpos[0, :, 0]):
+        assert any(len(line) >= len(states) and np.array_equal(line[-len(states) :], states) for line in drawn)
+    page = fit._repr_html_()
+    assert page.count("<table>") == page.count("</table>") == 2 and "<td>bench.armature</td>" in page
+    known = fit.parameters["bench.kp"]
+    assert not known.identified and np.isnan(known.interval).all() and known.unit == "N m/rad"
+    assert fit.metrics["test"].rollouts == fit.result["metrics"]["test"]["rollouts"]
+    written = fit.export("torchscript", tmp_path / "all")
+    assert written.export and {*written.export.files} <= {path.name for path in (tmp_path / "all").iterdir()}
+    for target, path, expected in (
+        ("mjfc", "drive.xml", "no such target; did you mean mjcf"),
+        ("mjcf", "drive.onnx", "writes bench.xml; expected a folder, or one's ending"),
+        ("all", "drive.xml", "expected one target"),
+    ):
+        with pytest.raises(ConfigError, match=expected):
+            fit.export(target, tmp_path / path)
+    assert not (tmp_path / path).exists()
+    with pytest.raises(RunError, match="expected the folder of a finished run"):
+        fz.load(tmp_path)
+    with pytest.raises(RunError, match="no curves"):
+        replace(fit, curves=None).plot()

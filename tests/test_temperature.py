@@ -21,12 +21,12 @@ from frictionzoo.core.errors import BenchError, ConfigError
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.segments import cut_segments
 from frictionzoo.core.state import DriveState
-from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.module import load_module
 from frictionzoo.export.write import write_exports
 from frictionzoo.fit import LevenbergMarquardt, Objective, Space, estimate_uncertainty
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.models.temperature import ABSOLUTE_ZERO
+from frictionzoo.result.identified import Identified
 from frictionzoo.simulate import Values, friction_of, make_engine
 from frictionzoo.simulate.rollout import make_rollout
 
@@ -279,7 +279,7 @@ def test_a_run_with_and_without_temperature(runs: Callable[..., tuple[Path, Fini
     read_runs([warm, cold, plain])  # refuses runs that were judged on other rollouts
 
     for folder in (warm, cold):
-        assert Fitted.load(folder).samples.temperature is not None
+        assert Identified.load(folder).samples.temperature is not None
         written = write_exports(folder, {"target": "all"})
         for target, quantity, promise in (("mujoco", "qpos", 1e-9), ("onnx", "torque", 1e-12)):
             (export,) = [one.export for one in written if one.target == target]

@@ -17,7 +17,6 @@ from frictionzoo.bench import Bench
 from frictionzoo.core.errors import ConfigError, ExportError, ModelError
 from frictionzoo.core.segments import Sampling, Segments
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.write import write_exports
 from frictionzoo.fit import Adam, Known, Objective, Space, loop, run_fit
 from frictionzoo.fit.loggers import Csv
@@ -25,6 +24,7 @@ from frictionzoo.models import CoulombStribeck, FrictionModel, TorchFriction, re
 from frictionzoo.models.contract import check_model
 from frictionzoo.models.registry import REGISTRY
 from frictionzoo.result.curves import read_curves
+from frictionzoo.result.identified import Identified
 from frictionzoo.simulate.drive import Drive
 
 LOSS = {"position": 1.0, "velocity": 1.0, "robust": "none", "robust_scale": 1.0, "refine": False}
@@ -273,7 +273,7 @@ def test_a_run_leaves_what_every_run_leaves_and_is_exported_where_torch_goes(who
     assert result["metrics"]["test"]["diverged"] == 0
     assert result["no_intervals"] == "torch_stribeck exists only in torch, where no Jacobian is taken"
     assert (whole / "report.html").exists()
-    fitted = Fitted.load(whole)
+    fitted = Identified.load(whole)
     # The run computed in float32, the fitted drive does in float64: some hundred steps of a tenth of a radian.
     np.testing.assert_allclose(fitted.rollout()[0], read_curves(whole).qpos, atol=1e-5)
     (written,) = write_exports(whole, {"target": "torchscript", "output": str(tmp_path / "torchscript")})

@@ -27,13 +27,13 @@ from frictionzoo.core.output import write_atomically
 from frictionzoo.core.segments import Sampling, Segments, cut_segments
 from frictionzoo.core.state import DriveState
 from frictionzoo.export.bench import write_bench
-from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.nearest import find_nearest
 from frictionzoo.fit import Fit, Objective, Outcome, Space, estimate_uncertainty, fit_reference, run_fit
 from frictionzoo.logs.cache import cache_folder, digest
 from frictionzoo.models import Baseline
 from frictionzoo.result.curves import Curves, sample_friction, write_curves
 from frictionzoo.result.evaluate import Evaluation, Judgement
+from frictionzoo.result.identified import Identified
 from frictionzoo.result.record import build_result, describe_data, pick_metrics, write_result
 from frictionzoo.show.run_figures import write_figures
 from frictionzoo.show.run_page import write_report
@@ -104,7 +104,7 @@ class Problem:
         posed = (bench, dataset, doubts, sampling, segments, evaluation, drive, proof, samples, objective, fit, device)
         return cls(*posed)
 
-    def following(self, teacher: Fitted, settings: Mapping[str, Any]) -> "Problem":
+    def following(self, teacher: Identified, settings: Mapping[str, Any]) -> "Problem":
         """The same problem with a fitted drive's rollouts in place of the measured segments, judged as before.
 
         The bench starts with the fitted values; its armature alone is free.
@@ -135,7 +135,7 @@ class Problem:
 
 
 def run_job(
-    config: DictConfig, name: str, folder: Path, teacher: Fitted | None = None
+    config: DictConfig, name: str, folder: Path, teacher: Identified | None = None
 ) -> tuple[dict[str, Any], str | None]:
     """Identify a drive and write what a run leaves behind.
 
@@ -244,7 +244,7 @@ def _write_drive(folder: Path, problem: Problem, outcome: Outcome, judgement: Ju
     # One entry only: safetensors writes several in an order that changes from run to run.
     header = {"frictionzoo": f"{model.name}, version {__version__}"}
     write_atomically(folder / "friction.safetensors", safetensors.torch.save(model.state_dict(), header))
-    write_curves(folder, _collect_curves(problem, outcome, judgement))
+    write_curves(folder, _collect_curves(problem, outcome, judgement, baseline))
 
 
 def _write_mjcf(folder: Path, problem: Problem, outcome: Outcome, result: dict[str, Any]) -> None:
@@ -252,11 +252,11 @@ def _write_mjcf(folder: Path, problem: Problem, outcome: Outcome, result: dict[s
     model = copy.deepcopy(problem.drive.model).double()
     values = {owner: {k: np.array(v, np.float64) for k, v in own.items()} for owner, own in outcome.values.items()}
     drive = problem.bench, model, values, problem.evaluation.trajectories, problem.sampling
-    fitted = Fitted(folder, result, *drive)
+    fitted = Identified(folder, result, *drive)
     write_atomically(folder / "identified.xml", write_bench(fitted, find_nearest(fitted)).encode())
 
 
-def _collect_curves(problem: Problem, outcome: Outcome, judgement: Judgement) -> Curves:
+def _collect_curves(problem: Problem, outcome: Outcome, judgement: Judgement, baseline: Judgement) -> Curves:
     measured, local = problem.evaluation.trajectories, problem.evaluation.local
     velocity, friction, low, high = sample_friction(problem.drive.model, problem.samples)
     return Curves(
@@ -266,6 +266,8 @@ def _collect_curves(problem: Problem, outcome: Outcome, judgement: Judgement) ->
         load=measured.loads,
         qpos=judgement.prediction.qpos,
         qvel=judgement.prediction.qvel,
+        baseline_qpos=baseline.prediction.qpos,
+        baseline_qvel=baseline.prediction.qvel,
         train_mae=judgement.rollout_mae["train"],
         test_mae=judgement.rollout_mae["test"],
         local_mae=judgement.local_mae,

@@ -1,21 +1,19 @@
 """Run folders to runs that can be compared."""
 
-import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-import jsonschema
 import yaml
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from frictionzoo.core.errors import RunError
 from frictionzoo.core.output import FAILURE, RESULT, RUNNING
-from frictionzoo.result.curves import Curves, read_curves
-from frictionzoo.result.record import SCHEMA_VERSION, read_schema
+from frictionzoo.result.curves import Curves
+from frictionzoo.result.record import read_json, read_run
 
 MOST_NAMED = 2  # options in a label
 # Options that may differ between runs that are compared, and are then named. A law's own options belong to the law, and
@@ -66,7 +64,7 @@ def read_runs(folders: Sequence[Path]) -> tuple[list[Run], list[Failure]]:
     """
     found = list(dict.fromkeys(run.resolve() for folder in folders for run in find_runs(folder)))
     failures = [failure for folder in found if (failure := read_failure(folder))]
-    runs = [_read(folder) for folder in found if (folder / RESULT).exists()]
+    runs = [_label_alone(folder) for folder in found if (folder / RESULT).exists()]
     for run in runs[1:]:
         _refuse_incomparable(run, runs[0])
     return _label(runs), failures
@@ -108,7 +106,7 @@ def read_failure(folder: Path) -> Failure | None:
         return None
     if not (folder / FAILURE).exists():
         return Failure(folder.name, _read_model(folder), "no result: its process ended before it was done")
-    saved = _read_json(folder / FAILURE)
+    saved = read_json(folder / FAILURE)
     model, reason = (" ".join(str(saved.get(key, "")).split()) for key in ("model", "reason"))
     return Failure(folder.name, model, reason)
 
@@ -122,30 +120,9 @@ def _read_model(folder: Path) -> str:
         return ""
 
 
-def _read(folder: Path) -> Run:
-    path = folder / RESULT
-    result = _read_json(path)
-    if result.get("schema_version") != SCHEMA_VERSION:
-        raise RunError(
-            f"{path}: schema_version {result.get('schema_version')}, expected {SCHEMA_VERSION}; run it again with this "
-            "version"
-        )
-    error = jsonschema.Draft202012Validator(read_schema()).iter_errors(result)
-    if first := next(iter(error), None):
-        raise RunError(f"{path}: {first.json_path}: {first.message[:200]}; expected the file that this version writes")
-    return Run(result["model"], folder, result, read_curves(folder))
-
-
-def _read_json(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise RunError(f"{path}: {error.strerror}; expected a file that can be read") from None
-    except ValueError as error:
-        raise RunError(f"{path}: not JSON ({error}); expected the file that this version writes") from None
-    if not isinstance(content, dict):
-        raise RunError(f"{path}: {type(content).__name__}, expected an object; name a folder that this program made")
-    return content
+def _label_alone(folder: Path) -> Run:
+    result, curves = read_run(folder)
+    return Run(result["model"], folder, result, curves)
 
 
 def _refuse_incomparable(run: Run, first: Run) -> None:

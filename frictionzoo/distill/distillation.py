@@ -18,10 +18,10 @@ from frictionzoo.core.config import check_overrides, compose_config, list_choice
 from frictionzoo.core.errors import ConfigError, OutputError, closest
 from frictionzoo.core.output import to_json, write_atomically
 from frictionzoo.core.params import UNITS
-from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.nearest import evaluate_law
 from frictionzoo.models import FrictionModel
 from frictionzoo.models.base import sliding_torque
+from frictionzoo.result.identified import Identified
 
 NOTE = "distillation.json"
 _GROUPS = ("model", "fit")  # what a student may choose anew, by the name of a file
@@ -61,7 +61,7 @@ def distill(folder: Path, options: Mapping[str, str]) -> Distillation:
         FrictionzooError: The run or its recordings cannot be read any more, an option is impossible, or the teacher
             diverges. Then nothing is left behind.
     """
-    teacher = Fitted.load(folder)
+    teacher = Identified.load(folder)
     own = {key: value for key, value in options.items() if key != "output"}
     config = compose_student(teacher, own)
     name = options["model"]
@@ -78,7 +78,7 @@ def distill(folder: Path, options: Mapping[str, str]) -> Distillation:
     return Distillation(place, teacher.result, student, note, complaint)
 
 
-def compose_student(teacher: Fitted, options: Mapping[str, str]) -> DictConfig:
+def compose_student(teacher: Identified, options: Mapping[str, str]) -> DictConfig:
     """The configuration of the student's job: the teacher's, with another law and another fit.
 
     Args:
@@ -112,7 +112,7 @@ def _read_value(option: str) -> DictConfig:
         raise ConfigError(f"{option}: cannot be read, expected KEY=VALUE; close quotes and brackets") from None
 
 
-def _replace_choices(teacher: Fitted, choices: Mapping[str, str]) -> DictConfig:
+def _replace_choices(teacher: Identified, choices: Mapping[str, str]) -> DictConfig:
     """The teacher's settings with these files of conf/ in place of their own; scales, say, are the settings'.
 
     A drive's rollouts have neither noise nor outliers. So nothing is done against these, and the segments need not be
@@ -136,9 +136,9 @@ def _count(model: FrictionModel) -> int:
     return sum(values.numel() for values in model.parameters())
 
 
-def _compare(teacher: Fitted, folder: Path) -> dict[str, Any]:
+def _compare(teacher: Identified, folder: Path) -> dict[str, Any]:
     """What `distillation.json` says: who followed whom, and how far apart they are."""
-    student = Fitted.load(folder)
+    student = Identified.load(folder)
     qpos, own = (run.curves.qpos for run in read_runs([teacher.folder, folder])[0])
     kept = np.isfinite(qpos).all(axis=(1, 2)) & np.isfinite(own).all(axis=(1, 2))
     states, units = teacher.samples, UNITS[teacher.bench.joint_type]

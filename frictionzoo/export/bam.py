@@ -15,13 +15,14 @@ from scipy.optimize import nnls
 from frictionzoo.bench import VoltageServo
 from frictionzoo.core.errors import ConfigError, ExportError, closest
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.export.base import Difference, Export, Target, measure, register_target
-from frictionzoo.export.fitted import Fitted
+from frictionzoo.export.base import Target, measure, register_target
 from frictionzoo.export.graph import compare
 from frictionzoo.export.nearest import evaluate_law
 from frictionzoo.export.read_bam import DUTY, LAWS, load_parameters, read_bench
 from frictionzoo.export.simulate import Step, simulate, step_with_control
+from frictionzoo.export.written import Difference, Export
 from frictionzoo.models.base import sliding_torque
+from frictionzoo.result.identified import Identified
 
 _AT_ONCE = 1e3  # rad/s, faster than any command: BAM's STS3215 else follows commands at its default speed
 _INPUTS = "Supply and gain are not in the file: BAM takes them from its logs, or as vin and kp."
@@ -40,7 +41,7 @@ class Bam(Target):
     options: ClassVar[Mapping[str, str]] = {"servo": f"its name in BAM: {', '.join(DUTY)}"}
     packages: ClassVar[tuple[str, ...]] = ("mujoco",)
 
-    def write(self, fitted: Fitted, folder: Path, options: Mapping[str, str]) -> Export:
+    def write(self, fitted: Identified, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
         if not isinstance(fitted.bench.actuator, VoltageServo):
             law = type(fitted.bench.actuator).__name__
@@ -86,7 +87,7 @@ def friction_budget(parameters: Mapping[str, Any], state: DriveState) -> Frictio
     return FrictionTerms(frictionloss=dry, damping=np.full(np.shape(state.qvel), has["friction_viscous"]))
 
 
-def _to_bam(fitted: Fitted) -> tuple[list[dict[str, Any]], list[str]]:
+def _to_bam(fitted: Identified) -> tuple[list[dict[str, Any]], list[str]]:
     """BAM's friction parameters of each joint, and what they cost."""
     values = fitted.values["friction"]
     for model, (law, names) in LAWS.items():
@@ -109,13 +110,13 @@ def _to_bam(fitted: Fitted) -> tuple[list[dict[str, Any]], list[str]]:
     return _nearest(fitted)
 
 
-def _rename(fitted: Fitted, model: str, names: Mapping[str, str]) -> list[dict[str, Any]]:
+def _rename(fitted: Identified, model: str, names: Mapping[str, str]) -> list[dict[str, Any]]:
     values = fitted.values["friction"]
     joints = range(fitted.bench.nv)
     return [{"model": model, **{bam: float(values[own][joint]) for bam, own in names.items()}} for joint in joints]
 
 
-def _nearest(fitted: Fitted) -> tuple[list[dict[str, Any]], list[str]]:
+def _nearest(fitted: Identified) -> tuple[list[dict[str, Any]], list[str]]:
     """The least-squares m3 over the recorded states, all terms >= 0."""
     samples = fitted.samples
     torque = sliding_torque(np, evaluate_law(fitted.model, samples), samples.qvel)
@@ -135,7 +136,7 @@ def _nearest(fitted: Fitted) -> tuple[list[dict[str, Any]], list[str]]:
     ]
 
 
-def _motor(fitted: Fitted, joint: int, actuator: str) -> dict[str, float]:
+def _motor(fitted: Identified, joint: int, actuator: str) -> dict[str, float]:
     """BAM's parameters of motor and rig."""
     bench = {name: float(value[joint]) for name, value in fitted.values["bench"].items()}
     torque_constant = bench["kt2_over_r"] / bench["kt_over_r"]
@@ -151,7 +152,7 @@ def _motor(fitted: Fitted, joint: int, actuator: str) -> dict[str, float]:
     return motor
 
 
-def _choose_actuator(fitted: Fitted, options: Mapping[str, str]) -> tuple[str, list[str]]:
+def _choose_actuator(fitted: Identified, options: Mapping[str, str]) -> tuple[str, list[str]]:
     """BAM's name of the servo, and what is to be said of it."""
     gain = float(fitted.values["bench"]["duty_gain"][0])
     given = options.get("servo")
@@ -167,11 +168,11 @@ def _choose_actuator(fitted: Fitted, options: Mapping[str, str]) -> tuple[str, l
     return chosen, said
 
 
-def _prefixes(fitted: Fitted) -> list[str]:
+def _prefixes(fitted: Identified) -> list[str]:
     return [""] if fitted.bench.nv == 1 else [f"{name}_" for name in fitted.bench.joints]
 
 
-def _compare(fitted: Fitted, paths: list[Path]) -> tuple[Difference, ...]:
+def _compare(fitted: Identified, paths: list[Path]) -> tuple[Difference, ...]:
     """The files against the drive: friction at the recorded states, and the rollouts in MuJoCo C."""
     files = [load_parameters(path) for path in paths]
     bench = [read_bench(path, data) for path, data in zip(paths, files, strict=True)]
@@ -196,13 +197,13 @@ def _state_of(state: DriveState, joint: int) -> DriveState:
     return state.map(lambda signal: signal[..., joint])
 
 
-def _compile(written: Fitted) -> mujoco.MjModel:
+def _compile(written: Identified) -> mujoco.MjModel:
     values = {name: value for name, value in written.values["bench"].items() if name != "delay"}
     ones = np.ones(written.bench.nv)  # set in each step
     return mujoco.MjModel.from_xml_string(written.bench.mjcf(values, ones, ones))
 
 
-def _step(written: Fitted, files: list[dict[str, Any]]) -> Step:
+def _step(written: Identified, files: list[dict[str, Any]]) -> Step:
     """A step as BAM's MuJoCo controller takes it: friction from the state before it, by MuJoCo's own constraint."""
     advance = step_with_control(written)
 

@@ -2,7 +2,6 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -12,41 +11,8 @@ from jaxtyping import Float
 from frictionzoo.core.errors import ConfigError, ExportError
 from frictionzoo.core.params import UNITS
 from frictionzoo.core.registry import Registry
-from frictionzoo.export.fitted import Fitted
-
-
-@dataclass(frozen=True)
-class Difference:
-    """What was written, run in the program that it is for, against the fitted drive.
-
-    Attributes:
-        quantity: What was compared: `qpos`, or `torque`.
-        unit: Its unit.
-        largest: Largest absolute difference.
-        mean: Mean absolute difference.
-        over: Of what, in words: `10 rollouts of 3 s`.
-    """
-
-    quantity: str
-    unit: str
-    largest: float
-    mean: float
-    over: str
-
-
-@dataclass(frozen=True)
-class Export:
-    """What a target wrote.
-
-    Attributes:
-        files: Their names in the folder.
-        differences: Measured by running the written files.
-        limits: What they cannot represent and what a user has to know, a sentence each, with its loss of accuracy.
-    """
-
-    files: tuple[str, ...]
-    differences: tuple[Difference, ...]
-    limits: tuple[str, ...] = ()
+from frictionzoo.export.written import Difference, Export
+from frictionzoo.result.identified import Identified
 
 
 class Target(ABC):
@@ -65,7 +31,7 @@ class Target(ABC):
     instant: ClassVar[bool] = False
 
     @abstractmethod
-    def write(self, fitted: Fitted, folder: Path, options: Mapping[str, str]) -> Export:
+    def write(self, fitted: Identified, folder: Path, options: Mapping[str, str]) -> Export:
         """Write the drive, and run what was written.
 
         Args:
@@ -115,7 +81,7 @@ def target_names() -> list[str]:
 
 def measure(
     quantity: str,
-    fitted: Fitted,
+    fitted: Identified,
     came: Float[np.ndarray, "*shape"],
     expected: Float[np.ndarray, "*shape"],
     over: str | None = None,

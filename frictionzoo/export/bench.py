@@ -11,11 +11,12 @@ from jaxtyping import Float
 from frictionzoo.bench import Actuator
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.params import UNITS
-from frictionzoo.export.base import Export, Target, measure, register_target
-from frictionzoo.export.fitted import Fitted
+from frictionzoo.export.base import Target, measure, register_target
 from frictionzoo.export.nearest import Nearest, find_nearest, say_exact
 from frictionzoo.export.robot import ACTUATORS, Robot, compare_torque, put_into
 from frictionzoo.export.simulate import commands_before, simulate, step_with_control
+from frictionzoo.export.written import Export
+from frictionzoo.result.identified import Identified
 
 FILE = "bench.xml"
 
@@ -31,7 +32,7 @@ class Mjcf(Target):
     }
     packages: ClassVar[tuple[str, ...]] = ("mujoco",)
 
-    def write(self, fitted: Fitted, folder: Path, options: Mapping[str, str]) -> Export:
+    def write(self, fitted: Identified, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
         for name in ("joint", "actuator"):
             if name in options and "into" not in options:
@@ -46,7 +47,7 @@ class Mjcf(Target):
 
 
 def _add_robot(
-    bench: Export, fitted: Fitted, folder: Path, nearest: Nearest, text: str, options: Mapping[str, str]
+    bench: Export, fitted: Identified, folder: Path, nearest: Nearest, text: str, options: Mapping[str, str]
 ) -> Export:
     path, actuators = Path(options["into"]), options.get("actuator", ACTUATORS[0])
     joints = options["joint"].split(",") if "joint" in options else fitted.bench.joints
@@ -59,7 +60,7 @@ def _add_robot(
     return Export((*bench.files, name), (*bench.differences, difference), limits)
 
 
-def _say_robot(robot: Robot, fitted: Fitted, nearest: Nearest, actuators: str) -> list[str]:
+def _say_robot(robot: Robot, fitted: Identified, nearest: Nearest, actuators: str) -> list[str]:
     """What the robot's file leaves out."""
     units, armature = UNITS[fitted.bench.joint_type], ", ".join(f"{value:.6g}" for value in nearest.bench["armature"])
     limits = []
@@ -83,14 +84,14 @@ def _say_robot(robot: Robot, fitted: Fitted, nearest: Nearest, actuators: str) -
     return limits
 
 
-def write_bench(fitted: Fitted, nearest: Nearest) -> str:
+def write_bench(fitted: Identified, nearest: Nearest) -> str:
     """The bench's MJCF with these values, in steps of the drive's length."""
     loss = nearest.frictionloss if nearest.frictionloss.any() else None  # 0 would be a constraint without effect
     remark = nearest.remark or say_exact(fitted.model)
     return fitted.bench.mjcf(nearest.bench, loss, nearest.damping, (remark,))
 
 
-def run_bench(model: mujoco.MjModel, fitted: Fitted) -> Float[np.ndarray, "batch time nv"]:
+def run_bench(model: mujoco.MjModel, fitted: Identified) -> Float[np.ndarray, "batch time nv"]:
     """Positions of the long test rollouts in MuJoCo C, the actuator law's controller computed by the caller.
 
     Args:
@@ -106,7 +107,7 @@ def run_bench(model: mujoco.MjModel, fitted: Fitted) -> Float[np.ndarray, "batch
     return simulate(model, fitted, step_with_control(fitted), prepare, late)
 
 
-def _fill_history(model: mujoco.MjModel, data: mujoco.MjData, fitted: Fitted, rollout: int) -> None:
+def _fill_history(model: mujoco.MjModel, data: mujoco.MjData, fitted: Identified, rollout: int) -> None:
     """Put the commands before a rollout's first state where MuJoCo's late actuators look for them."""
     held = commands_before(fitted, rollout)
     for actuator in range(model.nu):
@@ -116,7 +117,7 @@ def _fill_history(model: mujoco.MjModel, data: mujoco.MjData, fitted: Fitted, ro
             mujoco.mj_initCtrlHistory(model, data, actuator, model.opt.timestep * steps, known)
 
 
-def say_limits(fitted: Fitted, nearest: Nearest) -> tuple[str, ...]:
+def say_limits(fitted: Identified, nearest: Nearest) -> tuple[str, ...]:
     """What a user of the bench's MJCF has to know."""
     law, limits = type(fitted.bench.actuator), [nearest.remark] if nearest.remark else []
     if law.control is not Actuator.control:
@@ -130,5 +131,5 @@ def say_limits(fitted: Fitted, nearest: Nearest) -> tuple[str, ...]:
     return tuple(limits)
 
 
-def _list(fitted: Fitted, name: str) -> str:
+def _list(fitted: Identified, name: str) -> str:
     return ", ".join(f"{value:.4g}" for value in fitted.values["bench"][name])

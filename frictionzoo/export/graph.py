@@ -8,10 +8,11 @@ import torch
 
 from frictionzoo.core.errors import ConfigError, closest
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.export.base import Difference, measure
-from frictionzoo.export.fitted import Fitted
+from frictionzoo.export.base import measure
 from frictionzoo.export.nearest import evaluate_law
+from frictionzoo.export.written import Difference
 from frictionzoo.models.base import FrictionModel, sliding_torque
+from frictionzoo.result.identified import Identified
 
 DTYPES = {"float64": torch.float64, "float32": torch.float32}
 LIMITS = (
@@ -71,7 +72,7 @@ def inputs(samples: DriveState, dtype: torch.dtype) -> dict[str, torch.Tensor]:
     return samples.map(lambda signal: torch.tensor(np.asarray(signal, np.float64), dtype=dtype)).given()
 
 
-def compare(fitted: Fitted, came: FrictionTerms, how: str) -> Difference:
+def compare(fitted: Identified, came: FrictionTerms, how: str) -> Difference:
     """How far answers at the recorded states are from the law in float64, in friction torque while the joint moves.
 
     Args:

@@ -7,9 +7,8 @@ from typing import ClassVar
 import numpy as np
 
 from frictionzoo.core.params import UNITS
-from frictionzoo.export.base import Export, Target, measure, register_target
+from frictionzoo.export.base import Target, measure, register_target
 from frictionzoo.export.configclass import Field, read_calls, write_call, write_module
-from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.motor import (
     INPUTS,
     Joint,
@@ -23,6 +22,8 @@ from frictionzoo.export.motor import (
     viscous_friction,
 )
 from frictionzoo.export.nearest import Nearest, find_nearest
+from frictionzoo.export.written import Export
+from frictionzoo.result.identified import Identified
 
 FILE = "isaaclab_actuators.py"
 _DOCSTRING = """Actuators of Isaac Lab 2.3 or later on Isaac Sim 5 or later, written by frictionzoo.
@@ -50,7 +51,7 @@ class IsaacLab(Target):
     options: ClassVar[Mapping[str, str]] = INPUTS
     packages: ClassVar[tuple[str, ...]] = ("mujoco",)
 
-    def write(self, fitted: Fitted, folder: Path, options: Mapping[str, str]) -> Export:
+    def write(self, fitted: Identified, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
         inputs = read_inputs(fitted, options)
         drives, nearest = motors(fitted, inputs), find_nearest(fitted)
@@ -75,7 +76,7 @@ def read_isaaclab(text: str) -> list[Joint]:
     return [read_joint(fields, _FRICTION, "min_delay") for _, fields in read_calls(text)]
 
 
-def _call(fitted: Fitted, nearest: Nearest, joint: int, motor: Motor) -> tuple[str, list[Field]]:
+def _call(fitted: Identified, nearest: Nearest, joint: int, motor: Motor) -> tuple[str, list[Field]]:
     units = UNITS[fitted.bench.joint_type]
     cls, own = _actuator(fitted, joint, motor)
     dynamic = float(nearest.frictionloss[joint])
@@ -92,7 +93,7 @@ def _call(fitted: Fitted, nearest: Nearest, joint: int, motor: Motor) -> tuple[s
     ]
 
 
-def _actuator(fitted: Fitted, joint: int, motor: Motor) -> tuple[str, list[Field]]:
+def _actuator(fitted: Identified, joint: int, motor: Motor) -> tuple[str, list[Field]]:
     """Class, and keywords that only it has."""
     units, steps = UNITS[fitted.bench.joint_type], lag(fitted, joint)
     if np.isfinite(motor.saturation_effort):
@@ -109,7 +110,7 @@ def _actuator(fitted: Fitted, joint: int, motor: Motor) -> tuple[str, list[Field
     return "ImplicitActuatorCfg", []
 
 
-def _say_delay(fitted: Fitted, drives: list[Motor]) -> list[str]:
+def _say_delay(fitted: Identified, drives: list[Motor]) -> list[str]:
     """DC motors act at once."""
     late = max(lag(fitted, joint) for joint in range(fitted.bench.nv))
     if not late or not np.isfinite(drives[0].saturation_effort):

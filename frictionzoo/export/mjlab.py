@@ -7,9 +7,8 @@ from typing import ClassVar
 import numpy as np
 
 from frictionzoo.core.params import UNITS
-from frictionzoo.export.base import Export, Target, measure, register_target
+from frictionzoo.export.base import Target, measure, register_target
 from frictionzoo.export.configclass import Field, read_calls, write_call, write_module
-from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.motor import (
     INPUTS,
     Joint,
@@ -23,6 +22,8 @@ from frictionzoo.export.motor import (
     viscous_friction,
 )
 from frictionzoo.export.nearest import Nearest, find_nearest
+from frictionzoo.export.written import Export
+from frictionzoo.result.identified import Identified
 
 FILE = "mjlab_actuators.py"
 _DOCSTRING = """Actuators of mjlab 1.6 or later, written by frictionzoo.
@@ -42,7 +43,7 @@ class Mjlab(Target):
     options: ClassVar[Mapping[str, str]] = INPUTS
     packages: ClassVar[tuple[str, ...]] = ("mujoco",)
 
-    def write(self, fitted: Fitted, folder: Path, options: Mapping[str, str]) -> Export:
+    def write(self, fitted: Identified, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
         inputs = read_inputs(fitted, options)
         drives, nearest = motors(fitted, inputs), find_nearest(fitted)
@@ -66,7 +67,7 @@ def read_mjlab(text: str) -> list[Joint]:
     return [read_joint(fields, _FRICTION, "delay_min_lag") for _, fields in read_calls(text)]
 
 
-def _call(fitted: Fitted, nearest: Nearest, joint: int, motor: Motor) -> tuple[str, list[Field]]:
+def _call(fitted: Identified, nearest: Nearest, joint: int, motor: Motor) -> tuple[str, list[Field]]:
     units, steps = UNITS[fitted.bench.joint_type], lag(fitted, joint)
     cls, own = _actuator(fitted, motor)
     late = [Field("delay_min_lag", str(steps), "steps"), Field("delay_max_lag", str(steps), "steps")] if steps else []
@@ -80,7 +81,7 @@ def _call(fitted: Fitted, nearest: Nearest, joint: int, motor: Motor) -> tuple[s
     ]
 
 
-def _actuator(fitted: Fitted, motor: Motor) -> tuple[str, list[Field]]:
+def _actuator(fitted: Identified, motor: Motor) -> tuple[str, list[Field]]:
     """Class and keywords of the actuator alone."""
     units = UNITS[fitted.bench.joint_type]
     gains = [

@@ -11,11 +11,12 @@ import numpy as np
 from jaxtyping import Float
 from mujoco import mjx
 
-from frictionzoo.export.base import Export, Target, measure, register_target
-from frictionzoo.export.fitted import Fitted
+from frictionzoo.export.base import Target, measure, register_target
 from frictionzoo.export.module import load_module, write_module
 from frictionzoo.export.mujoco_c import BENCH, MODULE, write_bare_bench
 from frictionzoo.export.simulate import commands_before
+from frictionzoo.export.written import Export
+from frictionzoo.result.identified import Identified
 
 
 @register_target("mjx")
@@ -24,7 +25,7 @@ class Mjx(Target):
 
     packages: ClassVar[tuple[str, ...]] = ("mujoco", "jax", "numpy")
 
-    def write(self, fitted: Fitted, folder: Path, options: Mapping[str, str]) -> Export:
+    def write(self, fitted: Identified, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
         # MJX makes a row of the friction constraint for joints with a limit; its size is set in each step.
         loss = np.ones(fitted.bench.nv) if fitted.model.constraint else None
@@ -38,7 +39,7 @@ class Mjx(Target):
         return Export((*written, BENCH), (measure("qpos", fitted, qpos, fitted.rollout()[0]),), _say_limits(fitted))
 
 
-def _run(folder: Path, fitted: Fitted) -> Float[np.ndarray, "batch time nv"]:
+def _run(folder: Path, fitted: Identified) -> Float[np.ndarray, "batch time nv"]:
     module: Any = load_module(folder / MODULE)
     model = mujoco.MjModel.from_xml_path(str(folder / BENCH))
     segments = fitted.segments
@@ -77,7 +78,7 @@ def _run(folder: Path, fitted: Fitted) -> Float[np.ndarray, "batch time nv"]:
     return np.stack(found)[:, substeps - 1 :: substeps]
 
 
-def _commands(fitted: Fitted, number: int, kept: int) -> tuple[Any, Any]:
+def _commands(fitted: Identified, number: int, kept: int) -> tuple[Any, Any]:
     """What is held in each step of a rollout, and in so many steps before."""
     now = fitted.commands(late=False)[number]
     before = commands_before(fitted, number)
@@ -85,7 +86,7 @@ def _commands(fitted: Fitted, number: int, kept: int) -> tuple[Any, Any]:
     return jnp.asarray(now.reshape(-1, now.shape[-1])), jnp.asarray(before)
 
 
-def _say_limits(fitted: Fitted) -> tuple[str, ...]:
+def _say_limits(fitted: Identified) -> tuple[str, ...]:
     limits = ["The difference is in 64 bits (jax_enable_x64); JAX's usual 32 bits round more."]
     if fitted.bench.payload is not None:
         limits.append("Payloads of recordings are left out; for the difference above they were put into the model.")

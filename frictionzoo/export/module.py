@@ -14,15 +14,15 @@ from frictionzoo import __version__
 from frictionzoo.bench import Actuator
 from frictionzoo.core.errors import ExportError
 from frictionzoo.core.params import UNITS
-from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.graph import signals
 from frictionzoo.export.source import merge, read_source, write_values
 from frictionzoo.models import TorchFriction
+from frictionzoo.result.identified import Identified
 
 WEIGHTS = "weights.npz"
 
 
-def write_module(fitted: Fitted, folder: Path, template: str, name: str, **more: Any) -> tuple[str, ...]:
+def write_module(fitted: Identified, folder: Path, template: str, name: str, **more: Any) -> tuple[str, ...]:
     """Write a module and, for a network, its weights beside it.
 
     Args:
@@ -61,7 +61,7 @@ def write_module(fitted: Fitted, folder: Path, template: str, name: str, **more:
     return (name, WEIGHTS)
 
 
-def _describe(fitted: Fitted, values: str, weights: bool) -> Mapping[str, Any]:
+def _describe(fitted: Identified, values: str, weights: bool) -> Mapping[str, Any]:
     model = fitted.model
     law = read_source(model, *(("terms", "settle", "advance") if model.memory else ("terms",)))
     actuator = read_source(fitted.bench.actuator, "control")
@@ -90,7 +90,7 @@ def _describe(fitted: Fitted, values: str, weights: bool) -> Mapping[str, Any]:
     }
 
 
-def controls(fitted: Fitted) -> bool:
+def controls(fitted: Identified) -> bool:
     """Whether what MuJoCo's actuator gets is something else than the command."""
     return "delay" in fitted.values["bench"] or type(fitted.bench.actuator).control is not Actuator.control
 

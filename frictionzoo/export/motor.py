@@ -12,9 +12,9 @@ from frictionzoo.bench import Actuator, DcMotorPD, PositionPD, VoltageServo
 from frictionzoo.core.errors import ExportError
 from frictionzoo.core.params import UNITS
 from frictionzoo.export.base import read_number
-from frictionzoo.export.fitted import Fitted
 from frictionzoo.export.nearest import Nearest
 from frictionzoo.export.simulate import Step, simulate
+from frictionzoo.result.identified import Identified
 
 INPUTS: Mapping[str, str] = {
     "gain": "of a servo's firmware; the recordings' median where it is left out",
@@ -71,7 +71,7 @@ class Joint(NamedTuple):
     lag: int
 
 
-def read_inputs(fitted: Fitted, options: Mapping[str, str]) -> dict[str, float]:
+def read_inputs(fitted: Identified, options: Mapping[str, str]) -> dict[str, float]:
     """Gain and supply of a drive that needs them, as given or as the median over the long test rollouts."""
     names = fitted.bench.actuator.inputs
     signals = fitted.bench.split(fitted.segments.commands).inputs
@@ -80,7 +80,7 @@ def read_inputs(fitted: Fitted, options: Mapping[str, str]) -> dict[str, float]:
     return medians | {name: value for name, value in given.items() if value is not None and name in names}
 
 
-def motors(fitted: Fitted, inputs: Mapping[str, float]) -> list[Motor]:
+def motors(fitted: Identified, inputs: Mapping[str, float]) -> list[Motor]:
     """The drive of each joint.
 
     Args:
@@ -110,7 +110,7 @@ def _motor(law: Actuator, values: Mapping[str, float], inputs: Mapping[str, floa
     raise ExportError(f"the bench's actuator is a {name}, expected a position-controlled one; write target=mjcf")
 
 
-def viscous_friction(fitted: Fitted, nearest: Nearest, joint: int) -> float:
+def viscous_friction(fitted: Identified, nearest: Nearest, joint: int) -> float:
     """Damping of a joint altogether, the template's own included: a configuration replaces the robot's."""
     return float(nearest.damping[joint] + fitted.bench.own_damping[joint])
 
@@ -128,7 +128,7 @@ def read_joint(fields: Mapping[str, Any], friction: Sequence[str], delay: str) -
     return Joint(Motor(fields["stiffness"], fields["damping"], **limits), armature, loss, damping, fields.get(delay, 0))
 
 
-def lag(fitted: Fitted, joint: int) -> int:
+def lag(fitted: Identified, joint: int) -> int:
     """Whole steps of the simulation by which commands act late."""
     if "delay" not in fitted.values["bench"]:
         return 0
@@ -136,7 +136,7 @@ def lag(fitted: Fitted, joint: int) -> int:
     return min(round(float(fitted.values["bench"]["delay"][joint]) / fitted.timestep), known)
 
 
-def run_joints(fitted: Fitted, nearest: Nearest, joints: Sequence[Joint]) -> Float[np.ndarray, "batch time nv"]:
+def run_joints(fitted: Identified, nearest: Nearest, joints: Sequence[Joint]) -> Float[np.ndarray, "batch time nv"]:
     """Positions of the long test rollouts in MuJoCo C with the numbers of a configuration file.
 
     Args:
@@ -150,7 +150,7 @@ def run_joints(fitted: Fitted, nearest: Nearest, joints: Sequence[Joint]) -> Flo
     return simulate(_compile(fitted, nearest, joints), written, _step(joints))
 
 
-def _compile(fitted: Fitted, nearest: Nearest, joints: Sequence[Joint]) -> mujoco.MjModel:
+def _compile(fitted: Identified, nearest: Nearest, joints: Sequence[Joint]) -> mujoco.MjModel:
     """The bench with this friction, and actuators whose `ctrl` is the torque."""
     bench = {name: value for name, value in nearest.bench.items() if name != "delay"}
     bench["armature"] = np.array([joint.armature for joint in joints])
@@ -171,7 +171,7 @@ def _step(joints: Sequence[Joint]) -> Step:
     return step
 
 
-def say_common(fitted: Fitted, nearest: Nearest, inputs: Mapping[str, float], program: str) -> list[str]:
+def say_common(fitted: Identified, nearest: Nearest, inputs: Mapping[str, float], program: str) -> list[str]:
     """What every configuration file lacks.
 
     Args:

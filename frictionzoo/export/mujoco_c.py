@@ -7,10 +7,11 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 
-from frictionzoo.export.base import Export, Target, measure, register_target
-from frictionzoo.export.fitted import Fitted
+from frictionzoo.export.base import Target, measure, register_target
 from frictionzoo.export.module import controls, load_module, write_module
 from frictionzoo.export.simulate import commands_before, simulate
+from frictionzoo.export.written import Export
+from frictionzoo.result.identified import Identified
 
 MODULE, BENCH = "drive.py", "bench.xml"
 
@@ -21,7 +22,7 @@ class MujocoC(Target):
 
     packages: ClassVar[tuple[str, ...]] = ("mujoco", "numpy")
 
-    def write(self, fitted: Fitted, folder: Path, options: Mapping[str, str]) -> Export:
+    def write(self, fitted: Identified, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
         (folder / BENCH).write_text(write_bare_bench(fitted))
         written = write_module(
@@ -32,13 +33,13 @@ class MujocoC(Target):
         return Export((*written, BENCH), (measure("qpos", fitted, qpos, fitted.rollout()[0]),), _say_limits(fitted))
 
 
-def write_bare_bench(fitted: Fitted, frictionloss: np.ndarray | None = None) -> str:
+def write_bare_bench(fitted: Identified, frictionloss: np.ndarray | None = None) -> str:
     """The bench's MJCF, without friction and without delay: the module brings both."""
     values = {name: value for name, value in fitted.values["bench"].items() if name != "delay"}
     return fitted.bench.mjcf(values, frictionloss, comments=(f"Friction is in {MODULE} beside this file.",))
 
 
-def _run(folder: Path, fitted: Fitted) -> np.ndarray:
+def _run(folder: Path, fitted: Identified) -> np.ndarray:
     module: Any = load_module(folder / MODULE)
     model = mujoco.MjModel.from_xml_path(str(folder / BENCH))
     drive = module.Drive(model)
@@ -53,7 +54,7 @@ def _run(folder: Path, fitted: Fitted) -> np.ndarray:
     return simulate(model, fitted, step, prepare, late=False)
 
 
-def _say_limits(fitted: Fitted) -> tuple[str, ...]:
+def _say_limits(fitted: Identified) -> tuple[str, ...]:
     limits = ["It runs as MuJoCo's control callback, in Python: a step takes longer than without."]
     if fitted.bench.payload is not None:
         limits.append("Payloads of recordings are left out; for the difference above they were put into the model.")

@@ -13,10 +13,10 @@ from frictionzoo.core.errors import RunError
 from frictionzoo.core.params import UNITS
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.export.fitted import Fitted
 from frictionzoo.fit import LevenbergMarquardt, Objective, Space
 from frictionzoo.models import FrictionModel, MujocoDefault
 from frictionzoo.models.base import sliding_torque
+from frictionzoo.result.identified import Identified
 from frictionzoo.simulate import friction_of, make_engine
 from frictionzoo.simulate.rollout import make_rollout
 
@@ -43,7 +43,7 @@ class Nearest:
     remark: str = ""
 
 
-def find_nearest(fitted: Fitted) -> Nearest:
+def find_nearest(fitted: Identified) -> Nearest:
     """The drive with MuJoCo's own friction, refitted where the law is another.
 
     The start is the least-squares friction over the measured states. From there armature, frictionloss and damping
@@ -79,7 +79,7 @@ def find_nearest(fitted: Fitted) -> Nearest:
 
 
 def _refit(
-    fitted: Fitted, followed: Segments, loss: Float[np.ndarray, "nv"], damping: Float[np.ndarray, "nv"]
+    fitted: Identified, followed: Segments, loss: Float[np.ndarray, "nv"], damping: Float[np.ndarray, "nv"]
 ) -> Nearest:
     with jax.enable_x64(True):
         objective = _pose(fitted, followed, loss, damping)
@@ -93,7 +93,7 @@ def _refit(
 
 
 def _pose(
-    fitted: Fitted, followed: Segments, loss: Float[np.ndarray, "nv"], damping: Float[np.ndarray, "nv"]
+    fitted: Identified, followed: Segments, loss: Float[np.ndarray, "nv"], damping: Float[np.ndarray, "nv"]
 ) -> Objective:
     """The mean square distance of MuJoCo's friction from these rollouts, from this friction on."""
     bench = fitted.bench.restarted(fitted.values["bench"])
@@ -112,7 +112,7 @@ def _free(size: float) -> dict[str, float | bool]:
     return {"init": size, "low": _SMALLEST * size, "high": _LARGEST * size, "scale": size, "identify": True}
 
 
-def _say(fitted: Fitted, armature: Float[np.ndarray, "nv"], before: float, after: float) -> str:
+def _say(fitted: Identified, armature: Float[np.ndarray, "nv"], before: float, after: float) -> str:
     identified, joint_type = fitted.values["bench"]["armature"], fitted.bench.joint_type
     unit, inertia = UNITS[joint_type]["position"], UNITS[joint_type]["inertia"]
     return (

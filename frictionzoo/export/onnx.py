@@ -11,10 +11,11 @@ import torch
 
 from frictionzoo.core.output import write_atomically
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.export.base import Export, Target, register_target
-from frictionzoo.export.fitted import Fitted
+from frictionzoo.export.base import Target, register_target
 from frictionzoo.export.graph import DTYPES, Graph, compare, example, inputs, limits, read_dtype, signals
+from frictionzoo.export.written import Export
 from frictionzoo.models.base import FrictionModel
+from frictionzoo.result.identified import Identified
 
 FILE = "friction.onnx"
 
@@ -27,7 +28,7 @@ class Onnx(Target):
     packages: ClassVar[tuple[str, ...]] = ("onnx", "onnxscript", "onnxruntime")
     instant: ClassVar[bool] = True
 
-    def write(self, fitted: Fitted, folder: Path, options: Mapping[str, str]) -> Export:
+    def write(self, fitted: Identified, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
         dtype = read_dtype(options)
         write_atomically(folder / FILE, export_onnx(fitted.model, dtype))

@@ -11,9 +11,10 @@ from jaxtyping import Float
 
 from frictionzoo.core.errors import ConfigError, ExportError, closest
 from frictionzoo.core.state import DriveState
-from frictionzoo.export.base import Difference, measure
-from frictionzoo.export.fitted import Fitted
+from frictionzoo.export.base import measure
 from frictionzoo.export.nearest import Nearest
+from frictionzoo.export.written import Difference
+from frictionzoo.result.identified import Identified
 
 _JOINT = ("armature", "solreffriction", "frictionloss", "damping")
 _KEPT = ("name", "group", "ctrlrange", "ctrllimited", "forcerange", "forcelimited")  # of an actuator that is replaced
@@ -41,7 +42,9 @@ class Robot:
     model: mujoco.MjModel
 
 
-def put_into(path: Path, joints: Sequence[str], actuators: str, fitted: Fitted, nearest: Nearest, bench: str) -> Robot:
+def put_into(
+    path: Path, joints: Sequence[str], actuators: str, fitted: Identified, nearest: Nearest, bench: str
+) -> Robot:
     """The user's robot with the drive in some of its joints; all else stays as it is, to the last digit.
 
     Args:
@@ -72,7 +75,7 @@ def put_into(path: Path, joints: Sequence[str], actuators: str, fitted: Fitted, 
     return Robot(text, urdf, tuple(joints), columns, _compile(text, path))
 
 
-def compare_torque(robot: Robot, fitted: Fitted, nearest: Nearest, actuators: bool) -> Difference:
+def compare_torque(robot: Robot, fitted: Identified, nearest: Nearest, actuators: bool) -> Difference:
     """The robot's own actuator and damping in MuJoCo C, at recorded states, against those that were identified.
 
     Args:
@@ -90,7 +93,7 @@ def compare_torque(robot: Robot, fitted: Fitted, nearest: Nearest, actuators: bo
     return measure("torque", fitted, np.array(came), expected[:, column], over)
 
 
-def _pick_states(fitted: Fitted) -> DriveState:
+def _pick_states(fitted: Identified) -> DriveState:
     """Some of the recorded states, with what MuJoCo's actuators get in them as `ctrl`."""
     bench, samples = fitted.bench, fitted.samples
     command, inputs, _ = bench.split(fitted.commands()[:, :, 0].reshape(len(samples.qpos), -1))
@@ -141,7 +144,7 @@ def _read(path: Path) -> tuple[ET.Element, bool]:
     return root, root.tag == "robot"
 
 
-def _match(path: Path, joints: Sequence[str], found: Mapping[str, ET.Element], fitted: Fitted) -> tuple[int, ...]:
+def _match(path: Path, joints: Sequence[str], found: Mapping[str, ET.Element], fitted: Identified) -> tuple[int, ...]:
     """Column of the drive's values for each joint."""
     for name in joints:
         if name not in found:
@@ -170,7 +173,7 @@ def _compile(text: str, path: Path) -> mujoco.MjModel:
         ) from None
 
 
-def _refuse_other_types(model: mujoco.MjModel, path: Path, joints: Sequence[str], fitted: Fitted) -> None:
+def _refuse_other_types(model: mujoco.MjModel, path: Path, joints: Sequence[str], fitted: Identified) -> None:
     wanted = {"hinge": mujoco.mjtJoint.mjJNT_HINGE, "slide": mujoco.mjtJoint.mjJNT_SLIDE}[fitted.bench.joint_type]
     for name in joints:
         if model.joint(name).type[0] != wanted:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from frictionzoo.core.segments import Segments
-from frictionzoo.export.fitted import Fitted
+from frictionzoo.result.identified import Identified
 
 Step = Callable[[mujoco.MjModel, mujoco.MjData, Float[np.ndarray, "channels"]], None]
 """Advances a model by one time step under one sample of the commands and both laws' other inputs."""
@@ -15,7 +15,7 @@ Step = Callable[[mujoco.MjModel, mujoco.MjData, Float[np.ndarray, "channels"]], 
 
 def simulate(
     model: mujoco.MjModel,
-    fitted: Fitted,
+    fitted: Identified,
     step: Step,
     prepare: Callable[[mujoco.MjModel, mujoco.MjData, int], None] = lambda *_: None,
     late: bool = True,
@@ -42,7 +42,7 @@ def simulate(
     return qpos
 
 
-def step_with_control(fitted: Fitted) -> Step:
+def step_with_control(fitted: Identified) -> Step:
     """A step in which the caller computes the actuator law's controller, and MuJoCo does the rest.
 
     Args:
@@ -58,7 +58,7 @@ def step_with_control(fitted: Fitted) -> Step:
     return step
 
 
-def commands_before(fitted: Fitted, rollout: int) -> Float[np.ndarray, "steps nv"]:
+def commands_before(fitted: Identified, rollout: int) -> Float[np.ndarray, "steps nv"]:
     """The commands in the steps before a rollout's first state, the newest last; at least one.
 
     Args:
@@ -70,7 +70,7 @@ def commands_before(fitted: Fitted, rollout: int) -> Float[np.ndarray, "steps nv
     return np.repeat(known, fitted.sampling.substeps, axis=0)
 
 
-def _begin(model: mujoco.MjModel, fitted: Fitted, segments: Segments, rollout: int) -> mujoco.MjData:
+def _begin(model: mujoco.MjModel, fitted: Identified, segments: Segments, rollout: int) -> mujoco.MjData:
     if segments.load is not None:
         fitted.bench.put_load(model, segments.load[rollout])
     data = mujoco.MjData(model)

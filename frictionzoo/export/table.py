@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from frictionzoo.export.write import Written
+from frictionzoo.export.written import Written
 from frictionzoo.show.terminal import align
 
 

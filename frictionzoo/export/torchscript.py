@@ -11,10 +11,11 @@ import torch
 
 from frictionzoo.core.output import write_atomically
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.export.base import Export, Target, register_target
-from frictionzoo.export.fitted import Fitted
+from frictionzoo.export.base import Target, register_target
 from frictionzoo.export.graph import DTYPES, Graph, compare, example, inputs, limits, read_dtype
+from frictionzoo.export.written import Export
 from frictionzoo.models.base import FrictionModel
+from frictionzoo.result.identified import Identified
 
 FILE = "friction.pt"
 _DEPRECATED = (
@@ -31,7 +32,7 @@ class TorchScript(Target):
     packages: ClassVar[tuple[str, ...]] = ("torch",)
     instant: ClassVar[bool] = True
 
-    def write(self, fitted: Fitted, folder: Path, options: Mapping[str, str]) -> Export:
+    def write(self, fitted: Identified, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
         dtype = read_dtype(options)
         write_atomically(folder / FILE, export_torchscript(fitted.model, dtype))

@@ -5,7 +5,7 @@ import platform
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, replace
 from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,37 +17,13 @@ from frictionzoo.core.errors import ConfigError, ExportError, FrictionzooError, 
 from frictionzoo.core.output import to_json, write_atomically
 from frictionzoo.core.params import UNITS
 from frictionzoo.export import targets  # noqa: F401 - registers them
-from frictionzoo.export.base import Difference, Export, get_target, read_number, target_names
-from frictionzoo.export.fitted import Fitted
+from frictionzoo.export.base import get_target, read_number, target_names
+from frictionzoo.export.written import Export, Written
+from frictionzoo.result.identified import Identified
 
 NOTE = "export.json"
 ALL = "all"
-FAR = 0.1  # of the drive's own error; a target that moves otherwise by more is marked
 COMMON = ("target", "timestep", "output")
-
-
-@dataclass(frozen=True)
-class Written:
-    """One target's outcome.
-
-    Attributes:
-        target: Its name.
-        folder: Where the files are; None where there are none.
-        export: What was written; None where nothing was.
-        reason: Why nothing was written, in one line.
-        error: Mean absolute position error of the drive itself in the run's test rollouts; None where it has none.
-    """
-
-    target: str
-    folder: Path | None = None
-    export: Export | None = None
-    reason: str = ""
-    error: float | None = None
-
-    def is_far(self, difference: Difference) -> bool:
-        """Whether what was written moves otherwise than the drive by more than a tenth of the drive's own error."""
-        compared = difference.quantity == "qpos" and self.error is not None
-        return compared and not difference.mean <= FAR * (self.error or 0.0)
 
 
 def write_exports(folder: Path, options: Mapping[str, str]) -> list[Written]:
@@ -64,13 +40,42 @@ def write_exports(folder: Path, options: Mapping[str, str]) -> list[Written]:
         FrictionzooError: An option is impossible, the run cannot be read, or the one target cannot hold the drive.
     """
     names = _choose(options)
-    fitted = Fitted.load(folder)
+    fitted = Identified.load(folder)
     output = Path(options["output"]) if "output" in options else folder / "export"
     timestep = read_number(options, "timestep")
     if options["target"] != ALL:
         place = output if "output" in options else output / names[0]
         return [_write(fitted, names[0], place, timestep, options)]
     return [_try(fitted, name, output / name, timestep, options) for name in names]
+
+
+def export_to(drive: Identified, target: str, path: Path, options: Mapping[str, str]) -> Written:
+    """Write a drive for one program.
+
+    Args:
+        drive: The identified drive.
+        target: The target's name.
+        path: A folder; or a file, in whose place the target's only file of that ending is put.
+        options: `timestep` [s] and the target's own, as text.
+
+    Raises:
+        FrictionzooError: An option is impossible, the target cannot hold the drive, or it has no such file.
+    """
+    asked = {**options, "target": target}
+    (name, *more) = _choose(asked)
+    if more:
+        raise ConfigError(f"target={target}; expected one target; {closest(target, target_names())}")
+    timestep = read_number(options, "timestep")
+    if not path.suffix:
+        return _write(drive, name, path, timestep, asked)
+    with tempfile.TemporaryDirectory() as scratch:
+        written = _write(drive, name, Path(scratch, name), timestep, asked)
+        files = written.export.files if written.export else ()
+        meant = [file for file in files if file.endswith(path.suffix)]
+        if len(meant) != 1:
+            raise ConfigError(f"{path}: target={name} writes {', '.join(files)}; expected a folder, or one's ending")
+        write_atomically(path, Path(scratch, name, meant[0]).read_bytes())
+    return replace(written, folder=path.parent)
 
 
 def _choose(options: Mapping[str, str]) -> list[str]:
@@ -88,7 +93,7 @@ def _choose(options: Mapping[str, str]) -> list[str]:
     return names
 
 
-def _try(fitted: Fitted, name: str, place: Path, timestep: float | None, options: Mapping[str, str]) -> Written:
+def _try(fitted: Identified, name: str, place: Path, timestep: float | None, options: Mapping[str, str]) -> Written:
     try:
         return _write(fitted, name, place, timestep, options)
     except OutputError:
@@ -97,7 +102,7 @@ def _try(fitted: Fitted, name: str, place: Path, timestep: float | None, options
         return Written(name, reason=str(error))
 
 
-def _write(fitted: Fitted, name: str, place: Path, timestep: float | None, options: Mapping[str, str]) -> Written:
+def _write(fitted: Identified, name: str, place: Path, timestep: float | None, options: Mapping[str, str]) -> Written:
     target = get_target(name)()
     for package in target.packages:
         if find_spec(package) is None:
@@ -153,7 +158,7 @@ def _refuse_foreign(place: Path) -> None:
         raise OutputError(f"{place}: it holds something else than an export; set output to another folder")
 
 
-def _say_timestep(fitted: Fitted, moved: Fitted) -> list[str]:
+def _say_timestep(fitted: Identified, moved: Identified) -> list[str]:
     """How far the drive itself moves differently in steps of another length."""
     if np.isclose(fitted.timestep, moved.timestep, rtol=1e-6):
         return []
@@ -168,7 +173,7 @@ def _say_timestep(fitted: Fitted, moved: Fitted) -> list[str]:
     ]
 
 
-def _note(fitted: Fitted, name: str, packages: Sequence[str], export: Export) -> dict[str, object]:
+def _note(fitted: Identified, name: str, packages: Sequence[str], export: Export) -> dict[str, object]:
     versions = {"python": platform.python_version(), "frictionzoo": __version__}
     return {
         "target": name,

@@ -35,6 +35,8 @@ class Curves:
         load: What their payloads change in the bench's model.
         qpos: The same, simulated.
         qvel: The same, simulated.
+        baseline_qpos: The same, simulated without friction.
+        baseline_qvel: The same, simulated without friction.
         train_mae: Position MAE of each training rollout of the main horizon [rad or m]; NaN where it diverged.
         test_mae: That of each test rollout.
         local_mae: That of each short rollout over the test part.
@@ -53,6 +55,8 @@ class Curves:
     load: Float[np.ndarray, "rollouts load"]
     qpos: Float[np.ndarray, "rollouts steps nv"]
     qvel: Float[np.ndarray, "rollouts steps nv"]
+    baseline_qpos: Float[np.ndarray, "rollouts steps nv"]
+    baseline_qvel: Float[np.ndarray, "rollouts steps nv"]
     train_mae: Float[np.ndarray, "train"]
     test_mae: Float[np.ndarray, "test"]
     local_mae: Float[np.ndarray, "windows"]

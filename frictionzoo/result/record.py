@@ -9,15 +9,18 @@ from importlib import metadata, resources
 from pathlib import Path
 from typing import Any
 
+import jsonschema
 import numpy as np
 from jaxtyping import Shaped
 
 from frictionzoo.bench.base import Bench
+from frictionzoo.core.errors import RunError
 from frictionzoo.core.log import Dataset, Payload
-from frictionzoo.core.output import to_json, write_atomically
+from frictionzoo.core.output import RESULT, to_json, write_atomically
 from frictionzoo.core.params import Param
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.models.base import FrictionModel
+from frictionzoo.result.curves import Curves, read_curves
 from frictionzoo.result.evaluate import Evaluation, Judgement, Values
 from frictionzoo.result.verdict import doubt_sizes, explain_failure, list_moving
 from frictionzoo.simulate.proof import Proof
@@ -143,6 +146,50 @@ def write_result(path: Path, result: Mapping[str, Any]) -> None:
         OutputError: It cannot be written.
     """
     write_atomically(path, (json.dumps(result, indent=2, allow_nan=False) + "\n").encode())
+
+
+def read_run(folder: Path) -> tuple[dict[str, Any], Curves]:
+    """What a finished run's `result.json` and `curves.safetensors` hold.
+
+    Args:
+        folder: The run's folder.
+
+    Raises:
+        RunError: It is not the folder of a finished run of this version, or one of the two is damaged.
+    """
+    path = folder / RESULT
+    if not path.exists():
+        raise RunError(f"{folder}: no {RESULT} in it, expected the folder of a finished run; name one")
+    result = read_json(path)
+    if result.get("schema_version") != SCHEMA_VERSION:
+        raise RunError(
+            f"{path}: schema_version {result.get('schema_version')}, expected {SCHEMA_VERSION}; run it again with this "
+            "version"
+        )
+    error = jsonschema.Draft202012Validator(read_schema()).iter_errors(result)
+    if first := next(iter(error), None):
+        raise RunError(f"{path}: {first.json_path}: {first.message[:200]}; expected the file that this version writes")
+    return result, read_curves(folder)
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """The object that a JSON file holds.
+
+    Args:
+        path: The file.
+
+    Raises:
+        RunError: It cannot be read, or holds something else.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise RunError(f"{path}: {error.strerror}; expected a file that can be read") from None
+    except ValueError as error:
+        raise RunError(f"{path}: not JSON ({error}); expected the file that this version writes") from None
+    if not isinstance(content, dict):
+        raise RunError(f"{path}: {type(content).__name__}, expected an object; name a folder that this program made")
+    return content
 
 
 def describe_data(dataset: Dataset) -> dict[str, Any]:

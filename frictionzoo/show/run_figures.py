@@ -5,6 +5,7 @@ import logging
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -19,6 +20,7 @@ from frictionzoo.core.output import write_atomically
 from frictionzoo.core.params import UNITS
 from frictionzoo.core.segments import Segments
 from frictionzoo.models.base import FrictionModel
+from frictionzoo.result.curves import Curves
 from frictionzoo.result.evaluate import Evaluation, Judgement, Prediction, moving_mean_and_std
 from frictionzoo.show.colors import BASELINE, BEST, JOINTS, MODEL
 
@@ -131,6 +133,21 @@ def _draw_history(
     else:
         axes.set_title(f"{columns[0, at]:.4g}", loc="right", color=BEST, fontsize="small")
     tidy(axes)
+
+
+def plot_rollout(result: Mapping[str, Any], curves: Curves, segments: Segments, bench: Bench) -> Figure:
+    """Figure 4 of a finished run.
+
+    Args:
+        result: What its `result.json` holds.
+        curves: What its `curves.safetensors` holds.
+        segments: The measured rollouts that these belong to.
+        bench: The bench.
+    """
+    kind = "simulated" if result["data"]["simulated"] else "real"
+    title = f"{result['model']}, one rollout of the test part of {result['data']['name']} ({kind} data)"
+    model, baseline = Prediction(curves.qpos, curves.qvel), Prediction(curves.baseline_qpos, curves.baseline_qvel)
+    return draw_trajectory(segments, model, baseline, bench.joint_type, bench.joints, title)
 
 
 def draw_trajectory(

@@ -1,5 +1,6 @@
 """The summary of a run, or of several, in plain text, legible on a terminal and in a log file alike."""
 
+import html
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -36,14 +37,35 @@ def summarise_in_markdown(result: Mapping[str, Any], folder: Path) -> str:
     return _arrange(result, folder, _tabulate_in_markdown)
 
 
-def _arrange(result: Mapping[str, Any], folder: Path, tabulate: Callable[[Rows], str]) -> str:
+def summarise_in_html(result: Mapping[str, Any], folder: Path) -> str:
+    """The same with tables of HTML, for notebooks.
+
+    Args:
+        result: What `result.json` holds.
+        folder: The run's folder.
+    """
+    return _arrange(result, folder, _tabulate_in_html, lambda text: f"<p>{html.escape(text)}</p>")
+
+
+def _tabulate_in_html(rows: Rows) -> str:
+    head, *body = [[html.escape(cell) for cell in row] for row in rows]
+    lines = [f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in body]
+    return f"<table><tr>{''.join(f'<th>{cell}</th>' for cell in head)}</tr>{''.join(lines)}</table>"
+
+
+def _arrange(
+    result: Mapping[str, Any],
+    folder: Path,
+    tabulate: Callable[[Rows], str],
+    say: Callable[[str], str] = lambda text: text,
+) -> str:
     metrics = result["metrics"]
     blocks = [
-        _say_origin(result),
+        say(_say_origin(result)),
         tabulate(_list_parameters(result)),
         tabulate(_list_errors(metrics["test"], metrics["baseline"], ("this model", "no friction"))),
-        *_warn(result),
-        f"files: {folder}",
+        *map(say, _warn(result)),
+        say(f"files: {folder}"),
     ]
     return "\n\n".join(blocks)
 

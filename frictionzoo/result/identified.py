@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,17 +12,20 @@ import numpy as np
 import safetensors
 import safetensors.torch
 from jaxtyping import Float
+from matplotlib.figure import Figure
 
 from frictionzoo.bench import Bench
-from frictionzoo.comparison.runs import Run, read_runs
 from frictionzoo.core.build import build
 from frictionzoo.core.errors import ConfigError, RunError
 from frictionzoo.core.output import RESULT
 from frictionzoo.core.segments import Sampling, Segments
 from frictionzoo.core.state import DriveState
+from frictionzoo.export.written import Written
 from frictionzoo.models import FrictionModel
 from frictionzoo.result.curves import FILE as CURVES
-from frictionzoo.result.evaluate import Values
+from frictionzoo.result.curves import Curves
+from frictionzoo.result.evaluate import Metrics, Values
+from frictionzoo.result.record import read_run
 from frictionzoo.simulate import Engine
 from frictionzoo.simulate.drive import Drive
 from frictionzoo.simulate.proof import Proof, Recorded, prove
@@ -32,8 +35,26 @@ LAW = "friction.safetensors"
 _WHOLE = 0.01  # share by which a time step may differ from a whole number of others, as for recordings
 
 
+class Parameter(NamedTuple):
+    """One physical parameter, as a run left it.
+
+    Attributes:
+        value: Of each joint, in `unit`.
+        unit: Its unit.
+        identified: Whether the fit chose it; else it was known.
+        interval: Lower and upper end of the 95 % interval of each joint; NaN where there is none.
+        identifiable: Whether the data determine it; None where that was not asked.
+    """
+
+    value: Float[np.ndarray, "nv"]
+    unit: str
+    identified: bool
+    interval: Float[np.ndarray, "nv 2"]
+    identifiable: bool | None
+
+
 @dataclass(frozen=True)
-class Fitted:
+class Identified:
     """The identified drive of one run, and the recordings that it was judged on.
 
     Attributes:
@@ -45,6 +66,7 @@ class Fitted:
             arrays in float64: those of the bench of shape (nv,), those of the law as in its `state_dict`.
         segments: The long test rollouts: measured states and what drove them.
         sampling: From their samples to steps of the simulation.
+        curves: What figures are drawn from.
     """
 
     folder: Path
@@ -54,31 +76,99 @@ class Fitted:
     values: Values
     segments: Segments
     sampling: Sampling
+    curves: Curves | None = None
 
     @classmethod
-    def load(cls, folder: Path) -> "Fitted":
+    def load(cls, folder: Path) -> "Identified":
         """Read a run's folder.
 
         Raises:
             RunError: It is not the folder of a finished run of this version, or one of its files is damaged.
             BenchError: The bench's MJCF is not there any more, or not what it was.
         """
-        run = _read_run(folder)
-        settings = run.result["settings"]
+        result, curves = read_run(folder)
+        settings = result["settings"]
         bench = build(settings["bench"])
         model = build(settings["model"], nv=bench.nv)
         bench = bench.observing(model.inputs)
         _load_law(model, folder / LAW)
         friction = {name: value.detach().double().numpy().copy() for name, value in model.state_dict().items()}
-        segments = _read_segments(run, bench)
+        segments = _read_segments(folder / CURVES, curves, result["data"]["timestep"], bench)
         sampling = bench.sampling(segments.timestep)
         if sampling.history != segments.history:
             raise RunError(
                 f"{folder / CURVES}: {segments.history} samples of ctrl before the rollouts, expected "
                 f"{sampling.history} as the delay's bounds have it; run it again"
             )
-        values = {"bench": _read_bench(run.result, bench), "friction": friction}
-        return cls(folder, run.result, bench, model, values, segments, sampling)
+        values = {"bench": _read_bench(result, bench), "friction": friction}
+        return cls(folder, result, bench, model, values, segments, sampling, curves)
+
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        """The bench's and the law's physical parameters by full name, `bench.armature`."""
+        return {f"{row['owner']}.{row['name']}": self._parameter(row) for row in self.result["parameters"]}
+
+    @property
+    def metrics(self) -> dict[str, Metrics]:
+        """Errors of open-loop rollouts: of `train`, of `test`, and of `baseline`, the test part without friction."""
+        return {
+            part: Metrics(**{**row, **{name: np.nan for name, value in row.items() if value is None}})
+            for part, row in self.result["metrics"].items()
+        }
+
+    def plot(self) -> Figure:
+        """Measured and simulated motion of the first long test rollout, with and without friction.
+
+        Returns:
+            A figure of matplotlib, which a notebook shows and `savefig` writes.
+
+        Raises:
+            RunError: There are no curves to draw.
+        """
+        # Imported here, so that what draws nothing does not wait for it.
+        from frictionzoo.show.run_figures import plot_rollout
+
+        if self.curves is None:
+            raise RunError(f"{self.folder}: no curves, expected those of a finished run; load it from its folder")
+        return plot_rollout(self.result, self.curves, self.segments, self.bench)
+
+    def export(self, target: str, path: str | Path, **options: str | float) -> Written:
+        """Write the drive for another program, as `python -m frictionzoo.export` does.
+
+        Args:
+            target: Name of a target, `mjcf` say; the documentation lists them.
+            path: A folder for all that the target writes; or a file, whose ending says which of it is wanted.
+            options: `timestep` [s], and the target's own.
+
+        Returns:
+            What was written, how far it is from this drive, and what it cannot represent.
+
+        Raises:
+            FrictionzooError: No such target or option, or the target cannot hold the drive.
+        """
+        from frictionzoo.export.write import export_to
+
+        return export_to(self, target, Path(path), {name: str(value) for name, value in options.items()})
+
+    def __str__(self) -> str:
+        """Parameters with intervals, test errors beside those without friction, and warnings."""
+        from frictionzoo.show.terminal import summarise
+
+        return summarise(self.result, self.folder)
+
+    def _repr_html_(self) -> str:
+        """The same for a notebook."""
+        from frictionzoo.show.terminal import summarise_in_html
+
+        return summarise_in_html(self.result, self.folder)
+
+    def _parameter(self, row: Mapping[str, Any]) -> Parameter:
+        nv = self.bench.nv
+        found: Any = row["interval"]
+        ends = found if found is not None and isinstance(row["value"], list) else [found]
+        interval = np.array([(np.nan, np.nan) if pair is None else pair for pair in ends], np.float64)
+        value = np.broadcast_to(np.asarray(row["value"], np.float64), nv)
+        return Parameter(value, row["unit"], row["identified"], np.broadcast_to(interval, (nv, 2)), row["identifiable"])
 
     @property
     def timestep(self) -> float:
@@ -90,7 +180,7 @@ class Fitted:
         """What rollouts there are, in words."""
         return f"{self.segments.count} rollouts of {self.segments.length * self.segments.timestep:g} s"
 
-    def at(self, timestep: float) -> "Fitted":
+    def at(self, timestep: float) -> "Identified":
         """The same drive, simulated in steps of another length.
 
         Where a step is longer than the recordings' interval, only every so many of their samples are kept.
@@ -207,12 +297,6 @@ class Fitted:
             return Drive.assemble(self.bench, self.model, "auto", self.sampling)
 
 
-def _read_run(folder: Path) -> Run:
-    if not (folder / RESULT).exists():
-        raise RunError(f"{folder}: no {RESULT} in it, expected the folder of a finished run; name one")
-    return read_runs([folder])[0][0]
-
-
 def _load_law(model: FrictionModel, path: Path) -> None:
     """Write the saved values into the model; safetensors holds numbers only, so nothing is executed."""
     try:
@@ -235,16 +319,15 @@ def _read_bench(result: Mapping[str, Any], bench: Bench) -> dict[str, Float[np.n
     return {name: np.broadcast_to(np.asarray(found[name], np.float64), bench.nv).copy() for name in bench.params}
 
 
-def _read_segments(run: Run, bench: Bench) -> Segments:
-    curves = run.curves
+def _read_segments(path: Path, curves: Curves, interval: float, bench: Bench) -> Segments:
     samples, states = curves.ctrl.shape[1], curves.measured_qpos.shape[1]
     if curves.measured_qpos.shape[2] != bench.nv or samples < states - 1:
         raise RunError(
-            f"{run.folder / CURVES}: {curves.measured_qpos.shape[2]} joints and {samples} commands for {states} states,"
+            f"{path}: {curves.measured_qpos.shape[2]} joints and {samples} commands for {states} states,"
             f" expected {bench.nv} joints and a command for each step; run it again"
         )
     load = curves.load if curves.load.shape[1] else None
-    interval, history = run.result["data"]["timestep"], samples - (states - 1)
+    history = samples - (states - 1)
     observed = len(bench.observed) * bench.nv
     return Segments(curves.measured_qpos, curves.measured_qvel, curves.ctrl, interval, load, history, observed)
 
