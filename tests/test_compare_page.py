@@ -253,10 +253,9 @@ def test_nothing_comes_from_elsewhere(runs, tmp_path):
 
 def test_long_curves_of_many_runs_stay_small(result, tmp_path):  # noqa: F811
     runs = [make_run(tmp_path, result, f"law{i}", 0.01, seed=i) for i in range(20)]
+    simulated = "qpos", "qvel", "baseline_qpos", "baseline_qvel"
     runs = [
-        replace(
-            run, curves=replace(run.curves, **{n: np.repeat(getattr(run.curves, n), 40, 1) for n in ("qpos", "qvel")})
-        )
+        replace(run, curves=replace(run.curves, **{n: np.repeat(getattr(run.curves, n), 40, 1) for n in simulated}))
         for run in runs
     ]
     first = {f"measured_{n}": np.zeros((2, 40 * LONG + 1, 1)) for n in ("qpos", "qvel")}
