@@ -18,7 +18,7 @@ from frictionzoo.core.errors import BenchError, ConfigError
 from frictionzoo.core.state import FrictionTerms
 from frictionzoo.simulate import MjxEngine, SpecialisedEngine, make_engine, without_memory
 from frictionzoo.simulate.dry_friction import dry_friction
-from frictionzoo.simulate.specialise import CannotSpecialiseError, specialise
+from frictionzoo.simulate.fold import CannotSpecialiseError, specialise
 
 KNOWN = {"low": 1e-6, "high": 1e3, "scale": "log", "identify": False}
 BODIES = {

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from frictionzoo.bench import Bench
 from frictionzoo.core.errors import BenchError, ConfigError, closest
 from frictionzoo.simulate.base import Engine, Friction
+from frictionzoo.simulate.fold import CannotSpecialiseError
 from frictionzoo.simulate.mjx import MjxEngine
-from frictionzoo.simulate.specialise import CannotSpecialiseError
 from frictionzoo.simulate.specialised import SpecialisedEngine
 
 _CHOICES = ("auto", "mjx", "specialised")

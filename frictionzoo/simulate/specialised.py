@@ -13,9 +13,9 @@ from frictionzoo.bench.base import NO_FRICTION_CONSTRAINT, NO_PAYLOAD, can_colli
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.simulate.base import UNFUSED, Engine, Friction, Values, control, without_memory
 from frictionzoo.simulate.dry_friction import dry_friction
+from frictionzoo.simulate.fold import CannotSpecialiseError, Specialised, specialise
 from frictionzoo.simulate.linear import solve_spd
 from frictionzoo.simulate.mjx import Dynamics, MjxEngine, ModelInputs
-from frictionzoo.simulate.specialise import CannotSpecialiseError, Specialised, specialise
 
 
 class SpecialisedEngine(Engine):

@@ -1,0 +1,146 @@
+"""A function traced, its operations folded one after the other, and what is left as a function again."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend import core as jax_core
+from jax.interpreters import partial_eval
+
+from frictionzoo.simulate.fold.expression import OPERATIONS, CannotSpecialiseError, Expression
+from frictionzoo.simulate.fold.polynomial import Expander
+from frictionzoo.simulate.fold.primitives import PRIMITIVES
+from frictionzoo.simulate.fold.simplify import Simplifier
+
+_WORTH_EXPANDING = 700
+"""Operations up to which it is tried whether multiplying out leaves fewer: one joint or two."""
+_WRAPPERS = {"jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call", "remat", "checkpoint"}
+
+
+class Specialised:
+    """A function that was specialised; call it with arrays of the shapes of the examples, of any floating-point type.
+
+    Attributes:
+        operations: Number of scalar operations that are left.
+    """
+
+    def __init__(self, outputs: list[np.ndarray], structure: Any) -> None:
+        self._outputs = outputs
+        self._structure = structure
+        self._order = _sorted_by_dependence([entry for output in outputs for entry in output.ravel()])
+        self.operations = sum(expression.operation != "input" for expression in self._order)
+
+    def __call__(self, *arguments: Any) -> Any:
+        """The function's value, with the structure that it returned when it was traced."""
+        leaves = [jnp.asarray(leaf) for leaf in jax.tree.leaves(arguments)]
+        dtype = jnp.result_type(float) if not leaves else jnp.result_type(*leaves)
+        value: dict[int, Any] = {}
+
+        def read(entry: Any) -> Any:
+            if isinstance(entry, Expression):
+                return value[id(entry)]
+            return np.asarray(entry, bool if isinstance(entry, (bool, np.bool_)) else dtype)
+
+        for expression in self._order:
+            if expression.operation == "input":
+                leaf, index = expression.arguments
+                value[id(expression)] = leaves[leaf][index].astype(dtype)
+            else:
+                value[id(expression)] = OPERATIONS[expression.operation][0](*map(read, expression.arguments))
+        outputs = [
+            jnp.stack([read(entry) for entry in output.ravel()]).reshape(output.shape) if output.size else output
+            for output in self._outputs
+        ]
+        return jax.tree.unflatten(self._structure, outputs)
+
+
+def specialise(function: Callable[..., Any], *examples: Any) -> Specialised:
+    """Trace a function and fold everything that does not depend on its arguments.
+
+    Args:
+        function: Pure, from pytrees of arrays to a pytree of arrays.
+        examples: Arguments whose shapes are taken.
+
+    Raises:
+        CannotSpecialiseError: The function uses an operation without a rule (a loop, a sort, random numbers).
+    """
+    with jax.enable_x64(True):
+        closed, shapes = jax.make_jaxpr(function, return_shape=True)(*examples)
+        jaxpr, _ = partial_eval.dce_jaxpr(closed.jaxpr, [True] * len(closed.jaxpr.outvars), instantiate=True)
+        consts = [np.asarray(const) for const in closed.consts]
+        structure = jax.tree.structure(shapes)
+
+        def fold(simplifier: Simplifier) -> Specialised:
+            inputs = [simplifier.inputs(place, np.shape(leaf)) for place, leaf in enumerate(jax.tree.leaves(examples))]
+            outputs = _evaluate(simplifier, jaxpr, consts, inputs)
+            return Specialised([simplifier.finish(output) for output in outputs], structure)
+
+        plain = fold(Simplifier())
+        if plain.operations > _WORTH_EXPANDING:
+            return plain
+        expanded = fold(Expander())
+    return min(plain, expanded, key=lambda found: found.operations)
+
+
+def _sorted_by_dependence(entries: Sequence[Any]) -> list[Expression]:
+    """Every expression that these need, each after what it needs itself."""
+    order: list[Expression] = []
+    seen: set[int] = set()
+    for root in entries:
+        stack = [(root, False)]
+        while stack:
+            entry, ready = stack.pop()
+            if not isinstance(entry, Expression) or (id(entry) in seen and not ready):
+                continue
+            if ready:
+                order.append(entry)
+                continue
+            seen.add(id(entry))
+            stack.append((entry, True))
+            if entry.operation != "input":
+                stack.extend((argument, False) for argument in entry.arguments)
+    return order
+
+
+def _evaluate(simplifier: Simplifier, jaxpr: Any, consts: Sequence[Any], arguments: Sequence[Any]) -> list[np.ndarray]:
+    """A jaxpr's outputs over arrays of numbers where all is known, of entries (dtype object) elsewhere."""
+    values: dict[Any, np.ndarray] = dict(zip(jaxpr.constvars, consts, strict=True))
+    values |= dict(zip(jaxpr.invars, arguments, strict=True))
+
+    def read(variable: Any) -> np.ndarray:
+        return np.asarray(variable.val) if isinstance(variable, jax_core.Literal) else values[variable]
+
+    for equation in jaxpr.eqns:
+        outputs = _apply(simplifier, equation, [read(variable) for variable in equation.invars])
+        for variable, output in zip(equation.outvars, outputs, strict=True):
+            values[variable] = _numbers_if_known(output, variable.aval.dtype)
+    return [read(variable) for variable in jaxpr.outvars]
+
+
+def _apply(simplifier: Simplifier, equation: Any, inputs: list[np.ndarray]) -> list[np.ndarray]:
+    name, params = equation.primitive.name, equation.params
+    if name in _WRAPPERS:
+        inner = params.get("jaxpr") or params.get("call_jaxpr") or params.get("fun_jaxpr")
+        consts = [np.asarray(const) for const in getattr(inner, "consts", ())]
+        return _evaluate(simplifier, getattr(inner, "jaxpr", inner), consts, inputs)
+    if name in OPERATIONS:
+        return [simplifier.elementwise(name, *inputs)]
+    if name in PRIMITIVES:
+        return [PRIMITIVES[name](simplifier, inputs, params)]
+    if name == "split":
+        return list(np.split(inputs[0], np.cumsum(params["sizes"])[:-1], axis=params["axis"]))
+    if any(array.dtype == object for array in inputs):
+        raise CannotSpecialiseError(name)
+    with jax.ensure_compile_time_eval():
+        known = equation.primitive.bind(*map(jnp.asarray, inputs), **params)
+    return [np.asarray(array) for array in (known if equation.primitive.multiple_results else [known])]
+
+
+def _numbers_if_known(array: np.ndarray, dtype: Any) -> np.ndarray:
+    """An array of numbers instead of objects where no entry is an expression."""
+    array = np.asarray(array)
+    if array.dtype != object or any(isinstance(entry, Expression) for entry in array.ravel()):
+        return array
+    return np.array(array.tolist(), dtype).reshape(array.shape)
