@@ -9,15 +9,14 @@ from recordings import make_recording, read_sts3215, read_xl330, simulate_servo
 
 from frictionzoo.core.errors import LogError
 from frictionzoo.logs.delay import estimate_delay
-from frictionzoo.logs.diagnose import (
+from frictionzoo.logs.diagnose import diagnose, measure_timing
+from frictionzoo.logs.signals import (
     count_spikes,
-    diagnose,
     find_breaks,
     find_lag,
     find_quantum,
     find_spikes,
     find_velocity_lag,
-    measure_timing,
     repair_spikes,
 )
 

@@ -15,7 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 from test_specialised import BODIES, KNOWN, chain, law, random_cases, step_of
 
 from frictionzoo.bench import Bench, PositionPD
-from frictionzoo.bench.base import NO_PAYLOAD
+from frictionzoo.bench.compiled import NO_PAYLOAD
 from frictionzoo.cli.job import Problem
 from frictionzoo.core.errors import BenchError, ConfigError
 from frictionzoo.core.log import Log, Payload

@@ -13,7 +13,7 @@ from conftest import slow_but
 from mujoco import mjx
 
 from frictionzoo.bench import Bench, PositionPD
-from frictionzoo.bench.base import can_collide, rigid_inertia
+from frictionzoo.bench.compiled import can_collide, rigid_inertia
 from frictionzoo.core.errors import BenchError, ConfigError
 from frictionzoo.core.state import FrictionTerms
 from frictionzoo.simulate import MjxEngine, SpecialisedEngine, make_engine, without_memory

@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from frictionzoo.bench import Bench
-from frictionzoo.bench.base import can_collide
+from frictionzoo.bench.compiled import can_collide
 from frictionzoo.core.errors import LogError
 from frictionzoo.core.log import Dataset, Log
-from frictionzoo.logs.diagnose import find_lag, find_outliers, find_quantum, find_velocity_lag, repair_spikes
+from frictionzoo.logs.signals import find_lag, find_outliers, find_quantum, find_velocity_lag, repair_spikes
 
 ALIKE = 0.8  # correlation from which on a velocity with the other sign is the position's derivative
 LAGGING = 0.004  # s, by which a measured velocity may lag the position

@@ -10,8 +10,8 @@ from jaxtyping import Float
 from frictionzoo.core.output import write_atomically
 from frictionzoo.inspect.survey import pool_velocities, rank_by_faults
 from frictionzoo.inspect.terminal import list_quantities
-from frictionzoo.logs.diagnose import derive_velocity, find_spikes, regular_stretch, repair_spikes
 from frictionzoo.logs.recording import Recording
+from frictionzoo.logs.signals import derive_velocity, find_spikes, regular_stretch, repair_spikes
 from frictionzoo.show.colors import BASELINE, BEST, MODEL
 from frictionzoo.show.page import (
     MEASURED,

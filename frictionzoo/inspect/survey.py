@@ -14,8 +14,9 @@ from frictionzoo.core.log import Log
 from frictionzoo.core.output import to_json
 from frictionzoo.inspect.findings import list_findings
 from frictionzoo.logs.delay import estimate_delay
-from frictionzoo.logs.diagnose import SLOWEST, TOP, Diagnosis, derive_velocity, diagnose, repair_spikes
+from frictionzoo.logs.diagnose import SLOWEST, Diagnosis, diagnose
 from frictionzoo.logs.recording import Recording
+from frictionzoo.logs.signals import TOP, derive_velocity, repair_spikes
 
 SCHEMA_VERSION = 1
 

@@ -16,15 +16,9 @@ from jaxtyping import Bool, Float
 
 from frictionzoo.core.errors import ConfigError, LogError, closest
 from frictionzoo.core.log import JITTER, Log
-from frictionzoo.logs.diagnose import (
-    count_spikes,
-    find_breaks,
-    find_outliers,
-    find_velocity_lag,
-    refuse_incomplete,
-    repair_spikes,
-)
+from frictionzoo.logs.diagnose import refuse_incomplete
 from frictionzoo.logs.recording import HELD, Recording
+from frictionzoo.logs.signals import count_spikes, find_breaks, find_outliers, find_velocity_lag, repair_spikes
 from frictionzoo.logs.velocity import check_filter, estimate_velocity
 
 CHOICES = {

@@ -22,8 +22,8 @@ import numpy as np
 import scipy.signal
 from jaxtyping import Float, Int
 
-from frictionzoo.logs.diagnose import GAP, find_breaks, regular_stretch, repair_spikes
 from frictionzoo.logs.recording import Recording
+from frictionzoo.logs.signals import GAP, find_breaks, regular_stretch, repair_spikes
 from frictionzoo.logs.velocity import estimate_velocity
 
 FOLLOWS = 0.5  # correlation with the position from which on a command is one of position

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from frictionzoo.bench import Bench
-from frictionzoo.bench.base import NO_PAYLOAD
+from frictionzoo.bench.compiled import NO_PAYLOAD
 from frictionzoo.core.errors import BenchError, ConfigError, closest
 from frictionzoo.core.log import Payload
 from frictionzoo.models import FrictionModel

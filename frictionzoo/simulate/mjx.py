@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from frictionzoo.bench import Bench, Channels
-from frictionzoo.bench.base import INERTIAL, can_collide, rigid_inertia
+from frictionzoo.bench.compiled import INERTIAL, can_collide, rigid_inertia
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.simulate.base import UNFUSED, Engine, Friction, Values, control
 from frictionzoo.simulate.linear import solve_spd

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from frictionzoo.bench import Bench, Channels
-from frictionzoo.bench.base import NO_FRICTION_CONSTRAINT, NO_PAYLOAD, can_collide
+from frictionzoo.bench.compiled import NO_FRICTION_CONSTRAINT, NO_PAYLOAD, can_collide
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.simulate.base import UNFUSED, Engine, Friction, Values, control, without_memory
 from frictionzoo.simulate.dry_friction import dry_friction

@@ -1,0 +1,82 @@
+"""What drives a simulation besides the state: the signals of a recording that both laws need, side by side."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from frictionzoo.bench.actuators import Actuator
+from frictionzoo.core.errors import BenchError
+from frictionzoo.core.log import Log
+from frictionzoo.logs.clean import EXTRAS
+
+
+class Channels(NamedTuple):
+    """What drives a simulation, by its parts, each of shape (..., nv).
+
+    Attributes:
+        command: Of each joint's actuator.
+        inputs: Each other input of the actuator law, by name.
+        observed: What the friction law looks at, by name.
+    """
+
+    command: Any
+    inputs: dict[str, Any]
+    observed: dict[str, Any]
+
+
+def pick_inputs(log: Log, actuator: Actuator, nv: int) -> Float[np.ndarray, "time inputs"] | None:
+    """What the actuator law needs besides the command; None where that is nothing.
+
+    Args:
+        log: The recording.
+        actuator: The law.
+        nv: Number of joints.
+
+    Raises:
+        BenchError: The recording lacks one, or has another number of columns of it, or values that are not finite.
+    """
+    columns = []
+    for name in actuator.inputs:
+        if name not in log.extras:
+            column = f"map a column (data.columns.{name}), or " if name in EXTRAS else ""
+            raise BenchError(
+                f"{log.name}: no {name}, which {type(actuator).__name__} needs; {column}give a field or a number "
+                f"('data.inputs={{{name}: VALUE}}')"
+            )
+        columns.append(_for_each_joint(log, name, nv))
+    return np.concatenate(columns, axis=1) if columns else None
+
+
+def pick_observed(log: Log, observed: Mapping[str, float], nv: int) -> Float[np.ndarray, "time observed"] | None:
+    """What the friction law looks at besides the state; None where that is nothing.
+
+    Args:
+        log: The recording.
+        observed: Names, and what each is where the recording lacks it.
+        nv: Number of joints.
+
+    Raises:
+        BenchError: The recording has another number of columns of one, or values that are not finite.
+    """
+    columns = [
+        _for_each_joint(log, name, nv) if name in log.extras else np.full(log.qpos.shape, value)
+        for name, value in observed.items()
+    ]
+    return np.concatenate(columns, axis=1) if columns else None
+
+
+def _for_each_joint(log: Log, name: str, nv: int) -> Float[np.ndarray, "time nv"]:
+    signal = log.extras[name]
+    if signal.shape[1] not in (1, nv):
+        raise BenchError(
+            f"{log.name}: {name} has {signal.shape[1]} columns, expected 1 for all joints or {nv}, one a "
+            f"joint; choose other columns (data.columns.{name})"
+        )
+    if not np.isfinite(signal).all():
+        raise BenchError(
+            f"{log.name}: {name} is NaN or infinite in {(~np.isfinite(signal)).any(axis=1).sum()} of {len(signal)} "
+            "samples, expected finite values; cut or repair the log"
+        )
+    return np.broadcast_to(signal, log.qpos.shape)

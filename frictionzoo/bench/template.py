@@ -1,0 +1,257 @@
+"""The MJCF around a drive, as a template: read, searched for joints, written with values, and with a part left out."""
+
+import copy
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator, Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import NoReturn
+
+import mujoco
+import numpy as np
+
+from frictionzoo.bench.compiled import NO_FRICTION_CONSTRAINT
+from frictionzoo.core.errors import BenchError, ConfigError, closest
+
+_JOINT_TYPES = {mujoco.mjtJoint.mjJNT_HINGE: "hinge", mujoco.mjtJoint.mjJNT_SLIDE: "slide"}
+_INTEGRATORS = {mujoco.mjtIntegrator.mjINT_EULER: "Euler", mujoco.mjtIntegrator.mjINT_IMPLICITFAST: "implicitfast"}
+_NAMING = {"name", "class", "childclass", "joint", "joint1", "joint2", "body", "body1", "body2", "type"}
+_NO_ACTUATORS = {"default", "mesh", "texture", "material", "joint", "geom", "site", "camera", "light", "pair"}
+_NO_ACTUATORS |= {"equality", "tendon"}
+"""What of an MJCF's defaults does not act on actuators."""
+_GEOMETRY = {"axis", "pos", "quat", "euler", "axisangle", "xyaxes", "zaxis", "size", "fromto", "mass", "diaginertia"}
+_KEPT = {"mujoco", "worldbody", "body", "compiler"}
+
+
+class Template:
+    """An MJCF that has neither friction nor armature nor actuator at the identified joints.
+
+    Attributes:
+        source: Its path, or the name of one that the package ships.
+        joints: Names of the identified joints, in MuJoCo's order.
+
+    Args:
+        source: See above.
+        joint: Name or names of the identified joints; None where the template has one joint only.
+        timestep: Simulation step [s]; None for the template's.
+
+    Raises:
+        BenchError: It cannot be read, does not have these joints, or has an actuator.
+        ConfigError: The step is none.
+    """
+
+    def __init__(self, source: str, joint: str | Sequence[str] | None, timestep: float | None) -> None:
+        self.source: str = source
+        self._root = _read(source)
+        if timestep is not None:
+            if not timestep > 0:
+                raise ConfigError(f"bench.timestep={timestep}; expected a positive number of seconds, or null")
+            _section(self._root, "option")
+            for option in self._root.findall("option"):  # of several, the last has the last word
+                option.set("timestep", in_full(timestep))
+        self.joints: tuple[str, ...] = self._choose_joints(joint)
+        self._refuse_clashes()
+
+    @property
+    def has_radians(self) -> bool:
+        """Whether positions of hinges are in radians: MuJoCo's default is degrees."""
+        units = [compiler.get("angle") for compiler in self._root.findall("compiler") if compiler.get("angle")]
+        return units[-1:] == ["radian"]
+
+    def write(
+        self,
+        joints: Sequence[Mapping[str, str]],
+        actuators: Sequence[Mapping[str, str]],
+        comments: Sequence[str] = (),
+    ) -> str:
+        """The MJCF with these attributes.
+
+        Args:
+            joints: Of each identified joint.
+            actuators: Of one actuator each.
+            comments: Lines for the top of the file.
+        """
+        root = copy.deepcopy(self._root)
+        found = {element.get("name"): element for element in root.findall("./worldbody//joint")}
+        for name, attributes in zip(self.joints, joints, strict=True):
+            found[name].attrib.update(attributes)
+        _section(root, "actuator").extend(ET.Element("general", dict(attributes)) for attributes in actuators)
+        for position, comment in enumerate(comments):
+            root.insert(position, ET.Comment(f" {comment.replace('--', '- -')} "))
+        ET.indent(root)
+        return ET.tostring(root, encoding="unicode") + "\n"
+
+    def compile(self, text: str, constraint: bool) -> mujoco.MjModel:
+        """The compiled model of what `write` gave.
+
+        Raises:
+            BenchError: MuJoCo refuses it, or an option of it is not supported.
+        """
+        try:
+            model = mujoco.MjModel.from_xml_string(text)
+        except (ValueError, RuntimeError) as error:  # MuJoCo has both for files that it does not take
+            self._fail(f"MuJoCo does not compile it ({' '.join(str(error).split())}); mend the MJCF")
+        if model.nv != len(self.joints):
+            self._fail(
+                f"{model.nv} degrees of freedom, but {len(self.joints)} identified joints ({', '.join(self.joints)}); "
+                "name every joint in bench.joint or fix the others"
+            )
+        if constraint and model.opt.disableflags & NO_FRICTION_CONSTRAINT:
+            self._fail("the MJCF disables friction constraints, which this friction model needs; remove the flag")
+        if model.opt.integrator not in _INTEGRATORS:
+            name = mujoco.mjtIntegrator(model.opt.integrator).name.removeprefix("mjINT_")
+            self._fail(f"integrator {name}, expected {' or '.join(_INTEGRATORS.values())}; change it")
+        return model
+
+    def refuse_unfit(self, model: mujoco.MjModel, moved: bool) -> None:
+        """Refuse a drive that is disabled or has friction, and, if an offset moves it, what would not move along.
+
+        Raises:
+            BenchError: See above.
+        """
+        if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_ACTUATION or model.opt.disableactuator & 1:
+            flags = "flag actuation or actuatorgroupdisable"
+            self._fail(f"the MJCF disables actuators ({flags}), and with them the drive; remove that")
+        if moved:
+            self._refuse_other_references(model)
+        if (model.dof_frictionloss > 0).any():
+            self._fail(
+                f"joint {self._first(model.dof_frictionloss > 0)} has frictionloss in the MJCF, expected none because "
+                "the friction model brings it; remove it, also from defaults"
+            )
+
+    def _refuse_other_references(self, model: mujoco.MjModel) -> None:
+        """What is given in joint positions and would not move along with a position offset."""
+        # Of a spring that is no straight line, the largest coefficient.
+        springs = np.abs(np.column_stack([model.jnt_stiffness, model.jnt_stiffnesspoly])).max(axis=1)
+        given = {"ref": model.qpos0 != 0, "range": model.jnt_limited > 0, "stiffness": springs > 0}
+        for name, having in given.items():
+            if having.any() or (name == "stiffness" and model.ntendon):
+                what = f"joint {self._first(having)} has {name}" if having.any() else "it has tendons"
+                self._fail(
+                    f"{what}, which bench.params.position_offset would not move along; remove it from the MJCF, or set "
+                    "bench.params.position_offset to identify: false and init: 0"
+                )
+
+    def _first(self, having: np.ndarray) -> str:
+        return self.joints[int(np.argmax(having))]
+
+    def _fail(self, message: str) -> NoReturn:
+        raise BenchError(f"{self.source}: {message}") from None
+
+    def joint_type(self, model: mujoco.MjModel) -> str:
+        """`hinge` or `slide`.
+
+        Raises:
+            BenchError: The joints are of several types, or of another.
+        """
+        types = {int(kind) for kind in model.jnt_type}
+        if len(types) != 1 or not types <= set(map(int, _JOINT_TYPES)):
+            self._fail("joints of several or unsupported types, expected all hinge or all slide")
+        return _JOINT_TYPES[mujoco.mjtJoint(types.pop())]
+
+    def find_body(self, model: mujoco.MjModel, name: str) -> int:
+        """Index of the body that carries payloads.
+
+        Raises:
+            BenchError: There is none of that name, or no joint moves it.
+        """
+        bodies = [model.body(index).name for index in range(1, model.nbody)]
+        if name not in bodies:
+            self._fail(f"no body {name}; {closest(name, filter(None, bodies))}; set bench.payload")
+        index = bodies.index(name) + 1
+        if model.body_weldid[index] == 0:
+            self._fail(f"no joint moves body {name}, expected one that carries the payload; set bench.payload")
+        return index
+
+    def simpler(self) -> Iterator[tuple[str, "Template"]]:
+        """What it could lack, one attribute or element at a time, in words, and the template without it.
+
+        Bodies and the identified joints stay. Where things are, and how large, comes last.
+        """
+        elements = list(self._root.iter())
+        attributes = [(element, name) for element in elements for name in element.attrib if name not in _NAMING]
+        parts = [element for element in elements if element.tag not in _KEPT and element.get("name") not in self.joints]
+        leaving_out = [
+            *((element, name) for element, name in attributes if name not in _GEOMETRY),
+            *((element, None) for element in parts),
+            *((element, name) for element, name in attributes if name in _GEOMETRY),
+        ]
+        for element, name in leaving_out:
+            what = _describe(element) if name is None else f'{name}="{element.get(name)}" of {_describe(element)}'
+            yield what, self._without(element, name)
+
+    def _without(self, element: ET.Element, attribute: str | None) -> "Template":
+        place = list(self._root.iter()).index(element)
+        other = copy.copy(self)
+        other._root = copy.deepcopy(self._root)
+        found = list(other._root.iter())[place]
+        if attribute is not None:
+            del found.attrib[attribute]
+        else:
+            next(parent for parent in other._root.iter() if found in list(parent)).remove(found)
+        return other
+
+    def _choose_joints(self, joint: str | Sequence[str] | None) -> tuple[str, ...]:
+        found = [element.get("name", "") for element in self._root.findall("./worldbody//joint")]
+        if joint is None:
+            if len(found) != 1 or not found[0]:
+                listed = ", ".join(name or "(unnamed)" for name in found) or "none"
+                self._fail(f"joints {listed}, expected one named joint; set bench.joint")
+            return (found[0],)
+        wanted = [joint] if isinstance(joint, str) else list(joint)
+        for name in wanted:
+            if name not in found:
+                self._fail(f"no joint {name}; {closest(name, filter(None, found))}; set bench.joint")
+        ordered = [name for name in found if name in wanted]
+        if wanted != ordered:
+            # The recording's columns follow bench.joint: another order would swap the joints without a word.
+            raise BenchError(
+                f"bench.joint=[{', '.join(wanted)}]: expected each joint once in the order of {self.source}, "
+                f"[{', '.join(ordered)}]; change it, and data.columns with it"
+            )
+        return tuple(ordered)
+
+    def _refuse_clashes(self) -> None:
+        if self._root.find(".//include") is not None:
+            self._fail("it has an <include>, expected one self-contained MJCF; flatten it first")
+        for element in self._root.findall("./actuator/*"):
+            if element.get("joint") in self.joints:
+                self._fail(
+                    f"joint {element.get('joint')} has an actuator in the MJCF, expected none because bench.actuator "
+                    "describes it; remove it from the MJCF"
+                )
+            actuator = _describe(element)
+            self._fail(f"an actuator {actuator} in the MJCF, whose commands no recording has; remove it from the MJCF")
+        for element in self._root.findall("./default/*"):
+            if element.tag not in _NO_ACTUATORS:
+                self._fail(
+                    f"defaults for {_describe(element)} in the MJCF would act on the drive that bench.actuator "
+                    "describes, expected none outside of classes of their own; remove them"
+                )
+
+
+def _read(source: str) -> ET.Element:
+    shipped = files("frictionzoo.bench") / "assets" / source
+    try:
+        return ET.fromstring(Path(source).read_text() if Path(source).exists() else shipped.read_text())
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "not a text file"
+        raise BenchError(f"{source}: cannot be read ({reason}); set bench.mjcf to an MJCF file") from None
+    except ET.ParseError as error:
+        raise BenchError(f"{source}: not XML ({error}); set bench.mjcf to an MJCF file") from None
+
+
+def _describe(element: ET.Element) -> str:
+    name = element.get("name") or element.get("class")
+    return f"<{element.tag}{f' {name}' if name else ''}>"
+
+
+def _section(root: ET.Element, tag: str) -> ET.Element:
+    found = root.find(tag)
+    return ET.SubElement(root, tag) if found is None else found
+
+
+def in_full(value: float | np.floating) -> str:
+    """A number as an MJCF has it, at full precision."""
+    return repr(float(value))
