@@ -12,7 +12,7 @@ LEVELS = {
     **dict.fromkeys(("logs",), 1),
     **dict.fromkeys(("models", "core/build"), 2),
     **dict.fromkeys(("bench", "simulate"), 3),
-    **dict.fromkeys(("bench/doubts", "models/contract", "simulate/bridge"), 4),
+    **dict.fromkeys(("bench/doubts", "models/contract", "models/formula", "simulate/bridge"), 4),
     **dict.fromkeys(("simulate/differentiable", "simulate/drive", "simulate/proof", "simulate/torch_rollout"), 4),
     **dict.fromkeys(("fit",), 5),
     **dict.fromkeys(("result", "show", "comparison", "export", "inspect", "distill"), 6),

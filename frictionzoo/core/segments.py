@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from frictionzoo.core.errors import ConfigError, LogError, closest
 from frictionzoo.core.log import Log
 
-logger = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 SAME_TIMESTEP = 1e-3  # largest relative difference between the timesteps of logs that belong together
 PLACEMENTS = ("random", "consecutive")
@@ -115,7 +115,7 @@ def cut_segments(logs: Sequence[Log], count: int | None, length: int, history: i
         )
     for log, starts in zip(logs, available, strict=True):
         if not len(starts):
-            logger.warning("%s: %d samples, too short for %d steps; left out", log.name, log.samples, length)
+            _log.warning("%s: %d samples, too short for %d steps; left out", log.name, log.samples, length)
     return _windows(logs, _spread(_places(available), count, "segments.count"), length, history)
 
 

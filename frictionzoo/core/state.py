@@ -49,3 +49,7 @@ class FrictionTerms(NamedTuple):
     torque: Any = None
     frictionloss: Any = None
     damping: Any = None
+
+    def given(self) -> dict[str, Any]:
+        """The terms that the law uses, by name."""
+        return {name: term for name, term in self._asdict().items() if term is not None}

@@ -34,7 +34,7 @@ class Graph(torch.nn.Module):
 
     def __init__(self, model: FrictionModel, dtype: torch.dtype) -> None:
         super().__init__()
-        self.law = copy.deepcopy(model).to(dtype).requires_grad_(False)
+        self.law: FrictionModel = copy.deepcopy(model).to(dtype).requires_grad_(False)
         self.eval()
 
     def forward(

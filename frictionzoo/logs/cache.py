@@ -15,7 +15,7 @@ from frictionzoo.core.errors import OutputError
 from frictionzoo.core.output import write_atomically
 
 ABANDONED = 3600.0  # s after which nobody writes a temporary file any more
-logger = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 
 def cache_folder(setting: str | None) -> Path | None:
@@ -63,10 +63,10 @@ def _read(path: Path, names: Sequence[str]) -> dict[str, np.ndarray] | None:
     except FileNotFoundError:
         return None
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        logger.warning("%s: cannot be read (%s); made anew", path, error)
+        _log.warning("%s: cannot be read (%s); made anew", path, error)
         return None
     if not intact:
-        logger.warning("%s: its contents do not match their hash; made anew", path)
+        _log.warning("%s: its contents do not match their hash; made anew", path)
         return None
     return arrays
 
@@ -81,6 +81,6 @@ def _write(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
             if time.time() - part.stat().st_mtime > ABANDONED:
                 part.unlink()
     except OutputError as error:
-        logger.warning("%s: cannot be written (%s); the data will be made again next time", path, error.__cause__)
+        _log.warning("%s: cannot be written (%s); the data will be made again next time", path, error.__cause__)
     except OSError:  # another process removed it
         return

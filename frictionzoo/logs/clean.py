@@ -21,7 +21,7 @@ from frictionzoo.logs.recording import HELD, Recording
 from frictionzoo.logs.signals import count_spikes, find_breaks, find_outliers, find_velocity_lag, repair_spikes
 from frictionzoo.logs.velocity import check_filter, estimate_velocity
 
-CHOICES = {
+CHOICES: dict[str, tuple[str, ...]] = {
     "resample": ("linear", "cubic"),
     "spikes": ("repair", "drop", "keep"),
     "velocity": ("measured", "estimated", "auto"),

@@ -46,8 +46,12 @@ class Emps:
         for option, file_name in (("train", train), ("test", test)):
             if not isinstance(file_name, str):
                 raise ConfigError(f"data.{option}={file_name}: expected the name of one file in the folder emps/")
-        self.name, self.folder, self.train, self.test = name, folder, train, test
-        self.cutoff, self.order = cutoff, order
+        self.name: str = name
+        self.folder: str | None = folder
+        self.train: str = train
+        self.test: str = test
+        self.cutoff: float = cutoff
+        self.order: int = order
 
     def load(self) -> Dataset:
         """Both recordings.

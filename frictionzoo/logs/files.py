@@ -19,7 +19,7 @@ from frictionzoo.logs.select import Selection
 from frictionzoo.logs.split import Split
 from frictionzoo.logs.units import ratio
 
-logger = logging.getLogger(__name__)
+_log = logging.getLogger(__name__)
 
 
 class Files:
@@ -72,20 +72,28 @@ class Files:
     ) -> None:
         if format not in ("auto", *format_names()):
             raise ConfigError(f"data.format={format}: no such format; {closest(format, ('auto', *format_names()))}")
-        self.name, self.folder, self.source, self.format = name, folder, source, format
-        self.train, self.test = _names("train", train), _names("test", test)
-        self.columns = {signal: name_headers(signal, given) for signal, given in _signals("columns", columns).items()}
-        self.units = {signal: str(unit) for signal, unit in _signals("units", units).items()}
-        self.sign = _signs(sign)
+        self.name: str = name
+        self.folder: str | None = folder
+        self.source: str | None = source
+        self.format: str = format
+        self.train: list[str] = _names("train", train)
+        self.test: list[str] = _names("test", test)
+        self.columns: dict[str, Any] = {
+            signal: name_headers(signal, given) for signal, given in _signals("columns", columns).items()
+        }
+        self.units: dict[str, str] = {signal: str(unit) for signal, unit in _signals("units", units).items()}
+        self.sign: dict[str, int] = _signs(sign)
         for signal, unit in self.units.items():
             ratio(signal, unit)  # refuses what is none, also of a signal that no file has
         fields, where, exclude = (
             _mapping(option, given) for option, given in (("fields", fields), ("where", where), ("exclude", exclude))
         )
-        self.selection = Selection(fields, fields_from_name, where, exclude)
-        self.inputs = _mapping("inputs", inputs)
-        self.clean, self.payload, self.simulated = clean, payload, simulated
-        self.split = Split(split["by"], split["test"], float(split["test_share"]), float(split["gap"]))
+        self.selection: Selection = Selection(fields, fields_from_name, where, exclude)
+        self.inputs: dict[str, Any] = _mapping("inputs", inputs)
+        self.clean: Cleaning = clean
+        self.payload: Sequence[Any] = payload
+        self.simulated: bool = simulated
+        self.split: Split = Split(split["by"], split["test"], float(split["test_share"]), float(split["gap"]))
         if self.test and self.split.by != "time":
             raise ConfigError(f"data.split.by={self.split.by} and data.test={self.test}; expected one of them")
 
@@ -166,7 +174,7 @@ class Files:
         if not own or proposed.units:
             level = logging.INFO if proposal.certain else logging.WARNING
             taken = " ".join(proposed.overrides())
-            logger.log(level, "%s: taken from names and numbers in %s: %s", self.name, table.name, taken)
+            _log.log(level, "%s: taken from names and numbers in %s: %s", self.name, table.name, taken)
         return {**columns, **self.columns}, {**proposed.units, **self.units}
 
     def _clean(self, recording: Recording, payload: Payload | None) -> list[Log]:
@@ -194,7 +202,7 @@ class Files:
         told += summarise_repairs(kept)
         if told:
             counts = len(recordings), len(kept)
-            logger.info("%s: of %d recordings came %d logs; %s", self.name, *counts, "; ".join(told))
+            _log.info("%s: of %d recordings came %d logs; %s", self.name, *counts, "; ".join(told))
 
 
 def _constant(recording: Recording, name: str, given: str | float) -> float:

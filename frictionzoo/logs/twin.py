@@ -219,14 +219,18 @@ class Twin:
             )
         if not timestep > 0:
             raise ConfigError(f"data.timestep={timestep}: expected a positive number of seconds")
-        self.name, self.seed, self.samples, self.timestep, self.substeps = name, seed, samples, timestep, substeps
-        self.mjcf = _packaged_bench(mjcf)
-        self.excitation = _section(Excitation, "excitation", excitation)
-        self.controller = _section(Controller, "controller", controller)
+        self.name: str = name
+        self.seed: int = seed
+        self.samples: int = samples
+        self.timestep: float = timestep
+        self.substeps: int = substeps
+        self.mjcf: str = _packaged_bench(mjcf)
+        self.excitation: Excitation = _section(Excitation, "excitation", excitation)
+        self.controller: Controller = _section(Controller, "controller", controller)
         self.drive = _section(self.hidden, "drive", drive)
-        self.sensor = _section(Sensor, "sensor", sensor)
-        self.split = dict(split)
-        self.cache_dir = cache_folder(cache_dir)
+        self.sensor: Sensor = _section(Sensor, "sensor", sensor)
+        self.split: dict[str, Any] = dict(split)
+        self.cache_dir: Path | None = cache_folder(cache_dir)
 
     def load(self) -> Dataset:
         """The recording, made or from the cache, split by time.

@@ -16,6 +16,16 @@ from frictionzoo.core.errors import ModelError, UnknownModelError, closest
 from frictionzoo.core.params import UNITS
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models.base import FrictionModel, sliding_torque
+from frictionzoo.models.formula import (
+    Formula,
+    Values,
+    as_numpy,
+    jax_slopes,
+    saved,
+    torch_slopes,
+    torch_state,
+    torch_values,
+)
 from frictionzoo.models.registry import get_model
 from frictionzoo.models.torch_friction import TorchFriction
 
@@ -26,9 +36,6 @@ INPUT_SPREAD = 20.0  # of drawn inputs about the value at which the law acts wit
 NOWHERE = "where all is 0"
 SETTLED = 1e-6  # share of a settled memory by which a step may still change it
 DRAWS = 5  # of values between their bounds, where the promise to dissipate holds too
-
-Values = Mapping[str, Any]
-Formula = Callable[[Any, Values, DriveState], dict[str, Any]]
 
 
 def check_model(model: FrictionModel, samples: DriveState | None = None) -> None:
@@ -143,7 +150,7 @@ def _check_kinds(model: FrictionModel, terms: Any, namespace: str, kind: type, b
         _fail(model, "constraint", "is declared and frictionloss is None; answer with it or set constraint = False")
     if not model.constraint and terms.frictionloss is not None:
         _fail(model, "constraint", "is not declared and frictionloss is given; set constraint = True")
-    for name, term in _given(terms).items():
+    for name, term in terms.given().items():
         if not isinstance(term, kind):
             _fail(model, "terms", f"{name} is a {type(term).__name__} over {namespace}; compute it with xp from values")
         _check_shape(model, f"{name} over {namespace}", tuple(term.shape), (*batch, model.nv))
@@ -160,13 +167,13 @@ def _check_shape(model: FrictionModel, what: str, shape: tuple[int, ...], expect
 
 def _check_purity(model: FrictionModel, samples: DriveState) -> None:
     """Same inputs, same bits; nothing is written; the numbers come from `values`; no branch on a number."""
-    values, state = _torch_values(model), _torch_state(samples)
-    before, kept_values, kept_state = _saved(model), copy.deepcopy(values), copy.deepcopy(state)
+    values, state = torch_values(model), torch_state(samples)
+    before, kept_values, kept_state = saved(model), copy.deepcopy(values), copy.deepcopy(state)
     first = model.terms(torch, values, state)
     if not _same(first, model.terms(torch, values, state)):
         _fail(model, "deterministic", "two calls with the same inputs differ; take no random number in terms")
     unwritten = _equal(kept_values, values) and _equal(kept_state.given(), state.given())
-    if not unwritten or not _equal(before, _saved(model)):
+    if not unwritten or not _equal(before, saved(model)):
         _fail(model, "pure", "terms writes into values, state or the module; return new arrays instead")
     if not _same(first, _changed(model).terms(torch, values, state)):
         _fail(model, "pure", "terms reads a parameter or buffer from the module; take it from values")
@@ -174,11 +181,11 @@ def _check_purity(model: FrictionModel, samples: DriveState) -> None:
 
 def _check_types(model: FrictionModel, samples: DriveState) -> None:
     """float32 in, float32 out: a constant of another type would break a compiled rollout."""
-    answers = {"torch": model.terms(torch, _torch_values(model, torch.float32), _torch_state(samples, torch.float32))}
+    answers = {"torch": model.terms(torch, torch_values(model, torch.float32), torch_state(samples, torch.float32))}
     if _is_over_jax(model):
         answers["jax.numpy"] = _jax_terms(model, samples, jnp.float32)
     for namespace, terms in answers.items():
-        for name, term in _given(terms).items():
+        for name, term in terms.given().items():
             if not str(term.dtype).endswith("float32"):
                 _fail(model, "type", f"{name} is {term.dtype} of float32 inputs over {namespace}; use Python constants")
 
@@ -187,7 +194,7 @@ def _check_agreement(model: FrictionModel, samples: DriveState) -> None:
     """Torch equals JAX in value and gradient, and the gradient is finite, on the samples and at standstill."""
 
     def terms(xp: Any, values: Values, drive: DriveState) -> dict[str, Any]:
-        return _given(model.terms(xp, values, drive))
+        return model.terms(xp, values, drive).given()
 
     for where, ours, theirs in _check_formula(model, samples, terms, "value", ("gradient", "")):
         if theirs and where != NOWHERE:  # there |x| has one slope in torch and another in JAX
@@ -207,12 +214,12 @@ def _check_memory(model: FrictionModel, samples: DriveState) -> None:
         terms, after = model.advance(xp, values, drive, memory, TIMESTEP)
         for name, held in (("settled memory", memory), ("memory", after)):
             _check_shape(model, name, tuple(held.shape), shape)
-        return {**_given(terms), "settled memory": memory, "memory": after}
+        return {**terms.given(), "settled memory": memory, "memory": after}
 
     _check_formula(model, samples, step, "a step", ("memory", "gradient "))
-    fast = _torch_state(samples._replace(qvel=np.sign(samples.qvel) + (samples.qvel == 0)))
-    settled = model.settle(torch, _torch_values(model), fast)
-    after = model.advance(torch, _torch_values(model), fast, settled, TIMESTEP)[1]
+    fast = torch_state(samples._replace(qvel=np.sign(samples.qvel) + (samples.qvel == 0)))
+    settled = model.settle(torch, torch_values(model), fast)
+    after = model.advance(torch, torch_values(model), fast, settled, TIMESTEP)[1]
     change = float((after - settled).abs().max() / settled.abs().max())
     if not change <= SETTLED:
         _fail(model, "memory", f"settled in motion it still changes by {change:.3g} of itself in a step; see settle")
@@ -230,10 +237,10 @@ def _check_formula(
     random, shape = np.random.default_rng(0), samples.qvel.shape
     weights = {name: random.standard_normal(shape) for name in FrictionTerms._fields}
     weights |= {name: random.standard_normal((*shape, model.memory)) for name in ("settled memory", "memory")}
-    in_jax = _jax_slopes(model, list(places.values()), formula, weights) if _is_over_jax(model) else None
+    in_jax = jax_slopes(model, list(places.values()), formula, weights) if _is_over_jax(model) else None
     found = []
     for place, (where, state) in enumerate(places.items()):
-        values, ours = _torch_slopes(model, state, formula, weights)
+        values, ours = torch_slopes(model, state, formula, weights)
         theirs = {}
         if in_jax is not None:
             their_values, theirs = ({name: part[place] for name, part in parts.items()} for parts in in_jax)
@@ -250,10 +257,10 @@ def _check_rows(model: FrictionModel, samples: DriveState) -> None:
     """A law in torch is given all segments at once and answers for each alone; in JAX, `vmap` sees to that."""
     if not isinstance(model, TorchFriction):
         return
-    whole = _numpy(_given(_torch_terms(model, samples)))
+    whole = as_numpy(_torch_terms(model, samples).given())
     for row in (0, len(samples.qvel) - 1):
-        alone = _given(_torch_terms(model, samples.map(lambda signal, row=row: signal[row])))
-        for name, term in _numpy(alone).items():
+        alone = _torch_terms(model, samples.map(lambda signal, row=row: signal[row])).given()
+        for name, term in as_numpy(alone).items():
             error = np.abs(term - np.broadcast_to(whole[name], samples.qvel.shape)[row]).max()
             if not error <= TOLERANCE * max(1.0, np.abs(term).max()):
                 _fail(model, "batch", f"{name} of one state changes by {error:.3g} with the others; compute it alone")
@@ -275,7 +282,7 @@ def _check_saved_state(fresh: FrictionModel, prepared: FrictionModel, samples: D
 def _check_dissipation(model: FrictionModel, samples: DriveState) -> None:
     if not model.dissipative:
         return
-    random, drawn = np.random.default_rng(0), _torch_values(model)
+    random, drawn = np.random.default_rng(0), torch_values(model)
     for _ in range(1 + DRAWS):
         _check_power(model, drawn, samples)
         for name, param in model.params.items():
@@ -286,7 +293,7 @@ def _check_dissipation(model: FrictionModel, samples: DriveState) -> None:
 
 def _check_power(model: FrictionModel, values: dict[str, torch.Tensor], samples: DriveState) -> None:
     """With these values the law takes energy from the drive, or none."""
-    terms = FrictionTerms(**_numpy(_given(model.terms(torch, values, _torch_state(samples)))))
+    terms = FrictionTerms(**as_numpy(model.terms(torch, values, torch_state(samples)).given()))
     power = sliding_torque(np, terms, samples.qvel) * samples.qvel
     if (power < 0).any():
         at = tuple(int(index) for index in np.argwhere(power < 0)[0])
@@ -319,24 +326,12 @@ def _resized(state: DriveState, shape: tuple[int, ...]) -> DriveState:
     return state.map(lambda signal: np.resize(signal, shape))
 
 
-def _given(terms: FrictionTerms) -> dict[str, Any]:
-    return {name: term for name, term in terms._asdict().items() if term is not None}
-
-
-def _numpy(arrays: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    return {name: a.detach().numpy() if isinstance(a, torch.Tensor) else np.asarray(a) for name, a in arrays.items()}
-
-
 def _equal(ours: Mapping[str, torch.Tensor], theirs: Mapping[str, torch.Tensor]) -> bool:
     return ours.keys() == theirs.keys() and all(torch.equal(ours[name], theirs[name]) for name in ours)
 
 
 def _same(ours: FrictionTerms, theirs: FrictionTerms) -> bool:
-    return _equal(_given(ours), _given(theirs))
-
-
-def _saved(model: FrictionModel) -> dict[str, torch.Tensor]:
-    return {name: tensor.detach().clone() for name, tensor in model.state_dict().items()}
+    return _equal(ours.given(), theirs.given())
 
 
 def _changed(model: FrictionModel) -> FrictionModel:
@@ -347,21 +342,12 @@ def _changed(model: FrictionModel) -> FrictionModel:
     return changed
 
 
-def _torch_values(model: FrictionModel, dtype: torch.dtype = torch.float64) -> dict[str, torch.Tensor]:
-    state = _saved(model)
-    return {name: tensor.to(dtype) if tensor.is_floating_point() else tensor for name, tensor in state.items()}
-
-
-def _torch_state(state: DriveState, dtype: torch.dtype = torch.float64) -> DriveState:
-    return state.map(lambda signal: torch.tensor(signal, dtype=dtype))
-
-
 def _is_over_jax(model: FrictionModel) -> bool:
     return not isinstance(model, TorchFriction)
 
 
 def _torch_terms(model: FrictionModel, state: DriveState) -> Any:
-    return _called(model, "torch", lambda: model.terms(torch, _torch_values(model), _torch_state(state)))
+    return _called(model, "torch", lambda: model.terms(torch, torch_values(model), torch_state(state)))
 
 
 def _jax_terms(model: FrictionModel, state: DriveState, dtype: Any = jnp.float64) -> Any:
@@ -370,7 +356,7 @@ def _jax_terms(model: FrictionModel, state: DriveState, dtype: Any = jnp.float64
     def traced(array: np.ndarray) -> jax.ShapeDtypeStruct:
         return jax.ShapeDtypeStruct(array.shape, dtype if np.issubdtype(array.dtype, np.floating) else array.dtype)
 
-    values, drive = jax.tree.map(traced, (_numpy(_saved(model)), state))
+    values, drive = jax.tree.map(traced, (as_numpy(saved(model)), state))
     return _called(model, "jax.numpy", lambda: jax.eval_shape(partial(model.terms, jnp), values, drive))
 
 
@@ -388,51 +374,6 @@ def _called(model: FrictionModel, namespace: str, call: Callable[[], Any]) -> An
 
 def _in_short(error: Exception) -> str:
     return textwrap.shorten(str(error), 160)
-
-
-def _weighted(terms: Mapping[str, Any], weights: Mapping[str, Any]) -> Any:
-    """One number that depends on every entry of every term."""
-    return sum((weights[name] * term).sum() for name, term in terms.items())
-
-
-def _moving(model: FrictionModel, values: Values, state: DriveState) -> dict[str, Any]:
-    """What a gradient is taken with respect to: all parameters, and the state."""
-    return {name: values[name] for name, _ in model.named_parameters()} | state.given()
-
-
-def _torch_slopes(
-    model: FrictionModel, state: DriveState, formula: Formula, weights: Mapping[str, np.ndarray]
-) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """A formula's values in torch, and the gradient of their weighted sum."""
-    values, drive = _torch_values(model), _torch_state(state)
-    moving = _moving(model, values, drive)
-    for tensor in moving.values():
-        tensor.requires_grad_()
-    found = formula(torch, values, drive)
-    total = _weighted(found, {name: torch.tensor(weight) for name, weight in weights.items()})
-    if not isinstance(total, torch.Tensor) or not total.requires_grad:
-        return _numpy(found), {name: np.zeros(tuple(tensor.shape)) for name, tensor in moving.items()}
-    gradient = torch.autograd.grad(total, list(moving.values()), allow_unused=True, materialize_grads=True)
-    return _numpy(found), _numpy(dict(zip(moving, gradient, strict=True)))
-
-
-def _jax_slopes(
-    model: FrictionModel, states: list[DriveState], formula: Formula, weights: Mapping[str, np.ndarray]
-) -> list[dict[str, np.ndarray]]:
-    """The same in JAX, in each of several states: with a first dimension."""
-
-    def slopes(values: Values, weights: Values, drive: DriveState) -> tuple[Any, Any]:
-        def total(moving: dict[str, jax.Array]) -> tuple[jax.Array, dict[str, jax.Array]]:
-            moved = drive._replace(**{name: moving[name] for name in drive.given()})
-            found = formula(jnp, {**values, **moving}, moved)
-            return jnp.zeros(()) + _weighted(found, weights), found
-
-        gradient, found = jax.grad(total, has_aux=True)(_moving(model, values, drive))
-        return found, gradient
-
-    together = jax.tree.map(lambda *signals: np.stack(signals), *states)
-    compiled = jax.jit(jax.vmap(slopes, in_axes=(None, None, 0)))
-    return [_numpy(part) for part in compiled(_numpy(_torch_values(model)), weights, together)]
 
 
 def _compare(model: FrictionModel, what: str, ours: dict[str, np.ndarray], theirs: dict[str, np.ndarray]) -> None:

@@ -63,7 +63,9 @@ class NetworkModel(FrictionModel):
             )
         generator = torch.Generator().manual_seed(seed)
         widths = [self.columns, *hidden, outputs]
-        self.layers = torch.nn.ModuleList(_linear(*pair, generator) for pair in itertools.pairwise(widths))
+        self.layers: torch.nn.ModuleList = torch.nn.ModuleList(
+            _linear(*pair, generator) for pair in itertools.pairwise(widths)
+        )
         with torch.no_grad():
             for weights in self.layers[-1].parameters():
                 # The network starts near zero, yet not at zero, where the other layers have no gradient.
@@ -131,7 +133,7 @@ class GearNetwork(NetworkModel):
     NeurIPS 2020.
     """
 
-    columns = INPUTS + 2 * len(OCTAVES)
+    columns: ClassVar[int] = INPUTS + 2 * len(OCTAVES)
 
     def signals(self, state: DriveState) -> list[Any]:
         """See `NetworkModel.signals`."""

@@ -36,8 +36,8 @@ class TemperatureModel(FrictionModel):
         super().__init__(nv, params)
         if not ABSOLUTE_ZERO < reference < float("inf"):
             raise ConfigError(f"model.reference={reference}; expected a temperature above {ABSOLUTE_ZERO} degC")
-        self.reference = float(reference)
-        self.inputs = {"temperature": self.reference}
+        self.reference: float = float(reference)
+        self.inputs: Mapping[str, float] = {"temperature": self.reference}
 
     @abstractmethod
     def shares(self, xp: Any, values: Mapping[str, Any], temperature: Any) -> tuple[Any, Any]:

@@ -29,7 +29,7 @@ class Friction:
     advance: Callable[[Mapping[str, Any], DriveState, Array, float], tuple[FrictionTerms, Array]]
 
 
-UNFUSED = {"xla_disable_hlo_passes": "fusion", "xla_cpu_use_fusion_emitters": True}
+UNFUSED: dict[str, str | bool] = {"xla_disable_hlo_passes": "fusion", "xla_cpu_use_fusion_emitters": True}
 """For XLA: its fusion on CPUs computes shared terms again for each of their uses, and of many joints there are many.
 
 Without fusion its older emitters mixed up arrays of two joints (jaxlib 0.10.2): whoever asks for those gets the newer.

@@ -61,16 +61,7 @@ def rollout(
         ConfigError: No such parameter or engine, or a gradient is asked of an engine that has none for this bench.
     """
     bench, function, reverse, history = _compile(bench, law, engine, interval)  # first: it may change the law's type
-    known, given = bench.initial_values(), dict(parameters or {})
-    for name in given.keys() - known.keys():
-        raise ConfigError(f"parameters.{name}: no such parameter of the bench; {closest(name, known)}")
-    values = {
-        "bench": {name: _of_joints(bench, name, given.get(name, value), qpos) for name, value in known.items()},
-        "friction": {
-            name: value.to(qpos) if value.is_floating_point() else value.to(qpos.device)
-            for name, value in law.state_dict(keep_vars=True).items()
-        },
-    }
+    values = _values(bench, law, parameters or {}, qpos)
     channels = _join(bench, law, qpos, qvel, ctrl, dict(signals or {}))
     if history:
         channels = torch.cat([channels[:, :1].expand(-1, history, -1), channels], dim=1)
@@ -98,6 +89,19 @@ def _compile(bench: Bench, law: FrictionModel, engine: str, interval: float | No
     if isinstance(found, TorchRollout):
         return bench, found.in_torch, found.reverse, sampling.history
     return bench, as_torch_function(found.function, found.compiler_options), found.reverse, sampling.history
+
+
+def _values(
+    bench: Bench, law: FrictionModel, given: Mapping[str, Tensor], like: Tensor
+) -> dict[str, dict[str, Tensor]]:
+    known = bench.initial_values()
+    for name in given.keys() - known.keys():
+        raise ConfigError(f"parameters.{name}: no such parameter of the bench; {closest(name, known)}")
+    friction = law.state_dict(keep_vars=True).items()
+    return {
+        "bench": {name: _of_joints(bench, name, given.get(name, value), like) for name, value in known.items()},
+        "friction": {name: v.to(like) if v.is_floating_point() else v.to(like.device) for name, v in friction},
+    }
 
 
 def _of_joints(bench: Bench, name: str, value: object, like: Tensor) -> Tensor:

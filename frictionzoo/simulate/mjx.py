@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -91,7 +92,7 @@ class MjxEngine(Engine):
         # mode cannot pass.
         model.opt.iterations = 1 if bench.nv == 1 else model.opt.iterations
         model.opt.tolerance = min(model.opt.tolerance, _TOLERANCE)
-        self.compiler_options = {} if bench.nv <= _FUSED_JOINTS else UNFUSED
+        self.compiler_options: Mapping[str, Any] = {} if bench.nv <= _FUSED_JOINTS else UNFUSED
         self._bench = bench
         self._friction = friction
         self._timestep = float(model.opt.timestep)
@@ -101,7 +102,7 @@ class MjxEngine(Engine):
         self._model = mjx.put_model(model)
         self._data = mjx.make_data(self._model)
         self._constraint = self._data._impl.efc_J.shape[0] > 0
-        self.reverse = not self._constraint or model.opt.iterations == 1
+        self.reverse: bool = not self._constraint or model.opt.iterations == 1
 
     def step(
         self,

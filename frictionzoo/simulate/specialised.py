@@ -1,6 +1,7 @@
 """The fast engine: MJX's dynamics of one small bench as a flat function, and MuJoCo's friction constraint solved."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -43,7 +44,7 @@ class SpecialisedEngine(Engine):
         model = bench.compile(constraint)
         _refuse_other_constraints(model)
         self._model_inputs, self._dynamics = _specialised(bench, not model.opt.disableflags & NO_FRICTION_CONSTRAINT)
-        self.note = f"the dynamics come down to {self._dynamics.operations} scalar operations"
+        self.note: str = f"the dynamics come down to {self._dynamics.operations} scalar operations"
         self._bench = bench
         self._friction = friction
         self._constraint = constraint
@@ -52,7 +53,7 @@ class SpecialisedEngine(Engine):
         self._damper = not flags & mujoco.mjtDisableBit.mjDSBL_DAMPER
         euler = model.opt.integrator == mujoco.mjtIntegrator.mjINT_EULER
         self._damps_implicitly = not flags & mujoco.mjtDisableBit.mjDSBL_EULERDAMP if euler else self._damper
-        self.compiler_options = {} if bench.nv == 1 else UNFUSED
+        self.compiler_options: Mapping[str, Any] = {} if bench.nv == 1 else UNFUSED
 
     def step(
         self,

@@ -139,4 +139,4 @@ def _step(
 
 def _whole(terms: FrictionTerms, qvel: torch.Tensor) -> dict[str, torch.Tensor]:
     """The terms that the law answers with, one row a segment."""
-    return {name: term.broadcast_to(qvel.shape) for name, term in terms._asdict().items() if term is not None}
+    return {name: term.broadcast_to(qvel.shape) for name, term in terms.given().items()}

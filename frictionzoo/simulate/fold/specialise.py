@@ -30,7 +30,7 @@ class Specialised:
         self._outputs = outputs
         self._structure = structure
         self._order = _sorted_by_dependence([entry for output in outputs for entry in output.ravel()])
-        self.operations = sum(expression.operation != "input" for expression in self._order)
+        self.operations: int = sum(expression.operation != "input" for expression in self._order)
 
     def __call__(self, *arguments: Any) -> Any:
         """The function's value, with the structure that it returned when it was traced."""

@@ -1,0 +1,81 @@
+"""A law's formula evaluated in torch and in JAX alike: its values, and the gradient with respect to all it takes."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import torch
+
+from frictionzoo.core.state import DriveState
+from frictionzoo.models.base import FrictionModel
+
+Values = Mapping[str, Any]
+Formula = Callable[[Any, Values, DriveState], dict[str, Any]]
+
+
+def as_numpy(arrays: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """Tensors and arrays as numpy's."""
+    return {name: a.detach().numpy() if isinstance(a, torch.Tensor) else np.asarray(a) for name, a in arrays.items()}
+
+
+def saved(model: FrictionModel) -> dict[str, torch.Tensor]:
+    """A copy of a law's parameters and buffers."""
+    return {name: tensor.detach().clone() for name, tensor in model.state_dict().items()}
+
+
+def torch_values(model: FrictionModel, dtype: torch.dtype = torch.float64) -> dict[str, torch.Tensor]:
+    """A copy of them that a formula may take, floating-point numbers of this type."""
+    state = saved(model)
+    return {name: tensor.to(dtype) if tensor.is_floating_point() else tensor for name, tensor in state.items()}
+
+
+def torch_state(state: DriveState, dtype: torch.dtype = torch.float64) -> DriveState:
+    """The state as tensors of this type."""
+    return state.map(lambda signal: torch.tensor(signal, dtype=dtype))
+
+
+def _weighted(terms: Mapping[str, Any], weights: Mapping[str, Any]) -> Any:
+    """One number that depends on every entry of every term."""
+    return sum((weights[name] * term).sum() for name, term in terms.items())
+
+
+def _moving(model: FrictionModel, values: Values, state: DriveState) -> dict[str, Any]:
+    """What a gradient is taken with respect to: all parameters, and the state."""
+    return {name: values[name] for name, _ in model.named_parameters()} | state.given()
+
+
+def torch_slopes(
+    model: FrictionModel, state: DriveState, formula: Formula, weights: Mapping[str, np.ndarray]
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """A formula's values in torch, and the gradient of their weighted sum."""
+    values, drive = torch_values(model), torch_state(state)
+    moving = _moving(model, values, drive)
+    for tensor in moving.values():
+        tensor.requires_grad_()
+    found = formula(torch, values, drive)
+    total = _weighted(found, {name: torch.tensor(weight) for name, weight in weights.items()})
+    if not isinstance(total, torch.Tensor) or not total.requires_grad:
+        return as_numpy(found), {name: np.zeros(tuple(tensor.shape)) for name, tensor in moving.items()}
+    gradient = torch.autograd.grad(total, list(moving.values()), allow_unused=True, materialize_grads=True)
+    return as_numpy(found), as_numpy(dict(zip(moving, gradient, strict=True)))
+
+
+def jax_slopes(
+    model: FrictionModel, states: list[DriveState], formula: Formula, weights: Mapping[str, np.ndarray]
+) -> list[dict[str, np.ndarray]]:
+    """The same in JAX, in each of several states: with a first dimension."""
+
+    def slopes(values: Values, weights: Values, drive: DriveState) -> tuple[Any, Any]:
+        def total(moving: dict[str, jax.Array]) -> tuple[jax.Array, dict[str, jax.Array]]:
+            moved = drive._replace(**{name: moving[name] for name in drive.given()})
+            found = formula(jnp, {**values, **moving}, moved)
+            return jnp.zeros(()) + _weighted(found, weights), found
+
+        gradient, found = jax.grad(total, has_aux=True)(_moving(model, values, drive))
+        return found, gradient
+
+    together = jax.tree.map(lambda *signals: np.stack(signals), *states)
+    compiled = jax.jit(jax.vmap(slopes, in_axes=(None, None, 0)))
+    return [as_numpy(part) for part in compiled(as_numpy(torch_values(model)), weights, together)]
