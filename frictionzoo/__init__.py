@@ -4,7 +4,11 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from frictionzoo.bench import Bench, DcMotorPD, Force, PositionPD, VoltageServo
+    from frictionzoo.bench.actuators.dc_motor_pd import DcMotorPD
+    from frictionzoo.bench.actuators.force import Force
+    from frictionzoo.bench.actuators.position_pd import PositionPD
+    from frictionzoo.bench.actuators.voltage_servo import VoltageServo
+    from frictionzoo.bench.base import Bench
     from frictionzoo.library import law, load
     from frictionzoo.result.identified import Identified
     from frictionzoo.simulate.differentiable import rollout

@@ -28,7 +28,6 @@ from frictionzoo.export.mjlab import read_mjlab
 from frictionzoo.export.motor import lag, motors, read_inputs
 from frictionzoo.export.nearest import Nearest
 from frictionzoo.export.read_bam import LAWS, read_bam
-from frictionzoo.export.targets import __all__ as _registered  # noqa: F401 - importing it registers them
 from frictionzoo.export.written import Export
 from frictionzoo.models import FrictionModel, get_model, model_names
 from frictionzoo.result.identified import Identified

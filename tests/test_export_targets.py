@@ -23,7 +23,6 @@ from frictionzoo.core.errors import ConfigError, ExportError, FrictionzooError
 from frictionzoo.core.log import Payload
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.export import targets  # noqa: F401 - registers them
 from frictionzoo.export.base import get_target, target_names
 from frictionzoo.export.bench import Mjcf, run_bench
 from frictionzoo.export.mjx_module import Mjx

@@ -10,13 +10,13 @@ PACKAGE = Path(__file__).parent.parent / "frictionzoo"
 LEVELS = {
     **dict.fromkeys(("core",), 0),
     **dict.fromkeys(("logs",), 1),
-    **dict.fromkeys(("models", "core/build"), 2),
+    **dict.fromkeys(("models",), 2),
     **dict.fromkeys(("bench", "simulate"), 3),
     **dict.fromkeys(("bench/doubts", "models/contract", "models/formula", "simulate/bridge"), 4),
     **dict.fromkeys(("simulate/differentiable", "simulate/drive", "simulate/proof", "simulate/torch_rollout"), 4),
     **dict.fromkeys(("fit",), 5),
     **dict.fromkeys(("result", "show", "comparison", "export", "inspect", "distill"), 6),
-    **dict.fromkeys(("library", "cli", "run", "compare", "distill/distillation"), 7),
+    **dict.fromkeys(("library", "cli", "run", "compare", "list", "distill/distillation"), 7),
     **dict.fromkeys(("export/__main__", "inspect/__main__", "distill/__main__"), 7),
 }
 FORBIDDEN = {0: {"torch", "jax", "mujoco"}, 1: {"torch", "jax"}, 2: {"jax"}, 3: {"torch"}}

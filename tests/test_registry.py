@@ -75,7 +75,7 @@ def test_a_class_that_is_defined_again_replaces_its_older_self():
     register_model("rusty")(sound("Rusty"))
     newer = register_model("rusty")(sound("Rusty"))
     assert get_model("rusty") is newer
-    assert newer in registry.registered_models().values()
+    assert newer in registry.REGISTRY.entries.values()
 
 
 def test_a_second_name_for_a_class_raises():

@@ -1,7 +1,12 @@
 """Benches: the MJCF around a drive, and the actuator laws that turn commands into torque."""
 
-from frictionzoo.bench.actuators import Actuator, Affine, DcMotorPD, Force, PositionPD, VoltageServo
+from frictionzoo.bench.actuators.base import REGISTRY, Actuator, Affine, register_actuator
 from frictionzoo.bench.base import Bench
 from frictionzoo.bench.channels import Channels
 
-__all__ = ["Actuator", "Affine", "Bench", "Channels", "DcMotorPD", "Force", "PositionPD", "VoltageServo"]
+__all__ = ["Actuator", "Affine", "Bench", "Channels", "register_actuator"]
+
+
+def __getattr__(name: str) -> type[Actuator]:
+    """An actuator law by the name of its class, as `_target_` has it; its own module has its type."""
+    return REGISTRY.find_class(name)

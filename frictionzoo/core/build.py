@@ -2,17 +2,17 @@
 
 import importlib
 from collections.abc import Mapping
-from importlib.metadata import entry_points
 from typing import Any
 
 from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.registry import find_registered, plug_in_packages
 
 
 def build(section: Mapping[str, Any], **more: Any) -> Any:
     """Construct what a section's `_target_` names, with the section's other keys as arguments.
 
-    Nested sections with a `_target_` are built first. Only classes of frictionzoo, of packages that bring friction
-    models, and registered friction models are built, so that a configuration from elsewhere cannot run arbitrary code.
+    Nested sections with a `_target_` are built first. Only classes of frictionzoo, of packages that bring plug-ins,
+    and registered plug-ins are built, so that a configuration from elsewhere cannot run arbitrary code.
 
     Args:
         section: `_target_` and constructor arguments.
@@ -34,13 +34,9 @@ def build(section: Mapping[str, Any], **more: Any) -> Any:
 
 
 def _find(target: str) -> Any:
-    if not target.startswith("frictionzoo."):
-        # Imported here, so that what needs no law does not wait for torch.
-        from frictionzoo.models.registry import registered_models
-
-        if target in (registered := registered_models()):  # also laws of the program that runs, of a notebook say
-            return registered[target]
-    packages = {"frictionzoo", *(point.module.partition(".")[0] for point in entry_points(group="frictionzoo.models"))}
+    if registered := find_registered(target):
+        return registered
+    packages = plug_in_packages()
     module, _, name = target.rpartition(".")
     if module.partition(".")[0] not in packages:
         raise ConfigError(f"_target_={target}; expected a class of {' or '.join(sorted(packages))}")

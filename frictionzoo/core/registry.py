@@ -1,53 +1,194 @@
-"""Plug-ins by name: classes of this package, and those that other packages bring by entry points."""
+"""Plug-ins by name: classes that this package's files hold, and those that other packages bring by entry points."""
 
+import ast
 import functools
+import importlib
 import inspect
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any, TypeVar
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
 
-from frictionzoo.core.errors import FrictionzooError, closest
+from frictionzoo.core.errors import ConfigError, FrictionzooError, closest
 
 T = TypeVar("T")
 
 
-@dataclass
-class Registry:
-    """Plug-ins of one kind.
+class Found(NamedTuple):
+    """A plug-in as its file tells it, which need not be imported for that.
 
     Attributes:
-        kind: What a class of it is, for messages.
-        base: Class that all of them derive from.
-        method: The method that they have to write.
-        decorator: Name of the function that registers one.
-        group: Entry-point group of other packages.
-        error: Raised for a plug-in that is none.
-        unknown: Raised for a name that nobody registered.
-        entries: The registered classes by name.
+        name: Under which it is registered.
+        module: Of the class.
+        target: Dotted name of the class, as `_target_` has it.
+        summary: First line of its docstring.
     """
 
-    kind: str
+    name: str
+    module: str
+    target: str
+    summary: str
+
+    @property
+    def package(self) -> str:
+        """Who brings it."""
+        return self.module.partition(".")[0]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of plug-ins.
+
+    Attributes:
+        plural: Its name on the command line and in the entry-point group.
+        noun: What one of it is, for messages.
+        home: The package whose files hold those of frictionzoo.
+        decorator: Name of the function that registers one.
+        choice: The option that chooses one, where `{name}` and `{target}` stand for its own.
+    """
+
+    plural: str
+    noun: str
+    home: str
+    decorator: str
+    choice: str
+
+    @property
+    def group(self) -> str:
+        """Entry-point group of other packages."""
+        return f"frictionzoo.{self.plural}"
+
+    def own(self) -> dict[str, Found]:
+        """Those of frictionzoo by name: what the files of `home` register, imported or not.
+
+        Raises:
+            ConfigError: Two files register one name.
+        """
+        found: dict[str, Found] = {}
+        home = sys.modules.get(self.home)
+        inside = Path(__file__).parents[1].joinpath(*self.home.split(".")[1:])
+        for folder in home.__path__ if home else [str(inside)]:
+            for path in sorted(Path(folder).glob("*.py")):
+                for name, cls, summary in _read_file(path, self.decorator):
+                    one = Found(name, f"{self.home}.{path.stem}", f"{self.home}.{cls}", summary)
+                    if found.setdefault(name, one) != one:
+                        raise ConfigError(f"{name}: registered by {found[name].target} and {one.target}; rename one")
+        return found
+
+    def brought(self) -> list[EntryPoint]:
+        """What other packages bring."""
+        return _entry_points(tuple(sys.path))[self.group]
+
+    def list_all(self) -> list[Found]:
+        """All of them, sorted by name; none is imported."""
+        return sorted([*self.own().values(), *map(self._look_up, self.brought())])
+
+    def _look_up(self, point: EntryPoint) -> Found:
+        try:
+            origin = getattr(find_spec(point.module), "origin", None)
+        except Exception as error:  # what another package does when its root is imported is not ours to end over
+            return Found(point.name, point.module, point.module, f"does not load: {error}")
+        for name, cls, summary in _read_file(Path(origin), self.decorator) if origin else ():
+            if name == point.name:
+                return Found(name, point.module, f"{point.module}.{cls}", summary)
+        return Found(point.name, point.module, point.module, "")
+
+
+KINDS = {
+    kind.plural: kind
+    for kind in (
+        Kind("models", "friction model", "frictionzoo.models", "register_model", "model={name}"),
+        Kind(
+            *("actuators", "actuator law", "frictionzoo.bench.actuators", "register_actuator"),
+            "bench.actuator._target_={target}",
+        ),
+        Kind("sources", "data source", "frictionzoo.logs", "register_source", "data={name}"),
+        Kind("formats", "log format", "frictionzoo.logs.formats", "register_format", "data.format={name}"),
+        Kind("methods", "fit method", "frictionzoo.fit", "register_method", "fit={name}"),
+        Kind("targets", "export target", "frictionzoo.export", "register_target", "target={name}"),
+    )
+}
+_REGISTRIES: list["Registry"] = []
+
+
+@dataclass
+class Registry:
+    """The plug-ins of one kind.
+
+    Attributes:
+        kind: Which.
+        base: Class that all of them derive from.
+        method: The method that they have to write.
+        error: Raised for a plug-in that is none.
+        unknown: Raised for a name that nobody registered.
+        entries: The registered classes that have been imported, by name.
+    """
+
+    kind: Kind
     base: type
     method: str
-    decorator: str
-    group: str
-    error: type[FrictionzooError]
-    unknown: type[FrictionzooError]
+    error: type[FrictionzooError] = ConfigError
+    unknown: type[FrictionzooError] = ConfigError
     entries: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        _REGISTRIES.append(self)
 
     @property
     def noun(self) -> str:
         """The kind in one word."""
-        return self.kind.split()[-1]
+        return self.kind.noun.split()[-1]
 
-    def add(self, name: str, cls: T) -> T:
-        """Register a class under its name, and its name into the class.
+    def register(self, name: str) -> Callable[[T], T]:
+        """Class decorator that makes a plug-in available under a name.
+
+        Args:
+            name: Lower case with underscores.
 
         Raises:
             FrictionzooError: The name is taken or not lower case with underscores, or the class is not complete or has
                 a name already.
         """
+        return lambda cls: self._add(name, cls)
+
+    def get(self, name: str) -> Any:
+        """The class of that name, registered here or brought by another package.
+
+        Args:
+            name: As registered, or as an entry point of the kind's group has it.
+
+        Raises:
+            FrictionzooError: No such name, and the message names the closest; or two packages bring it, or the one that
+                does is broken.
+        """
+        own, outside = self.kind.own(), self._outside()
+        if name in own:
+            self._load(own[name])
+        elif name not in self.entries and name not in outside:
+            raise self.unknown(f"{name}: no such {self.kind.noun}; {closest(name, self.names())}")
+        if name in outside:
+            self._load_outside(outside[name])
+        return self.entries[name]
+
+    def names(self) -> list[str]:
+        """All names, sorted."""
+        return sorted({*self.kind.own(), *self._outside(), *self.entries})
+
+    def find_class(self, name: str) -> Any:
+        """One of this package's classes by its own name: the `__getattr__` of the package that holds them.
+
+        Raises:
+            AttributeError: There is none.
+        """
+        for found in self.kind.own().values():
+            if found.target == f"{self.kind.home}.{name}":
+                return self._load(found)
+        raise AttributeError(f"module {self.kind.home!r} has no attribute {name!r}")
+
+    def _add(self, name: str, cls: T) -> T:
         known: Any = cls
         if not (isinstance(known, type) and issubclass(known, self.base)) or inspect.isabstract(known):
             raise self.error(
@@ -55,6 +196,9 @@ class Registry:
             )
         if not name.isidentifier() or name != name.lower():
             raise self.error(f"{name}: expected a name in lower case with underscores; rename the {self.noun}")
+        own = self.kind.own().get(name)
+        if own and own.module != known.__module__:
+            self._load(own)
         # A class that is defined again, as when a notebook's cell is run again, replaces its older self.
         if dotted_name(self.entries.get(name, known)) != dotted_name(known):
             raise self.error(f"{name}: already registered by {self.entries[name].__qualname__}; choose another name")
@@ -65,27 +209,15 @@ class Registry:
         self.entries[name] = cls
         return cls
 
-    def get(self, name: str) -> Any:
-        """The class of that name, registered here or brought by another package.
+    def _load(self, found: Found) -> Any:
+        """Import one of this package's own."""
+        cls = getattr(importlib.import_module(found.module), found.target.rpartition(".")[2])
+        return self.entries.setdefault(found.name, cls)
 
-        Raises:
-            FrictionzooError: No such name, two packages bring it, or the one that does is broken.
-        """
-        outside = self.outside()
-        if name not in self.entries and name not in outside:
-            raise self.unknown(f"{name}: no such {self.kind}; {closest(name, {*outside, *self.entries})}")
-        if name in outside:
-            self._load(outside[name])
-        return self.entries[name]
-
-    def names(self) -> list[str]:
-        """All names, sorted."""
-        return sorted({*self.outside(), *self.entries})
-
-    def outside(self) -> dict[str, EntryPoint]:
+    def _outside(self) -> dict[str, EntryPoint]:
         """What other packages bring, by name."""
         points: dict[str, EntryPoint] = {}
-        for point in _entry_points(self.group, tuple(sys.path)):
+        for point in self.kind.brought():
             if points.setdefault(point.name, point).value != point.value:
                 raise self.error(
                     f"{point.name}: entry points {points[point.name].value} and {point.value} both bring it; "
@@ -93,7 +225,7 @@ class Registry:
                 )
         return points
 
-    def _load(self, point: EntryPoint) -> None:
+    def _load_outside(self, point: EntryPoint) -> None:
         """Import what an entry point names and see that it registered the class itself, not one of the same name."""
         try:
             point.load()
@@ -102,7 +234,7 @@ class Registry:
         if point.name not in self.entries:
             raise self.error(
                 f"{point.name}: its entry point {point.value} registers no {self.noun} of that name; "
-                f'decorate it @{self.decorator}("{point.name}")'
+                f'decorate it @{self.kind.decorator}("{point.name}")'
             )
         owner = self.entries[point.name].__module__
         if owner.partition(".")[0] != point.module.partition(".")[0]:
@@ -111,13 +243,44 @@ class Registry:
             )
 
 
-@functools.cache
-def _entry_points(group: str, path: tuple[str, ...]) -> list[EntryPoint]:
-    """What the packages on this path bring; looking through all of them takes as long as reading a small file."""
-    # The backport importlib_metadata takes discovery over where it is imported, with a class of its own.
-    return [EntryPoint(found.name, found.value, found.group) for found in entry_points(group=group)]
+def find_registered(target: str) -> Any:
+    """The class of this dotted name among those that were registered in this process, in a notebook say; else None."""
+    classes = (cls for registry in _REGISTRIES for cls in registry.entries.values())
+    return next((cls for cls in classes if dotted_name(cls) == target), None)
+
+
+def plug_in_packages() -> set[str]:
+    """The packages that bring plug-ins of any kind, frictionzoo among them."""
+    return {"frictionzoo", *(point.module.partition(".")[0] for kind in KINDS.values() for point in kind.brought())}
 
 
 def dotted_name(cls: type) -> str:
     """Dotted name of a class, as `_target_` has it."""
     return f"{cls.__module__}.{cls.__qualname__}"
+
+
+@functools.cache
+def _entry_points(path: tuple[str, ...]) -> dict[str, list[EntryPoint]]:
+    """What the packages on this path bring, by group; looking through all of them takes as long as reading a file."""
+    found = entry_points()
+    # The backport importlib_metadata takes discovery over where it is imported, with a class of its own.
+    return {
+        kind.group: [EntryPoint(point.name, point.value, kind.group) for point in found.select(group=kind.group)]
+        for kind in KINDS.values()
+    }
+
+
+@functools.cache
+def _read_file(path: Path, decorator: str) -> tuple[tuple[str, str, str], ...]:
+    """Name, class and first line of the docstring of each plug-in that a file registers with this decorator."""
+    text = path.read_text(encoding="utf-8")
+    if f"{decorator}(" not in text:
+        return ()
+    return tuple(
+        (call.args[0].value, node.name, (ast.get_docstring(node) or "").partition("\n")[0])
+        for node in ast.parse(text).body
+        if isinstance(node, ast.ClassDef)
+        for call in node.decorator_list
+        if isinstance(call, ast.Call) and decorator in (getattr(call.func, "id", ""), getattr(call.func, "attr", ""))
+        if call.args and isinstance(call.args[0], ast.Constant) and isinstance(call.args[0].value, str)
+    )

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import nnls
 
-from frictionzoo.bench import VoltageServo
+from frictionzoo.bench.actuators.voltage_servo import VoltageServo
 from frictionzoo.core.errors import ConfigError, ExportError, closest
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.export.base import Target, measure, register_target

@@ -1,7 +1,7 @@
 """The interface of an export target: what it writes, how exact that is, and what it cannot represent."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from frictionzoo.core.errors import ConfigError, ExportError
 from frictionzoo.core.params import UNITS
-from frictionzoo.core.registry import Registry
+from frictionzoo.core.registry import KINDS, Registry
 from frictionzoo.export.written import Difference, Export
 from frictionzoo.result.identified import Identified
 
@@ -44,21 +44,10 @@ class Target(ABC):
         """
 
 
-REGISTRY = Registry(
-    *("export target", Target, "write", "register_target", "frictionzoo.targets"), *(ExportError, ConfigError)
-)
+REGISTRY = Registry(KINDS["targets"], Target, "write", ExportError)
 
-
-def register_target(name: str) -> Callable[[type[Target]], type[Target]]:
-    """Class decorator that makes a target available on the command line.
-
-    Args:
-        name: Lower case with underscores.
-
-    Raises:
-        ExportError: The name is taken or not lower case with underscores, or the class is not a complete `Target`.
-    """
-    return lambda cls: REGISTRY.add(name, cls)
+register_target = REGISTRY.register
+"""Class decorator that makes a target available on the command line, as `Registry.register`."""
 
 
 def get_target(name: str) -> type[Target]:
@@ -74,9 +63,8 @@ def get_target(name: str) -> type[Target]:
     return REGISTRY.get(name)
 
 
-def target_names() -> list[str]:
-    """Names of all targets, sorted."""
-    return REGISTRY.names()
+target_names = REGISTRY.names
+"""Names of all targets, sorted."""
 
 
 def measure(

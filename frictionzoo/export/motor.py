@@ -8,7 +8,10 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from frictionzoo.bench import Actuator, DcMotorPD, PositionPD, VoltageServo
+from frictionzoo.bench import Actuator
+from frictionzoo.bench.actuators.dc_motor_pd import DcMotorPD
+from frictionzoo.bench.actuators.position_pd import PositionPD
+from frictionzoo.bench.actuators.voltage_servo import VoltageServo
 from frictionzoo.core.errors import ExportError
 from frictionzoo.core.params import UNITS
 from frictionzoo.export.base import read_number

@@ -13,9 +13,11 @@ from frictionzoo.core.errors import RunError
 from frictionzoo.core.params import UNITS
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.fit import LevenbergMarquardt, Objective, Space
-from frictionzoo.models import FrictionModel, MujocoDefault
+from frictionzoo.fit import Objective, Space
+from frictionzoo.fit.lm import LevenbergMarquardt
+from frictionzoo.models import FrictionModel
 from frictionzoo.models.base import sliding_torque
+from frictionzoo.models.mujoco_default import MujocoDefault
 from frictionzoo.result.identified import Identified
 from frictionzoo.simulate import friction_of, make_engine
 from frictionzoo.simulate.rollout import make_rollout

@@ -16,7 +16,6 @@ from frictionzoo import __version__
 from frictionzoo.core.errors import ConfigError, ExportError, FrictionzooError, OutputError, closest
 from frictionzoo.core.output import to_json, write_atomically
 from frictionzoo.core.params import UNITS
-from frictionzoo.export import targets  # noqa: F401 - registers them
 from frictionzoo.export.base import get_target, read_number, target_names
 from frictionzoo.export.written import Export, Written
 from frictionzoo.result.identified import Identified

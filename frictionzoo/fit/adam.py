@@ -9,7 +9,17 @@ import optax
 from jaxtyping import Array
 
 from frictionzoo.core.errors import ConfigError, closest
-from frictionzoo.fit.base import Chunk, Fit, Progress, Trace, begin, compile_chunk, keep_best, refuse_nothing
+from frictionzoo.fit.base import (
+    Chunk,
+    Fit,
+    Progress,
+    Trace,
+    begin,
+    compile_chunk,
+    keep_best,
+    refuse_nothing,
+    register_method,
+)
 from frictionzoo.fit.objective import Blocks, Objective
 
 SCHEDULES: Mapping[str, Callable[[float, int], Any]] = {
@@ -18,6 +28,7 @@ SCHEDULES: Mapping[str, Callable[[float, int], Any]] = {
 }
 
 
+@register_method("adam")
 class Adam(Fit):
     """optax's Adam in scaled coordinates, projected onto the bounds after each step.
 
@@ -37,8 +48,6 @@ class Adam(Fit):
     Raises:
         ConfigError: An argument is out of range.
     """
-
-    name = "adam"
 
     def __init__(
         self, iterations: int, learning_rate: float, b2: float, derivative: str, schedule: str = "constant"

@@ -2,11 +2,12 @@
 
 from frictionzoo.core.errors import refuse_outside
 from frictionzoo.fit.adam import Adam
-from frictionzoo.fit.base import Chunk, Fit, Progress
+from frictionzoo.fit.base import Chunk, Fit, Progress, register_method
 from frictionzoo.fit.lm import MOST_COORDINATES, MOST_TRIES, LevenbergMarquardt
 from frictionzoo.fit.objective import Objective
 
 
+@register_method("auto")
 class Auto(Fit):
     """Levenberg-Marquardt where it can be had; Adam for networks and for laws that exist only in torch.
 
@@ -22,8 +23,6 @@ class Auto(Fit):
     Raises:
         ConfigError: An argument is out of range.
     """
-
-    name = "auto"
 
     def __init__(
         self,

@@ -2,12 +2,13 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.registry import KINDS, Registry
 from frictionzoo.fit.objective import Objective
 
 
@@ -59,10 +60,10 @@ class Fit(ABC):
     """A way of finding parameters.
 
     Attributes:
-        name: Its name in results.
+        name: Its name in results, set by `register_method`.
     """
 
-    name: str
+    name: ClassVar[str]
 
     def choose(self, objective: Objective) -> "Fit":
         """The method that does the work for this objective: this one, unless it leaves the choice to the law."""
@@ -86,6 +87,12 @@ class Fit(ABC):
 
         How iterations are cut into chunks must not change a bit of the result: an interrupted fit goes on in others.
         """
+
+
+REGISTRY = Registry(KINDS["methods"], Fit, "chunk")
+
+register_method = REGISTRY.register
+"""Class decorator that makes a fit method known by its name, as `Registry.register`."""
 
 
 def refuse_nothing(objective: Objective) -> None:

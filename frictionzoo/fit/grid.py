@@ -15,6 +15,7 @@ from frictionzoo.fit.base import (
     keep_best,
     refuse_nothing,
     refuse_torch,
+    register_method,
 )
 from frictionzoo.fit.objective import Blocks, Objective
 
@@ -22,6 +23,7 @@ MOST_COMBINATIONS = 100_000_000  # and JAX counts them in 32 bits
 MOST_STATES = 1_000_000_000  # simulated at once: some GB of memory
 
 
+@register_method("grid")
 class Grid(Fit):
     """Every combination of evenly spaced values; an iteration is one combination, a chunk simulates many at once.
 
@@ -36,8 +38,6 @@ class Grid(Fit):
     Raises:
         ConfigError: Fewer than two points.
     """
-
-    name = "grid"
 
     def __init__(self, points: int) -> None:
         if points < 2:

@@ -4,14 +4,13 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from frictionzoo.core.errors import ConfigError
-from frictionzoo.fit.base import Chunk, Fit, Progress, Trace, begin, compile_chunk, keep_best
+from frictionzoo.fit.base import Chunk, Fit, Progress, Trace, begin, compile_chunk, keep_best, register_method
 from frictionzoo.fit.objective import Blocks, Objective
 
 
+@register_method("known")
 class Known(Fit):
     """The initial values, published ones say, on the same segments and rollouts as identified ones."""
-
-    name = "known"
 
     def total(self, objective: Objective) -> int:
         """See `Fit.total`; raises ConfigError where something is to be identified."""

@@ -10,7 +10,7 @@ import scipy.optimize
 from jaxtyping import Float
 
 from frictionzoo.core.errors import ConfigError, refuse_outside
-from frictionzoo.fit.base import Chunk, Fit, Progress, Trace, begin, refuse_nothing, refuse_torch
+from frictionzoo.fit.base import Chunk, Fit, Progress, Trace, begin, refuse_nothing, refuse_torch, register_method
 from frictionzoo.fit.objective import NormalEquations, Objective
 
 MOST_TRIES = 10_000  # each is remembered with its second derivative; ten are usual
@@ -35,6 +35,7 @@ class Memory(NamedTuple):
     hessian: np.ndarray
 
 
+@register_method("lm")
 class LevenbergMarquardt(Fit):
     """scipy's `least_squares`, method `trf`: a trust region within bounds, each coordinate scaled by its column.
 
@@ -52,8 +53,6 @@ class LevenbergMarquardt(Fit):
     Raises:
         ConfigError: An argument is out of range.
     """
-
-    name = "lm"
 
     def __init__(self, iterations: int, tolerance: float) -> None:
         refuse_outside("fit.iterations", iterations, 1, MOST_TRIES)

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from frictionzoo.core.errors import ConfigError, LogError, closest
 from frictionzoo.core.log import Dataset, Log
+from frictionzoo.logs.source import Source, register_source
 from frictionzoo.logs.velocity import check_filter, estimate_velocity
 
 CITATION = (
@@ -21,7 +22,8 @@ OBTAIN = "https://www.nonlinearbenchmark.org/benchmarks/emps"
 VARIABLES = ("t", "qm", "vir")
 
 
-class Emps:
+@register_source("emps")
+class Emps(Source):
     """The EMPS recordings: one file to train on, the one with pulses to test on.
 
     The files hold the measured position and the control voltage. The velocity is estimated from the position; the

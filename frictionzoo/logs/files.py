@@ -16,13 +16,15 @@ from frictionzoo.logs.paths import find_files
 from frictionzoo.logs.payloads import choose_payloads
 from frictionzoo.logs.recording import SIGNALS, Recording, Table
 from frictionzoo.logs.select import Selection
+from frictionzoo.logs.source import Source, register_source
 from frictionzoo.logs.split import Split
 from frictionzoo.logs.units import ratio
 
 _log = logging.getLogger(__name__)
 
 
-class Files:
+@register_source("files")
+class Files(Source):
     """Files as a data set: train and test named apart, or divided by time, by file or by a field.
 
     Args:

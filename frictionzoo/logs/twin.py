@@ -17,6 +17,7 @@ from frictionzoo.core.errors import ConfigError, LogError, closest, refuse_outsi
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.segments import split_by_time
 from frictionzoo.logs.cache import cache_folder, cached, digest
+from frictionzoo.logs.source import Source, register_source
 
 FORMAT = 1  # raise it with every change of the simulation, so that no cache of an older one is taken
 MOST_STEPS = 100_000_000  # of a simulation: some ten minutes
@@ -167,7 +168,8 @@ class Sensor:
         return qpos, qvel + self.velocity_noise * rng.standard_normal(qvel.shape)
 
 
-class Twin:
+@register_source("twin")
+class Twin(Source):
     """The paper's bench with a hidden drive, simulated by MuJoCo C; train and test are two blocks of one recording.
 
     Source: V. Kovalev et al., Proceedings of MIPT 18(2), 2026: bench, controller, excitation, length of the recording.

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from frictionzoo.core.errors import ConfigError
+from frictionzoo.logs.source import register_source
 from frictionzoo.logs.twin import Twin
 
 LIGHT = 1e-3  # kg m^2: what turns a lighter rotor counts by its acceleration, at which MuJoCo too resets the state
@@ -65,6 +66,7 @@ class HiddenCoupling:
         return dry + self.damping * rotor_velocity
 
 
+@register_source("two_inertia")
 class TwoInertia(Twin):
     """The paper's bench driven by a rotor through a coupling with play, simulated by MuJoCo C; the load is measured.
 

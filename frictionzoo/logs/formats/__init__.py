@@ -1,34 +1,13 @@
-"""Log formats, one a file; importing this package registers all of them."""
+"""Log formats, one a file; the files are looked through, not listed."""
 
 from pathlib import Path
 
 from frictionzoo.core.errors import LogError
-from frictionzoo.logs.formats.bam import Bam
 from frictionzoo.logs.formats.base import Format, parsing
-from frictionzoo.logs.formats.csv import Csv
-from frictionzoo.logs.formats.lerobot import LeRobot
-from frictionzoo.logs.formats.mat import Mat
-from frictionzoo.logs.formats.npz import Npz
-from frictionzoo.logs.formats.parquet import Parquet
 from frictionzoo.logs.formats.registry import format_names, get_format, register_format
-from frictionzoo.logs.formats.ros import Mcap, Ros2Bag
 from frictionzoo.logs.recording import Table
 
-__all__ = [
-    "Bam",
-    "Csv",
-    "Format",
-    "LeRobot",
-    "Mat",
-    "Mcap",
-    "Npz",
-    "Parquet",
-    "Ros2Bag",
-    "format_names",
-    "get_format",
-    "read_tables",
-    "register_format",
-]
+__all__ = ["Format", "format_names", "get_format", "read_tables", "register_format"]
 
 
 def read_tables(path: str, format: str) -> list[Table]:

@@ -1,0 +1,83 @@
+"""The interface of an actuator law: how a recorded command becomes torque.
+
+MuJoCo's affine actuator gives `gain * ctrl + bias0 + bias1 * qpos + bias2 * qvel`. A law here is these four
+coefficients as functions of its parameters, so that the fitted simulation and the exported MJCF hold the same actuator,
+and, where that is not enough, what its controller makes of the command before the actuator gets it.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any, ClassVar, NamedTuple
+
+from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.params import Param, read_params
+from frictionzoo.core.registry import KINDS, Registry
+
+
+class Affine(NamedTuple):
+    """Coefficients of MuJoCo's affine actuator, each of shape (nv,).
+
+    Attributes:
+        gain: Factor of `ctrl`.
+        bias0: Constant torque.
+        bias1: Factor of the position.
+        bias2: Factor of the velocity.
+    """
+
+    gain: Any
+    bias0: Any
+    bias1: Any
+    bias2: Any
+
+
+class Actuator(ABC):
+    """An actuator law.
+
+    Attributes:
+        name: Set by `register_actuator`.
+        dimensions: Dimension of each parameter, a key of `frictionzoo.core.params.UNITS`.
+        inputs: What the controller needs in each sample besides the command; recordings have it among their `extras`.
+        params: Each parameter's value or initial value, bounds and scale.
+
+    Args:
+        params: Section of each parameter: `init`, `low`, `high`, `scale`, `identify`.
+        values: Parameters that are known, by name, in place of their sections: `PositionPD(kp=15, kd=0.5)`.
+
+    Raises:
+        ConfigError: A parameter is missing, unknown, given twice, or its bounds make no sense.
+    """
+
+    name: ClassVar[str]
+    dimensions: ClassVar[Mapping[str, str]]
+    inputs: ClassVar[tuple[str, ...]] = ()
+
+    def __init__(self, params: Mapping[str, Mapping[str, Any]] | None = None, **values: float | int) -> None:
+        owner, sections = type(self).__name__, dict(params or {})
+        for name in sections.keys() & values.keys():
+            raise ConfigError(f"{owner}: {name} is given twice, expected a value or a section; leave one out")
+        self.params: dict[str, Param] = read_params(owner, self.dimensions, {**sections, **values})
+
+    @abstractmethod
+    def affine(self, values: Mapping[str, Any]) -> Affine:
+        """MuJoCo's coefficients for these parameter values, each of shape (nv,)."""
+
+    def control(
+        self, xp: Any, values: Mapping[str, Any], qpos: Any, qvel: Any, command: Any, inputs: Mapping[str, Any]
+    ) -> Any:
+        """What the drive's controller hands to MuJoCo's actuator as `ctrl` in one simulation step, of shape (..., nv).
+
+        Args:
+            xp: Array namespace, `numpy`, `jax.numpy` or `torch`.
+            values: Value of each parameter.
+            qpos: Position [rad or m].
+            qvel: Velocity [rad/s or m/s].
+            command: As recorded.
+            inputs: Each of `inputs`.
+        """
+        return command
+
+
+REGISTRY = Registry(KINDS["actuators"], Actuator, "affine")
+
+register_actuator = REGISTRY.register
+"""Class decorator that makes an actuator law known by its name, as `Registry.register`."""

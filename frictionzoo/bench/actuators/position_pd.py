@@ -1,0 +1,17 @@
+"""An embedded position controller without a limit."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from frictionzoo.bench.actuators.base import Actuator, Affine, register_actuator
+
+
+@register_actuator("position_pd")
+class PositionPD(Actuator):
+    """Embedded position controller: torque = kp (ctrl - qpos) - kd qvel, ctrl the desired position."""
+
+    dimensions = {"kp": "stiffness", "kd": "damping"}
+
+    def affine(self, values: Mapping[str, Any]) -> Affine:
+        """See `Actuator.affine`."""
+        return Affine(values["kp"], 0 * values["kp"], -values["kp"], -values["kd"])

@@ -1,0 +1,46 @@
+"""A hobby servo: a position controller that sets a voltage."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from frictionzoo.bench.actuators.base import Actuator, Affine, register_actuator
+
+
+@register_actuator("voltage_servo")
+class VoltageServo(Actuator):
+    """Voltage servo: a proportional position controller sets the duty cycle of a DC motor.
+
+        duty = clip(gain duty_gain (ctrl - qpos), -duty_limit, duty_limit)
+        torque = kt_over_r duty supply - kt2_over_r qvel, and 0 while the motor is not enabled
+
+    with the firmware's proportional gain `gain` [1], the duty cycle per radian of error at a gain of one `duty_gain`
+    [1/rad], and the measured `supply` [V]. Of the torque constant kt and the resistance R, positions and velocities
+    tell only the combinations kt_over_r [N m/V] and kt2_over_r [N m s/rad], which is back-EMF. MuJoCo's actuator gets
+    the voltage.
+
+    Source: M. Duclusaud, G. Passault, V. Padois, O. Ly, "Extended friction models for the physics simulation of servo
+    actuators", 2024, section II.
+    """
+
+    dimensions = {
+        "kt_over_r": "torque/voltage",
+        "kt2_over_r": "damping",
+        "duty_gain": "1/position",
+        "duty_limit": "1",
+    }
+    inputs = ("gain", "supply", "enable")
+
+    def affine(self, values: Mapping[str, Any]) -> Affine:
+        """See `Actuator.affine`."""
+        zero = 0 * values["kt_over_r"]
+        return Affine(values["kt_over_r"], zero, zero, -values["kt2_over_r"])
+
+    def control(
+        self, xp: Any, values: Mapping[str, Any], qpos: Any, qvel: Any, command: Any, inputs: Mapping[str, Any]
+    ) -> Any:
+        """See `Actuator.control`."""
+        duty = inputs["gain"] * values["duty_gain"] * (command - qpos)
+        duty = xp.minimum(xp.maximum(duty, -values["duty_limit"]), values["duty_limit"])
+        # A motor that is not enabled has open terminals: at the voltage that it generates itself, no current flows.
+        generated = values["kt2_over_r"] / values["kt_over_r"] * qvel
+        return inputs["enable"] * duty * inputs["supply"] + (1 - inputs["enable"]) * generated

@@ -1,0 +1,48 @@
+"""Command line: `python -m frictionzoo.list [KIND...]` lists what can be chosen, other packages' plug-ins among it."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+from frictionzoo.core.errors import ConfigError, FrictionzooError, closest
+from frictionzoo.core.registry import KINDS, Kind
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point; returns the exit status, 2 for a user's mistake. No plug-in is imported.
+
+    Args:
+        arguments: Those of the command line where None.
+    """
+    asked = _parse(arguments).kinds
+    try:
+        for name in asked:
+            if name not in KINDS:
+                raise ConfigError(f"{name}: no such kind of plug-ins; {closest(name, KINDS)}")
+        print("\n\n".join(list_kind(KINDS[name]) for name in asked or KINDS))
+    except FrictionzooError as error:
+        print(f"frictionzoo: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def list_kind(kind: Kind) -> str:
+    """A kind's plug-ins, one a line: name, package, how it is chosen, first line of its docstring."""
+    found = kind.list_all()
+    rows = [
+        (each.name, each.package, kind.choice.format(name=each.name, target=each.target), each.summary)
+        for each in found
+    ]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)] if rows else []
+    lines = ("  ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows)
+    return "\n  ".join([f"{kind.plural} (entry-point group {kind.group})", *lines])
+
+
+def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="python -m frictionzoo.list",
+        description="List the plug-ins of frictionzoo and of other installed packages: name, package, the option that "
+        "chooses it, and what it is.",
+    )
+    parser.add_argument("kinds", metavar="KIND", nargs="*", help=f"{', '.join(KINDS)}; all of them where left out")
+    return parser.parse_args(arguments)

@@ -1,0 +1,26 @@
+"""The interface of a data source: recordings, divided into those that train and those that test."""
+
+from abc import ABC, abstractmethod
+
+from frictionzoo.core.log import Dataset
+from frictionzoo.core.registry import KINDS, Registry
+
+
+class Source(ABC):
+    """What a file of `conf/data` builds. Its attribute `name` is the data set's; of the class, the registered one."""
+
+    name: str
+
+    @abstractmethod
+    def load(self) -> Dataset:
+        """The recordings.
+
+        Raises:
+            LogError: They are not there, or not what was expected.
+        """
+
+
+REGISTRY = Registry(KINDS["sources"], Source, "load")
+
+register_source = REGISTRY.register
+"""Class decorator that makes a data source known by its name, as `Registry.register`."""
