@@ -26,6 +26,7 @@ format: ## mend what can be mended
 	ruff format
 	ruff check --fix
 
-docs: ## the documentation in site/, and the pages of JSON files from their schemas
+docs: ## the documentation in site/, the pages of JSON files from their schemas, those of plug-ins from docstrings
 	python docs/write_result.py
+	python docs/write_plugins.py
 	NO_MKDOCS_2_WARNING=1 mkdocs build --strict

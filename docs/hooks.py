@@ -2,7 +2,8 @@
 
 A text exists once. Files outside docs/ become pages under their own path; the notebook and the configuration become
 Markdown. A line of a page in docs/ that is nothing but a link to a section of README.md is replaced by that section,
-so that it leads there in the repository and is there on the site.
+so that it leads there in the repository and is there on the site. In place of `<!-- plug-ins: KIND -->` come the
+modules that hold this package's plug-ins of that kind.
 """
 
 import json
@@ -17,11 +18,14 @@ from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
+from frictionzoo.core.registry import KINDS
+
 ROOT = Path(__file__).parent.parent
 PAGES = ("CONTRIBUTING.md", "CHANGELOG.md", "experiments/*/README.md", "benchmarks/README.md")
 COPIED = ("LICENSE", "notebooks/*.ipynb")
 FENCED = re.compile(r"(^```.*?^```$)", re.M | re.S)
 SECTION = re.compile(r"^\[[^\]]*\]\(\.\./README\.md(?:#([\w-]+))?\)$", re.M)
+PLUG_INS = re.compile(r"^<!-- plug-ins: (\w+) -->$", re.M)
 LINK = re.compile(r"(?<=\]\()([^()\s:#]*)(?:#([\w-]+))?(?=\))")  # to another place of the project
 
 
@@ -50,7 +54,16 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
         path, anchor = _target(link, source)
         return _as_link(_page_of(path, anchor), anchor, here)
 
-    return LINK.sub(turn, SECTION.sub(include, markdown))
+    return LINK.sub(turn, SECTION.sub(include, add_plug_ins(markdown)))
+
+
+def add_plug_ins(markdown: str) -> str:
+    """A page of the reference with the modules of its plug-ins."""
+
+    def modules(match: re.Match[str]) -> str:
+        return "\n\n".join(f"::: {module}" for module in sorted({one.module for one in KINDS[match[1]].own().values()}))
+
+    return PLUG_INS.sub(modules, markdown)
 
 
 def read_section(anchor: str) -> str:

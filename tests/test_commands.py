@@ -327,6 +327,7 @@ RULES: list[tuple[str, How, *tuple[pytest.MarkDecorator, ...]]] = [
     (r"mlflow ui( --backend-store-uri sqlite:///FOLDER/mlflow/mlflow\.db)?", left_to("test_loggers::read_mlflow")),
     (r"python benchmarks/\w+\.py.*", measure),
     (r"python experiments/reproduce\.py.*", leave_to_the_experiments),
+    (r"python -m frictionzoo\.list( \w+)*", lambda command, place: place.run(command)),
     (r"python -m frictionzoo\.export RUN target=all", export_all, SLOW),
     (r"python -m frictionzoo\.export RUN target=(mjcf|mujoco|onnx)", left_to("test_commands::export_all")),
     (

@@ -44,6 +44,15 @@ class Backlash(FrictionModel):
     A step is implicit in the coupling, for the rotor as for the load, which gets its part by way of MuJoCo's implicit
     damping: no stiffness makes it unstable. At constant velocity the law is F v / sqrt(v^2 + v_0^2) + b v.
 
+    Of a drive that is just accelerating or crossing the gap that beginning is wrong by up to the gap, for some
+    oscillations of the coupling: segments have to be much longer, or the gap is found too small, as in
+    `data=two_inertia model=backlash fit=lm segments.length=1500 segments.count=40`. The loss has another minimum, with
+    a gap near its lower bound and part of the load's inertia given to the rotor; intervals there are as narrow as
+    elsewhere, for they speak of that minimum only. Start with `rotor_inertia`, `stiffness` and `armature` near what the
+    data sheet says, vary `model.params.gap.init`, and take the lowest loss. Noise in the first states costs most in
+    `stiffness` and `coupling_damping`, which takes up the rounding as well. `bench.timestep` makes the step smaller
+    with which contacts begin and end.
+
     Cannot represent: sticking (the rotor's dry friction is 0 at w = 0, so a loaded rotor creeps), friction of the load,
     friction that depends on direction, load or position, a gap that depends on position, an impact that loses no
     energy. The damper may pull at the very end of a contact.

@@ -19,6 +19,9 @@ class CoulombSmooth(FrictionModel):
         g    smoothing [s/rad or s/m]: the sign is complete from about |v| = 1 / (5 g)
         d    viscous_coefficient [N m s/rad or N s/m]
 
+    The torque is explicit: near standstill a step of `timestep` chatters unless
+    (10 g f_s + d) timestep / inertia < 2.
+
     Cannot represent: sticking (the torque is 0 at v = 0, so a loaded joint creeps), a breakaway torque above the
     sliding one, friction that depends on direction, load or position.
 

@@ -25,6 +25,9 @@ class CoulombStribeck(FrictionModel):
     The formula printed by Kovalev et al., f_s + d v + (f_k - f_s) exp(...), swaps static and kinetic against its own
     legend; this is the one of the literature, with the exponent delta = 2.
 
+    The torque is explicit: near standstill a step of `timestep` chatters unless
+    (f_s / v_0 + d) timestep / inertia < 2.
+
     Cannot represent: sticking (the torque is 0 at v = 0, so a loaded joint creeps), friction that lags the velocity or
     depends on direction, load or position.
 

@@ -40,6 +40,10 @@ class HarmonicDrive(FrictionModel):
 
     Where the drive stays in place, or moves over less than a tenth of a period, ripple and frictionloss are the same.
 
+    It has many parameters, which rollouts of 5 steps hardly tell from noise. Fit longer ones, and the delay of the
+    command along, which armature and damping would else stand for:
+    `python -m frictionzoo.run model=harmonic_drive fit=lm segments.length=100 bench.params.delay.identify=true`.
+
     Cannot represent: ripple of the motor's torque (cogging), which does not change its sign with the direction; the
     compliance of the flexspline; friction that lags the velocity.
 

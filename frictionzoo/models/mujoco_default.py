@@ -19,6 +19,9 @@ class MujocoDefault(FrictionModel):
         frictionloss   limit of the dry friction [N m or N], strictly positive: at 0 MuJoCo locks the joint
         damping        viscous coefficient [N m s/rad or N s/m]
 
+    The law that MuJoCo itself simulates, so that `identified.xml` moves as the fitted model does. A shorter time
+    constant in `bench.solreffriction` makes the constraint stiffer.
+
     Cannot represent: a breakaway torque above the sliding one, friction that depends on direction, load or position,
     and true sticking: with MuJoCo's default `solref` the constraint creeps, viscous at very low speed.
 

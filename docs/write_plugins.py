@@ -1,0 +1,135 @@
+"""Writes what pages say of plug-ins from their docstrings: `python docs/write_plugins.py`."""
+
+import inspect
+import re
+import textwrap
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+import yaml
+
+from frictionzoo.core.config import CONF_DIR
+from frictionzoo.core.output import write_atomically
+from frictionzoo.core.registry import KINDS
+from frictionzoo.models import FrictionModel, get_model
+from frictionzoo.models.network import NetworkModel
+
+DOCS = Path(__file__).parent
+HEAD = """# Plug-ins
+
+<!-- Made from docstrings by `make docs`; change these, not this page. -->
+
+Everything that can be chosen by name, as `frictionzoo.list` prints it, plug-ins of other packages included:
+
+```bash
+python -m frictionzoo.list
+python -m frictionzoo.list models methods
+```
+
+[How to add one](../CONTRIBUTING.md).
+"""
+
+
+def render_models(text: str) -> str:
+    """The page of the laws with its table and its sections made anew, and all else as it is.
+
+    Args:
+        text: The page, with a pair of comments around each of the two.
+    """
+    for part, content in (("table", table_of_laws()), ("sections", "\n\n".join(map(section_of, choices())))):
+        pattern = rf"(<!-- {part} [^\n]*-->\n).*?(\n<!-- end of {part} -->)"
+        text, count = re.subn(pattern, lambda match: f"{match[1]}\n{content}\n{match[2]}", text, flags=re.S)  # noqa: B023
+        assert count == 1, part
+    return text
+
+
+def render_plugins() -> str:
+    """The page of all kinds."""
+    return "\n".join([HEAD, *(f"## {kind.noun.capitalize()}s\n\n{table_of(name)}" for name, kind in KINDS.items())])
+
+
+def table_of(plural: str) -> str:
+    """The plug-ins of a kind that frictionzoo itself brings.
+
+    Args:
+        plural: A key of `KINDS`.
+    """
+    kind = KINDS[plural]
+    rows = [
+        (f"`{found.name}`", f"`{kind.choice.format(**found._asdict())}`", found.summary)
+        for found in sorted(kind.own().values())
+    ]
+    note = f"Entry points of other packages: group `{kind.group}`.\n"
+    return f"{_tabulate(('name', 'chosen by', 'what it is'), rows)}\n{note}"
+
+
+def table_of_laws() -> str:
+    """One row a choice of `model=`."""
+    rows = ((f"[`{name}`](#{name})", _summary(name), _parameters(_law(name))) for name in choices())
+    return _tabulate(("`model=`", "friction", "parameters"), rows).rstrip()
+
+
+def choices() -> list[str]:
+    """Every choice of `model=`: each law, and configurations that choose more than a law."""
+    return sorted(path.stem for path in (CONF_DIR / "model").glob("*.yaml"))
+
+
+def section_of(name: str) -> str:
+    """What a choice of `model=` is: the docstring of its law, or what a configuration of its own says at its head."""
+    text = to_markdown(_law(name).__doc__ or "") if _is_law(name) else _header(name)
+    return f"## `{name}`\n\n{text}\n\nOptions: [`conf/model/{name}.yaml`](../conf/model/{name}.yaml)"
+
+
+def to_markdown(docstring: str) -> str:
+    """A docstring's paragraphs up to its arguments; equations and symbols become blocks of code."""
+    text = re.split(r"\n\n(?:Args|Raises|Attributes):\n", inspect.cleandoc(docstring))[0]
+    blocks = text.split("\n\n")
+    symbols = next((i for i, block in enumerate(blocks) if block.startswith(" ")), len(blocks))
+    for i, block in enumerate(blocks):
+        lines = block.split("\n")
+        equation = 0 < i < symbols and all(re.search(r" <?= ", line) or line.startswith(" ") for line in lines)
+        if equation or block.startswith(" "):
+            blocks[i] = f"```\n{textwrap.dedent(block)}\n```"
+    return "\n\n".join(blocks)
+
+
+def _is_law(name: str) -> bool:
+    return name in KINDS["models"].own()
+
+
+def _law(name: str) -> type[FrictionModel]:
+    """The class of a choice; a configuration without a law of its own begins with that of another."""
+    if _is_law(name):
+        return get_model(name)
+    first = yaml.safe_load((CONF_DIR / "model" / f"{name}.yaml").read_text())["defaults"][0]
+    return _law(first.partition("@")[0])
+
+
+def _summary(name: str) -> str:
+    text = (_law(name).__doc__ or "").partition("\n")[0] if _is_law(name) else _header(name).partition("\n")[0]
+    return text.rstrip(".")
+
+
+def _header(name: str) -> str:
+    """The comment with which a file of `conf/model` begins."""
+    lines = (CONF_DIR / "model" / f"{name}.yaml").read_text().splitlines()
+    comments = lines[: next(i for i, line in enumerate(lines) if not line.startswith("#"))]
+    return "\n".join(line.removeprefix("# ") for line in comments if not line.startswith("# @package"))
+
+
+def _parameters(law: type[FrictionModel]) -> str:
+    weights = ["weights"] if issubclass(law, NetworkModel) else []
+    return ", ".join([*(f"`{name}`" for name in law.dimensions), *weights]) or "none"
+
+
+def _tabulate(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    first, *others = (" | ".join(cell.replace("|", "\\|") for cell in row) for row in (head, *rows))
+    return "\n".join([f"| {first} |", f"|{len(head) * '---|'}", *(f"| {row} |" for row in others)]) + "\n"
+
+
+PAGES: dict[str, Callable[[str], str]] = {"models": render_models, "plugins": lambda text: render_plugins()}
+
+if __name__ == "__main__":
+    for page, render in PAGES.items():
+        path = DOCS / f"{page}.md"
+        write_atomically(path, render(path.read_text() if path.exists() else "").encode())
