@@ -1,8 +1,6 @@
 """`python -m frictionzoo.compare`, see `frictionzoo.cli.compare`."""
 
 if __name__ == "__main__":
-    import sys
+    from frictionzoo.cli.commands import main
 
-    from frictionzoo.cli.compare import main
-
-    sys.exit(main())
+    main("compare")

@@ -1,14 +1,7 @@
 """`python -m frictionzoo.run`, see `frictionzoo.cli.run`."""
 
-import signal
-import sys
-
+# What processes that launchers start have to import must not lie in __main__.
 if __name__ == "__main__":
-    # While modules are imported, before `main` answers it: Ctrl-C ends the program without a traceback.
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    from frictionzoo.cli.commands import main
 
-    # What processes that launchers start have to import must not lie in __main__.
-    from frictionzoo.cli.run import main
-
-    sys.exit(main())
+    main("run")

@@ -226,7 +226,6 @@ def job_settings(compilation_cache: Path) -> Iterator[None]:
     root = logging.getLogger()
     handlers, level = root.handlers[:], root.level
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("HYDRA_FULL_ERROR", "1")
         # Hydra closes all handlers before it adds its own; absl's would close the stream that it began with, pytest's.
         patch.setattr(absl.logging.get_absl_handler().python_handler, "stream", sys.__stderr__)
         _configure_jax(options)

@@ -349,6 +349,7 @@ RULES: list[tuple[str, How, *tuple[pytest.MarkDecorator, ...]]] = [
     ),
     (r"python -m frictionzoo\.inspect data=files .*", inspect),
     (rf"{JOB}--cfg job", show_configuration),
+    (rf"{JOB}--help", left_to("test_help::test_help_does_not_wait_for_imports")),
     (
         rf"{JOB}resume=outputs/\S+",
         left_to("test_resume::test_a_finished_run_is_resumed_to_itself_and_by_its_own_command_alone"),

@@ -12,7 +12,9 @@ from jaxtyping import TypeCheckError
 from omegaconf import DictConfig, OmegaConf
 
 from frictionzoo.cli import job
-from frictionzoo.cli.run import _explain, _restore_overrides, refuse_no_choice
+from frictionzoo.cli.explain import explain
+from frictionzoo.cli.overrides import refuse_no_choice
+from frictionzoo.cli.resume import restore_overrides
 from frictionzoo.core.build import build
 from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, list_options
 from frictionzoo.core.errors import ConfigError, FrictionzooError
@@ -151,7 +153,7 @@ def judge(posing: type[Exception], tmp_path: Path) -> Callable[..., str | None]:
             assert type(value) is int
             return judge(config, plain, key, float(value))
         except Exception as error:
-            line = _explain(error)
+            line = explain(error)
             if line is None:
                 raise AssertionError(f"{key}={value}") from error
             assert line and "\n" not in line
@@ -233,7 +235,7 @@ def test_a_range_without_an_end_is_refused(values: str) -> None:
 
 def test_no_folder_to_resume_from_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"^resume=: expected the folder of a run"):
-        _restore_overrides(["resume="])
+        restore_overrides(["resume="])
 
 
 def test_an_option_that_a_model_of_a_sweep_lacks_is_refused(call: Callable, tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from pages import PACKAGE, PAGES, ROOT, blocks_of, expand, inline_of
 
 from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, list_options
 
-FLAGS = {"-m", "--cfg", "job"}
+FLAGS = {"-m", "--cfg", "job", "--help"}
 PLACEHOLDER = re.compile(r"[A-Z]{3}")  # FOLDER, NAME, DATE: what a reader has to fill in
 
 
@@ -53,8 +53,8 @@ def is_choice(override):
     return name.startswith("hydra") or (CONF_DIR / name).is_dir()
 
 
-@pytest.mark.parametrize("page, job", JOBS, ids=lambda value: value.parent.name if isinstance(value, Path) else None)
-def test_a_command_composes(page, job):
+def assert_composes(job):
+    """Every job that these arguments of a run stand for."""
     choices = [expand(argument) for argument in job if argument not in FLAGS]
     for values in filter(lambda values: is_choice(values[0]) and len(values) > 1, choices):
         assert all((CONF_DIR / "{}/{}.yaml".format(*value.split("="))).exists() for value in values)
@@ -66,6 +66,11 @@ def test_a_command_composes(page, job):
         for override in map(OverridesParser.create().parse_override, itertools.filterfalse(is_choice, overrides)):
             OmegaConf.update(config, override.key_or_group, override.value(), force_add=True)
         check_overrides(config, plain)
+
+
+@pytest.mark.parametrize("page, job", JOBS, ids=lambda value: value.parent.name if isinstance(value, Path) else None)
+def test_a_command_composes(page, job):
+    assert_composes(job)
 
 
 def test_the_pages_have_commands():

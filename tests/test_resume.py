@@ -20,7 +20,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from frictionzoo.cli import job
 from frictionzoo.cli.job import Problem, _identify
-from frictionzoo.cli.run import _restore_overrides
+from frictionzoo.cli.resume import restore_overrides
 from frictionzoo.core.errors import CheckpointError, ConfigError, RunError
 from frictionzoo.core.output import occupy
 from frictionzoo.fit import loop, run_fit
@@ -212,10 +212,10 @@ def test_a_resumed_sweep_has_to_be_one(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "sweep" / "0_baseline" / ".hydra").mkdir(parents=True)
     with pytest.raises(ConfigError) as refused:
-        _restore_overrides(arguments)
+        restore_overrides(arguments)
     assert complaint in str(refused.value)
     whole = ["-m", "hydra.sweep.dir=sweep", "resume=true"]
-    assert _restore_overrides(whole) == whole
+    assert restore_overrides(whole) == whole
 
 
 @pytest.fixture

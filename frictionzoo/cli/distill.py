@@ -5,7 +5,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from frictionzoo.cli.run import NOT_IDENTIFIED, mistakes_in_one_line
+from frictionzoo.cli.mistakes import NOT_IDENTIFIED, mistakes_in_one_line
 from frictionzoo.core.errors import FitError
 from frictionzoo.core.options import read_options
 

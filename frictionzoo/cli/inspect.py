@@ -1,8 +1,8 @@
-"""Command line: `python -m frictionzoo.inspect data=...` tells what is in a data set before any fit."""
+"""Command line: `python -m frictionzoo.inspect FILE` or `data=...` tells what is in a data set before any fit."""
 
 import json
-import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -11,7 +11,8 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from frictionzoo.cli.run import choices_of, mistakes_in_one_line, refuse_no_choice
+from frictionzoo.cli.mistakes import mistakes_in_one_line
+from frictionzoo.cli.overrides import choices_of, given_to_hydra, refuse_no_choice
 from frictionzoo.core.build import build
 from frictionzoo.core.config import (
     CONF_DIR,
@@ -63,14 +64,24 @@ def inspect_data(config: DictConfig, folder: Path) -> str:
     return summarise(survey, folder)
 
 
-def main() -> None:
-    """Entry point; a user's mistake is one line on the standard error and exit status 2."""
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Entry point; a user's mistake is one line on the standard error and exit status 2.
+
+    Args:
+        arguments: Those of the command line where None; names of files and folders, and overrides.
+    """
     register_resolvers()
     forget_plugin_schemas()
-    # Hydra would print its own page; with this it raises, and one line is printed instead.
-    os.environ["HYDRA_FULL_ERROR"] = "1"
-    with mistakes_in_one_line():
-        refuse_no_choice(sys.argv[1:])
-        # A later one, the user's, wins.
-        sys.argv[1:1] = [f"hydra.run.dir={FOLDER}"]
-        _inspect()
+    # Of two overrides of an option the later one, the user's, wins.
+    overrides = [f"hydra.run.dir={FOLDER}", *_name_files(sys.argv[1:] if arguments is None else arguments)]
+    with mistakes_in_one_line(overrides=overrides):
+        refuse_no_choice(overrides)
+        with given_to_hydra(overrides):
+            _inspect()
+
+
+def _name_files(arguments: Sequence[str]) -> list[str]:
+    """The arguments, with what comes first and is no override and no flag as the files of `data=files`."""
+    first = next((i for i, each in enumerate(arguments) if "=" in each or each[:1] in "-~"), len(arguments))
+    named = [f'"{name}"' for name in arguments[:first]]
+    return [*(["data=files", f"data.train=[{','.join(named)}]"] if named else []), *arguments[first:]]

@@ -5,7 +5,8 @@ import json
 import logging
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -18,20 +19,26 @@ from frictionzoo.core.errors import OutputError, RunError
 from frictionzoo.core.output import FAILURE, RESULT, RUNNING, occupy, to_json, write_atomically
 
 _log = logging.getLogger(__name__)
+# Hydra makes the callback itself: what it learns can be handed to its maker only beside it.
+_begun: ContextVar[list[Path]] = ContextVar("begun")
 
 
 class SweepFolder(Callback):
-    """Hydra's callback by which the program learns its sweep's folder.
+    """Hydra's callback by which the program learns its sweep's folder."""
 
-    Attributes:
-        latest: The folder of the sweep that this process began last; None before the first.
-    """
-
-    latest: Path | None = None
+    @staticmethod
+    @contextlib.contextmanager
+    def noted() -> Iterator[list[Path]]:
+        """The folder of the sweep that is begun inside, from then on; empty for a single job."""
+        token = _begun.set([])
+        try:
+            yield _begun.get()
+        finally:
+            _begun.reset(token)
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Remember the folder; have a Ray cluster of this machine listen on its loopback interface only."""
-        SweepFolder.latest = Path(config.hydra.sweep.dir).absolute()
+        """Note the folder; have a Ray cluster of this machine listen on its loopback interface only."""
+        _begun.get([]).append(Path(config.hydra.sweep.dir).absolute())
         # Read by Ray when it is imported; without it a node listens on all interfaces, whatever its address.
         if OmegaConf.select(config, "hydra.launcher.ray.init.address") == "local":
             os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"

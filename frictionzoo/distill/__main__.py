@@ -1,7 +1,5 @@
 """`python -m frictionzoo.distill`, see `frictionzoo.cli.distill`."""
 
-import sys
+from frictionzoo.cli.commands import main
 
-from frictionzoo.cli.distill import main
-
-sys.exit(main())
+main("distill")

@@ -12,7 +12,7 @@ import yaml
 from omegaconf import DictConfig, OmegaConf
 
 from frictionzoo.cli.job import run_job
-from frictionzoo.cli.run import refuse_no_choice
+from frictionzoo.cli.overrides import refuse_no_choice
 from frictionzoo.comparison.runs import read_runs
 from frictionzoo.core.config import check_overrides, compose_config, list_choices
 from frictionzoo.core.errors import ConfigError, OutputError, closest

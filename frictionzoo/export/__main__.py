@@ -1,7 +1,5 @@
 """`python -m frictionzoo.export`, see `frictionzoo.cli.export`."""
 
-import sys
+from frictionzoo.cli.commands import main
 
-from frictionzoo.cli.export import main
-
-sys.exit(main())
+main("export")

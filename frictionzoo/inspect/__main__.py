@@ -1,7 +1,5 @@
 """`python -m frictionzoo.inspect`, see `frictionzoo.cli.inspect`."""
 
-import sys
+from frictionzoo.cli.commands import main
 
-from frictionzoo.cli.inspect import main
-
-sys.exit(main())
+main("inspect")

@@ -1,0 +1,121 @@
+"""The commands of the program and its pages of help, for which neither Hydra nor any of the science is imported."""
+
+import importlib
+import re
+import signal
+import sys
+from collections.abc import Sequence
+
+from frictionzoo import __version__
+from frictionzoo.cli.mistakes import fail
+from frictionzoo.core.errors import closest
+
+COMMANDS = {
+    "run": "identify a drive; done where no command is named",
+    "compare": "compare runs on the same data: table, figures, a page",
+    "inspect": "look at recordings before any fit",
+    "export": "write an identified drive for another program",
+    "distill": "fit a simpler law to an identified drive",
+}
+"""What each command does; it is the module of that name in this package, with a `main` that takes its arguments."""
+
+HELP = """\
+frictionzoo finds a drive's armature and friction from its encoder log. It fits
+a friction law until the drive, simulated in MuJoCo, moves as it was recorded.
+
+usage: frictionzoo [run] [GROUP=FILE ...] [OPTION=VALUE ...]
+       frictionzoo COMMAND ...
+
+commands (frictionzoo COMMAND is python -m frictionzoo.COMMAND):
+{commands}
+  Each has a --help of its own; that of run is this page.
+
+examples (RUN stands for a run's folder, outputs/DATE/TIME_DATA_MODEL):
+  A first run, on simulated recordings
+    frictionzoo model=coulomb_stribeck
+  Your own recording, before any fit, and on your own test stand
+    frictionzoo inspect a.csv
+    frictionzoo data=files 'data.train=[a.csv]' bench.mjcf=stand.xml \\
+      bench.joint=shaft bench.actuator.params.kp.init=15
+  Another law, found by Levenberg-Marquardt
+    frictionzoo model=mujoco_default fit=lm segments.length=1000
+  A real data set, from the folder that FRICTIONZOO_DATA names
+    frictionzoo experiment=emps
+  In double precision
+    frictionzoo model=dahl dtype=float64
+  Laws side by side, three seeds each, compared at the end
+    frictionzoo -m model=coulomb_smooth,coulomb_stribeck seed=0,1,2
+  All laws, on all cores of this machine or on a Slurm cluster
+    frictionzoo -m hydra/launcher=joblib 'model=glob(*)'
+    frictionzoo -m hydra/launcher=submitit_slurm 'model=glob(*)' seed=0,1,2
+  Runs that exist, compared
+    frictionzoo compare RUN OTHER_RUN --output comparison
+  Go on with a run that was stopped
+    frictionzoo resume=RUN
+  The identified drive as MJCF; a simpler law for it
+    frictionzoo export RUN target=mjcf
+    frictionzoo distill RUN model=stribeck
+
+options of a run:
+  GROUP=FILE    a file of conf/: of bench, data, experiment, fit, logger, model
+  OPTION=VALUE  what stands in these files, by its place: segments.length=20
+  -m            one job for each combination of values with commas between them
+  --cfg job     print all options with their values, and do nothing; with
+                --resolve, also those that follow from others
+  --hydra-help  flags and settings of Hydra, which composes the options
+  --version     print the version
+  Brackets, blanks and $ are quoted for the shell: 'data.train=[a.csv]'.
+  Comments in conf/ say what each option means; docs/ tell the rest.
+
+exit status: 0 done; 2 refused, or a job failed: one line says why; 3 done, and
+the drive was not identified; 130 and 143 stopped by Ctrl-C and by SIGTERM.
+"""
+_INSPECT = """\
+frictionzoo inspect tells what is in recordings before any fit: clock, gaps,
+spikes, lag, excitation; in words, and in inspect.html and inspect.json.
+
+usage: frictionzoo inspect FILE ... [OPTION=VALUE ...]
+       frictionzoo inspect data=NAME [OPTION=VALUE ...]
+
+examples:
+    frictionzoo inspect a.csv b.csv
+    frictionzoo inspect a.csv data.units.qpos=deg
+    frictionzoo inspect data=emps
+
+Options are those of data in a run, and hydra.run.dir=FOLDER, where to write.
+"""
+_FLAGS = {"-h", "--help"}
+
+
+def main(*command: str) -> None:
+    """Entry point of the console script `frictionzoo`, and of `python -m frictionzoo.COMMAND`.
+
+    Args:
+        command: What goes before the arguments of the command line.
+    """
+    # While modules are imported, before a command answers it: Ctrl-C ends the program without a traceback.
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    sys.exit(dispatch([*command, *sys.argv[1:]]))
+
+
+def dispatch(arguments: Sequence[str]) -> int | None:
+    """Do a command, or show its help; returns its exit status, None for 0.
+
+    Args:
+        arguments: The command's name and its arguments, or those of a run.
+    """
+    name, rest = arguments[0] if arguments else "", arguments[1:]
+    if name not in COMMANDS:
+        if re.fullmatch(r"[\w./]+", name):  # neither a flag nor an override
+            fail(f"{name}: no such command; {closest(name, COMMANDS)}; options of a run are OPTION=VALUE")
+        name, rest = "run", arguments
+    if name == "run" and _FLAGS & {*rest}:
+        print(HELP.format(commands="\n".join(f"  {name:<8} {does}" for name, does in COMMANDS.items())), end="")
+    elif name == "inspect" and _FLAGS & {*rest}:
+        print(_INSPECT, end="")
+    elif "--version" in rest:
+        print(f"frictionzoo {__version__}")
+    else:
+        return importlib.import_module(f"frictionzoo.cli.{name}").main(rest)
+    return None

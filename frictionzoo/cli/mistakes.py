@@ -1,0 +1,99 @@
+"""How a command ends: a mistake or a signal is one line on the standard error and an exit status."""
+
+import contextlib
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NoReturn
+
+from frictionzoo.core.errors import OutputError
+
+REFUSED = 2
+"""Exit status of what a user has to mend."""
+NOT_IDENTIFIED = 3
+"""Exit status where a fit ended well and what it found is not the drive; of a sweep, where that is recommended."""
+NOTHING_KEPT = "nothing is kept; run it again"
+"""What to do after a command that ended before it kept anything."""
+
+
+class Stopped(BaseException):
+    """Ctrl-C or SIGTERM. No Exception: that, a library may take for a failure of its own and go on."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
+
+
+@contextlib.contextmanager
+def mistakes_in_one_line(
+    go_on: Callable[[], str] = lambda: NOTHING_KEPT, overrides: Sequence[str] = ()
+) -> Iterator[None]:
+    """Turn an error that a user can cause into one line and exit status 2, a signal into one and 128 + its number.
+
+    Args:
+        go_on: Says, for a signal or a disk that takes no more, what is kept and how to go on.
+        overrides: What was asked of Hydra: what it refuses is told by them.
+    """
+    with stoppable():
+        try:
+            yield
+        except Stopped as stop:
+            fail(f"stopped by {signal.Signals(stop.number).name}; {go_on()}", status=128 + stop.number)
+        except Exception as error:
+            # Imported here, so that --help does not wait for Hydra.
+            from frictionzoo.cli.explain import explain
+
+            line = explain(error, overrides)
+            if line is None:
+                raise
+            ended = isinstance(error, OutputError) or (isinstance(error, OSError) and error.strerror)
+            fail(f"{line}; {go_on()}" if ended else line)
+
+
+@contextlib.contextmanager
+def stoppable() -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM raise `Stopped`, once: another one does not disturb what is cleaned up then.
+
+    Whoever answers them already, or ignores them, goes on to.
+    """
+
+    def stop(number: int, frame: Any) -> None:
+        if not stopped:
+            stopped.append(number)
+            raise Stopped(number)
+
+    def try_again(lost: Any) -> None:
+        # Python drops what is raised in a callback of its garbage collection, and JAX has one.
+        if not isinstance(lost.exc_value, Stopped):
+            return hook(lost)
+        stopped.clear()
+        threading.Timer(0.05, os.kill, [os.getpid(), lost.exc_value.number]).start()
+
+    stopped: list[int] = []
+    before, hook = {}, sys.unraisablehook
+    for number in (signal.SIGINT, signal.SIGTERM):
+        answered = signal.getsignal(number) not in (signal.SIG_DFL, signal.default_int_handler)
+        if not answered and threading.current_thread() is threading.main_thread():
+            before[number] = signal.signal(number, stop)
+    if before:
+        sys.unraisablehook = try_again
+    try:
+        yield
+    finally:
+        sys.unraisablehook = hook
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def fail(*lines: str, status: int = REFUSED) -> NoReturn:
+    """End the program with these lines on the standard error.
+
+    Args:
+        lines: What a user is to know, one line each.
+        status: Exit status.
+    """
+    for line in lines:
+        print(f"frictionzoo: {line}", file=sys.stderr)
+    sys.exit(status)

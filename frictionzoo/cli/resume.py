@@ -1,0 +1,120 @@
+"""How a run or a sweep that was stopped goes on: what its folder keeps, and the overrides with which it began."""
+
+import contextlib
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import yaml
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from frictionzoo.cli.mistakes import NOTHING_KEPT, REFUSED
+from frictionzoo.cli.overrides import last_value
+from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.output import RESULT, write_atomically
+
+# What a resumed run takes over from its folder: an option of the job, not a flag or a way into Hydra's own settings.
+_OVERRIDE = re.compile(r"(\+\+?|~)?\w[\w/.-]*(=|$)")
+
+
+def restore_overrides(arguments: Sequence[str]) -> list[str]:
+    """For `resume=FOLDER`, the overrides with which that run began, before those of today.
+
+    Args:
+        arguments: Those of the command line.
+
+    Raises:
+        ConfigError: There is no such run, or no such sweep, to go on with.
+    """
+    named = last_value("resume", arguments)
+    if named in (None, "null"):
+        return [*arguments]
+    if not named:
+        raise ConfigError("resume=: expected the folder of a run; name one, or leave it out")
+    if named.lower() == "true" or {"-m", "--multirun"} & set(arguments):
+        _refuse_no_sweep(named, arguments)
+        return [*arguments]
+    # Hydra would replace the folder's record of how the run began by today's command, which may be a mistaken one.
+    return [*_read_overrides(Path(named)), *arguments, "hydra.output_subdir=null"]
+
+
+def _read_overrides(folder: Path) -> list[str]:
+    """The overrides with which the run in a folder began."""
+    saved = folder / ".hydra" / "overrides.yaml"
+    try:
+        overrides = OmegaConf.to_container(OmegaConf.load(saved))
+    except (OSError, OmegaConfBaseException, ValueError, yaml.YAMLError):
+        hint = f"; a sweep goes on with -m hydra.sweep.dir={folder} resume=true" if _holds_jobs(folder) else ""
+        raise ConfigError(
+            f"resume={folder}: no {saved} that can be read, expected a run folder; name one{hint}"
+        ) from None
+    if not isinstance(overrides, list) or not all(isinstance(item, str) for item in overrides):
+        raise ConfigError(f"{saved}: expected a list of overrides; name a run folder that this program made")
+    kept = [item for item in overrides if not re.match(r"[+~]*(resume|hydra)\b", item)]
+    for item in kept:
+        if not _OVERRIDE.match(item):
+            raise ConfigError(f"{saved}: {item}; expected an override; name a run folder that this program made")
+    return kept
+
+
+def _refuse_no_sweep(resume: str, arguments: Sequence[str]) -> None:
+    """Refuse to go on with a sweep that is not there."""
+    if resume.lower() != "true":
+        raise ConfigError(
+            f"resume={resume}: expected true, as a run goes on without -m; name a sweep's folder in hydra.sweep.dir"
+        )
+    folder = last_value("hydra.sweep.dir", arguments)
+    if not {"-m", "--multirun"} & set(arguments) or folder is None:
+        raise ConfigError(
+            "resume=true: expected the command of a sweep, -m and hydra.sweep.dir=FOLDER; or name the folder of a run"
+        )
+    if not _holds_jobs(Path(folder)):
+        raise ConfigError(f"hydra.sweep.dir={folder}: no job in it, expected a sweep's folder; leave resume=true out")
+
+
+def _holds_jobs(sweep: Path) -> bool:
+    return any(sweep.rglob(".hydra"))
+
+
+@contextlib.contextmanager
+def keep_record(folder: str | None) -> Iterator[None]:
+    """Put a folder's record of how its run began back if today's command is refused: Hydra replaces it before that.
+
+    Args:
+        folder: The run's folder, if the command names one.
+    """
+    record = {} if folder is None else {path: path.read_bytes() for path in Path(folder, ".hydra").glob("*.yaml")}
+    try:
+        yield
+    except BaseException as error:
+        if not isinstance(error, SystemExit) or error.code == REFUSED:
+            for path, content in record.items():
+                write_atomically(path, content)
+        raise
+
+
+def say_how_a_run_goes_on(folder: Path) -> str:
+    """What an unfinished run keeps, and how it goes on.
+
+    Args:
+        folder: The run's folder.
+    """
+    try:
+        _read_overrides(folder)
+    except ConfigError:  # it had not come so far
+        return NOTHING_KEPT
+    kept = "the fit up to its last checkpoint" if (folder / "checkpoints" / "last.ckpt").exists() else "its options"
+    return f"{folder} keeps {kept}; go on with resume={folder}"
+
+
+def say_how_a_sweep_goes_on(folder: Path | None = None) -> str:
+    """The same for a sweep.
+
+    Args:
+        folder: The sweep's folder; None before it has begun, when nothing is kept.
+    """
+    if folder is None or not _holds_jobs(folder):
+        return NOTHING_KEPT
+    done = len(list(folder.rglob(RESULT)))
+    return f"{folder} keeps {done} finished jobs; go on with the same command and hydra.sweep.dir={folder} resume=true"

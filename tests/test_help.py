@@ -1,0 +1,123 @@
+"""The commands of the console script, and what `--help` tells of them: at once, and true."""
+
+import importlib
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import ROOT
+from test_readme import assert_composes
+
+from frictionzoo.cli import run
+from frictionzoo.cli.commands import COMMANDS, HELP, dispatch
+from frictionzoo.cli.inspect import _name_files
+from frictionzoo.core.config import CONF_DIR
+from frictionzoo.core.options import read_options
+from frictionzoo.export.base import target_names
+
+HEAVY = {"hydra", "omegaconf", "numpy", "torch", "jax", "mujoco", "scipy"}
+
+
+def examples_of(page: str) -> list[list[str]]:
+    """The command and its arguments of each line that shows one."""
+    shown = re.findall(r"^    frictionzoo (.*)$", page.replace("\\\n", " "), re.M)
+    return [words if words[0] in COMMANDS else ["run", *words] for words in map(shlex.split, shown)]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_does_not_wait_for_imports(name: str) -> None:
+    command = [sys.executable, "-X", "importtime", "-m", f"frictionzoo.{name}", "--help"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "80"}
+    finished = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert finished.returncode == 0, finished.stderr
+    assert re.search(rf"^usage: .*frictionzoo[. ]\[?{name}\b", finished.stdout, re.M)
+    assert max(map(len, finished.stdout.splitlines())) < 80
+    imported = {line.rpartition("|")[2].strip().partition(".")[0] for line in finished.stderr.splitlines()}
+    assert "frictionzoo" in imported and not HEAVY & imported
+
+
+def test_the_page_names_every_command_wherever_a_run_is_asked_for_help(
+    capsys: pytest.CaptureFixture,
+) -> None:
+    pages = set()
+    for arguments in (["-h"], ["--help"], ["run", "--help"], ["model=coulomb_smooth", "-m", "-h"]):
+        assert dispatch(arguments) is None
+        pages.add(capsys.readouterr().out)
+    (page,) = pages
+    for name, does in COMMANDS.items():
+        assert f"  {name:<8} {does}\n" in page
+
+
+@pytest.mark.parametrize("words", examples_of(HELP), ids=" ".join)
+def test_an_example_is_true(words: list[str]) -> None:
+    """Jobs compose and data sets do; other commands parse, and what they name exists."""
+    name, *rest = words
+    if name == "run":
+        return assert_composes(rest)
+    if name == "inspect":
+        return assert_composes(_name_files(rest))
+    parsed = importlib.import_module(f"frictionzoo.cli.{name}")._parse(rest)
+    options = read_options(getattr(parsed, "options", []), "KEY=VALUE")
+    assert options.get("target", "mjcf") in target_names()
+    assert (CONF_DIR / "model" / f"{options.get('model', 'lugre')}.yaml").exists()
+
+
+def test_there_is_an_example_of_each_command() -> None:
+    examples = examples_of(HELP)
+    assert {words[0] for words in examples} == {*COMMANDS} and len(examples) >= 10
+
+
+@pytest.mark.parametrize(
+    ("arguments", "name", "rest"),
+    [
+        *[([name, "a", "b=c"], name, ["a", "b=c"]) for name in COMMANDS],
+        (["model=lugre", "-m"], "run", ["model=lugre", "-m"]),
+        (["--cfg", "job"], "run", ["--cfg", "job"]),
+        (["~data"], "run", ["~data"]),
+        (["hydra/launcher=joblib", "-m"], "run", ["hydra/launcher=joblib", "-m"]),
+        ([], "run", []),
+    ],
+)
+def test_a_command_gets_its_arguments(
+    monkeypatch: pytest.MonkeyPatch, arguments: list[str], name: str, rest: list[str]
+) -> None:
+    given: list[Any] = []
+    monkeypatch.setattr(f"frictionzoo.cli.{name}.main", given.extend)
+    assert dispatch(arguments) is None
+    assert given == rest
+
+
+@pytest.mark.parametrize("name", ["comapre", "a.csv", "logs/a"])
+def test_a_command_that_does_not_exist_is_one_line(capsys: pytest.CaptureFixture, name: str) -> None:
+    with pytest.raises(SystemExit) as ended:
+        dispatch([name, "seed=3"])
+    err = capsys.readouterr().err
+    assert ended.value.code == 2 and err.startswith(f"frictionzoo: {name}: no such command; ") and err.count("\n") == 1
+    assert all(command in err for command in COMMANDS)
+
+
+def test_files_to_inspect_are_named_as_they_are() -> None:
+    assert _name_files(["a b.csv", "logs/*.csv", "data.split.gap=1", "--cfg", "job"]) == [
+        *("data=files", 'data.train=["a b.csv","logs/*.csv"]', "data.split.gap=1", "--cfg", "job")
+    ]
+    for none in (["data=emps"], ["--cfg", "job", "data=emps"], []):
+        assert _name_files(none) == none
+
+
+def test_a_command_leaves_the_process_as_it_was(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["program", "of its own"])
+    before = dict(os.environ), signal.getsignal(signal.SIGINT), sys.unraisablehook
+    with pytest.raises(SystemExit):
+        run.main(["-m", "model=coulomb_smoth"])
+    assert "did you mean coulomb_smooth?" in capsys.readouterr().err
+    assert (dict(os.environ), signal.getsignal(signal.SIGINT), sys.unraisablehook) == before
+    assert sys.argv == ["program", "of its own"]
