@@ -1,8 +1,6 @@
 """`python -m frictionzoo.list`, see `frictionzoo.cli.list`."""
 
 if __name__ == "__main__":
-    import sys
+    from frictionzoo.cli.commands import main
 
-    from frictionzoo.cli.list import main
-
-    sys.exit(main())
+    main("list")

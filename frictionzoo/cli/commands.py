@@ -16,6 +16,7 @@ COMMANDS = {
     "inspect": "look at recordings before any fit",
     "export": "write an identified drive for another program",
     "distill": "fit a simpler law to an identified drive",
+    "list": "list laws, methods, formats and what else can be chosen",
 }
 """What each command does; it is the module of that name in this package, with a `main` that takes its arguments."""
 
