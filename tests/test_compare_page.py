@@ -17,7 +17,7 @@ from test_report import bench, dataset, evaluation, model, result  # noqa: F401
 from frictionzoo.comparison import Failure, Run, compare_runs
 from frictionzoo.result.curves import Curves
 from frictionzoo.show.comparison_page import check_comparison, write_page
-from frictionzoo.show.comparison_plots import choose_styles
+from frictionzoo.show.comparison_plots import choose_looks
 
 LONG, SHORT, WINDOWS, TIMESTEP = 300, 100, 40, 0.001
 LABELS = ("coulomb_stribeck", "coulomb_smooth segments.length=20 seed=1", "baseline")
@@ -144,16 +144,18 @@ def figure_named(source, title):
 
 def test_figures_hold_the_numbers_of_the_comparison(runs, tmp_path):
     source, comparison = show(tmp_path / "comparison.html", runs)
-    bars = [trace for trace in figure_named(source, "Error of each run")["data"] if trace["type"] == "bar"]
-    assert [bar["x"][0] for bar in bars] == [entry["test"]["position_mae"] for entry in comparison["runs"]]
+    bars = [trace for trace in figure_named(source, "Error of each run")["data"] if trace["x"]]
+    errors = [entry[part]["position_mae"] for part in ("test", "train") for entry in comparison["runs"]]
+    np.testing.assert_allclose([bar["x"][0] for bar in bars], errors, rtol=1e-5)
     best = comparison["runs"][0]["label"]
     pairs = {pair["run"]: pair for pair in comparison["pairs"] if pair["other"] == best}
     points = figure_named(source, "How sure is the order?")["data"]
-    assert {point["name"]: point["x"][0] for point in points} == {best: 0} | {n: p["mean"] for n, p in pairs.items()}
+    means = {point["name"]: point["x"][0] for point in points}
+    assert means == pytest.approx({best: 0} | {name: pair["mean"] for name, pair in pairs.items()}, rel=1e-5)
     for point in points[1:]:
         pair = pairs[point["name"]]
-        assert point["x"][0] + point["error_x"]["array"][0] == pytest.approx(pair["high"])
-        assert point["x"][0] - point["error_x"]["arrayminus"][0] == pytest.approx(pair["low"])
+        assert point["x"][0] + point["error_x"]["array"][0] == pytest.approx(pair["high"], rel=1e-5)
+        assert point["x"][0] - point["error_x"]["arrayminus"][0] == pytest.approx(pair["low"], rel=1e-5)
     curves = {trace["name"]: trace["y"] for trace in figure_named(source, "Against the horizon")["data"]}
     for label, curve in comparison["by_horizon"]["position_mae"].items():
         np.testing.assert_allclose(curves[label], curve, rtol=1e-5)
@@ -166,18 +168,20 @@ def test_figures_hold_the_numbers_of_the_comparison(runs, tmp_path):
 
 def test_a_run_has_the_same_look_in_every_figure(runs, tmp_path):
     source, comparison = show(tmp_path / "comparison.html", runs)
-    styles = choose_styles(entry["label"] for entry in comparison["runs"])
+    looks = choose_looks(entry["label"] for entry in comparison["runs"])
     for title in ("Trajectory of knee", "Error over time", "Against the speed", "Structure left in the error"):
         lines = [t for t in figure_named(source, title)["data"] if "meta" in t and "fill" not in t]
-        assert {trace["name"] for trace in lines} == set(styles)
+        assert {trace["name"] for trace in lines} == set(looks)
         for trace in lines:
-            style = styles[trace["name"]]
-            assert (trace["line"]["color"], trace["line"]["dash"]) == (style.color, style.dash)
+            line, look = trace["line"], looks[trace["name"]]
+            assert (line["color"], trace["meta"]["run"]) == (look["color"], look["run"])
+            dash = [] if line["dash"] == "solid" else [float(part[:-2]) for part in line["dash"].split(",")]
+            np.testing.assert_allclose(dash, line["width"] * np.array(look["dash"]))
 
 
 def test_many_runs_are_told_apart():
-    styles = choose_styles(map(str, range(42)))
-    assert len({(style.color, style.dash) for style in styles.values()}) == 42
+    looks = choose_looks(map(str, range(42)))
+    assert len({(look["color"], look["dash"]) for look in looks.values()}) == 42
 
 
 def test_a_far_difference_leaves_the_frame_and_is_named(runs, result, tmp_path):  # noqa: F811

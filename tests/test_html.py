@@ -11,11 +11,11 @@ import numpy as np
 import plotly.graph_objects as go
 import pytest
 from browser import DRAWN, WIDTHS, needs_browser, open_page
-from test_report import FIT, bench, dataset, evaluation, history, make_rollout, model, result  # noqa: F401
+from test_report import FIT, bench, curves_of, dataset, evaluation, make_rollout, model, result  # noqa: F401
 
 from frictionzoo.result.evaluate import Prediction
-from frictionzoo.show.page import POINTS
 from frictionzoo.show.run_page import check_result, write_report
+from frictionzoo.show.with_plotly import POINTS
 
 HOSTILE = "</script><img src=x onerror=alert(1)>\"'&"
 
@@ -48,10 +48,9 @@ class Page(HTMLParser):
 
 
 def report(path, record, joints=("knee",), rollout=None, **more):
-    segments, fitted, baseline = rollout or make_rollout(nv=len(joints))
-    curves = history(**{"bench.armature": np.array([0.1, 0.05, 0.04]), "friction.static_torque": np.ones(3)} | more)
-    options = {"segments": segments, "model": fitted, "baseline": baseline, "joints": joints, "window": 0.02}
-    write_report(path, record, history=curves, **options)
+    values = {"bench.armature": np.array([0.1, 0.05, 0.04]), "friction.static_torque": np.ones(3)} | more
+    curves = curves_of(rollout or make_rollout(nv=len(joints)), **values)
+    write_report(path, record | {"joints": list(joints)}, curves)
     return path.read_text(encoding="utf-8")
 
 

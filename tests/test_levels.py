@@ -67,7 +67,7 @@ def test_a_file_imports_only_from_its_level_and_those_above(path: Path) -> None:
         ("bench/base.py", "import torch.nn"),
         ("simulate/mjx.py", "from frictionzoo.simulate import bridge"),
         ("simulate/rollout.py", "from frictionzoo.simulate.drive import Drive"),
-        ("fit/adam.py", "from frictionzoo.show.run_figures import write_figures"),
+        ("fit/adam.py", "from frictionzoo.show.run_plots import write_figures"),
         ("result/evaluate.py", "import frictionzoo.cli.job"),
     ],
 )

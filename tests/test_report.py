@@ -24,10 +24,13 @@ from frictionzoo.core.segments import Segments
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.models.coulomb_stribeck import CoulombStribeck
 from frictionzoo.models.neural_friction import NeuralFriction
+from frictionzoo.result.curves import Curves
 from frictionzoo.result.evaluate import Evaluation, Prediction
 from frictionzoo.result.record import _list_parameters, build_result, read_schema, write_result
-from frictionzoo.show.run_figures import draw_error, draw_parameters, draw_trajectory, write_figures
+from frictionzoo.show.figure import Sheet
+from frictionzoo.show.run_plots import draw_rollout, plot_error, plot_history, write_figures
 from frictionzoo.show.terminal import summarise
+from frictionzoo.show.with_matplotlib import draw
 from frictionzoo.simulate.proof import Proof
 
 TIMESTEP = 0.001
@@ -383,33 +386,6 @@ def drawn(axes, color):
     return np.asarray(line.get_xdata()), np.asarray(line.get_ydata())
 
 
-def test_figure3_draws_every_parameter():
-    values = {"bench.armature": np.array([[1.0], [2.0], [4.0]]), "friction.damping": np.array([5.0, 6.0, 7.0])}
-    units = {"bench.armature": "kg m^2", "friction.damping": "N m s/rad"}
-    figure = draw_parameters(history(**values), 2, units, "title")
-    armature, damping = figure.get_axes()
-    assert (armature.get_ylabel(), damping.get_ylabel()) == ("armature\n[kg m^2]", "damping\n[N m s/rad]")
-    for axes, name in ((armature, "bench.armature"), (damping, "friction.damping")):
-        iterations, curve = drawn(axes, "#0072B2")
-        np.testing.assert_array_equal(iterations, [1, 2, 3])
-        np.testing.assert_array_equal(curve, values[name].ravel())
-        best, marker = axes.get_lines()[0], axes.get_lines()[-1]
-        assert set(best.get_xdata()) == {2} and best.get_linestyle() == "--"
-        assert (marker.get_xdata()[0], marker.get_ydata()[0]) == (2, values[name].ravel()[1])
-
-
-def test_figure3_of_a_network_draws_loss_and_gradient():
-    figure = draw_parameters(history(**{"bench.armature": np.ones(3)}), 2, {"bench.armature": "kg"}, "title")
-    shown = [axes.get_ylabel() for axes in figure.get_axes() if axes.axison]
-    assert shown == ["armature\n[kg]", "loss", "grad_norm"]
-
-
-def test_figure3_draws_every_joint():
-    values = {"friction.damping": np.arange(6.0).reshape(3, 2)}
-    (axes,) = draw_parameters(history(**values), 3, {"friction.damping": "N m s/rad"}, "title").get_axes()
-    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["joint 0", "joint 1"]
-
-
 def make_rollout(nv=1, length=200):
     time = np.arange(length + 1) * TIMESTEP
     states = np.repeat(np.sin(20 * time)[None, :, None], nv, axis=2)
@@ -421,10 +397,65 @@ def make_rollout(nv=1, length=200):
     return segments, model, baseline
 
 
-def test_figure4_draws_the_rollouts():
+def curves_of(rollout, **values):
+    """What a run leaves for figures, without what only comparisons draw."""
+    segments, model, baseline = rollout
+    nothing, torque = np.empty(0), np.empty((0, segments.qpos.shape[2]))
+    return Curves(
+        **{"measured_qpos": segments.qpos, "measured_qvel": segments.qvel, "ctrl": segments.ctrl},
+        **{"load": np.empty((1, 0)), "qpos": model.qpos, "qvel": model.qvel},
+        **{"baseline_qpos": baseline.qpos, "baseline_qvel": baseline.qvel, "train_mae": nothing, "test_mae": nothing},
+        **dict.fromkeys(("local_mae", "local_speed", "local_load", "velocity"), nothing),
+        **dict.fromkeys(("friction", "friction_low", "friction_high"), torque),
+        history=history(**values),
+    )
+
+
+def of_joints(result, *joints):
+    return result | {"joints": list(joints)}
+
+
+def draw_history(result, **values):
+    """Panels of figure 3."""
+    figures = list(plot_history(result, curves_of(make_rollout(), **values)))
+    figure = draw(Sheet("title", figures, 2.0, columns=2, headings=True))
+    return figure, {axes.get_title("left"): axes for axes in figure.get_axes() if axes.axison}
+
+
+def test_figure3_draws_loss_and_every_parameter(result):
+    values = {"bench.armature": np.array([[1.0], [2.0], [4.0]]), "friction.static_torque": np.array([5.0, 6.0, 7.0])}
+    _, panels = draw_history(result, **values)
+    assert list(panels) == ["loss", "armature", "static_torque"]
+    assert [axes.get_ylabel() for axes in panels.values()] == ["", "kg m²", "N m"]
+    curves = [history()["loss"], values["bench.armature"].ravel(), values["friction.static_torque"]]
+    for axes, expected in zip(panels.values(), curves, strict=True):
+        iterations, curve = drawn(axes, "#0072B2")
+        np.testing.assert_array_equal(iterations, [1, 2, 3])
+        np.testing.assert_array_equal(curve, expected)
+        best, marker = axes.get_lines()[0], axes.get_lines()[-1]
+        assert set(best.get_xdata()) == {2} and best.get_linestyle() == "--"
+        assert (marker.get_xdata()[0], marker.get_ydata()[0]) == (2, expected[1])
+        assert axes.get_title("right") == f"{expected[1]:.4g}"
+
+
+def test_figure3_of_a_network_draws_loss_and_gradient(result):
+    _, panels = draw_history(result, **{"bench.armature": np.ones(3)})
+    assert list(panels) == ["loss", "armature", "grad_norm"]
+
+
+def test_figure3_draws_every_joint(result):
+    values = {"friction.static_torque": np.arange(6.0).reshape(3, 2)}
+    figure, panels = draw_history(of_joints(result, "hip", "knee"), **values)
+    lines = [line.get_ydata() for line in panels["static_torque"].get_lines()[1:3]]
+    np.testing.assert_array_equal(lines, values["friction.static_torque"].T)
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["hip", "knee", "reported"]
+
+
+def test_figure4_draws_the_rollouts(result):
     segments, model, baseline = make_rollout()
-    figure = draw_trajectory(segments, model, baseline, "hinge", ("knee",), "a test rollout of simulated data")
-    assert figure.get_suptitle() == "a test rollout of simulated data"
+    figure = draw_rollout(of_joints(result, "knee"), curves_of((segments, model, baseline)))
+    assert figure.get_suptitle() == "coulomb_stribeck, one rollout of the test part of waves (simulated data)"
     position, velocity = figure.get_axes()
     assert (position.get_ylabel(), velocity.get_ylabel()) == ("position [rad]", "velocity [rad/s]")
     assert velocity.get_xlabel() == "time [s]"
@@ -439,15 +470,22 @@ def test_figure4_draws_the_rollouts():
     assert inset.get_xlim()[1] == pytest.approx(0.2)  # the error grows to the end
 
 
-def test_figure4_has_a_column_a_joint():
-    figure = draw_trajectory(*make_rollout(nv=2), "slide", ("x", "y"), "title")
-    assert [axes.get_title() for axes in figure.get_axes()] == ["x", "y", "", ""]
+def test_figure4_has_a_column_a_joint(result):
+    slide = of_joints(result, "x", "y")
+    slide["metrics"]["test"] |= {"unit": "m", "velocity_unit": "m/s"}
+    figure = draw_rollout(slide, curves_of(make_rollout(nv=2)))
+    assert [axes.get_title("left") for axes in figure.get_axes()] == ["Trajectory of x", "Trajectory of y", "", ""]
     assert figure.get_axes()[3].get_ylabel() == "velocity [m/s]"
 
 
-def test_figure5_draws_the_moving_error():
+def draw_error(result, rollout, window):
+    record = result | {"evaluation": {"window": window}}
+    return draw(Sheet("title", [plot_error(record, curves_of(rollout))], 3.0))
+
+
+def test_figure5_draws_the_moving_error(result):
     segments, model, baseline = make_rollout()
-    (axes,) = draw_error(segments, model, baseline, "hinge", 0.01, "title").get_axes()
+    (axes,) = draw_error(result, (segments, model, baseline), 0.01).get_axes()
     assert axes.get_ylabel() == "absolute position error [rad]"
     time, mean = drawn(axes, "#0072B2")
     error = np.concatenate([[0.0], np.abs(model.qpos - segments.qpos[:, 1:])[0, :, 0]])
@@ -457,34 +495,41 @@ def test_figure5_draws_the_moving_error():
     assert axes.get_yscale() == "linear"
 
 
-def test_figure5_keeps_the_smaller_error_visible():
+def test_figure5_keeps_the_smaller_error_visible(result):
     segments, model, baseline = make_rollout()
     away = Prediction(baseline.qpos * 1e3, baseline.qvel)
-    (axes,) = draw_error(segments, model, away, "hinge", 0.01, "title").get_axes()
+    (axes,) = draw_error(result, (segments, model, away), 0.01).get_axes()
     assert axes.get_yscale() == "log"
 
 
 @pytest.mark.parametrize("spoilt", ["model", "baseline"])
 @pytest.mark.parametrize("first", [0, 100])
-def test_diverged_rollouts_are_drawn_as_far_as_they_go(spoilt, first):
+def test_diverged_rollouts_are_drawn_as_far_as_they_go(result, spoilt, first):
     segments, model, baseline = make_rollout()
     prediction = {"model": model, "baseline": baseline}[spoilt]
     prediction.qpos[:, first:] = np.inf
-    figure = draw_trajectory(segments, model, baseline, "hinge", ("knee",), "title")
+    figure = draw_rollout(of_joints(result, "knee"), curves_of((segments, model, baseline)))
     curve = drawn(figure.get_axes()[0], {"model": "#0072B2", "baseline": "#E69F00"}[spoilt])[1]
     assert np.isfinite(curve).sum() == first + 1
-    for drawing in (figure, draw_error(segments, model, baseline, "hinge", 0.01, "title")):
+    for drawing in (figure, draw_error(result, (segments, model, baseline), 0.01)):
         drawing.set_layout_engine("none")
         drawing.draw_without_rendering()
 
 
-def test_figures_are_written(bench, model, dataset, evaluation, tmp_path):
+def test_figures_are_written(result, tmp_path):
     values = {"bench.armature": np.ones(3), "friction.static_torque": np.arange(3.0)}
-    judgements = judge(evaluation, 0.01), judge(evaluation, 0.04)
-    write_figures(tmp_path, bench, model, dataset, evaluation, *judgements, history(**values), 2)
+    write_figures(tmp_path, result, curves_of(make_rollout(), **values))
     names = ["figure3_parameters.png", "figure4_trajectory.png", "figure5_error.png"]
     assert sorted(path.name for path in tmp_path.iterdir()) == names
     for name in names:
         image = imread(tmp_path / name, format="png")
         assert image.shape[1] == 1200
         assert image.std() > 0.05  # more than an empty canvas
+
+
+def test_known_values_have_no_course_to_draw(result, tmp_path):
+    record = copy.deepcopy(result)
+    record["fit"]["best_iteration"] = 1
+    curves = curves_of(make_rollout())
+    write_figures(tmp_path, record, replace(curves, history={k: v[:1] for k, v in curves.history.items()}))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["figure4_trajectory.png", "figure5_error.png"]

@@ -35,8 +35,8 @@ from frictionzoo.result.curves import Curves, sample_friction, write_curves
 from frictionzoo.result.evaluate import Evaluation, Judgement
 from frictionzoo.result.identified import Identified
 from frictionzoo.result.record import build_result, describe_data, pick_metrics, write_result
-from frictionzoo.show.run_figures import write_figures
 from frictionzoo.show.run_page import write_report
+from frictionzoo.show.run_plots import write_figures
 from frictionzoo.show.terminal import summarise_in_markdown
 from frictionzoo.simulate import Values
 from frictionzoo.simulate.drive import Drive
@@ -188,7 +188,8 @@ def run_job(
     baseline, reference = _judge_baseline(measured, settings["dtype"], cache_folder(settings["compilation_cache"]))
     timing |= {"evaluate": time.perf_counter() - judged}
 
-    _write_drive(folder, problem, outcome, judgement, baseline)
+    curves = _collect_curves(problem, outcome, judgement, baseline)
+    _write_drive(folder, problem, curves)
     timing |= {"total": time.perf_counter() - began}
     result = build_result(
         name=name,
@@ -211,40 +212,22 @@ def run_job(
         uncertainty=uncertainty,
     )
     _write_mjcf(folder, problem, outcome, result)
-    write_report(
-        folder / "report.html",
-        result,
-        segments=problem.evaluation.trajectories,
-        model=judgement.prediction,
-        baseline=baseline.prediction,
-        joints=problem.bench.joints,
-        history=outcome.history,
-        window=problem.evaluation.window,
-    )
+    write_figures(folder / "figures", result, curves)
+    result["timing"]["total"] = time.perf_counter() - began
+    write_report(folder / "report.html", result, curves)
     figures = sorted((folder / "figures").glob("*.png"))
     logger.finish(outcome.iterations, pick_metrics(result), figures, summarise_in_markdown(result, folder))
     write_result(folder / "result.json", result)
     return result, outcome.message
 
 
-def _write_drive(folder: Path, problem: Problem, outcome: Outcome, judgement: Judgement, baseline: Judgement) -> None:
-    """Figures, curves and the law's values; each is written whole or not at all."""
-    bench, model = problem.bench, problem.drive.model
-    write_figures(
-        folder / "figures",
-        bench,
-        model,
-        problem.dataset,
-        problem.evaluation,
-        judgement,
-        baseline,
-        outcome.history,
-        outcome.best_iteration,
-    )
+def _write_drive(folder: Path, problem: Problem, curves: Curves) -> None:
+    """Curves and the law's values; each is written whole or not at all."""
+    model = problem.drive.model
     # One entry only: safetensors writes several in an order that changes from run to run.
     header = {"frictionzoo": f"{model.name}, version {__version__}"}
     write_atomically(folder / "friction.safetensors", safetensors.torch.save(model.state_dict(), header))
-    write_curves(folder, _collect_curves(problem, outcome, judgement, baseline))
+    write_curves(folder, curves)
 
 
 def _write_mjcf(folder: Path, problem: Problem, outcome: Outcome, result: dict[str, Any]) -> None:

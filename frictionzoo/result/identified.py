@@ -126,11 +126,11 @@ class Identified:
             RunError: There are no curves to draw.
         """
         # Imported here, so that what draws nothing does not wait for it.
-        from frictionzoo.show.run_figures import plot_rollout
+        from frictionzoo.show.run_plots import draw_rollout
 
         if self.curves is None:
             raise RunError(f"{self.folder}: no curves, expected those of a finished run; load it from its folder")
-        return plot_rollout(self.result, self.curves, self.segments, self.bench)
+        return draw_rollout(self.result, self.curves)
 
     def export(self, target: str, path: str | Path, **options: str | float) -> Written:
         """Write the drive for another program, as `python -m frictionzoo.export` does.

@@ -1,12 +1,26 @@
 """The colours of curves, the same on every figure and page."""
 
-MODEL, BASELINE, BEST = "#0072B2", "#E69F00", "#D00000"
-JOINTS = (
-    MODEL,
-    "#009E73",
-    "#CC79A7",
-    "#56B4E9",
-    "#E69F00",
-    "#000000",
-    "#F0E442",
-)  # Okabe and Ito (2008), legible to the colour-blind
+MEASURED, TEXT, SOFT, GRID = "#000000", "#3d4450", "#7d8794", "#dfe3e8"
+MODEL, BASELINE, BEST, TRAIN = "#0072B2", "#E69F00", "#D00000", "#009E73"
+# Okabe and Ito (2008), legible to the colour-blind: without black, which is measured, and yellow, faint on paper.
+RUNS = (MODEL, "#D55E00", TRAIN, "#CC79A7", "#56B4E9", BASELINE)
+JOINTS = (MODEL, TRAIN, "#CC79A7", "#56B4E9", BASELINE, MEASURED, "#F0E442")
+BAND = 0.2  # opacity of a band around a curve
+
+
+def fade(color: str) -> str:
+    """The colour of a band around a curve of this one."""
+    red, green, blue = (int(color[i : i + 2], 16) for i in (1, 3, 5))
+    return f"rgba({red},{green},{blue},{BAND})"
+
+
+_PALE = {
+    MEASURED: "#f4f4f4",
+    MODEL: "#56B4E9",
+    "#56B4E9": "#B5E0FF",
+    BEST: "#ff6b6b",
+    TEXT: "#c3c9d2",
+    GRID: "#323945",
+}
+# What each colour becomes on a dark page; all others are legible on both.
+DARK = _PALE | {fade(color): fade(pale) for color, pale in _PALE.items()}

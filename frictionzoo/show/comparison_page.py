@@ -11,23 +11,14 @@ from frictionzoo.comparison.record import FEW, Comparison
 from frictionzoo.comparison.runs import Run
 from frictionzoo.comparison.statistics import MATTERS
 from frictionzoo.core.output import write_atomically
-from frictionzoo.show.comparison_plots import (
-    Style,
-    choose_styles,
-    dark_colors,
-    plot_autocorrelation,
-    plot_by_bin,
-    plot_by_horizon,
-    plot_differences,
-    plot_error,
-    plot_errors,
-    plot_friction,
-    plot_loss,
-    plot_trajectories,
-)
-from frictionzoo.show.page import Check, Plot, render_page
-from frictionzoo.show.run_page import METHODS, check_held_out, check_origin, check_result, list_timing, plot_history
+from frictionzoo.show import comparison_plots as plots
+from frictionzoo.show.colors import DARK
+from frictionzoo.show.figure import Figure
+from frictionzoo.show.page import Check, render_page
+from frictionzoo.show.run_page import METHODS, check_held_out, check_origin, check_result, list_timing
+from frictionzoo.show.run_plots import plot_history
 
+POINTS = 2000  # of a curve; a comparison has many of them
 NAMED = 4  # runs that a sentence names, the others are counted
 LONG = 4  # differing options above which they are folded away
 FITTED = ("fit", "segments", "loss", "bench")  # options that make fits unlike each other
@@ -55,13 +46,13 @@ def write_page(path: Path, comparison: Comparison, runs: Sequence[Run]) -> None:
     labels = [entry["label"] for entry in comparison["runs"]]
     named = {run.label: run for run in runs}
     ranked = [named[label] for label in labels]
-    styles = choose_styles(labels)
-    plots = _draw_plots(comparison, ranked, styles)
-    rows = [_describe(i, run, comparison, styles[run.label], path.parent) for i, run in enumerate(ranked)]
+    looks = plots.choose_looks(labels)
+    rows = [_describe(i, run, comparison, looks[run.label], path.parent) for i, run in enumerate(ranked)]
     checks = list(check_comparison(comparison, ranked))
     page = render_page(
         "show/comparison.html.jinja",
-        [plot.figure for section in plots.values() for plot in section],
+        _draw_sections(comparison, ranked),
+        POINTS,
         comparison=comparison,
         rows=rows,
         joints=tuple(comparison["joints"]),
@@ -72,38 +63,28 @@ def write_page(path: Path, comparison: Comparison, runs: Sequence[Run]) -> None:
         parameters=list(_list_parameters(comparison["runs"])),
         folded=len(comparison["differences"]) > LONG,
         files=_list_files(path.parent),
-        plots=plots,
-        first=_count_before(plots),
         state={"labels": labels, "selected": next((row["index"] for row in rows if row["recommended"]), 0)},
-        dark=dark_colors(),
         version=__version__,
     )
     write_atomically(path, page)
 
 
-def _draw_plots(comparison: Comparison, runs: Sequence[Run], styles: Mapping[str, Style]) -> dict[str, list[Plot]]:
+def _draw_sections(comparison: Comparison, runs: Sequence[Run]) -> dict[str, list[Figure]]:
     """Figures by section, in the order of the page; those of each run under its place in the ranking."""
-    joints = tuple(comparison["joints"])
-    histories = {str(i): list(plot_history(run.result, run.curves.history, joints)) for i, run in enumerate(runs)}
-    return histories | {
-        "errors": [plot_errors(comparison, styles), plot_differences(comparison, styles)],
-        "rollout": [*plot_trajectories(comparison, runs, styles), plot_error(comparison, runs, styles)],
+    return {str(i): list(plot_history(run.result, run.curves)) for i, run in enumerate(runs)} | {
+        "errors": [plots.plot_errors(comparison), plots.plot_differences(comparison)],
+        "rollout": [*plots.plot_trajectories(comparison, runs), plots.plot_error(comparison, runs)],
         "where": [
-            plot_by_horizon(comparison, styles),
-            *plot_by_bin(comparison, styles),
-            plot_autocorrelation(comparison, styles),
+            plots.plot_by_horizon(comparison),
+            plots.plot_by_bin(comparison, "by_speed"),
+            plots.plot_by_bin(comparison, "by_load"),
+            plots.plot_autocorrelation(comparison),
         ],
-        "friction": [*plot_friction(comparison, styles), plot_loss(comparison, runs, styles)],
+        "friction": [*plots.plot_friction(comparison), plots.plot_loss(comparison, runs)],
     }
 
 
-def _count_before(plots: Mapping[str, Sequence[Plot]]) -> dict[str, int]:
-    """Number of the first figure of each section."""
-    names = list(plots)
-    return {name: sum(len(plots[before]) for before in names[:i]) for i, name in enumerate(names)}
-
-
-def _describe(index: int, run: Run, comparison: Comparison, style: Style, folder: Path) -> dict[str, Any]:
+def _describe(index: int, run: Run, comparison: Comparison, look: plots.Look, folder: Path) -> dict[str, Any]:
     """What the page says about one run: its row in the ranking and its panel."""
     entry = comparison["runs"][index]
     recommendation = comparison["recommendation"]
@@ -115,7 +96,11 @@ def _describe(index: int, run: Run, comparison: Comparison, style: Style, folder
         "label": run.label,
         "entry": entry,
         "result": run.result,
-        "style": style,
+        "style": {
+            "color": look["color"],
+            "dark": DARK.get(look["color"], look["color"]),
+            "strokes": " ".join(f"{1.7 * length:.3g}" for length in look["dash"]) or "none",
+        },
         "recommended": bool(recommendation) and recommendation["run"] == run.label,
         "verdict": "" if recommendation is None else VERDICTS[pair["verdict"]] if pair else "best",
         "pair": pair,

@@ -5,39 +5,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Shaped
+from jaxtyping import Shaped
 
 from frictionzoo.core.output import write_atomically
-from frictionzoo.core.segments import Segments
-from frictionzoo.result.evaluate import Prediction, moving_mean_and_std
+from frictionzoo.result.curves import Curves
 from frictionzoo.result.verdict import doubt_gain, doubt_reference
-from frictionzoo.show.colors import BASELINE, BEST, JOINTS, MODEL
-from frictionzoo.show.page import (
-    BANDS,
-    MEASURED,
-    TEXT,
-    Check,
-    Plot,
-    draw_band,
-    draw_points,
-    escape,
-    find_frame,
-    format_change,
-    format_number,
-    format_unit,
-    make_axis,
-    make_layout,
-    render_page,
-    round_points,
-    spans_decades,
-    with_start,
-)
-from frictionzoo.show.run_figures import FLATTENED
+from frictionzoo.show.page import Check, render_page
+from frictionzoo.show.run_plots import plot_error, plot_history, plot_horizons, plot_trajectory
 from frictionzoo.show.terminal import ERRORS
+from frictionzoo.show.text import format_change, format_number, format_unit
 
 OVERFIT = 1.5  # ratio of test to train error from which the page asks for caution
 FALLING = 0.01  # share of the loss that the last tenth of the iterations may still take off
-TRAIN = "#009E73"
 METHODS = {"adam": "Adam", "lm": "Levenberg-Marquardt", "grid": "The grid search", "known": "Known values"}
 FILES = {  # what else a run leaves behind, by path beside the page
     "result.json": "every number of this page, for programs",
@@ -55,46 +34,28 @@ FILES = {  # what else a run leaves behind, by path beside the page
 }
 
 
-def write_report(
-    path: Path,
-    result: Mapping[str, Any],
-    *,
-    segments: Segments,
-    model: Prediction,
-    baseline: Prediction,
-    joints: tuple[str, ...],
-    history: Mapping[str, Shaped[np.ndarray, "iterations ..."]],
-    window: float,
-) -> None:
+def write_report(path: Path, result: Mapping[str, Any], curves: Curves) -> None:
     """Write the page of a run.
 
     Args:
         path: The file, in the run's folder, to whose other files the page links.
         result: What `result.json` holds.
-        segments: One measured window; of several, the first is drawn.
-        model: Of the identified drive, over that window.
-        baseline: Of the bench without friction.
-        joints: Names of the joints.
-        history: `iteration`, `loss`, and values under `bench.NAME` and `friction.NAME`.
-        window: Length of the moving window over the error [s].
+        curves: What `curves.safetensors` holds.
 
     Raises:
         OutputError: It cannot be written.
     """
-    checks = list(check_result(result, history))
+    checks = list(check_result(result, curves.history))
     sections = {
-        "rollout": [
-            *plot_trajectory(result, segments, model, baseline, joints),
-            plot_error(result, segments, model, baseline, window),
-        ],
-        "history": list(plot_history(result, history, joints)),
+        "rollout": [*plot_trajectory(result, curves), plot_error(result, curves)],
+        "history": list(plot_history(result, curves)),
         "horizons": [plot_horizons(result)] if len(result["by_horizon"]) > 1 else [],
     }
     page = render_page(
         "show/run.html.jinja",
-        [plot.figure for plots in sections.values() for plot in plots],
+        sections,
         result=result,
-        joints=joints if any(isinstance(p["value"], list) for p in result["parameters"]) else ("value",),
+        joints=result["joints"] if any(isinstance(p["value"], list) for p in result["parameters"]) else ("value",),
         headline=_say_headline(result),
         checks=checks,
         doubts=sum(check.state in ("caution", "bad") for check in checks),
@@ -102,7 +63,6 @@ def write_report(
         evaluations=list(_list_evaluations(result)),
         timing=list_timing(result["timing"]),
         files={name: text for name, text in FILES.items() if name == "result.json" or (path.parent / name).exists()},
-        sections=sections,
         version=result["versions"]["frictionzoo"],
     )
     write_atomically(path, page)
@@ -295,208 +255,3 @@ def list_timing(timing: Mapping[str, float]) -> dict[str, float]:
     """Seconds of every part, the rest of the total last."""
     parts = {name: seconds for name, seconds in timing.items() if name != "total"}
     return parts | {"figures and files": max(0.0, timing["total"] - sum(parts.values()))}
-
-
-def plot_trajectory(
-    result: Mapping[str, Any], segments: Segments, model: Prediction, baseline: Prediction, joints: tuple[str, ...]
-) -> Iterator[Plot]:
-    """A figure a joint: measured and simulated position above velocity.
-
-    Args:
-        result: What `result.json` holds, for the units.
-        segments: One measured window; of several, the first is drawn.
-        model: Of the identified drive.
-        baseline: Of the bench without friction.
-        joints: Names of the joints.
-    """
-    metrics, duration = result["metrics"]["test"], segments.length * segments.timestep
-    time = np.arange(segments.length + 1) * segments.timestep
-    for joint, name in enumerate(joints):
-        layout = make_layout(xaxis=make_axis("time [s]", range=[0, duration], anchor="y2"))
-        data: list[dict[str, Any]] = []
-        errors: list[str] = []
-        rows = (("qpos", "y", "position", metrics["unit"]), ("qvel", "y2", "velocity", metrics["velocity_unit"]))
-        for signal, axis, quantity, unit in rows:
-            measured = getattr(segments, signal)[0, :, joint].astype(np.float64)
-            curves = [with_start(measured, getattr(p, signal)[0, :, joint]) for p in (model, baseline)]
-            drawn = _draw_curves(time, measured, *curves, axis=axis, legend=axis == "y", unit=unit)
-            # A measured velocity is noisy and would hide what is drawn under it.
-            data += drawn if signal == "qpos" else [drawn[2] | {"opacity": 0.55}, *drawn[:2]]
-            domain = [0.42, 1] if axis == "y" else [0, 0.36]
-            frame = find_frame([measured, curves[0]], curves[1:])
-            layout[f"yaxis{axis[1:]}"] = make_axis(f"{quantity} [{unit}]", range=frame, domain=domain)
-            if signal == "qpos":
-                errors = [_say_error(curve - measured, unit) for curve in curves]
-        text = (
-            f"Measured and simulated position and velocity of joint {name} over {duration:g} s; "
-            f"the mean position error is {errors[0]} with the model and {errors[1]} without friction."
-        )
-        yield Plot(f"Trajectory of {name}", text, {"data": data, "layout": layout}, time=True)
-
-
-def plot_error(
-    result: Mapping[str, Any], segments: Segments, model: Prediction, baseline: Prediction, window: float
-) -> Plot:
-    """Absolute position error over time, mean over joints: its moving mean and +- one standard deviation.
-
-    Args:
-        result: What `result.json` holds, for the units.
-        segments: One measured window; of several, the first is drawn.
-        model: Of the identified drive.
-        baseline: Of the bench without friction.
-        window: Length of the moving window [s].
-    """
-    unit, duration = result["metrics"]["test"]["unit"], segments.length * segments.timestep
-    width = min(max(1, round(window / segments.timestep)), segments.length + 1)
-    measured = segments.qpos[0].astype(np.float64)
-    errors = [np.abs(with_start(measured, p.qpos[0]) - measured).mean(axis=1) for p in (model, baseline)]
-    largest = [float(np.nanmax(error)) for error in errors]
-    logarithmic = max(largest) > FLATTENED * min(largest) > 0
-    data: list[dict[str, Any]] = []
-    for name, color, error in zip(("this model", "no friction"), (MODEL, BASELINE), errors, strict=True):
-        error = error[np.isfinite(error)]
-        span = min(width, len(error))
-        mean, std = moving_mean_and_std(error, span)
-        at = segments.timestep * (np.arange(len(mean)) + (span - 1) / 2)
-        data += draw_band(mean, std, at, name, color, BANDS[color], unit)
-    if logarithmic:
-        # A band that reaches below 0 has no place on a logarithmic axis.
-        data = [trace for trace in data if "fill" not in trace]
-    vertical = {"type": "log"} if logarithmic else {"rangemode": "tozero"}
-    layout = make_layout(
-        xaxis=make_axis("time [s]", range=[0, duration]),
-        yaxis=make_axis(f"absolute position error [{unit}]", **vertical),
-    )
-    text = (
-        f"Moving mean and standard deviation over {window:g} s of the absolute position error; the largest error is "
-        f"{format_number(largest[0])} {unit} with the model and {format_number(largest[1])} {unit} without friction."
-    )
-    return Plot("Its error", text, {"data": data, "layout": layout}, time=True)
-
-
-def plot_history(
-    result: Mapping[str, Any],
-    history: Mapping[str, Shaped[np.ndarray, "iterations ..."]],
-    joints: tuple[str, ...],
-) -> Iterator[Plot]:
-    """The loss and every identified parameter over the iterations, the reported iteration marked.
-
-    Args:
-        result: What `result.json` holds.
-        history: `iteration`, `loss`, and values under `bench.NAME` and `friction.NAME`.
-        joints: Names of the joints.
-    """
-    units = {f"{p['owner']}.{p['name']}": format_unit(p["unit"]) for p in result["parameters"] if p["identified"]}
-    iteration, best = history["iteration"], result["fit"]["best_iteration"]
-    at = int(np.flatnonzero(iteration == best)[0])
-    mode = "markers" if result["fit"]["method"] == "grid" else "lines"
-    for key in ("loss", *(key for key in units if key in history)):
-        columns = np.reshape(history[key], (len(iteration), -1)).T.astype(np.float64)
-        name, unit, several = key.rpartition(".")[2], units.get(key, ""), len(columns) > 1
-        reached = ", ".join(format_number(value) for value in columns[:, at])
-        text = f"{name} over {len(iteration)} iterations; {reached} {unit}".rstrip()
-        traces = [_draw_history(iteration, column, mode, i, joints) for i, column in enumerate(columns)]
-        traces.append(_mark(best, columns[:, at]))
-        vertical = make_axis(unit, nticks=5, type="log" if key == "loss" and spans_decades(columns) else "linear")
-        layout = make_layout(xaxis=make_axis("iteration", nticks=6), yaxis=vertical)
-        layout |= {"showlegend": several, "margin": layout["margin"] | {"t": 40 if several else 12}}
-        figure = {"data": traces, "layout": layout}
-        yield Plot(name, f"{text} at iteration {best}, which is reported and marked.", figure)
-
-
-def plot_horizons(result: Mapping[str, Any]) -> Plot:
-    """Position error at every horizon: train, test and without friction.
-
-    Args:
-        result: What `result.json` holds.
-    """
-    entries = sorted(result["by_horizon"], key=lambda entry: entry["horizon"])
-    unit = entries[0]["test"]["unit"]
-    parts = (("test", "test", MODEL), ("train", "train", TRAIN), ("baseline", "test, no friction", BASELINE))
-    data = [
-        {
-            "type": "bar",
-            "name": name,
-            "x": [f"{entry['horizon']:g} s" for entry in entries],
-            "y": [entry[part]["position_mae"] for entry in entries],
-            "error_y": {"array": [entry[part]["position_mae_std"] for entry in entries], "color": TEXT, "thickness": 1},
-            "marker": {"color": color},
-            "hovertemplate": f"%{{y:.4g}} {unit}",
-        }
-        for part, name, color in parts
-    ]
-    layout = make_layout(
-        xaxis=make_axis("length of the rollouts", type="category"), yaxis=make_axis(f"position MAE [{unit}]")
-    )
-    text = "; ".join(
-        f"at {entry['horizon']:g} s {format_number(entry['test']['position_mae'])} {unit} on test data, "
-        f"{format_number(entry['baseline']['position_mae'])} {unit} without friction"
-        for entry in entries
-    )
-    return Plot("Position error by horizon", f"Mean position error {text}.", {"data": data, "layout": layout})
-
-
-def _draw_curves(
-    time: Float[np.ndarray, "time"],
-    measured: Float[np.ndarray, "time"],
-    model: Float[np.ndarray, "time"],
-    baseline: Float[np.ndarray, "time"],
-    *,
-    axis: str,
-    legend: bool,
-    unit: str,
-) -> list[dict[str, Any]]:
-    """Without friction at the back, measured in front, as in figure 4."""
-    curves = (("no friction", baseline, BASELINE), ("this model", model, MODEL), ("measured", measured, MEASURED))
-    return [
-        {
-            "type": "scatter",
-            "mode": "lines",
-            "name": name,
-            "legendgroup": name,
-            "showlegend": legend,
-            "yaxis": axis,
-            "line": {"color": color, "width": 1.6, "dash": "dash"} if name == "measured" else {"color": color},
-            "hovertemplate": f"%{{y:.4g}} {unit}",
-            **draw_points(time, curve),
-        }
-        for name, curve, color in curves
-    ]
-
-
-def _draw_history(
-    iteration: Shaped[np.ndarray, "iterations"],
-    values: Float[np.ndarray, "iterations"],
-    mode: str,
-    joint: int,
-    joints: tuple[str, ...],
-) -> dict[str, Any]:
-    color = JOINTS[joint % len(JOINTS)]
-    return {
-        "type": "scatter",
-        "mode": mode,
-        "name": escape(joints[joint]) if joint < len(joints) else f"joint {joint}",
-        "line": {"color": color},
-        "marker": {"color": color, "size": 4},
-        "hovertemplate": "%{y:.5g}",
-        **draw_points(iteration.astype(np.float64), values),
-    }
-
-
-def _mark(best: int, values: Float[np.ndarray, "joints"]) -> dict[str, Any]:
-    return {
-        "type": "scatter",
-        "mode": "markers",
-        "name": "reported",
-        "x": [best] * len(values),
-        "y": round_points(values),
-        "marker": {"color": BEST, "size": 9, "symbol": "diamond"},
-        "hovertemplate": "%{y:.5g}",
-        "cliponaxis": False,
-    }
-
-
-def _say_error(error: Float[np.ndarray, "samples"], unit: str) -> str:
-    """The mean absolute error of a rollout's steps, or that it has none."""
-    steps = np.abs(error[1:])
-    return f"{steps.mean():.4g} {unit}" if np.isfinite(steps).all() else "without a value (the rollout diverged)"

@@ -1,0 +1,134 @@
+"""Drives over the first long test rollout: what they do, and how far that is from what was measured."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from frictionzoo.result.curves import Curves
+from frictionzoo.result.evaluate import moving_mean_and_std
+from frictionzoo.show.figure import Axis, Band, Curve, Mark, Panel, frame, scale_errors
+
+LARGEST = 1e100  # rad or m, of what is drawn
+RUNAWAY = 1000.0  # ratio of two drives' largest errors from which a logarithmic axis hides how others differ
+INSET = 0.08  # share of the rollout that is magnified
+MAGNIFIED = 6.0  # times the largest difference of the curves is what the measured one may move in the inset
+NARROWEST = 0.01  # share of the rollout in the inset
+_SIGNALS = (("qpos", "position", 3.0), ("qvel", "velocity", 2.0))
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One simulated drive.
+
+    Attributes:
+        curves: Of its run.
+        look: What its marks have in common.
+        part: `baseline_` for the run's drive without friction.
+        reference: Whether it has no friction, so that it may run away.
+    """
+
+    curves: Curves
+    look: Mapping[str, Any]
+    part: str = ""
+    reference: bool = False
+
+    def follow(self, signal: str) -> Float[np.ndarray, "states nv"]:
+        """`qpos` or `qvel` with the measured state that it starts from, NaN from where it is too large to be drawn."""
+        start = getattr(self.curves, f"measured_{signal}")[0, :1]
+        curve = np.concatenate([start, getattr(self.curves, f"{self.part}{signal}")[0]]).astype(np.float64)
+        kept = np.logical_and.accumulate((np.abs(curve) < LARGEST).all(axis=1))
+        return np.where(kept[:, None], curve, np.nan)
+
+    def errors(self) -> Float[np.ndarray, "states"]:
+        """Absolute position error, mean over joints; NaN from where it has diverged."""
+        return np.abs(self.follow("qpos") - self.curves.measured_qpos[0]).mean(axis=1)
+
+
+def draw_motion(drives: Sequence[Drive], joint: int, timestep: float, units: Sequence[str]) -> tuple[Panel, Panel]:
+    """Measured and simulated position of one joint above its velocity.
+
+    Paper magnifies the stretch where the drives are furthest apart, those without friction not counted.
+
+    Args:
+        drives: Under the same command, the one to be seen whole first.
+        joint: Which.
+        timestep: Of the samples [s].
+        units: Of position and velocity.
+    """
+    panels: list[Panel] = []
+    for (signal, quantity, share), unit in zip(_SIGNALS, units, strict=True):
+        measured = getattr(drives[0].curves, f"measured_{signal}")[0, :, joint].astype(np.float64)
+        curves = [drive.follow(signal)[:, joint] for drive in drives]
+        time = timestep * np.arange(len(measured))
+        back = Curve(x=time, y=measured, name="measured", width=4.5, opacity=0.3)
+        drawn = [Curve(x=time, y=curve, **drive.look) for drive, curve in zip(drives, curves, strict=True)]
+        y = Axis(quantity, unit, limits=frame([measured, curves[0]], curves[1:]))
+        friction = [curve for drive, curve in zip(drives, curves, strict=True) if not drive.reference]
+        magnified = None if panels else _magnify(time, measured, friction)
+        panels.append(Panel([back, *reversed(drawn)], _over(time[-1]), y, share=share, magnified=magnified))
+    return panels[0], panels[1]
+
+
+def draw_errors(drives: Sequence[Drive], timestep: float, window: float, unit: str) -> Panel:
+    """Moving mean and +- one standard deviation of the absolute position error.
+
+    Args:
+        drives: Under the same command.
+        timestep: Of the samples [s].
+        window: Length of the moving window [s].
+        unit: Of the position.
+    """
+    marks: list[Mark] = []
+    means, tops = [], []
+    for drive in drives:
+        error = drive.errors()
+        finite = error[np.isfinite(error)]
+        width = min(max(1, round(window / timestep)), len(finite))
+        mean, std = moving_mean_and_std(finite, width)
+        time = timestep * (np.arange(len(mean)) + (width - 1) / 2)
+        selected = "run" in drive.look
+        marks.append(Band(x=time, low=mean - std, high=mean + std, selected=selected, **drive.look))
+        marks.append(Curve(x=time, y=mean, **drive.look))
+        means.append(mean)
+        tops.append(mean + std)
+    widest = RUNAWAY if len(drives) > 2 else np.inf
+    y = scale_errors("absolute position error", unit, means, tops, widest)
+    duration = timestep * (drives[0].curves.measured_qpos.shape[1] - 1)
+    return Panel(marks, _over(duration), y, say_above(marks, y))
+
+
+def say_above(marks: Sequence[Mark], y: Axis) -> str:
+    """Which curves lie above the frame."""
+    top = y.limits[1] if y.limits else np.inf
+    curves = {mark.name: mark.y[np.isfinite(mark.y)] for mark in marks if isinstance(mark, Curve)}
+    above = [name for name, curve in curves.items() if len(curve) and curve.min() > top]
+    return f"above the frame: {', '.join(above)}" if above else ""
+
+
+def _over(duration: float) -> Axis:
+    return Axis("time", "s", limits=(0.0, float(duration)))
+
+
+def _magnify(
+    time: Float[np.ndarray, "states"],
+    measured: Float[np.ndarray, "states"],
+    curves: Sequence[Float[np.ndarray, "states"]],
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Limits of both axes of the stretch where curves that stay in sight to the end are furthest apart."""
+    sight = np.ptp(measured) or 1.0
+    whole = [curve for curve in curves if np.isfinite(curve).all()]
+    close = [curve for curve in whole if np.abs(curve - measured).max() <= sight] or whole
+    spread = np.ptp(close if len(close) > 1 else [measured, *close], axis=0)
+    centre, share = int(np.argmax(spread)), INSET
+    while True:
+        half = max(2, round(share * len(time) / 2))
+        start = min(max(0, centre - half), max(0, len(time) - 2 * half - 1))
+        part = slice(start, start + 2 * half + 1)
+        # Narrow enough for the curves' difference to be seen.
+        if share <= NARROWEST or np.ptp(measured[part]) <= MAGNIFIED * spread[centre]:
+            break
+        share /= 2
+    return (float(time[part][0]), float(time[part][-1])), frame([curve[part] for curve in (measured, *close)])

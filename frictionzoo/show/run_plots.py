@@ -1,0 +1,185 @@
+"""What is drawn of one run: the paper's figures 3, 4 and 5, and its errors at each horizon."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.figure import Figure as Drawing
+
+from frictionzoo.result.curves import Curves
+from frictionzoo.show import with_matplotlib
+from frictionzoo.show.colors import BASELINE, BEST, JOINTS, MODEL, TRAIN
+from frictionzoo.show.figure import Axis, Bars, Curve, Figure, Mark, Panel, Sheet, Stripe, scale_values
+from frictionzoo.show.rollouts import Drive, draw_errors, draw_motion
+from frictionzoo.show.text import format_number, format_unit
+
+REPORTED: Mapping[str, Any] = {"width": 0.0, "marker": "diamond", "size": 8.0, "color": BEST}  # what a fit reports
+
+
+def write_figures(folder: Path, result: Mapping[str, Any], curves: Curves) -> None:
+    """Figures 3, 4 and 5 of a run as PNG files.
+
+    Args:
+        folder: Where to write them.
+        result: What `result.json` holds.
+        curves: What `curves.safetensors` holds.
+
+    Raises:
+        OutputError: They cannot be written.
+    """
+    fit, rows = result["fit"], list(plot_history(result, curves))
+    fitted = f"{_describe(result, 'fit to the training part')}\nmarked: iteration {fit['best_iteration']}, as reported"
+    window = f"moving mean and standard deviation over {result['evaluation']['window']:g} s"
+    tested = _describe(result, "one rollout of the test part")
+    sheets = {
+        "figure3_parameters.png": Sheet(fitted, rows, 1.9, columns=2, headings=True),
+        "figure4_trajectory.png": _arrange_trajectory(result, curves),
+        "figure5_error.png": Sheet(f"{tested}\n{window}", [plot_error(result, curves)], 3.6),
+    }
+    if len(curves.history["iteration"]) == 1:  # known values have no course
+        del sheets["figure3_parameters.png"]
+    for name, sheet in sheets.items():
+        with_matplotlib.save_figure(with_matplotlib.draw(sheet), folder / name)
+
+
+def draw_rollout(result: Mapping[str, Any], curves: Curves) -> Drawing:
+    """Figure 4, for matplotlib.
+
+    Args:
+        result: What `result.json` holds.
+        curves: What `curves.safetensors` holds.
+    """
+    return with_matplotlib.draw(_arrange_trajectory(result, curves))
+
+
+def _arrange_trajectory(result: Mapping[str, Any], curves: Curves) -> Sheet:
+    title, figures = _describe(result, "one rollout of the test part"), list(plot_trajectory(result, curves))
+    return Sheet(title, figures, 6.0, columns=len(figures), headings=True)
+
+
+def _describe(result: Mapping[str, Any], what: str) -> str:
+    kind = "simulated" if result["data"]["simulated"] else "real"
+    return f"{result['model']}, {what} of {result['data']['name']} ({kind} data)"
+
+
+def plot_history(result: Mapping[str, Any], curves: Curves) -> Iterator[Figure]:
+    """Figure 3: loss and identified parameters over the iterations, a figure each, the reported iteration marked.
+
+    A law without parameters of its own to show (a network) has its gradient norm shown instead.
+
+    Args:
+        result: What `result.json` holds.
+        curves: What `curves.safetensors` holds.
+    """
+    history = curves.history
+    units = {f"{p['owner']}.{p['name']}": format_unit(p["unit"]) for p in result["parameters"] if p["identified"]}
+    names = ["loss", *(name for name in units if name in history)]
+    if "grad_norm" in history and not any(name.startswith("friction.") for name in names):
+        names.append("grad_norm")
+    iteration, best = history["iteration"].astype(np.float64), result["fit"]["best_iteration"]
+    at = int(np.flatnonzero(iteration == best)[0])
+    for name in names:
+        columns = np.reshape(history[name], (len(iteration), -1)).T.astype(np.float64)
+        label, unit = name.rpartition(".")[2], units.get(name, "")
+        reached = ", ".join(format_number(value) for value in columns[:, at])
+        y = Axis(unit=unit) if name in units else scale_values("", "", columns.ravel(), apart=10.0)
+        marks = list(_draw_courses(iteration, columns, at, result))
+        panel = Panel(marks, Axis("iteration"), y, note=reached if len(columns) == 1 else "")
+        text = f"{label} over {len(iteration)} iterations; {reached} {unit}".rstrip()
+        yield Figure(label, f"{text} at iteration {best}, which is reported and marked.", (panel,), small=True)
+
+
+def _draw_courses(
+    iteration: Float[np.ndarray, "iterations"],
+    columns: Float[np.ndarray, "joints iterations"],
+    at: int,
+    result: Mapping[str, Any],
+) -> Iterator[Mark]:
+    """A line a joint, points of a grid search, and the reported values."""
+    best, several = float(iteration[at]), len(columns) > 1
+    points: dict[str, Any] = {"width": 0.0, "marker": "circle", "size": 4.0}
+    look = points if result["fit"]["method"] == "grid" else {}
+    yield Stripe(low=best, high=best, color=BEST, dash=(4.0, 3.0))
+    for joint, column in enumerate(columns):
+        name = result["joints"][joint] if several else "value"
+        yield Curve(x=iteration, y=column, name=name, legend=several, color=JOINTS[joint % len(JOINTS)], **look)
+    yield Curve(x=np.full(len(columns), best), y=columns[:, at], name="reported", legend=several, **REPORTED)
+
+
+def plot_trajectory(result: Mapping[str, Any], curves: Curves) -> Iterator[Figure]:
+    """Figure 4, a figure a joint: measured and simulated position above velocity.
+
+    Args:
+        result: What `result.json` holds, for names and units.
+        curves: What `curves.safetensors` holds; of several rollouts, the first is drawn.
+    """
+    test, timestep, drives = result["metrics"]["test"], result["data"]["timestep"], _list_drives(curves)
+    duration = timestep * (curves.measured_qpos.shape[1] - 1)
+    for joint, name in enumerate(result["joints"]):
+        panels = draw_motion(drives, joint, timestep, (test["unit"], test["velocity_unit"]))
+        errors = [
+            _say_error(drive.follow("qpos")[:, joint] - curves.measured_qpos[0, :, joint], test["unit"])
+            for drive in drives
+        ]
+        text = (
+            f"Measured and simulated position and velocity of joint {name} over {duration:g} s; "
+            f"the mean position error is {errors[0]} with the model and {errors[1]} without friction."
+        )
+        yield Figure(f"Trajectory of {name}", text, panels, time=True)
+
+
+def _list_drives(curves: Curves) -> tuple[Drive, Drive]:
+    model, baseline = {"name": "this model", "color": MODEL}, {"name": "no friction", "color": BASELINE}
+    return Drive(curves, model), Drive(curves, baseline, "baseline_", reference=True)
+
+
+def _say_error(error: Float[np.ndarray, "samples"], unit: str) -> str:
+    """The mean absolute error of a rollout's steps, or that it has none."""
+    steps = np.abs(error[1:])
+    return f"{steps.mean():.4g} {unit}" if np.isfinite(steps).all() else "without a value (the rollout diverged)"
+
+
+def plot_error(result: Mapping[str, Any], curves: Curves) -> Figure:
+    """Figure 5: absolute position error over time, mean over joints: its moving mean and +- one standard deviation.
+
+    Args:
+        result: What `result.json` holds, for units and the moving window.
+        curves: What `curves.safetensors` holds; of several rollouts, the first is drawn.
+    """
+    window, unit, drives = result["evaluation"]["window"], result["metrics"]["test"]["unit"], _list_drives(curves)
+    model, baseline = (format_number(float(np.nanmax(drive.errors()))) for drive in drives)
+    text = (
+        f"Moving mean and standard deviation over {window:g} s of the absolute position error; the largest error is "
+        f"{model} {unit} with the model and {baseline} {unit} without friction."
+    )
+    panel = draw_errors(drives, result["data"]["timestep"], window, unit)
+    return Figure("Its error", text, (panel,), time=True)
+
+
+def plot_horizons(result: Mapping[str, Any]) -> Figure:
+    """Position error at every horizon: train, test and without friction.
+
+    Args:
+        result: What `result.json` holds.
+    """
+    entries = sorted(result["by_horizon"], key=lambda entry: entry["horizon"])
+    unit, places = entries[0]["test"]["unit"], np.arange(len(entries), dtype=np.float64)
+    parts = (("test", "test", MODEL), ("train", "train", TRAIN), ("baseline", "test, no friction", BASELINE))
+    marks = []
+    for i, (part, name, color) in enumerate(parts):
+        length, spread = (
+            np.array([entry[part][key] for entry in entries], np.float64)
+            for key in ("position_mae", "position_mae_std")
+        )
+        bars = {"at": places + 0.27 * (i - 1), "length": length, "spread": spread, "width": 0.27}
+        marks.append(Bars(name=name, color=color, upright=True, **bars))
+    x = Axis("length of the rollouts", ticks=tuple(f"{entry['horizon']:g} s" for entry in entries))
+    text = "; ".join(
+        f"at {entry['horizon']:g} s {format_number(entry['test']['position_mae'])} {unit} on test data, "
+        f"{format_number(entry['baseline']['position_mae'])} {unit} without friction"
+        for entry in entries
+    )
+    panel = Panel(marks, x, Axis("position MAE", unit))
+    return Figure("Position error by horizon", f"Mean position error {text}.", (panel,))

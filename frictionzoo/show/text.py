@@ -1,0 +1,34 @@
+"""How figures and pages print numbers, units and names."""
+
+import textwrap
+from collections.abc import Sequence
+
+
+def format_number(value: float | Sequence[float] | None) -> str:
+    """A value, or one for each joint, as it is printed."""
+    if value is None:
+        return "none"
+    return f"{value:.4g}" if isinstance(value, int | float) else ", ".join(f"{joint:.4g}" for joint in value)
+
+
+def format_unit(unit: str) -> str:
+    """A unit as it is printed; nothing for a pure number."""
+    return "" if unit == "1" else unit.replace("^2", "²")
+
+
+def format_change(value: float | None, reference: float | None) -> str:
+    """Relative change, where there is something to compare."""
+    if value is None or not reference:
+        return ""
+    percent = round(100 * (value / reference - 1))
+    return f"{'−' if percent < 0 else '+' if percent > 0 else '±'}{abs(percent)} %"
+
+
+def format_digits(value: float, digits: int) -> str:
+    """A value with so many significant digits, also where the last ones are 0."""
+    return f"{value:#.{digits}g}".rstrip(".")
+
+
+def wrap(text: str, width: int, lines: int | None = None) -> list[str]:
+    """A user's text on lines of this width, at most so many of them."""
+    return textwrap.wrap(text, width, max_lines=lines, placeholder=" …") or [" "]

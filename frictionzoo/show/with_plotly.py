@@ -1,0 +1,195 @@
+"""Figures for pages: `data` and `layout` of plotly.js."""
+
+import html
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from frictionzoo.show.colors import GRID, MODEL, SOFT, TEXT, fade
+from frictionzoo.show.figure import Axis, Band, Bars, Curve, Figure, Mark, Panel, Stripe, list_named, list_rows
+from frictionzoo.show.text import wrap
+
+POINTS = 4000  # largest number of points of a curve; a screen has fewer columns of pixels
+DIGITS = 6  # significant digits of a point, about what float32 holds
+TICK = 28  # characters of a tick's name on one line
+GAP = 0.06  # share of the height between two panels
+
+
+def draw(figure: Figure, points: int = POINTS) -> dict[str, Any]:
+    """A figure as plotly.js takes it; the page's script swaps the colours on a dark page.
+
+    Args:
+        figure: What to draw.
+        points: At most so many of each curve.
+    """
+    data: list[dict[str, Any]] = []
+    extra: dict[str, list[dict[str, Any]]] = {"shapes": [], "annotations": []}
+    axes: dict[str, Any] = {}
+    named: set[str] = set()
+    top, ticks = 1.0, 5 if figure.small else 8
+    heights = (1 - GAP * (len(figure.panels) - 1)) / sum(panel.share for panel in figure.panels)
+    for i, panel in enumerate(figure.panels):
+        axis = f"y{i + 1}" if i else "y"
+        bottom = max(0.0, top - heights * panel.share)
+        axes[f"yaxis{axis[1:]}"] = _make_axis(panel.y, ticks) | {"domain": [bottom, top]}
+        top = bottom - GAP
+        legend = list(map(id, list_named(panel)))
+        for mark in panel.marks:
+            if isinstance(mark, Stripe):
+                extra["shapes"].append(_draw_stripe(mark, axis))
+                continue
+            trace = _draw_mark(mark, points, panel)
+            shown = id(mark) in legend and mark.run is None and mark.name not in named
+            data.append(trace | {"yaxis": axis, "showlegend": shown})
+            named |= {mark.name} if shown else set()
+        extra["annotations"] += _annotate(panel, axis)
+    axes["xaxis"] = _make_axis(figure.panels[-1].x, ticks) | {"anchor": axis}
+    rows = bool(figure.panels[0].y.ticks)
+    top = 40 if named else 12 if figure.small and not extra["annotations"] else 30
+    margin = {"l": 20 if rows else 62, "r": 12, "t": top, "b": 44}
+    if rows:
+        axes["yaxis"] |= {"showgrid": False, "fixedrange": True}
+    hover = "closest" if rows else "x unified"
+    layout = {"margin": margin, "showlegend": bool(named), "hovermode": hover, "barmode": "overlay"}
+    return {"data": data, "layout": _SHARED | axes | layout | {name: value for name, value in extra.items() if value}}
+
+
+_SHARED: dict[str, Any] = {
+    "autosize": True,
+    "paper_bgcolor": "rgba(0,0,0,0)",
+    "plot_bgcolor": "rgba(0,0,0,0)",
+    "font": {"color": TEXT, "size": 12, "family": "system-ui, sans-serif"},
+    "legend": {"orientation": "h", "x": 0, "y": 1, "yanchor": "bottom"},
+    "hoverlabel": {"namelength": -1},
+    "uirevision": "keep",
+    "modebar": {"bgcolor": "rgba(0,0,0,0)", "color": SOFT, "activecolor": MODEL},
+}
+
+
+def _make_axis(axis: Axis, ticks: int) -> dict[str, Any]:
+    shown: dict[str, Any] = {"title": {"text": escape(axis.title), "standoff": 8}, "nticks": ticks}
+    shown |= {"gridcolor": GRID, "linecolor": GRID, "zeroline": False, "automargin": True}
+    if axis.limits:
+        shown["range"] = [_round(math.log10(end) if axis.log else end) for end in axis.limits]
+    if axis.log:
+        shown |= {"type": "log", "dtick": "D2" if axis.few else 1, "tickformat": ".1~g"}
+    if axis.ticks:
+        names = ["<br>".join(map(escape, wrap(name, TICK, 3))) for name in axis.ticks]
+        shown |= {"tickvals": list(range(len(names))), "ticktext": names}
+    return shown
+
+
+def _draw_mark(mark: Mark, points: int, panel: Panel) -> dict[str, Any]:
+    shared: dict[str, Any] = {"type": "scatter", "name": escape(mark.name), "opacity": mark.opacity}
+    shared |= {} if mark.run is None else {"meta": {"run": mark.run}}
+    match mark:
+        case Band():
+            kept = decimate(mark.low, points)
+            x = round_points(mark.x[kept])
+            # A logarithmic axis has no place for what reaches below 0.
+            low = np.maximum(mark.low, panel.y.limits[0] / 10) if panel.y.log and panel.y.limits else mark.low
+            outline = round_points(np.concatenate([mark.high[kept], low[kept][::-1]]))
+            shape = {"mode": "lines", "x": x + x[::-1], "y": outline, "fill": "toself", "fillcolor": fade(mark.color)}
+            only = {"meta": {"run": mark.run, "only": True}} if mark.selected else {}
+            return shared | shape | only | {"line": {"width": 0, "color": mark.color}, "hoverinfo": "skip"}
+        case Bars():
+            return shared | _draw_bars(mark, panel)
+        case Curve():
+            return shared | _draw_curve(mark, points, panel)
+    raise TypeError(type(mark).__name__)
+
+
+def _draw_curve(mark: Curve, points: int, panel: Panel) -> dict[str, Any]:
+    mode = "+".join(name for name, is_drawn in (("lines", mark.width), ("markers", mark.marker)) if is_drawn)
+    dash = ",".join(f"{mark.width * length:g}px" for length in mark.dash) or "solid"
+    trace: dict[str, Any] = {"mode": mode, "line": {"color": mark.color, "width": mark.width, "dash": dash}}
+    if mark.marker:
+        edge = {"color": mark.color, "width": 1.5}
+        trace["marker"] = {"color": mark.color, "symbol": mark.marker, "size": mark.size, "line": edge}
+    if mark.ends is not None:
+        below, above = map(round_points, np.abs(mark.ends - mark.x))
+        ends = {"type": "data", "symmetric": False, "array": above, "arrayminus": below}
+        trace["error_x"] = ends | {"color": mark.color, "thickness": 2, "width": 5}
+    trace |= _point(mark, "%{y:.5g}", panel.y.unit)
+    return trace | _pick_points(mark.x, mark.y, points)
+
+
+def _draw_bars(mark: Bars, panel: Panel) -> dict[str, Any]:
+    along, across = ("y", "x") if mark.upright else ("x", "y")
+    unit = panel.y.unit if mark.upright else panel.x.unit
+    trace: dict[str, Any] = {"type": "bar", "orientation": "v" if mark.upright else "h", "width": mark.width}
+    trace |= {across: round_points(mark.at), along: round_points(mark.length)}
+    trace |= {"marker": {"color": fade(mark.color) if mark.pale else mark.color}}
+    if mark.pale:
+        trace["marker"] |= {"line": {"color": mark.color, "width": 1.5}}
+    if mark.spread is not None:
+        trace[f"error_{along}"] = {"array": round_points(mark.spread), "color": TEXT, "thickness": 1.2, "width": 4}
+    return trace | _point(mark, f"%{{{along}:.5g}}", unit)
+
+
+def _point(mark: Curve | Bars, value: str, unit: str) -> dict[str, Any]:
+    """What is said under the pointer."""
+    if not mark.name:
+        return {"hoverinfo": "skip"}
+    if mark.notes:
+        return {"hovertext": [escape(note) for note in mark.notes], "hovertemplate": "%{hovertext}"}
+    return {"hovertemplate": f"{value} {escape(unit)}".rstrip()}
+
+
+def _draw_stripe(mark: Stripe, axis: str) -> dict[str, Any]:
+    kind = {"type": "line" if mark.low == mark.high else "rect", "layer": "below", "opacity": mark.opacity}
+    own, other = ("y", "x") if mark.level else ("x", "y")
+    place = {f"{own}0": mark.low, f"{own}1": mark.high, f"{other}0": 0, f"{other}1": 1}
+    refs = {"xref": "paper" if mark.level else "x", "yref": axis if mark.level else f"{axis} domain"}
+    dash = ",".join(f"{length:g}px" for length in mark.dash) or "solid"
+    if mark.low == mark.high:
+        return kind | place | refs | {"line": {"color": mark.color, "width": 1, "dash": dash}}
+    return kind | place | refs | {"fillcolor": mark.color, "line": {"width": 0}}
+
+
+def _annotate(panel: Panel, axis: str) -> list[dict[str, Any]]:
+    shared = {"showarrow": False, "xref": "paper", "x": 1, "xanchor": "right", "font": {"color": TEXT, "size": 12}}
+    end = panel.x.limits[1] if panel.x.limits else math.inf
+    beyond = [(row, f"{value:.3g} →") for row, value, _ in list_rows(panel) if value > end]
+    texts = [shared | {"text": text, "yref": axis, "y": row} for row, text in beyond]
+    if panel.note:
+        texts.append(shared | {"text": escape(panel.note), "yref": f"{axis} domain", "y": 1, "yanchor": "bottom"})
+    return texts
+
+
+def _pick_points(
+    x: Float[np.ndarray, "points"], y: Float[np.ndarray, "points"], points: int
+) -> dict[str, list[float | None]]:
+    """A curve of at most `points` points, without the samples that are not finite."""
+    finite = np.isfinite(y)
+    x, y = x[finite], y[finite]
+    kept = decimate(y, points)
+    return {"x": round_points(x[kept]), "y": round_points(y[kept])}
+
+
+def decimate(curve: Float[np.ndarray, "points"], points: int) -> Int[np.ndarray, "kept"]:
+    """Indices of at most `points` points that look like the whole curve: lowest and highest of each stretch."""
+    if len(curve) <= points:
+        return np.arange(len(curve))
+    edges = np.linspace(0, len(curve), points // 2).astype(int)
+    stretches = [(int(start), curve[start:stop]) for start, stop in pairwise(edges)]
+    extremes = [start + int(at) for start, part in stretches for at in (part.argmin(), part.argmax())]
+    return np.unique([0, *extremes, len(curve) - 1])
+
+
+def round_points(values: Sequence[float] | Float[np.ndarray, "points"]) -> list[float | None]:
+    """Values as short as their precision allows, null for what is not finite."""
+    return [_round(value) if math.isfinite(value) else None for value in values]
+
+
+def _round(value: float) -> float:
+    return float(f"{value:.{DIGITS}g}")
+
+
+def escape(text: str) -> str:
+    """A name as text: plotly.js reads a few HTML tags and entities."""
+    return html.escape(text, quote=False)
