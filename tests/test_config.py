@@ -2,6 +2,7 @@
 
 import fnmatch
 import functools
+import re
 import shlex
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import pytest
 from omegaconf import DictConfig, OmegaConf
 
+from frictionzoo import fit
 from frictionzoo.core.build import build
 from frictionzoo.core.config import (
     _OPEN,
@@ -18,10 +20,27 @@ from frictionzoo.core.config import (
     compose_config,
     list_options,
 )
+from frictionzoo.core.described import read_defaults
 from frictionzoo.core.errors import ConfigError
-from frictionzoo.fit import Grid, loggers
-from frictionzoo.models import Baseline, registry
+from frictionzoo.core.segments import cut_segments
+from frictionzoo.fit import Grid, Objective, loggers, run_fit
+from frictionzoo.logs.clean import Cleaning
+from frictionzoo.logs.files import Files
+from frictionzoo.logs.split import Split
+from frictionzoo.models import (
+    Baseline,
+    DissipativeNetwork,
+    HistoryNetwork,
+    MaxwellSlip,
+    NeuralFriction,
+    OddNetwork,
+    TemperatureArrhenius,
+    TemperatureLinear,
+    registry,
+)
+from frictionzoo.result.evaluate import Evaluation
 
+METHODS = {"adam": "Adam", "lm": "LevenbergMarquardt", "auto": "Auto", "grid": "Grid"}
 HOMES = {"model": "models", "bench": "bench", "fit": "fit", "logger": "fit"}  # where the classes of a group are
 CHOICES = {group: sorted(path.stem for path in (CONF_DIR / group).glob("*.yaml")) for group in (*HOMES, "data")}
 EXPERIMENTS = sorted((CONF_DIR / "experiment").glob("*.yaml"))
@@ -54,6 +73,39 @@ def test_every_choice_composes_resolves_and_builds(number: int, monkeypatch: pyt
     for group, home in HOMES.items():
         part = build(config[group], **({"nv": 1} if group == "model" else {}))
         assert type(part).__module__.startswith(f"frictionzoo.{home}")
+
+
+LAWS = (DissipativeNetwork, HistoryNetwork, MaxwellSlip, NeuralFriction, OddNetwork, TemperatureLinear)
+DEFAULTS = {  # what Python takes where nothing is said, by the choice and the section that say it for the command line
+    **{f"fit={name}": getattr(fit, cls) for name, cls in METHODS.items()},
+    **{f"logger={name}": getattr(loggers, name.capitalize()) for name in ("wandb", "mlflow")},
+    **{f"model={law.name}": law for law in (*LAWS, TemperatureArrhenius)},
+    "data=files": Files,
+    "data=files clean": Cleaning,
+    "data=files split": Split,
+    "segments": cut_segments,
+    "loss": Objective,
+    "evaluation": Evaluation,
+    "loop": run_fit,
+}
+LEFT_TO_THE_JOB = {"history", "params", "_target_"}
+
+
+@pytest.mark.parametrize("place", DEFAULTS)
+def test_defaults_of_the_command_line_are_those_of_python(place: str) -> None:
+    choice, _, section = place.partition(" ")
+    group, _, _ = choice.partition("=")
+    said = OmegaConf.to_container(compose_once(*[choice] if "=" in choice else []), resolve=True)[group]
+    said = without_nulls(said[section] if section else said)
+    defaults = without_nulls(read_defaults(DEFAULTS[place]))
+    left = LEFT_TO_THE_JOB | ({"clean", "split"} if place == "data=files" else set())
+    assert {k: v for k, v in said.items() if k not in left} == {k: v for k, v in defaults.items() if k not in left}
+
+
+def without_nulls(section: dict[str, Any]) -> dict[str, Any]:
+    """A section without what it says nothing of."""
+    inner = {name: without_nulls(value) if isinstance(value, dict) else value for name, value in section.items()}
+    return {name: value for name, value in inner.items() if value not in (None, {}, [])}
 
 
 def test_every_bench_and_every_variant_is_looked_at() -> None:
@@ -134,10 +186,13 @@ def test_build_makes_the_class_with_its_arguments() -> None:
     assert isinstance(build({"_target_": "frictionzoo.fit.Grid"}, points=2), Grid)
 
 
-@pytest.mark.parametrize("arguments", [{}, {"points": 3, "speed": 1}])
-def test_build_refuses_other_arguments(arguments: dict[str, Any]) -> None:
-    with pytest.raises(ConfigError, match=r"frictionzoo\.fit\.Grid"):
-        build({"_target_": "frictionzoo.fit.Grid", **arguments})
+@pytest.mark.parametrize(
+    ("target", "arguments"),
+    [("frictionzoo.bench.Bench", {}), ("frictionzoo.fit.Grid", {"points": 3, "speed": 1})],
+)
+def test_build_refuses_other_arguments(target: str, arguments: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError, match=re.escape(target)):
+        build({"_target_": target, **arguments})
 
 
 @pytest.mark.parametrize(

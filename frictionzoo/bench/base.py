@@ -14,6 +14,7 @@ from frictionzoo.bench.actuators import Actuator
 from frictionzoo.bench.channels import Channels, pick_inputs, pick_observed
 from frictionzoo.bench.compiled import INERTIAL, NO_PAYLOAD, combine, put_inertial
 from frictionzoo.bench.template import Template, in_full
+from frictionzoo.core.described import Described
 from frictionzoo.core.errors import BenchError, ConfigError, closest
 from frictionzoo.core.log import Dataset, Log, Payload
 from frictionzoo.core.params import Param, read_params
@@ -34,7 +35,7 @@ DEFAULTS: dict[str, dict[str, Any]] = {
 _HEAVIER = 100.0  # times a fitted armature, or a part of it, within which it may move where a bench starts again
 
 
-class Bench:
+class Bench(Described):
     """The simulated test stand of one drive.
 
     The MJCF is a template without friction, armature or actuator at the identified joints; `mjcf` writes these in. The

@@ -89,7 +89,7 @@ class Sampling(NamedTuple):
     history: int
 
 
-def cut_segments(logs: Sequence[Log], count: int | None, length: int, history: int = 0) -> Segments:
+def cut_segments(logs: Sequence[Log], count: int | None = 20_000, length: int = 5, history: int = 0) -> Segments:
     """Windows for a fit: they share no step, and are spread evenly if there are more of them than asked for.
 
     Neighbours share the sample on their border: it ends one and starts the other.

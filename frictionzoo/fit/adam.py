@@ -50,7 +50,12 @@ class Adam(Fit):
     """
 
     def __init__(
-        self, iterations: int, learning_rate: float, b2: float, derivative: str, schedule: str = "constant"
+        self,
+        iterations: int = 700,
+        learning_rate: float = 0.01,
+        b2: float = 0.9,
+        derivative: str = "auto",
+        schedule: str = "constant",
     ) -> None:
         if iterations < 1:
             raise ConfigError(f"fit.iterations={iterations}; expected at least 1")

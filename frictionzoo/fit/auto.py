@@ -26,13 +26,13 @@ class Auto(Fit):
 
     def __init__(
         self,
-        tries: int,
-        tolerance: float,
-        iterations: int,
-        learning_rate: float,
-        b2: float,
-        derivative: str,
-        schedule: str,
+        tries: int = 100,
+        tolerance: float = 1e-8,
+        iterations: int = 700,
+        learning_rate: float = 0.01,
+        b2: float = 0.9,
+        derivative: str = "auto",
+        schedule: str = "constant",
     ) -> None:
         refuse_outside("fit.tries", tries, 1, MOST_TRIES)
         self._lm = LevenbergMarquardt(tries, tolerance)

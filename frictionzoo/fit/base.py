@@ -7,6 +7,7 @@ from typing import Any, ClassVar, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from frictionzoo.core.described import Described
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.registry import KINDS, Registry
 from frictionzoo.fit.objective import Objective
@@ -56,7 +57,7 @@ Chunk = Callable[[Progress, int], tuple[Progress, Trace]]
 """(progress, count) to the progress after up to `count` more iterations, and a trace whose first rows are theirs."""
 
 
-class Fit(ABC):
+class Fit(Described, ABC):
     """A way of finding parameters.
 
     Attributes:

@@ -39,7 +39,7 @@ class Grid(Fit):
         ConfigError: Fewer than two points.
     """
 
-    def __init__(self, points: int) -> None:
+    def __init__(self, points: int = 11) -> None:
         if points < 2:
             raise ConfigError(f"fit.points={points}; expected at least 2")
         self._points = points

@@ -54,7 +54,7 @@ class LevenbergMarquardt(Fit):
         ConfigError: An argument is out of range.
     """
 
-    def __init__(self, iterations: int, tolerance: float) -> None:
+    def __init__(self, iterations: int = 100, tolerance: float = 1e-8) -> None:
         refuse_outside("fit.iterations", iterations, 1, MOST_TRIES)
         if not 0 < tolerance < 1:
             raise ConfigError(f"fit.tolerance={tolerance}; expected a number between 0 and 1")

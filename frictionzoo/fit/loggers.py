@@ -116,7 +116,7 @@ class Wandb(RunLogger):
         ConfigError: wandb is not installed.
     """
 
-    def __init__(self, project: str) -> None:
+    def __init__(self, project: str = "frictionzoo") -> None:
         _require("wandb", "wandb")
         self._project = project
 
@@ -156,7 +156,7 @@ class Mlflow(RunLogger):
         ConfigError: mlflow is not installed, or not what it needs to write a database.
     """
 
-    def __init__(self, experiment: str) -> None:
+    def __init__(self, experiment: str = "frictionzoo") -> None:
         _require("mlflow", "mlflow", "sqlalchemy", "alembic")
         self._experiment = experiment
 

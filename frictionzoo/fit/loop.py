@@ -74,9 +74,9 @@ def run_fit(
     identity: Mapping[str, str],
     logger: RunLogger,
     hyperparameters: Mapping[str, Any],
-    chunk: int,
-    patience: int | None,
-    progress: bool,
+    chunk: int = 25,
+    patience: int | None = None,
+    progress: bool = True,
 ) -> Outcome:
     """Run a fit to its end, from the folder's checkpoint if it has one.
 

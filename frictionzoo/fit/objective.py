@@ -107,11 +107,11 @@ class Objective:
         space: Space,
         rollout: Rollout,
         segments: Segments,
-        position: float,
-        velocity: float,
-        robust: str,
-        robust_scale: float,
-        refine: bool,
+        position: float = 1.0,
+        velocity: float = 1.0,
+        robust: str = "none",
+        robust_scale: float = 1.0,
+        refine: bool = False,
     ) -> None:
         if min(position, velocity) < 0 or max(position, velocity) == 0:
             raise ConfigError(

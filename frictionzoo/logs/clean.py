@@ -14,6 +14,7 @@ import numpy as np
 import scipy.interpolate
 from jaxtyping import Bool, Float
 
+from frictionzoo.core.described import Described
 from frictionzoo.core.errors import ConfigError, LogError, closest
 from frictionzoo.core.log import JITTER, Log
 from frictionzoo.logs.diagnose import refuse_incomplete
@@ -36,7 +37,7 @@ NUMBER = re.compile(r"-?\d+(\.\d+)?(e-?\d+)?")
 
 
 @dataclass(frozen=True)
-class Cleaning:
+class Cleaning(Described):
     """How recordings become logs.
 
     Attributes:
@@ -63,16 +64,16 @@ class Cleaning:
         ConfigError: A value is impossible.
     """
 
-    step: float | None
-    resample: str
-    gap: float
-    wrap: float | None
-    spikes: str
-    velocity: str
-    cutoff: float
-    order: int
-    velocity_lag: float | str | None
-    shortest: float
+    step: float | None = None
+    resample: str = "linear"
+    gap: float = 5.0
+    wrap: float | None = None
+    spikes: str = "keep"
+    velocity: str = "auto"
+    cutoff: float = 20.0
+    order: int = 2
+    velocity_lag: float | str | None = None
+    shortest: float = 0.1
 
     def __post_init__(self) -> None:
         for option, choices in CHOICES.items():

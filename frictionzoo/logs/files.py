@@ -7,11 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from frictionzoo.core.described import describe
 from frictionzoo.core.errors import ConfigError, LogError, closest
 from frictionzoo.core.log import Dataset, Log, Payload
 from frictionzoo.logs.clean import Cleaning, clean, summarise_repairs
 from frictionzoo.logs.columns import Proposal, name_headers, propose, to_recording
 from frictionzoo.logs.formats import format_names, read_tables
+from frictionzoo.logs.logs import Logs
 from frictionzoo.logs.paths import find_files
 from frictionzoo.logs.payloads import choose_payloads
 from frictionzoo.logs.recording import SIGNALS, Recording, Table
@@ -20,6 +22,10 @@ from frictionzoo.logs.source import Source, register_source
 from frictionzoo.logs.split import Split
 from frictionzoo.logs.units import ratio
 
+UPRIGHT = {"qpos": 1, "qvel": 1, "ctrl": 1}
+"""Each signal with its own sign."""
+AS_IT_IS = Cleaning()
+"""The cleaning that a recording gets of which nothing is said."""
 _log = logging.getLogger(__name__)
 
 
@@ -53,24 +59,24 @@ class Files(Source):
 
     def __init__(
         self,
-        name: str,
-        train: Any,
-        test: Any,
-        folder: str | None,
-        source: str | None,
-        format: str,
-        columns: Mapping[str, Any],
-        units: Mapping[str, str | None],
-        sign: Mapping[str, int],
-        fields: Any,
-        fields_from_name: str | None,
-        where: Any,
-        exclude: Any,
-        clean: Cleaning,
-        payload: Sequence[Any],
-        inputs: Any,
-        split: Mapping[str, Any],
-        simulated: bool,
+        name: str = "files",
+        train: Any = (),
+        test: Any = (),
+        folder: str | None = None,
+        source: str | None = None,
+        format: str = "auto",
+        columns: Mapping[str, Any] | None = None,
+        units: Mapping[str, str | None] | None = None,
+        sign: Mapping[str, int] = UPRIGHT,
+        fields: Any = None,
+        fields_from_name: str | None = None,
+        where: Any = None,
+        exclude: Any = None,
+        clean: Cleaning = AS_IT_IS,
+        payload: Sequence[Any] = (),
+        inputs: Any = None,
+        split: Mapping[str, Any] | None = None,
+        simulated: bool = False,
     ) -> None:
         if format not in ("auto", *format_names()):
             raise ConfigError(f"data.format={format}: no such format; {closest(format, ('auto', *format_names()))}")
@@ -95,7 +101,7 @@ class Files(Source):
         self.clean: Cleaning = clean
         self.payload: Sequence[Any] = payload
         self.simulated: bool = simulated
-        self.split: Split = Split(split["by"], split["test"], float(split["test_share"]), float(split["gap"]))
+        self.split: Split = Split(**(split or {}))
         if self.test and self.split.by != "time":
             raise ConfigError(f"data.split.by={self.split.by} and data.test={self.test}; expected one of them")
 
@@ -105,7 +111,7 @@ class Files(Source):
         Raises:
             LogError: A file cannot be read, does not hold what `columns` names, or none is kept.
         """
-        train, test = self._read()
+        train, test = self._interpret_all()
         return train + test
 
     def load(self) -> Dataset:
@@ -115,23 +121,32 @@ class Files(Source):
             LogError: A file cannot be read, does not hold what `columns` names, or a part has no recording.
             ConfigError: A payload is none, or no one fits a recording.
         """
-        train, test = self._read()
+        return self.read().divide()
+
+    def read(self, tables: Sequence[Table] = ()) -> Logs:
+        """The cleaned recordings, not yet divided.
+
+        Args:
+            tables: Further recordings that may train, which are in no file.
+
+        Raises:
+            LogError: A file cannot be read, or does not hold what `columns` names.
+            ConfigError: A payload is none, or no one fits a recording.
+        """
+        train, test = self._interpret_all(tables)
         recordings = train + test
         payloads = choose_payloads(self.payload, recordings)
         logs = [self._clean(*pair) for pair in zip(recordings, payloads, strict=True)]
         self._report(recordings, logs)
-        if test:
-            parts = logs[: len(train)], logs[len(train) :]
-            first, last = ([log for cleaned in part for log in cleaned] for part in parts)
-        else:
-            first, last = self.split.divide(recordings, logs)
-        return Dataset(self.name, tuple(first), tuple(last))
+        section = describe(self) | {"train": [*self.train, *(table.name for table in tables)]}
+        cleaned = tuple(tuple(pieces) for pieces in logs)
+        return Logs(self.name, tuple(recordings), cleaned, len(test), self.split, section)
 
-    def _read(self) -> tuple[list[Recording], list[Recording]]:
+    def _interpret_all(self, tables: Sequence[Table] = ()) -> tuple[list[Recording], list[Recording]]:
         """The recordings that may train, and those that only test."""
-        if not self.train:
+        if not self.train and not tables:
             raise LogError("data.train=[]: no recording; name files, as in data.train=[a.csv] data.test=[b.csv]")
-        train, test = (self._tables(names) for names in (self.train, self.test))
+        train, test = [*self._tables(self.train), *tables], self._tables(self.test)
         held_out = {table.name for table in test}
         twice = [table.name for table in train if table.name in held_out]
         if twice:
@@ -245,8 +260,9 @@ def _signs(given: Mapping[str, Any]) -> dict[str, int]:
     return dict(given)
 
 
-def _signals(option: str, given: Mapping[str, Any]) -> dict[str, Any]:
+def _signals(option: str, given: Mapping[str, Any] | None) -> dict[str, Any]:
     """What is said of signals, without those of which nothing is."""
+    given = given or {}
     for signal in given:
         if signal not in SIGNALS:
             raise ConfigError(f"data.{option}.{signal}: unknown signal; {closest(str(signal), SIGNALS)}")

@@ -2,11 +2,12 @@
 
 from abc import ABC, abstractmethod
 
+from frictionzoo.core.described import Described
 from frictionzoo.core.log import Dataset
 from frictionzoo.core.registry import KINDS, Registry
 
 
-class Source(ABC):
+class Source(Described, ABC):
     """What a file of `conf/data` builds. Its attribute `name` is the data set's; of the class, the registered one."""
 
     name: str

@@ -30,10 +30,10 @@ class Split:
         ConfigError: `test` does not fit `by`.
     """
 
-    by: str
-    test: Sequence[Any] | float
-    test_share: float
-    gap: float
+    by: str = "time"
+    test: Sequence[Any] | float = ()
+    test_share: float | int = 0.2
+    gap: float | int = 1.0
 
     def __post_init__(self) -> None:
         if self.by == "time" and self._tested:
@@ -59,7 +59,8 @@ class Split:
             ConfigError: An option is impossible.
         """
         if self.by == "time":
-            parts = [split_by_time(log, self.test_share, self.gap) for cleaned in logs for log in cleaned]
+            share, gap = float(self.test_share), float(self.gap)
+            parts = [split_by_time(log, share, gap) for cleaned in logs for log in cleaned]
             return [first for first, _ in parts], [last for _, last in parts]
         tests = self._choose_files(recordings) if self.by == "file" else self._choose_by_field(recordings)
         if tests.all():

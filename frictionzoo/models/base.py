@@ -6,11 +6,12 @@ from typing import Any, ClassVar
 
 import torch
 
+from frictionzoo.core.described import Described
 from frictionzoo.core.params import Param, read_params
 from frictionzoo.core.state import DriveState, FrictionTerms
 
 
-class FrictionModel(torch.nn.Module, ABC):
+class FrictionModel(Described, torch.nn.Module, ABC):
     """A friction law: a torch module that owns its parameters, and one formula written over an array namespace.
 
     A law declares its physical parameters in `dimensions`; they become `torch.nn.Parameter`s of shape (nv,) that hold

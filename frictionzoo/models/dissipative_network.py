@@ -64,7 +64,11 @@ class DissipativeNetwork(GearNetwork):
     dissipative = True
 
     def __init__(
-        self, nv: int, hidden: Sequence[int], seed: int, params: Mapping[str, Mapping[str, Any]] | None = None
+        self,
+        nv: int,
+        hidden: Sequence[int] = (64, 64),
+        seed: int = 0,
+        params: Mapping[str, Mapping[str, Any]] | None = None,
     ) -> None:
         super().__init__(nv, hidden, 2, seed, params)
         torch.nn.init.constant_(self.layers[-1].get_parameter("bias"), START)

@@ -62,7 +62,14 @@ class HistoryNetwork(NetworkModel):
 
     time_constants: torch.Tensor
 
-    def __init__(self, nv: int, hidden: Sequence[int], memory: int, time_constants: Sequence[float], seed: int) -> None:
+    def __init__(
+        self,
+        nv: int,
+        hidden: Sequence[int] = (64, 64),
+        memory: int = 8,
+        time_constants: Sequence[float] = (0.002, 2.0),
+        seed: int = 0,
+    ) -> None:
         refuse_outside("model.memory", memory, 1, MOST_WIDTH)
         super().__init__(nv, hidden, 1 + 2 * memory, seed)
         if len(time_constants) != 2 or not 0 < time_constants[0] < time_constants[1] < float("inf"):

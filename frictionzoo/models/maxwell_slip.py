@@ -62,7 +62,7 @@ class MaxwellSlip(FrictionModel):
     }
     dissipative = True
 
-    def __init__(self, nv: int, elements: int, params: Mapping[str, Mapping[str, Any]] | None = None) -> None:
+    def __init__(self, nv: int, elements: int = 4, params: Mapping[str, Mapping[str, Any]] | None = None) -> None:
         super().__init__(nv, params)
         refuse_outside("model.elements", elements, 1, MOST_ELEMENTS)
         self.memory = elements

@@ -38,7 +38,7 @@ class NeuralFriction(NetworkModel):
         ConfigError: A width is below 1.
     """
 
-    def __init__(self, nv: int, hidden: Sequence[int], seed: int) -> None:
+    def __init__(self, nv: int, hidden: Sequence[int] = (64, 64), seed: int = 0) -> None:
         super().__init__(nv, hidden, 1, seed)
 
     def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:

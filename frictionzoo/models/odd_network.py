@@ -56,7 +56,7 @@ class OddNetwork(GearNetwork):
         ConfigError: A width is below 1.
     """
 
-    def __init__(self, nv: int, hidden: Sequence[int], seed: int) -> None:
+    def __init__(self, nv: int, hidden: Sequence[int] = (64, 64), seed: int = 0) -> None:
         super().__init__(nv, hidden, 1, seed)
 
     def prepare(self, samples: DriveState) -> None:

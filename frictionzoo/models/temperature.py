@@ -32,7 +32,7 @@ class TemperatureModel(FrictionModel):
     constraint = True
     dissipative = True
 
-    def __init__(self, nv: int, reference: float, params: Mapping[str, Mapping[str, Any]] | None = None) -> None:
+    def __init__(self, nv: int, reference: float = 25.0, params: Mapping[str, Mapping[str, Any]] | None = None) -> None:
         super().__init__(nv, params)
         if not ABSOLUTE_ZERO < reference < float("inf"):
             raise ConfigError(f"model.reference={reference}; expected a temperature above {ABSOLUTE_ZERO} degC")

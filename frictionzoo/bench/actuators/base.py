@@ -9,6 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
+from frictionzoo.core.described import Described
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.params import Param, read_params
 from frictionzoo.core.registry import KINDS, Registry
@@ -30,7 +31,7 @@ class Affine(NamedTuple):
     bias2: Any
 
 
-class Actuator(ABC):
+class Actuator(Described, ABC):
     """An actuator law.
 
     Attributes:

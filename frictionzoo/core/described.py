@@ -1,0 +1,83 @@
+"""Parts that remember how they were made, so that a run's record can tell it and they can be made again."""
+
+import importlib
+import inspect
+from collections.abc import Callable, Mapping
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+
+from frictionzoo.core.errors import ConfigError
+
+
+class Described:
+    """A class whose objects remember the arguments of their constructor."""
+
+    def __new__(cls, *args: Any, **kwargs: Any) -> Any:
+        """An object that has kept these arguments."""
+        made = super().__new__(cls)
+        object.__setattr__(made, "_given", (args, kwargs))  # a dataclass may be frozen
+        return made
+
+
+def describe(part: Any) -> Any:
+    """The section of a configuration that makes this part again, as `build` reads it.
+
+    Args:
+        part: A `Described` object, or what one is given: mappings, sequences, paths, numbers, text.
+
+    Raises:
+        ConfigError: It cannot be written into a record.
+    """
+    if isinstance(part, Described):
+        args, kwargs = getattr(part, "_given")  # noqa: B009 - set in __new__
+        return {"_target_": _public_name(type(part)), **_arguments(type(part), args, kwargs)}
+    if isinstance(part, Mapping):
+        return {str(name): describe(value) for name, value in part.items()}
+    if isinstance(part, np.ndarray | np.generic):
+        return part.tolist()
+    if isinstance(part, list | tuple):
+        return [describe(value) for value in part]
+    if isinstance(part, PurePath):
+        return str(part)
+    if part is None or isinstance(part, bool | int | float | str):
+        return part
+    raise ConfigError(f"{part!r}: expected numbers, text, lists or parts of frictionzoo, which a record can hold")
+
+
+def read_defaults(function: Callable[..., Any]) -> dict[str, Any]:
+    """What a function or a constructor takes where nothing is said, by argument, as a configuration has it.
+
+    Args:
+        function: The function, or a class.
+    """
+    parameters = inspect.signature(_callable(function)).parameters
+    return {name: describe(p.default) for name, p in parameters.items() if p.default is not inspect.Parameter.empty}
+
+
+def _callable(function: Callable[..., Any]) -> Callable[..., Any]:
+    # A class's own signature would be that of `Described.__new__`.
+    return function.__init__ if isinstance(function, type) else function
+
+
+def _arguments(cls: type, args: tuple[Any, ...], kwargs: Mapping[str, Any]) -> dict[str, Any]:
+    """All arguments of a constructor by name, those that were not given with their defaults."""
+    signature = inspect.signature(_callable(cls))
+    bound = signature.bind(None, *args, **kwargs)
+    bound.apply_defaults()
+    named: dict[str, Any] = {}
+    for name, parameter in list(signature.parameters.items())[1:]:
+        value = bound.arguments[name]
+        named |= value if parameter.kind is inspect.Parameter.VAR_KEYWORD else {name: value}
+    return {name: describe(value) for name, value in named.items()}
+
+
+def _public_name(cls: type) -> str:
+    """Dotted name of a class in the room that offers it, as conf/ has it, which outlasts a change inside the room."""
+    parts = cls.__module__.split(".")
+    for count in range(2, len(parts)):
+        package = ".".join(parts[:count])
+        if getattr(importlib.import_module(package), cls.__qualname__, None) is cls:
+            return f"{package}.{cls.__qualname__}"
+    return f"{cls.__module__}.{cls.__qualname__}"

@@ -1,0 +1,78 @@
+"""Recordings that were read and cleaned, before they are divided into what trains and what tests."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.log import Dataset, Log
+from frictionzoo.logs.recording import Recording
+from frictionzoo.logs.split import Split
+
+
+@dataclass(frozen=True, repr=False)
+class Logs:
+    """Recordings with the logs that came of them; to go through it goes through the logs.
+
+    Attributes:
+        name: Of them all.
+        recordings: As they come, those that only test last.
+        cleaned: The logs of each recording, one for each stretch without a gap.
+        held_out: How many recordings only test; 0 where `split` divides them.
+        split: What then trains and what tests.
+        section: The configuration that reads the same again.
+    """
+
+    name: str
+    recordings: tuple[Recording, ...]
+    cleaned: tuple[tuple[Log, ...], ...]
+    held_out: int
+    split: Split
+    section: Mapping[str, Any]
+
+    def __iter__(self) -> Iterator[Log]:
+        return (log for pieces in self.cleaned for log in pieces)
+
+    def __len__(self) -> int:
+        return sum(map(len, self.cleaned))
+
+    def __repr__(self) -> str:
+        """A line for each log, and below it what was repaired."""
+        return "\n".join(line for log in self for line in (_describe(log), *(f"  {each}" for each in log.repairs)))
+
+    def dividing(self, test: float | Split | None) -> "Logs":
+        """The same recordings, divided in another way.
+
+        Args:
+            test: The last share of each recording, or a rule; None as they were.
+
+        Raises:
+            ConfigError: Some were read to test only.
+        """
+        if test is None:
+            return self
+        if self.held_out:
+            raise ConfigError(f"test={test!r}: {self.held_out} recordings were read to test; leave one of the two out")
+        split = test if isinstance(test, Split) else Split(test_share=test)
+        return replace(self, split=split, section={**self.section, "split": asdict(split)})
+
+    def divide(self) -> Dataset:
+        """The logs that train and those that test.
+
+        Raises:
+            LogError: A part has no recording.
+            ConfigError: The split is impossible.
+        """
+        if self.held_out:
+            parts = self.cleaned[: -self.held_out], self.cleaned[-self.held_out :]
+            train, test = ([log for pieces in part for log in pieces] for part in parts)
+        else:
+            train, test = self.split.divide(self.recordings, self.cleaned)
+        return Dataset(self.name, tuple(train), tuple(test))
+
+
+def _describe(log: Log) -> str:
+    seconds, joints = log.samples * log.timestep, log.qpos.shape[1]
+    extras = f", with {', '.join(log.extras)}" if log.extras else ""
+    of = f" of {joints} joints" if joints > 1 else ""
+    return f"{log.name}: {seconds:.4g} s, {log.samples} samples{of} every {log.timestep:.4g} s{extras}"
