@@ -23,10 +23,11 @@ from measure import compile_time, make_parser, report
 from mujoco import mjx
 from omegaconf import OmegaConf
 
-from frictionzoo.cli.job import Problem
 from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config
 from frictionzoo.fit import run_fit
+from frictionzoo.fit.loop import Record
+from frictionzoo.identification import Problem
 
 COLUMNS = {
     "way": "way",
@@ -42,15 +43,15 @@ GRID = "mujoco_grid_search"
 MODELS = ("mujoco_default", "coulomb_smooth", "coulomb_stribeck", "neural_friction")
 
 
-def pose(*overrides: str) -> tuple[Problem, dict[str, Any]]:
-    """The problem of `experiment=kovalev2026` with these overrides, and its settings.
+def pose(*overrides: str) -> Problem:
+    """The problem of `experiment=kovalev2026` with these overrides.
 
     Args:
         overrides: As on the command line; without a cache of compiled functions.
     """
     config = compose_config("experiment=kovalev2026", "compilation_cache=null", "loop.progress=false", *overrides)
     settings = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
-    return Problem.pose(settings), settings
+    return Problem.from_settings(settings)
 
 
 def search_one_by_one(points: int, sample: int, *overrides: str) -> Iterator[dict[str, Any]]:
@@ -61,7 +62,7 @@ def search_one_by_one(points: int, sample: int, *overrides: str) -> Iterator[dic
         sample: Combinations that are simulated step by step; their time is scaled to all.
         overrides: Of the configuration.
     """
-    problem, _ = pose(f"model={GRID}", "engine=mjx", f"fit.points={points}", *overrides)
+    problem = pose(f"model={GRID}", "engine=mjx", f"fit.points={points}", *overrides)
     objective, space = problem.objective, problem.objective.space
     loss, compiling = compile_time(objective.compile, objective.loss, space.start, objective.data)
     axes = [np.linspace(low, high, points) for low, high in zip(space.low, space.high, strict=True)]
@@ -119,10 +120,11 @@ def search_with_package(model: str, *overrides: str) -> dict[str, Any]:
         model: File of conf/model.
         overrides: Of the configuration.
     """
-    problem, settings = pose(f"model={model}", *overrides)
+    problem = pose(f"model={model}", *overrides)
+    settings = problem.settings
     with tempfile.TemporaryDirectory() as folder:
-        keep = {"folder": Path(folder), "identity": {}, "logger": build(settings["logger"]), "hyperparameters": {}}
-        outcome = run_fit(problem.fit, problem.objective, problem.drive.model, **keep, **settings["loop"])
+        record = Record(Path(folder), build(settings["logger"]))
+        outcome = run_fit(problem.fit, problem.objective, problem.drive.model, record, **settings["loop"])
     way = "fit=grid" if model == GRID else "gradient"
     return row(way, model, outcome.iterations, outcome.compile_seconds, outcome.fit_seconds)
 

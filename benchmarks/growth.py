@@ -115,6 +115,7 @@ def measure_fit(samples: int, length: int) -> dict[str, Any]:
     from frictionzoo.core.build import build
     from frictionzoo.core.segments import cut_segments
     from frictionzoo.fit import Objective, Space, run_fit
+    from frictionzoo.fit.loop import Record
     from frictionzoo.simulate.drive import Drive
 
     settings = compose("model=mujoco_default", "fit=lm", f"segments.length={length}", "segments.count=null")
@@ -129,10 +130,9 @@ def measure_fit(samples: int, length: int) -> dict[str, Any]:
     objective = Objective(space, drive.rollout, segments, **settings["loss"])
     setup = time.perf_counter() - began
     fit, model = build(settings["fit"]), drive.model
-    recorded = {"identity": {}, "logger": build(settings["logger"]), "hyperparameters": {}}
     loop = settings["loop"] | {"progress": False}
     with tempfile.TemporaryDirectory() as folder:
-        outcome = run_fit(fit, objective, model, folder=Path(folder), **recorded, **loop)
+        outcome = run_fit(fit, objective, model, Record(Path(folder), build(settings["logger"])), **loop)
     armature = float(outcome.values["bench"]["armature"][0])
     samples = sum(log.samples for log in logs)
     return {
@@ -179,11 +179,11 @@ def command(time_axis: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def measure_network(segments: int, width: int) -> dict[str, Any]:
     """A loss with its gradient, as `fit=adam` takes it in each iteration."""
-    from frictionzoo.cli.job import Problem
+    from frictionzoo.identification import Problem
 
     hidden = f"model.hidden=[{width},{width}]"
     counts = (f"segments.count={segments}", f"segments.length={LENGTH}")
-    problem = Problem.pose(compose("model=neural_friction", hidden, *counts))
+    problem = Problem.from_settings(compose("model=neural_friction", hidden, *counts))
     objective, start = problem.objective, problem.objective.space.start
     compiled, compile_seconds = compile_time(objective.compile, objective.value_and_grad("auto"), start, objective.data)
     seconds = median_time(compiled, start, objective.data).seconds

@@ -9,17 +9,60 @@ if TYPE_CHECKING:
     from frictionzoo.bench.actuators.position_pd import PositionPD
     from frictionzoo.bench.actuators.voltage_servo import VoltageServo
     from frictionzoo.bench.base import Bench
-    from frictionzoo.library import law, load
+    from frictionzoo.comparison.compared import Compared
+    from frictionzoo.core.log import Log
+    from frictionzoo.core.params import Param
+    from frictionzoo.core.state import DriveState, FrictionTerms
+    from frictionzoo.library import compare, identify, law, load, read
+    from frictionzoo.logs.clean import Cleaning
+    from frictionzoo.logs.logs import Logs
+    from frictionzoo.logs.split import Split
+    from frictionzoo.models.base import FrictionModel
+    from frictionzoo.models.contract import check_model
+    from frictionzoo.models.registry import register_model
     from frictionzoo.result.identified import Identified
     from frictionzoo.simulate.differentiable import rollout
 
-__all__ = ["Bench", "DcMotorPD", "Force", "Identified", "PositionPD", "VoltageServo", "law", "load", "rollout"]
+__all__ = [
+    "Bench",
+    "Cleaning",
+    "Compared",
+    "DcMotorPD",
+    "DriveState",
+    "Force",
+    "FrictionModel",
+    "FrictionTerms",
+    "Identified",
+    "Log",
+    "Logs",
+    "Param",
+    "PositionPD",
+    "Split",
+    "VoltageServo",
+    "check_model",
+    "compare",
+    "identify",
+    "law",
+    "load",
+    "read",
+    "register_model",
+    "rollout",
+]
 __version__ = "0.1.0"
 
 _HOMES = {
     **dict.fromkeys(("Bench", "DcMotorPD", "Force", "PositionPD", "VoltageServo"), "frictionzoo.bench"),
-    **dict.fromkeys(("law", "load"), "frictionzoo.library"),
+    **dict.fromkeys(("compare", "identify", "law", "load", "read"), "frictionzoo.library"),
+    **dict.fromkeys(("DriveState", "FrictionTerms"), "frictionzoo.core.state"),
+    **dict.fromkeys(("FrictionModel", "register_model"), "frictionzoo.models"),
+    "Cleaning": "frictionzoo.logs.clean",
+    "Compared": "frictionzoo.comparison.compared",
     "Identified": "frictionzoo.result.identified",
+    "Log": "frictionzoo.core.log",
+    "Logs": "frictionzoo.logs.logs",
+    "Param": "frictionzoo.core.params",
+    "Split": "frictionzoo.logs.split",
+    "check_model": "frictionzoo.models.contract",
     "rollout": "frictionzoo.simulate.differentiable",
 }
 

@@ -27,7 +27,9 @@ from frictionzoo.cli.run import main
 from frictionzoo.comparison import Run
 from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config
+from frictionzoo.identification import Problem
 from frictionzoo.result.curves import Curves
+from frictionzoo.simulate.context import computing
 from frictionzoo.simulate.rollout import FORWARD
 
 # As for XLA in `pytest_configure`; torch is loaded and no longer looks at the environment.
@@ -253,6 +255,18 @@ def call(compilation_cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.chdir(tmp_path)
     with job_settings(compilation_cache):
         yield run_main
+
+
+@pytest.fixture
+def pose_problem() -> Iterator[Callable[[Any], Problem]]:
+    """Poses the problem of a resolved configuration; to the test's end, JAX computes as that says."""
+    with contextlib.ExitStack() as stack:
+
+        def pose_problem(settings: Any) -> Problem:
+            stack.enter_context(computing(*(settings[name] for name in ("dtype", "device", "compilation_cache"))))
+            return Problem.from_settings(settings)
+
+        yield pose_problem
 
 
 RUNS = {  # options of the runs of `finished_run`, besides those of `tiny`

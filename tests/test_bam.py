@@ -1,7 +1,7 @@
 """BAM's parameter files: read, simulated by BAM's own equations apart from this package, and identified again."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from omegaconf import OmegaConf
 
-from frictionzoo.cli.job import Problem
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.state import DriveState
 from frictionzoo.export.bam import friction_budget
 from frictionzoo.export.read_bam import LAWS, main, read_bam
+from frictionzoo.identification import Problem
 from frictionzoo.models import get_model
 
 M1 = {
@@ -116,7 +116,7 @@ def write_logs(folder: Path, bam: dict[str, Any], seconds: float) -> None:
         (folder / f"{column}.json").write_text(json.dumps(header | {"entries": entries}))
 
 
-def pose(compose: Callable[..., Any], folder: Path, file: Path, *overrides: str) -> Problem:
+def configure(compose: Callable[..., Any], folder: Path, file: Path, *overrides: str) -> Any:
     """The identification from these logs, with all that the parameter file says as known but for the overrides."""
     payloads = ",".join(f"{{when:{{mass:{mass}}},payload:[{mass},0,0,-{LENGTH},0,0,0]}}" for mass in MASSES)
     said = dict(override.split("=", 1) for override in (*read_bam(file).overrides(), *overrides))
@@ -138,8 +138,7 @@ def pose(compose: Callable[..., Any], folder: Path, file: Path, *overrides: str)
         *("loss.velocity=0.01", "loss.robust=soft_l1", "loss.robust_scale=0.01"),
         *(f"{name}={value}" for name, value in said.items()),
     )
-    settings: Any = OmegaConf.to_container(config, resolve=True)
-    return Problem.pose(settings)
+    return OmegaConf.to_container(config, resolve=True)
 
 
 @pytest.fixture
@@ -154,17 +153,11 @@ def write(tmp_path: Path) -> Callable[[dict[str, Any]], Path]:
     return write
 
 
-@pytest.fixture
-def jax_as_before() -> Iterator[None]:
-    before = {name: getattr(jax.config, name) for name in ("jax_enable_x64", "jax_default_device")}
-    yield
-    for name, value in before.items():
-        jax.config.update(name, value)
-
-
-@pytest.mark.usefixtures("jax_as_before")
 def test_bams_own_equations_are_followed_and_identified(
-    compose: Callable[..., Any], write: Callable[..., Path], tmp_path: Path
+    compose: Callable[..., Any],
+    pose_problem: Callable[[Any], Problem],
+    write: Callable[..., Path],
+    tmp_path: Path,
 ) -> None:
     """With the law that has all terms, over 3 s of motion by 1 rad; steps of 0.5 ms against 0.2 ms.
 
@@ -175,7 +168,9 @@ def test_bams_own_equations_are_followed_and_identified(
     write_logs(logs, M6, seconds=3.1)
     start = "{{init:{},low:1e-3,high:2,scale:log,identify:true}}".format
     free = {"bench.params.armature": 0.01, "model.params.frictionloss": 0.15, "model.params.damping": 0.02}
-    problem = pose(compose, logs, write(M6), "fit=lm", *(f"{name}={start(init)}" for name, init in free.items()))
+    problem = pose_problem(
+        configure(compose, logs, write(M6), "fit=lm", *(f"{name}={start(init)}" for name, init in free.items()))
+    )
     progress, _ = problem.fit.chunk(problem.objective, 20)(problem.fit.start(problem.objective), 20)
     found = jax.tree.map(np.asarray, problem.objective.space.values(progress.best))
     assert found["friction"]["damping"] == pytest.approx(M6["friction_viscous"], rel=0.02)

@@ -35,10 +35,11 @@ from test_out_of_tree import COMMANDS as WITH_PACKAGE
 from test_sweep import LAUNCHERS
 from write_logs import WRITERS, write_degrees, write_log
 
-from frictionzoo.cli.job import Problem
 from frictionzoo.core.build import build
 from frictionzoo.core.config import CONF_DIR, compose_config
+from frictionzoo.identification import Problem
 from frictionzoo.logs.formats import get_format
+from frictionzoo.simulate.context import computing
 
 JOB = r"(?:python -m frictionzoo\.run|frictionzoo) "
 FILLED = {"MODEL": "coulomb_stribeck"}  # what a page leaves to its reader, and what stands for it here
@@ -138,7 +139,8 @@ def pose_jobs(command: str, place: Place) -> None:
     arguments = arguments_of(command)
     for options in jobs_of(arguments):
         config = compose_config(*options, *shrink(arguments, place.cache))
-        problem = Problem.pose(OmegaConf.to_container(config, resolve=True))
+        with computing(config.dtype, config.device, config.compilation_cache):
+            problem = Problem.from_settings(OmegaConf.to_container(config, resolve=True))
         assert problem.dataset.train and problem.dataset.test
 
 

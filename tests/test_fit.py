@@ -24,6 +24,7 @@ from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import DriveState
 from frictionzoo.fit import Adam, Grid, Objective, Space, fit_reference, run_fit
 from frictionzoo.fit.loggers import TensorBoard
+from frictionzoo.fit.loop import Record
 from frictionzoo.models import FrictionModel
 from frictionzoo.simulate import friction_of, make_engine
 from frictionzoo.simulate.rollout import Rollout, make_rollout
@@ -172,9 +173,8 @@ def test_known_truth_has_no_loss_in_our_engine() -> None:
 
 
 def run(problem: Problem, fit: Any, folder: Path, **options: Any) -> Any:
-    loop = {"chunk": 100, "patience": None, "progress": False, "identity": {}} | options
-    record = {"logger": TensorBoard(), "hyperparameters": {}}
-    return run_fit(fit, problem.objective, problem.model, folder=folder, **record, **loop)
+    loop = {"chunk": 100, "patience": None, "progress": False} | options
+    return run_fit(fit, problem.objective, problem.model, Record(folder, TensorBoard()), **loop)
 
 
 def test_adam_recovers_a_known_drive(tmp_path: Path) -> None:

@@ -16,11 +16,12 @@ from omegaconf import OmegaConf
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from frictionzoo import __version__
-from frictionzoo.cli.job import Problem, _judge_baseline
 from frictionzoo.cli.run import NOT_IDENTIFIED
 from frictionzoo.core.state import DriveState
 from frictionzoo.export.bench import write_bench
 from frictionzoo.export.nearest import find_nearest
+from frictionzoo.identification import Problem
+from frictionzoo.identification.solve import judge_baseline
 from frictionzoo.models import Baseline, FrictionModel
 from frictionzoo.result.identified import Identified
 from frictionzoo.result.record import read_schema
@@ -135,17 +136,17 @@ def check_scalars(run: Path, result: dict) -> None:
 
 
 def test_a_known_bench_is_judged_as_it_is_without_friction(
-    call: Callable, compose: Callable, tiny: tuple[str, ...]
+    pose_problem: Callable[[Any], Problem], compose: Callable, tiny: tuple[str, ...]
 ) -> None:
     config = compose(*tiny, "bench.params.armature.identify=false")
-    problem = Problem.pose(OmegaConf.to_container(config, resolve=True))
+    problem = pose_problem(OmegaConf.to_container(config, resolve=True))
     np.testing.assert_array_equal(problem.samples.qpos, np.concatenate([log.qpos for log in problem.dataset.train]))
     # No value of the bench is free: what is left without friction is the bench as it was given.
     drive = Drive.assemble(problem.bench, Baseline(1), "specialised", problem.sampling)
     expected = problem.evaluation.judge(
         drive.rollout.compiled, {"bench": problem.bench.initial_values(), "friction": {}}
     )
-    judged, values = _judge_baseline(problem, "float64", None)
+    judged, values = judge_baseline(problem)
     assert values["bench"] == problem.bench.initial_values()
     np.testing.assert_array_equal(judged.prediction.qpos, expected.prediction.qpos)
     assert (judged.rollout_mae["test"] > 0).all()

@@ -22,6 +22,7 @@ from frictionzoo.core.state import DriveState
 from frictionzoo.distill.distillation import _read_value
 from frictionzoo.export.write import read_number
 from frictionzoo.fit import loggers, loop
+from frictionzoo.identification import problem
 from frictionzoo.simulate.proof import Proof
 
 VALUES = (float("nan"), float("inf"), None, "", 0, -1, 1e9, "absurd", [])
@@ -131,8 +132,8 @@ def posing(call: Callable, monkeypatch: pytest.MonkeyPatch) -> type[Exception]:
         signal = np.concatenate([log.qpos for log in dataset.train])
         return DriveState(*[signal] * len(DriveState._fields))
 
-    monkeypatch.setattr(job, "prove", lambda *_: Proof(0.0, 0.0, 1, 1))
-    monkeypatch.setattr(job, "_training_samples", seen)
+    monkeypatch.setattr(problem, "prove", lambda *_: Proof(0.0, 0.0, 1, 1))
+    monkeypatch.setattr(problem, "_training_samples", seen)
     monkeypatch.setattr(loop, "FitModule", begin)
     return PosedError
 

@@ -10,15 +10,15 @@ import jax
 import mujoco
 import numpy as np
 import pytest
-from conftest import job_settings, slow_but
+from conftest import slow_but
 from omegaconf import DictConfig, OmegaConf
 from test_specialised import BODIES, KNOWN, chain, law, random_cases, step_of
 
 from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.bench.compiled import NO_PAYLOAD
-from frictionzoo.cli.job import Problem
 from frictionzoo.core.errors import BenchError, ConfigError
 from frictionzoo.core.log import Log, Payload
+from frictionzoo.identification import Problem
 from frictionzoo.logs.payloads import choose_payloads
 from frictionzoo.logs.recording import Recording
 from frictionzoo.result.evaluate import Evaluation, predict
@@ -128,15 +128,8 @@ def record(path: Path, bench: Bench, payload: Payload, seed: int) -> None:
     np.savetxt(path, rows, fmt="%.12g", delimiter=",", header="time,qpos,qvel,ctrl", comments="")
 
 
-@pytest.fixture
-def settings_as_before(compilation_cache: Path) -> Iterator[None]:
-    with job_settings(compilation_cache):
-        yield
-
-
-@pytest.mark.usefixtures("settings_as_before")
 def test_one_drive_is_found_from_recordings_with_different_payloads(
-    compose: Callable[..., DictConfig], tmp_path: Path
+    compose: Callable[..., DictConfig], pose_problem: Callable[[Any], Problem], tmp_path: Path
 ) -> None:
     body = BODIES["hinge with gravity"]
     bench = make_bench(tmp_path, f'<body name="carrier">{body}</body>', 1)
@@ -152,7 +145,7 @@ def test_one_drive_is_found_from_recordings_with_different_payloads(
         *("evaluation.horizons=[0.5]", "evaluation.trajectory=1.0"),
     )
     settings: Any = OmegaConf.to_container(config, resolve=True)
-    problem = Problem.pose(settings)
+    problem = pose_problem(settings)
     progress, _ = problem.fit.chunk(problem.objective, 40)(problem.fit.start(problem.objective), 40)
     values = jax.tree.map(np.asarray, problem.objective.space.values(progress.best))
     found = values["bench"] | values["friction"]

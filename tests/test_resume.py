@@ -19,12 +19,14 @@ from omegaconf import OmegaConf
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from frictionzoo.cli import job
-from frictionzoo.cli.job import Problem, _identify
+from frictionzoo.cli.job import _identify
 from frictionzoo.cli.resume import restore_overrides
 from frictionzoo.core.errors import CheckpointError, ConfigError, RunError
 from frictionzoo.core.output import occupy
 from frictionzoo.fit import loop, run_fit
 from frictionzoo.fit.loggers import Csv
+from frictionzoo.fit.loop import Record
+from frictionzoo.identification import Problem
 
 ITERATIONS = 40
 PATIENCE = 600.0  # s after which a process that has not come to the awaited moment is a failure
@@ -219,22 +221,23 @@ def test_a_resumed_sweep_has_to_be_one(
 
 
 @pytest.fixture
-def pose(call: Callable, compose: Callable, tiny: tuple[str, ...]) -> Callable[..., tuple[Problem, dict[str, Any]]]:
-    """A problem and its settings; `call` undoes what it does to JAX."""
+def pose(
+    call: Callable, pose_problem: Callable[[Any], Problem], compose: Callable, tiny: tuple[str, ...]
+) -> Callable[..., Problem]:
+    """A problem, by its options."""
     plain = OmegaConf.to_container(compose(*tiny, "model=coulomb_smooth"), resolve=True)
 
-    def pose(*overrides: str) -> tuple[Problem, dict[str, Any]]:
-        settings = OmegaConf.to_container(OmegaConf.merge(plain, OmegaConf.from_dotlist(list(overrides))))
-        return Problem.pose(settings), settings
+    def pose(*overrides: str) -> Problem:
+        return pose_problem(OmegaConf.to_container(OmegaConf.merge(plain, OmegaConf.from_dotlist(list(overrides)))))
 
     return pose
 
 
 def test_a_run_that_lost_patience_is_resumed_to_the_same_end(pose: Callable, tmp_path: Path) -> None:
     # So large a step throws the values about, and no iteration beats an early one for three in a row.
-    problem, settings = pose("loop.patience=3", "fit.learning_rate=1.0", "fit.iterations=60")
-    record = {"folder": tmp_path, "identity": {}, "logger": Csv(), "hyperparameters": {}, **settings["loop"]}
-    first, again = (run_fit(problem.fit, problem.objective, problem.drive.model, **record) for _ in range(2))
+    problem = pose("loop.patience=3", "fit.learning_rate=1.0", "fit.iterations=60")
+    solved, loop = (problem.fit, problem.objective, problem.drive.model), problem.settings["loop"]
+    first, again = (run_fit(*solved, Record(tmp_path, Csv()), **loop) for _ in range(2))
     assert first.stopped == again.stopped == "patience"
     assert (first.iterations, first.best_iteration, first.loss) == (again.iterations, again.best_iteration, again.loss)
     np.testing.assert_equal((again.vector, again.history), (first.vector, first.history))
@@ -259,7 +262,7 @@ def test_a_run_that_lost_patience_is_resumed_to_the_same_end(pose: Callable, tmp
 def test_what_makes_it_another_run(pose: Callable, finished_run: Callable, override: str, changed: set[str]) -> None:
     folder, _ = finished_run("coulomb_smooth")
     begun = torch.load(folder / "checkpoints" / "last.ckpt", weights_only=True)["frictionzoo"]["identity"]
-    now = _identify("coulomb_smooth", *pose("fit.iterations=3", override))
+    now = _identify("coulomb_smooth", pose("fit.iterations=3", override))
     assert {what for what, value in now.items() if begun[what] != value} == changed
     assert now.keys() == begun.keys()
     assert now["data"] == json.loads((folder / "result.json").read_text())["data"]["sha256"]

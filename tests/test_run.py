@@ -21,12 +21,12 @@ from omegaconf.errors import OmegaConfBaseException
 
 from frictionzoo import __version__
 from frictionzoo.cli.explain import explain
-from frictionzoo.cli.job import Problem
 from frictionzoo.cli.overrides import refuse_no_choice
 from frictionzoo.cli.resume import restore_overrides
 from frictionzoo.core.config import check_overrides, compose_config
 from frictionzoo.core.errors import CheckpointError, ConfigError, FrictionzooError
 from frictionzoo.fit.loop import CHECKPOINT, _checked_checkpoint
+from frictionzoo.identification import Problem
 
 RUN = "hydra.run.dir=run"
 RESULTS = ("result.json", "friction.safetensors", "identified.xml")
@@ -143,16 +143,21 @@ def test_a_job_needs_one_of_each_group(argument: str, names: str) -> None:
     ],
 )
 def test_a_problem_that_makes_no_sense_is_refused(
-    call: Callable, settings: dict[str, Any], tmp_path: Path, override: str, fragments: tuple[str, ...]
+    call: Callable,
+    pose_problem: Callable[[Any], Problem],
+    settings: dict[str, Any],
+    tmp_path: Path,
+    override: str,
+    fragments: tuple[str, ...],
 ) -> None:
-    """Where it is posed; `call` has gone to the test's folder, and undoes what this does to JAX."""
+    """Where it is posed; `call` has gone to the test's folder."""
     write_log(tmp_path / "a.csv")
     write_log(tmp_path / "cells.csv", HEADER + ",load")
     (tmp_path / "garbage").write_bytes(bytes(range(256)))
     (tmp_path / "empty").mkdir()
     changed = OmegaConf.merge(settings, OmegaConf.from_dotlist([override]))
     with pytest.raises(FrictionzooError) as refused:
-        Problem.pose(OmegaConf.to_container(changed))
+        pose_problem(OmegaConf.to_container(changed))
     assert all(fragment in str(refused.value) for fragment in fragments)
 
 

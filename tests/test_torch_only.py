@@ -20,6 +20,7 @@ from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.export.write import write_exports
 from frictionzoo.fit import Adam, Known, Objective, Space, loop, run_fit
 from frictionzoo.fit.loggers import Csv
+from frictionzoo.fit.loop import Record
 from frictionzoo.models import CoulombStribeck, FrictionModel, TorchFriction, register_model
 from frictionzoo.models.contract import check_model
 from frictionzoo.models.registry import REGISTRY
@@ -163,8 +164,7 @@ def test_a_fit_takes_the_same_way_also_after_an_interruption(
 ) -> None:
     torched, jaxed = pair("specialised")
     fit, law = Adam(5, 0.05, 0.9, "auto"), make("model", f"model._target_={STRIBECK}", nv=1).double()
-    record = {"identity": {}, "logger": Csv(), "hyperparameters": {}, "chunk": 2, "patience": None, "progress": False}
-    whole = run_fit(fit, torched, law, folder=tmp_path / "whole", **record)
+    whole = run_fit(fit, torched, law, chunk=2, progress=False)
     _, trace = fit.chunk(jaxed, 5)(fit.start(jaxed), 5)
     assert whole.iterations == 5
     assert (np.diff(whole.history["loss"]) < 0).all()
@@ -182,8 +182,8 @@ def test_a_fit_takes_the_same_way_also_after_an_interruption(
     with monkeypatch.context() as patch:
         patch.setattr(loop._Saver, "on_train_epoch_end", save_and_fall)
         with pytest.raises(RuntimeError, match="the power is gone"):
-            run_fit(fit, torched, law, folder=tmp_path / "torn", **record)
-    resumed = run_fit(fit, torched, law, folder=tmp_path / "torn", **record)
+            run_fit(fit, torched, law, Record(tmp_path, Csv()), chunk=2, progress=False)
+    resumed = run_fit(fit, torched, law, Record(tmp_path, Csv()), chunk=2, progress=False)
     np.testing.assert_equal((resumed.vector, resumed.history), (whole.vector, whole.history))
 
 

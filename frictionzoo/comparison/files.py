@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from frictionzoo.comparison.record import Comparison, compare_runs
-from frictionzoo.comparison.runs import read_runs
+from frictionzoo.comparison.runs import Run, read_runs
 from frictionzoo.core.errors import RunError
 from frictionzoo.core.output import write_atomically
 from frictionzoo.show.comparison_figures import write_figures
@@ -29,8 +29,22 @@ def write_comparison(folders: Sequence[Path], output: Path) -> Comparison:
         reasons = "; ".join(f"{failure.run}: {failure.reason}" for failure in failures)
         raise RunError(f"no run has a result to compare: {reasons}")
     comparison = compare_runs(runs, failures)
+    save_comparison(comparison, runs, output)
+    return comparison
+
+
+def save_comparison(comparison: Comparison, runs: Sequence[Run], output: Path) -> None:
+    """Write all that a comparison leaves behind, `comparison.json` last.
+
+    Args:
+        comparison: What it holds.
+        runs: The runs that were compared.
+        output: Where to write.
+
+    Raises:
+        OutputError: A file cannot be written.
+    """
     write_figures(output / "figures", comparison, runs)
     write_atomically(output / "table.tex", tabulate_latex(comparison).encode())
     write_page(output / "comparison.html", comparison, runs)
     write_atomically(output / "comparison.json", (json.dumps(comparison, indent=2, allow_nan=False) + "\n").encode())
-    return comparison

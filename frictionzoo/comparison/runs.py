@@ -64,10 +64,21 @@ def read_runs(folders: Sequence[Path]) -> tuple[list[Run], list[Failure]]:
     """
     found = list(dict.fromkeys(run.resolve() for folder in folders for run in find_runs(folder)))
     failures = [failure for folder in found if (failure := read_failure(folder))]
-    runs = [_label_alone(folder) for folder in found if (folder / RESULT).exists()]
+    return gather([_read(folder) for folder in found if (folder / RESULT).exists()]), failures
+
+
+def gather(runs: Sequence[Run]) -> list[Run]:
+    """Runs that can be compared, each with a label of its own: its model, and what else they differ in.
+
+    Args:
+        runs: Each with its model as its label.
+
+    Raises:
+        RunError: Two are not comparable.
+    """
     for run in runs[1:]:
         _refuse_incomparable(run, runs[0])
-    return _label(runs), failures
+    return [replace(run, label=_label_among(run, [r for r in runs if r.label == run.label])) for run in runs]
 
 
 def find_runs(folder: Path) -> list[Path]:
@@ -120,7 +131,7 @@ def _read_model(folder: Path) -> str:
         return ""
 
 
-def _label_alone(folder: Path) -> Run:
+def _read(folder: Path) -> Run:
     result, curves = read_run(folder)
     return Run(result["model"], folder, result, curves)
 
@@ -172,11 +183,6 @@ def _leaves(section: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str,
             yield from _leaves(value, f"{prefix}{name}.")
         else:
             yield f"{prefix}{name}", value
-
-
-def _label(runs: Sequence[Run]) -> list[Run]:
-    """Each run under its model; several of one model under what they differ in, else under their folders' names."""
-    return [replace(run, label=_label_among(run, [r for r in runs if r.label == run.label])) for run in runs]
 
 
 def _label_among(run: Run, same: Sequence[Run]) -> str:

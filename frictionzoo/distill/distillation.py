@@ -100,7 +100,7 @@ def compose_student(teacher: Identified, options: Mapping[str, str]) -> DictConf
     config = OmegaConf.merge(plain, *map(_read_value, values))
     assert isinstance(config, DictConfig)
     check_overrides(config, plain)
-    config["teacher"] = str(teacher.folder.resolve())
+    config["teacher"] = str(Path(teacher.place).resolve())
     return config
 
 
@@ -120,6 +120,7 @@ def _replace_choices(teacher: Identified, choices: Mapping[str, str]) -> DictCon
     """
     settings = teacher.result["settings"]
     composed = compose_config(*(f"{group}={name}" for group, name in choices.items()))
+    logger = settings["logger"] or OmegaConf.to_container(composed["logger"])  # a drive of a notebook has none
     sections = {group: OmegaConf.to_container(composed[group], resolve=False) for group in choices}
     count, length = (settings["segments"][key] for key in ("count", "length"))
     longer = max(length, round(settings["evaluation"]["horizons"][0] / teacher.segments.timestep))
@@ -127,6 +128,7 @@ def _replace_choices(teacher: Identified, choices: Mapping[str, str]) -> DictCon
         "loss": {**settings["loss"], "robust": "none", "refine": False},
         "segments": {"count": None if count is None else max(1, count * length // longer), "length": longer},
         "resume": None,
+        "logger": logger,
     }
     return OmegaConf.create({**settings, **sections, **own})
 
@@ -139,14 +141,14 @@ def _count(model: FrictionModel) -> int:
 def _compare(teacher: Identified, folder: Path) -> dict[str, Any]:
     """What `distillation.json` says: who followed whom, and how far apart they are."""
     student = Identified.load(folder)
-    qpos, own = (run.curves.qpos for run in read_runs([teacher.folder, folder])[0])
+    qpos, own = (run.curves.qpos for run in read_runs([Path(teacher.place), folder])[0])
     kept = np.isfinite(qpos).all(axis=(1, 2)) & np.isfinite(own).all(axis=(1, 2))
     states, units = teacher.samples, UNITS[teacher.bench.joint_type]
     own_inputs = {name: getattr(student.samples, name) for name in student.model.inputs}
     laws = (teacher.model, states), (student.model, states._replace(**own_inputs))
     torques = [sliding_torque(np, evaluate_law(*law), states.qvel) for law in laws]
     return {
-        "teacher": str(teacher.folder.resolve()),
+        "teacher": str(Path(teacher.place).resolve()),
         "differences": [
             {
                 "quantity": "qpos",

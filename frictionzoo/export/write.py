@@ -176,7 +176,7 @@ def _note(fitted: Identified, name: str, packages: Sequence[str], export: Export
     versions = {"python": platform.python_version(), "frictionzoo": __version__}
     return {
         "target": name,
-        "run": str(fitted.folder.resolve()),
+        "run": str(fitted.folder.resolve()) if fitted.folder else None,
         "model": fitted.result["model"],
         "joints": list(fitted.bench.joints),
         "timestep": fitted.timestep,

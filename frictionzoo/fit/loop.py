@@ -5,7 +5,7 @@ import logging
 import time
 import warnings
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -65,20 +65,34 @@ class Outcome:
     fit_seconds: float
 
 
+@dataclass(frozen=True)
+class Record:
+    """Where the course of a fit is kept, so that it can be watched and, once interrupted, go on.
+
+    Attributes:
+        folder: The run's folder, for `checkpoints/` and what the logger writes.
+        logger: What records loss, gradient norm and parameters of every iteration; the caller finishes it.
+        identity: What must agree before a checkpoint is taken up: name of the thing to its value.
+        hyperparameters: What the logger says about the run, as in `RunLogger.start`.
+    """
+
+    folder: Path
+    logger: RunLogger
+    identity: Mapping[str, str] = field(default_factory=dict)
+    hyperparameters: Mapping[str, Any] = field(default_factory=dict)
+
+
 def run_fit(
     fit: Fit,
     objective: Objective,
     model: FrictionModel,
+    record: Record | None = None,
     *,
-    folder: Path,
-    identity: Mapping[str, str],
-    logger: RunLogger,
-    hyperparameters: Mapping[str, Any],
     chunk: int = 25,
     patience: int | None = None,
     progress: bool = True,
 ) -> Outcome:
-    """Run a fit to its end, from the folder's checkpoint if it has one.
+    """Run a fit to its end, from the record's checkpoint if it has one.
 
     An interrupted fit that is run again ends with the same bits, wherever it was interrupted.
 
@@ -86,10 +100,7 @@ def run_fit(
         fit: The method.
         objective: What it minimises.
         model: The friction model; it holds the best values afterwards.
-        folder: The run's folder, for `checkpoints/` and what the logger writes.
-        identity: What must agree before a checkpoint is taken up: name of the thing to its value.
-        logger: What records loss, gradient norm and parameters of every iteration; the caller finishes the record.
-        hyperparameters: What the record says about the run, as in `RunLogger.start`.
+        record: Where its course is kept; None to keep it in memory only.
         chunk: Iterations in one compiled call.
         patience: Stop after so many iterations without a better loss; None to run all.
         progress: Whether to show a progress bar where the terminal can.
@@ -103,11 +114,11 @@ def run_fit(
     refuse_outside("loop.chunk", chunk, 1, MOST_CHUNK)
     if patience is not None and patience < 1:
         raise ConfigError(f"loop.patience={patience}; expected at least 1")
-    checkpoint = _checked_checkpoint(folder, identity)
+    checkpoint = _checked_checkpoint(record.folder, record.identity) if record else None
     began = time.perf_counter()
-    module = FitModule(fit, objective, model, identity, chunk, patience)
+    module = FitModule(fit, objective, model, record.identity if record else {}, chunk, patience)
     compile_seconds = time.perf_counter() - began
-    _train(module, folder, checkpoint, logger, hyperparameters, progress)
+    _train(module, record, checkpoint, progress)
     outcome = module.outcome(compile_seconds, time.perf_counter() - began - compile_seconds)
     load_from_jax(model, jax.tree.map(jnp.asarray, outcome.values["friction"]))
     return outcome
@@ -325,14 +336,9 @@ class _ProgressBar(pl.Callback):
             self._bar.close()
 
 
-def _train(
-    module: FitModule,
-    folder: Path,
-    checkpoint: Path | None,
-    logger: RunLogger,
-    hyperparameters: Mapping[str, Any],
-    progress: bool,
-) -> None:
+def _train(module: FitModule, record: Record | None, checkpoint: Path | None, progress: bool) -> None:
+    place = record.folder if record else Path()
+    callbacks: list[pl.Callback] = [_Saver(record.folder / "checkpoints" / CHECKPOINT)] if record else []
     # Lightning's advice about data loaders and GPUs does not apply: its loader holds one item.
     logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
     with warnings.catch_warnings():
@@ -342,18 +348,18 @@ def _train(
                 accelerator="cpu",
                 devices=1,
                 max_epochs=-1,
-                logger=logger.start(folder, hyperparameters),
-                callbacks=[_Saver(folder / "checkpoints" / CHECKPOINT), *([_ProgressBar()] if progress else [])],
+                logger=record.logger.start(record.folder, record.hyperparameters) if record else False,
+                callbacks=[*callbacks, *([_ProgressBar()] if progress else [])],
                 plugins=[LightningEnvironment(), _AtomicFiles()],
                 enable_checkpointing=False,
                 enable_progress_bar=False,
                 enable_model_summary=False,
-                default_root_dir=folder,
+                default_root_dir=place,
             )
             trainer.fit(module, ckpt_path=checkpoint, weights_only=True)
         except OSError as error:
             raise OutputError(
-                f"{folder}: {error.strerror or error} while writing the fit's progress; free space or set hydra.run.dir"
+                f"{place}: {error.strerror or error} while writing the fit's progress; free space or set hydra.run.dir"
             ) from None
 
 

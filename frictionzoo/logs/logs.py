@@ -1,6 +1,6 @@
 """Recordings that were read and cleaned, before they are divided into what trains and what tests."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -29,6 +29,17 @@ class Logs:
     held_out: int
     split: Split
     section: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, logs: Sequence[Log]) -> "Logs":
+        """Logs that are in memory already.
+
+        Args:
+            logs: Each a recording of its own.
+        """
+        recordings = tuple(Recording(log.name, log.time, {}, log.metadata, log.sha256, log.simulated) for log in logs)
+        section = {"_target_": "frictionzoo.logs.logs.Logs", "names": [log.name for log in logs]}
+        return cls("logs in memory", recordings, tuple((log,) for log in logs), 0, Split(), section)
 
     def __iter__(self) -> Iterator[Log]:
         return (log for pieces in self.cleaned for log in pieces)

@@ -1,4 +1,4 @@
-"""A finished run, read back: the drive that it identified, ready to be simulated and exported."""
+"""An identified drive, of a fit that has just ended or of a run read back: to be looked at, simulated and exported."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import safetensors
 import safetensors.torch
+import torch
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
@@ -53,30 +54,34 @@ class Parameter(NamedTuple):
     identifiable: bool | None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Identified:
     """The identified drive of one run, and the recordings that it was judged on.
 
     Attributes:
-        folder: The run's folder.
+        folder: The run's folder; None for a drive that is in memory only.
         result: What its `result.json` holds.
         bench: The test stand.
         model: The friction law with its identified values, in float64.
+        state: These values as they are saved, in the types in which the law came to hold them.
         values: Values of all parameters and of a network's weights, by owner (`bench`, `friction`) and name, as numpy
             arrays in float64: those of the bench of shape (nv,), those of the law as in its `state_dict`.
         segments: The long test rollouts: measured states and what drove them.
         sampling: From their samples to steps of the simulation.
         curves: What figures are drawn from.
+        complaint: One line where the fit diverged; None otherwise.
     """
 
-    folder: Path
+    folder: Path | None
     result: Mapping[str, Any]
     bench: Bench
     model: FrictionModel
+    state: Mapping[str, torch.Tensor]
     values: Values
     segments: Segments
     sampling: Sampling
-    curves: Curves | None = None
+    curves: Curves
+    complaint: str | None = None
 
     @classmethod
     def load(cls, folder: Path) -> "Identified":
@@ -91,7 +96,7 @@ class Identified:
         bench = build(settings["bench"])
         model = build(settings["model"], nv=bench.nv)
         bench = bench.observing(model.inputs)
-        _load_law(model, folder / LAW)
+        state = _load_law(model, folder / LAW)
         friction = {name: value.detach().double().numpy().copy() for name, value in model.state_dict().items()}
         segments = _read_segments(folder / CURVES, curves, result["data"]["timestep"], bench)
         sampling = bench.sampling(segments.timestep)
@@ -101,7 +106,26 @@ class Identified:
                 f"{sampling.history} as the delay's bounds have it; run it again"
             )
         values = {"bench": _read_bench(result, bench), "friction": friction}
-        return cls(folder, result, bench, model, values, segments, sampling, curves)
+        return cls(folder, result, bench, model, state, values, segments, sampling, curves)
+
+    def save(self, folder: str | Path) -> None:
+        """Write all that a run leaves: record, values, curves, figures, page and MJCF.
+
+        Args:
+            folder: Where to; it is made if it is missing, and an earlier run's files in it are replaced.
+
+        Raises:
+            OutputError: It cannot be written.
+        """
+        # Imported here, so that what reads a run does not wait for what draws one.
+        from frictionzoo.result.save import save
+
+        save(self, self.curves, Path(folder))
+
+    @property
+    def place(self) -> str:
+        """Where it lies, for messages."""
+        return str(self.folder) if self.folder else f"the drive with {self.result['model']}"
 
     @property
     def parameters(self) -> dict[str, Parameter]:
@@ -121,15 +145,10 @@ class Identified:
 
         Returns:
             A figure of matplotlib, which a notebook shows and `savefig` writes.
-
-        Raises:
-            RunError: There are no curves to draw.
         """
         # Imported here, so that what draws nothing does not wait for it.
         from frictionzoo.show.run_plots import draw_rollout
 
-        if self.curves is None:
-            raise RunError(f"{self.folder}: no curves, expected those of a finished run; load it from its folder")
         return draw_rollout(self.result, self.curves)
 
     def export(self, target: str, path: str | Path, **options: str | float) -> Written:
@@ -150,7 +169,7 @@ class Identified:
 
         return export_to(self, target, Path(path), {name: str(value) for name, value in options.items()})
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         """Parameters with intervals, test errors beside those without friction, and warnings."""
         from frictionzoo.show.terminal import summarise
 
@@ -238,7 +257,7 @@ class Identified:
         lost = np.logical_not((np.isfinite(qpos) & np.isfinite(qvel)).all(axis=(1, 2)))
         if lost.any():
             raise RunError(
-                f"{self.folder}: the fitted drive diverges in {lost.sum()} of {segments.count} rollouts of "
+                f"{self.place}: the fitted drive diverges in {lost.sum()} of {segments.count} rollouts of "
                 f"{segments.length * segments.timestep:g} s, expected none to follow it; fit it again"
             )
         return replace(segments, qpos=qpos, qvel=qvel)
@@ -297,11 +316,12 @@ class Identified:
             return Drive.assemble(self.bench, self.model, "auto", self.sampling)
 
 
-def _load_law(model: FrictionModel, path: Path) -> None:
-    """Write the saved values into the model; safetensors holds numbers only, so nothing is executed."""
+def _load_law(model: FrictionModel, path: Path) -> dict[str, torch.Tensor]:
+    """Write the saved values into the model, and return them; safetensors holds numbers, so nothing is executed."""
     try:
         saved = safetensors.torch.load(path.read_bytes())
         model.double().load_state_dict(saved)
+        return saved
     except OSError as error:
         raise RunError(f"{path}: {error.strerror}; expected the folder of a finished run; run it again") from None
     except (safetensors.SafetensorError, RuntimeError) as error:

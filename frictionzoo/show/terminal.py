@@ -17,12 +17,12 @@ ERRORS = {  # row of the table: key of the metrics, key of its unit
 }
 
 
-def summarise(result: Mapping[str, Any], folder: Path) -> str:
+def summarise(result: Mapping[str, Any], folder: Path | None) -> str:
     """Parameters, test errors beside those without friction, warnings, and where the files are.
 
     Args:
         result: What `result.json` holds.
-        folder: The run's folder.
+        folder: The run's folder; None for a run that left none.
     """
     return _arrange(result, folder, align)
 
@@ -37,14 +37,18 @@ def summarise_in_markdown(result: Mapping[str, Any], folder: Path) -> str:
     return _arrange(result, folder, _tabulate_in_markdown)
 
 
-def summarise_in_html(result: Mapping[str, Any], folder: Path) -> str:
+def summarise_in_html(result: Mapping[str, Any], folder: Path | None) -> str:
     """The same with tables of HTML, for notebooks.
 
     Args:
         result: What `result.json` holds.
         folder: The run's folder.
     """
-    return _arrange(result, folder, _tabulate_in_html, lambda text: f"<p>{html.escape(text)}</p>")
+    return _arrange(result, folder, _tabulate_in_html, _say_in_html)
+
+
+def _say_in_html(text: str) -> str:
+    return f"<p>{html.escape(text)}</p>"
 
 
 def _tabulate_in_html(rows: Rows) -> str:
@@ -55,7 +59,7 @@ def _tabulate_in_html(rows: Rows) -> str:
 
 def _arrange(
     result: Mapping[str, Any],
-    folder: Path,
+    folder: Path | None,
     tabulate: Callable[[Rows], str],
     say: Callable[[str], str] = lambda text: text,
 ) -> str:
@@ -65,7 +69,7 @@ def _arrange(
         tabulate(_list_parameters(result)),
         tabulate(_list_errors(metrics["test"], metrics["baseline"], ("this model", "no friction"))),
         *map(say, _warn(result)),
-        say(f"files: {folder}"),
+        *([say(f"files: {folder}")] if folder else []),
     ]
     return "\n\n".join(blocks)
 
@@ -96,26 +100,42 @@ def summarise_distillation(
     return "\n\n".join(blocks)
 
 
-def summarise_comparison(comparison: Mapping[str, Any], folder: Path) -> str:
+def summarise_comparison(comparison: Mapping[str, Any], folder: Path | None) -> str:
     """The runs best first, what failed, the recommendation, and where the files are.
 
     Args:
         comparison: What `comparison.json` holds.
-        folder: Where the comparison lies.
+        folder: Where the comparison lies; None for one that left no files.
     """
+    return "\n\n".join(_arrange_comparison(comparison, folder, align))
+
+
+def summarise_comparison_in_html(comparison: Mapping[str, Any], folder: Path | None) -> str:
+    """The same with a table of HTML, for notebooks.
+
+    Args:
+        comparison: What `comparison.json` holds.
+        folder: Where the comparison lies; None for one that left no files.
+    """
+    origin, table, *more = _arrange_comparison(comparison, folder, _tabulate_in_html)
+    return "".join([_say_in_html(origin), table, *map(_say_in_html, more)])
+
+
+def _arrange_comparison(
+    comparison: Mapping[str, Any], folder: Path | None, tabulate: Callable[[Rows], str]
+) -> list[str]:
     count = len(comparison["runs"])
-    blocks = [
+    return [
         f"{count} run{'s' * (count != 1)} on {comparison['data']['name']}. {_say_kind(comparison['data'])}",
-        _tabulate_runs(comparison),
+        tabulate(_list_runs(comparison)),
         *_list_failures(comparison["failures"]),
         *([f"warning: {comparison['reference_doubt']}"] if comparison["reference_doubt"] else []),
         _say_recommendation(comparison["recommendation"]),
-        f"files: {folder}",
+        *([f"files: {folder}"] if folder else []),
     ]
-    return "\n\n".join(blocks)
 
 
-def _tabulate_runs(comparison: Mapping[str, Any]) -> str:
+def _list_runs(comparison: Mapping[str, Any]) -> Rows:
     evaluation, unit = comparison["evaluation"], comparison["unit"]
     best = comparison["runs"][0]["label"]
     verdicts = {pair["run"]: pair["verdict"] for pair in comparison["pairs"] if pair["other"] == best}
@@ -138,7 +158,7 @@ def _tabulate_runs(comparison: Mapping[str, Any]) -> str:
                 f"{run['timing']['fit']:.1f}",
             )
         )
-    return align(rows)
+    return rows
 
 
 def _list_failures(failures: Sequence[Mapping[str, str]]) -> list[str]:

@@ -1,0 +1,147 @@
+"""What is to be identified, from which recordings, and how: all of the input, looked at."""
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import numpy as np
+
+from frictionzoo.bench import Bench
+from frictionzoo.bench.doubts import doubt_motion, doubt_recordings
+from frictionzoo.core.build import build
+from frictionzoo.core.errors import RunError
+from frictionzoo.core.log import Dataset
+from frictionzoo.core.segments import Sampling, Segments, cut_segments
+from frictionzoo.core.state import DriveState
+from frictionzoo.fit import Fit, Objective, Space
+from frictionzoo.models import FrictionModel
+from frictionzoo.result.evaluate import Evaluation
+from frictionzoo.result.identified import Identified
+from frictionzoo.result.record import describe_data
+from frictionzoo.simulate.drive import Drive
+from frictionzoo.simulate.proof import Proof, Recorded, initial_values, prove
+
+
+@dataclass(frozen=True)
+class Problem:
+    """An identification that is ready to begin: all of the input has been looked at.
+
+    Attributes:
+        bench: The test stand.
+        dataset: Recordings, train and test.
+        doubts: What of them is likely to be wrong.
+        sampling: From their samples to simulation steps.
+        segments: What the fit compares.
+        evaluation: The rollouts that judge.
+        drive: The bench with the chosen law.
+        proof: That it is simulated as MuJoCo does.
+        samples: What the law sees in the training samples.
+        objective: What the fit minimises.
+        fit: How.
+        settings: All options of the run.
+        seconds: What posing it took [s].
+    """
+
+    bench: Bench
+    dataset: Dataset
+    doubts: list[str]
+    sampling: Sampling
+    segments: Segments
+    evaluation: Evaluation
+    drive: Drive
+    proof: Proof
+    samples: DriveState
+    objective: Objective
+    fit: Fit
+    settings: Mapping[str, Any]
+    seconds: float
+
+    @classmethod
+    def from_settings(cls, settings: Mapping[str, Any]) -> "Problem":
+        """The problem that the settings describe.
+
+        Args:
+            settings: A resolved configuration.
+
+        Raises:
+            FrictionzooError: The input is at fault.
+        """
+        began = time.perf_counter()
+        bench, dataset = build(settings["bench"]), build(settings["data"]).load()
+        model = build(settings["model"], nv=bench.nv)
+        problem = cls.pose(bench, model, dataset, build(settings["fit"]), settings)
+        return replace(problem, seconds=time.perf_counter() - began)
+
+    @classmethod
+    def pose(
+        cls, bench: Bench, model: FrictionModel, dataset: Dataset, fit: Fit, settings: Mapping[str, Any]
+    ) -> "Problem":
+        """The problem of these parts, in the precision and on the device of the present `computing`.
+
+        Args:
+            bench: The test stand.
+            model: The friction law; it is made ready for the data, and a fit leaves the best values in it.
+            dataset: Recordings, train and test.
+            fit: How to find the parameters.
+            settings: `segments`, `loss` and `evaluation`, the arguments of `cut_segments`, `Objective` and
+                `Evaluation`; `engine`; `dtype`; and whatever else the record is to tell.
+
+        Raises:
+            FrictionzooError: The input is at fault.
+        """
+        began = time.perf_counter()
+        bench = bench.observing(model.inputs)
+        dataset = bench.accept_all(dataset)
+        doubts = doubt_recordings(dataset, bench) + doubt_motion(dataset, bench)
+        sampling = bench.sampling(dataset.logs[0].timestep)
+        segments = cut_segments(dataset.train, **settings["segments"], history=sampling.history)
+        evaluation = Evaluation(dataset, bench.joint_type, **settings["evaluation"], history=sampling.history)
+        drive = Drive.assemble(bench, model, settings["engine"], sampling)
+        proof = prove(bench, model, drive.engine.name, initial_values(bench, model), Recorded.of(dataset.train))
+        samples = _training_samples(drive, bench, dataset)
+        drive.model.prepare(samples)
+        space = Space(bench, drive.model, settings["dtype"])
+        objective = Objective(space, drive.rollout, segments, **settings["loss"])
+        seconds = time.perf_counter() - began
+        posed = (bench, dataset, doubts, sampling, segments, evaluation, drive, proof, samples, objective)
+        return cls(*posed, fit.choose(objective), settings, seconds)
+
+    def following(self, teacher: Identified) -> "Problem":
+        """The same problem with a fitted drive's rollouts in place of the measured segments, judged as before.
+
+        The bench starts with the fitted values; its armature alone is free.
+
+        Args:
+            teacher: The drive, from a run with the same bench, data and evaluation.
+
+        Raises:
+            RunError: The recordings are not those of the teacher's run any more, or the teacher diverges.
+        """
+        settings = self.settings
+        came = {"data": describe_data(self.dataset)["sha256"], "evaluation": self.evaluation.sha256}
+        for what, sha256 in came.items():
+            if sha256 != (expected := teacher.result[what]["sha256"]):
+                raise RunError(
+                    f"{teacher.place}: {what} with SHA-256 {sha256[:12]}, expected {expected[:12]} as when it ran; "
+                    "restore its recordings or run it again"
+                )
+        # The teacher's law may look at something that the student's does not, and the other way round.
+        train = tuple(map(teacher.bench.accept, self.dataset.train))
+        followed = teacher.follow(cut_segments(train, **settings["segments"], history=self.sampling.history))
+        segments = replace(self.segments, qpos=followed.qpos, qvel=followed.qvel)
+        bench = self.bench.restarted(teacher.values["bench"])
+        drive = Drive.assemble(bench, self.drive.model, settings["engine"], self.sampling)
+        space = Space(bench, drive.model, settings["dtype"])
+        objective = Objective(space, drive.rollout, segments, **settings["loss"])
+        return replace(self, bench=bench, segments=segments, drive=drive, objective=objective)
+
+
+def _training_samples(drive: Drive, bench: Bench, dataset: Dataset) -> DriveState:
+    """What the friction law sees in every training sample, with the bench's initial values, as numpy arrays."""
+    values = {"bench": bench.initial_values()}
+    state = drive.rollout.compile(jax.vmap(drive.engine.drive_state, in_axes=(None, 0, 0, 0, None)))
+    signals = [(log.qpos, log.qvel, log.channels, log.load) for log in dataset.train]
+    parts = [jax.tree.map(np.asarray, state(values, *of_log)) for of_log in signals]
+    return jax.tree.map(lambda *signals: np.concatenate(signals), *parts)

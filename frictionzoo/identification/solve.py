@@ -1,0 +1,166 @@
+"""The fit of a problem, what the data determine of its outcome, and its judgement: an identified drive."""
+
+import copy
+import logging
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from frictionzoo.core.segments import Segments
+from frictionzoo.fit import Outcome, Space, estimate_uncertainty, fit_reference, run_fit
+from frictionzoo.fit.loop import Record
+from frictionzoo.identification.problem import Problem
+from frictionzoo.logs.cache import cache_folder
+from frictionzoo.models import Baseline
+from frictionzoo.result.curves import Curves, sample_friction
+from frictionzoo.result.evaluate import Judgement
+from frictionzoo.result.identified import Identified
+from frictionzoo.result.record import build_result
+from frictionzoo.simulate import Values
+from frictionzoo.simulate.drive import Drive
+from frictionzoo.simulate.rollout import make_observer
+
+_log = logging.getLogger(__name__)
+
+
+def solve(
+    problem: Problem,
+    name: str,
+    device: str,
+    *,
+    record: Record | None = None,
+    measured: Problem | None = None,
+) -> Identified:
+    """Identify a drive, in the same `computing` in which the problem was posed.
+
+    Args:
+        problem: What is to be identified.
+        name: The law's, for the record.
+        device: Where it runs, for the record.
+        record: Where the fit's course is kept; None to keep it in memory only.
+        measured: The problem with the measured segments, where this one's are another drive's rollouts.
+
+    Raises:
+        FrictionzooError: The fit cannot begin, or the record cannot be written.
+    """
+    began = time.perf_counter()
+    settings = problem.settings
+    _log_engine(problem)
+    outcome = run_fit(problem.fit, problem.objective, problem.drive.model, record, **settings["loop"])
+    timing = {"setup": problem.seconds, "compile": outcome.compile_seconds, "fit": outcome.fit_seconds}
+
+    asked = time.perf_counter()
+    uncertainty = estimate_uncertainty(problem.objective, outcome.vector)
+    timing |= {"uncertainty": time.perf_counter() - asked}
+
+    judged = time.perf_counter()
+    judgement = problem.evaluation.judge(problem.drive.rollout.compiled, outcome.values)
+    baseline, reference = judge_baseline(measured or problem)
+    timing |= {"evaluate": time.perf_counter() - judged, "total": problem.seconds + time.perf_counter() - began}
+
+    result = build_result(
+        name=name,
+        bench=problem.bench,
+        model=problem.drive.model,
+        values=outcome.values,
+        dataset=problem.dataset,
+        evaluation=problem.evaluation,
+        judgement=judgement,
+        baseline=baseline,
+        reference=reference["bench"],
+        fit=_describe_fit(outcome),
+        history=outcome.history,
+        timing=timing,
+        settings=settings,
+        engine=problem.drive.engine.name,
+        proof=problem.proof,
+        warnings=problem.doubts,
+        device=device,
+        uncertainty=uncertainty,
+    )
+    return Identified(
+        folder=None,
+        result=result,
+        bench=problem.bench,
+        model=copy.deepcopy(problem.drive.model).double(),
+        state={name: value.detach().clone() for name, value in problem.drive.model.state_dict().items()},
+        values={owner: {k: np.array(v, np.float64) for k, v in own.items()} for owner, own in outcome.values.items()},
+        segments=problem.evaluation.trajectories,
+        sampling=problem.sampling,
+        curves=_collect_curves(problem, outcome, judgement, baseline),
+        complaint=outcome.message,
+    )
+
+
+def judge_baseline(problem: Problem) -> tuple[Judgement, Values]:
+    """The best that the bench does without friction, on the same segments and the same rollouts, and its values.
+
+    Args:
+        problem: With the measured segments.
+    """
+    settings = problem.settings
+    drive = Drive.assemble(problem.bench, Baseline(problem.bench.nv), problem.drive.engine.name, problem.sampling)
+    space = Space(problem.bench, drive.model, settings["dtype"])
+    if space.names:
+        cache = cache_folder(settings["compilation_cache"])
+        folder = None if cache is None else cache / "reference"
+        values = fit_reference(problem.objective.for_drive(space, drive.rollout), folder)
+    else:
+        values = jax.tree.map(np.asarray, space.values(space.start))
+    return problem.evaluation.judge(drive.rollout.compiled, values), values
+
+
+def _log_engine(problem: Problem) -> None:
+    engine, segments = problem.drive.engine, problem.segments
+    note = f": {engine.note}" if engine.note else ""
+    _log.info("engine %s, as MuJoCo C within %.1g%s", engine.name, problem.proof.rollout, note)
+    if problem.objective.devices > 1:
+        _log.info("segments are spread over %d devices", problem.objective.devices)
+    _log.info("%s: %d segments of %d steps to train on", problem.dataset.name, segments.count, segments.length)
+
+
+def _collect_curves(problem: Problem, outcome: Outcome, judgement: Judgement, baseline: Judgement) -> Curves:
+    measured, local = problem.evaluation.trajectories, problem.evaluation.local
+    velocity, friction, low, high = sample_friction(problem.drive.model, problem.samples)
+    return Curves(
+        measured_qpos=measured.qpos,
+        measured_qvel=measured.qvel,
+        ctrl=measured.ctrl,
+        load=measured.loads,
+        qpos=judgement.prediction.qpos,
+        qvel=judgement.prediction.qvel,
+        baseline_qpos=baseline.prediction.qpos,
+        baseline_qvel=baseline.prediction.qvel,
+        train_mae=judgement.rollout_mae["train"],
+        test_mae=judgement.rollout_mae["test"],
+        local_mae=judgement.local_mae,
+        local_speed=np.abs(local.qvel).mean(axis=(1, 2)),
+        local_load=np.abs(_motor_torque(problem, local)).mean(axis=(1, 2)),
+        velocity=velocity,
+        friction=friction,
+        friction_low=low,
+        friction_high=high,
+        history=outcome.history,
+    )
+
+
+def _motor_torque(problem: Problem, segments: Segments) -> Float[np.ndarray, "batch time nv"]:
+    """The actuators' torque at each measured state, with the bench's initial values: the same for all laws."""
+    values = {"bench": problem.bench.initial_values()}
+    seen = problem.drive.rollout.compile(make_observer(problem.drive.engine, problem.sampling))
+    state = seen(values, segments.qpos[:, :-1], segments.qvel[:, :-1], segments.ctrl, segments.loads)
+    return np.asarray(state.motor_torque, np.float64)
+
+
+def _describe_fit(outcome: Outcome) -> Mapping[str, Any]:
+    return {
+        "method": outcome.method,
+        "iterations": outcome.iterations,
+        "best_iteration": outcome.best_iteration,
+        "loss": outcome.loss,
+        "stopped": outcome.stopped,
+    }

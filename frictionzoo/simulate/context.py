@@ -1,0 +1,70 @@
+"""JAX as one identification wants it, and as it was before afterwards."""
+
+import contextlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import jax
+from jax.experimental.compilation_cache import compilation_cache as jax_cache
+
+from frictionzoo.core.errors import ConfigError
+from frictionzoo.logs.cache import cache_folder
+
+_SHORTEST = 0.1  # s of compilation from which on its result is kept
+
+
+@contextlib.contextmanager
+def computing(dtype: str, device: str = "auto", compilation_cache: str | None = "user") -> Iterator[str]:
+    """Compute in this precision, on this device, keeping compiled functions in this folder.
+
+    Args:
+        dtype: `float32` or `float64`.
+        device: `auto`, `cpu` or `cuda`.
+        compilation_cache: As `cache_folder` takes it. JAX's own setting has the last word.
+
+    Yields:
+        The device's name.
+
+    Raises:
+        ConfigError: One of them is unknown, or JAX finds no such device.
+    """
+    # XLA would take most of a GPU's memory at once and leave torch none; it reads this when it first meets the GPU.
+    os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
+    if dtype not in ("float32", "float64"):
+        raise ConfigError(f"dtype={dtype}; expected float32 or float64")
+    if device not in ("auto", "cpu", "cuda"):
+        raise ConfigError(f"device={device}; expected auto, cpu or cuda")
+    try:
+        chosen = jax.devices(None if device == "auto" else device)[0]
+    except RuntimeError:
+        raise ConfigError(
+            f"device={device}: JAX finds none, expected a GPU; install frictionzoo[cuda] or set device=cpu"
+        ) from None
+    folder = cache_folder(compilation_cache)
+    with jax.enable_x64(dtype == "float64"), jax.default_device(chosen), _keeping(folder):
+        yield str(chosen.device_kind if chosen.platform != "cpu" else "cpu")
+
+
+@contextlib.contextmanager
+def _keeping(folder: Path | None) -> Iterator[None]:
+    """Compiled functions are kept below this folder."""
+    if folder is None or jax.config.jax_compilation_cache_dir is not None:
+        yield
+        return
+    options = {
+        "jax_compilation_cache_dir": str(folder / "xla"),
+        "jax_persistent_cache_min_compile_time_secs": _SHORTEST,
+    }
+    before = {name: getattr(jax.config, name) for name in options}
+    try:
+        _configure(options)
+        yield
+    finally:
+        _configure(before)
+
+
+def _configure(options: dict[str, object]) -> None:
+    for name, value in options.items():
+        jax.config.update(name, value)
+    jax_cache.reset_cache()  # JAX asks for the folder once, when it first compiles
