@@ -27,12 +27,7 @@ class Channels(NamedTuple):
 
 
 def pick_inputs(log: Log, actuator: Actuator, nv: int) -> Float[np.ndarray, "time inputs"] | None:
-    """What the actuator law needs besides the command; None where that is nothing.
-
-    Args:
-        log: The recording.
-        actuator: The law.
-        nv: Number of joints.
+    """What the actuator law of so many joints needs besides the command; None where that is nothing.
 
     Raises:
         BenchError: The recording lacks one, or has another number of columns of it, or values that are not finite.
@@ -50,12 +45,7 @@ def pick_inputs(log: Log, actuator: Actuator, nv: int) -> Float[np.ndarray, "tim
 
 
 def pick_observed(log: Log, observed: Mapping[str, float], nv: int) -> Float[np.ndarray, "time observed"] | None:
-    """What the friction law looks at besides the state; None where that is nothing.
-
-    Args:
-        log: The recording.
-        observed: Names, and what each is where the recording lacks it.
-        nv: Number of joints.
+    """What the friction law looks at besides the state, as `Bench.observed` says; None where that is nothing.
 
     Raises:
         BenchError: The recording has another number of columns of one, or values that are not finite.

@@ -22,9 +22,6 @@ def can_collide(model: mujoco.MjModel) -> bool:
     its parent. Pairs that the MJCF excludes count as if it did not.
 
     Source: MuJoCo documentation, "Computation", "Collision detection", selection.
-
-    Args:
-        model: The compiled bench.
     """
     wanted = (model.geom_contype[:, None] & model.geom_conaffinity[None, :]) != 0
     body = model.body_weldid[model.geom_bodyid]
@@ -35,13 +32,7 @@ def can_collide(model: mujoco.MjModel) -> bool:
 
 
 def combine(model: mujoco.MjModel, body: int, payload: Payload) -> Float[np.ndarray, "load"]:
-    """What a payload makes of the body that carries it, as `Bench.load` gives it.
-
-    Args:
-        model: The compiled bench, which is changed.
-        body: Index of the body.
-        payload: What is fixed to it.
-    """
+    """What a payload makes of the body of this index, as `Bench.load` gives it; the model is changed."""
     inertial = _combine(model, body, payload)
     put_inertial(model, body, inertial)
     return np.concatenate([inertial, rigid_inertia(model).ravel()])
@@ -68,13 +59,7 @@ def _combine(model: mujoco.MjModel, body: int, payload: Payload) -> Float[np.nda
 
 
 def put_inertial(model: mujoco.MjModel, body: int, inertial: Float[np.ndarray, "11"]) -> None:
-    """Let a body have another mass, centre, principal axes and inertia.
-
-    Args:
-        model: A compiled bench, which is changed.
-        body: Index of the body.
-        inertial: First entries of a load.
-    """
+    """Let the body of this index have another mass, centre, principal axes and inertia: first entries of a load."""
     model.body_mass[body], model.body_ipos[body] = inertial[0], inertial[1:4]
     model.body_iquat[body], model.body_inertia[body] = inertial[4:8], inertial[8:]
     # Shortcuts that MuJoCo's compiler allowed itself for the body without the payload.

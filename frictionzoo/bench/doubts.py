@@ -22,9 +22,7 @@ LAGGING = 0.004  # s, by which a measured velocity may lag the position
 UNITS = 0.1  # relative difference of a measured velocity and the derivative from which on it is told
 STILL = 5  # steps of the encoder; a joint that moves through less stands still
 NOISE = 0.5  # of the largest ratio of the steps between samples to the spread, which is that of white noise
-SATURATED = (
-    0.2  # share of the samples of a command at the ends of its range that is told, if it is no sequence of steps
-)
+SATURATED = 0.2  # share of a command's samples at the ends of its range that is told, if it is no sequence of steps
 PAST = 0.1  # share of a command's range by which the position passes it if the command is cut off
 LEVELS, HELD = 10, 0.9  # values that hold this share of the samples: such a command is a sequence of steps
 FROZEN = 20  # samples in which a sensor repeats itself before it jumps

@@ -26,14 +26,7 @@ _KEPT = {"mujoco", "worldbody", "body", "compiler"}
 class Template:
     """An MJCF that has neither friction nor armature nor actuator at the identified joints.
 
-    Attributes:
-        source: Its path, or the name of one that the package ships.
-        joints: Names of the identified joints, in MuJoCo's order.
-
-    Args:
-        source: See above.
-        joint: Name or names of the identified joints; None where the template has one joint only.
-        timestep: Simulation step [s]; None for the template's.
+    Arguments are those of `Bench`; `joints` are the names of the identified joints in MuJoCo's order.
 
     Raises:
         BenchError: It cannot be read, does not have these joints, or has an actuator.
@@ -59,10 +52,7 @@ class Template:
         return units[-1:] == ["radian"]
 
     def write(
-        self,
-        joints: Sequence[Mapping[str, str]],
-        actuators: Sequence[Mapping[str, str]],
-        comments: Sequence[str] = (),
+        self, joints: Sequence[Mapping[str, str]], actuators: Sequence[Mapping[str, str]], comments: Sequence[str] = ()
     ) -> str:
         """The MJCF with these attributes.
 

@@ -305,16 +305,13 @@ def _resample(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
     grid = piece.time[0] + step * np.arange(samples)
     signals = {
         name: np.stack(
-            [_sample(piece.time, column, grid, RESAMPLED.get(name, cleaning.resample)) for column in values.T],
-            axis=1,
+            [_sample(piece.time, column, grid, RESAMPLED.get(name, cleaning.resample)) for column in values.T], axis=1
         )
         for name, values in piece.signals.items()
     }
     missing = int((np.round(steps[steps > 1.5 * interval] / interval) - 1).sum())
-    sentence = (
-        f"resampled from about {1 / interval:.4g} to {1 / step:.4g} samples/s, {cleaning.resample}; ctrl: mean of the "
-    )
-    sentence += "held command"
+    rates = f"from about {1 / interval:.4g} to {1 / step:.4g} samples/s"
+    sentence = f"resampled {rates}, {cleaning.resample}; ctrl: mean of the held command"
     if missing:
         sentence += f"; missing samples interpolated: {missing}"
     return Piece(grid, signals, (*piece.repairs, sentence))

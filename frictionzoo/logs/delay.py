@@ -141,16 +141,8 @@ def _regress(recording: Recording, joint: int) -> float:
     moving = np.abs(velocity) > MOVING * np.abs(velocity).max()
     others = np.stack([velocity, np.sign(velocity), gravity, np.ones_like(velocity)], axis=1)[moving]
     delays = np.arange(EARLIEST, LATEST, max(timestep, 0.001))
-    left = np.array(
-        [
-            _unexplained(
-                acceleration[moving],
-                scipy.signal.sosfiltfilt(sections, np.interp(time - delay, time, ctrl))[moving],
-                others,
-            )
-            for delay in delays
-        ]
-    )
+    late = (scipy.signal.sosfiltfilt(sections, np.interp(time - delay, time, ctrl))[moving] for delay in delays)
+    left = np.array([_unexplained(acceleration[moving], command, others) for command in late])
     at = int(np.argmin(left))
     if left[at] > UNEXPLAINED or at in (0, len(left) - 1):
         return np.nan

@@ -86,9 +86,7 @@ class Files(Source):
         self.format: str = format
         self.train: list[str] = _names("train", train)
         self.test: list[str] = _names("test", test)
-        self.columns: dict[str, Any] = {
-            signal: name_headers(signal, given) for signal, given in _signals("columns", columns).items()
-        }
+        self.columns: dict[str, Any] = {s: name_headers(s, given) for s, given in _signals("columns", columns).items()}
         self.units: dict[str, str] = {signal: str(unit) for signal, unit in _signals("units", units).items()}
         self.sign: dict[str, int] = _signs(sign)
         for signal, unit in self.units.items():

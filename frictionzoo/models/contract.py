@@ -16,16 +16,7 @@ from frictionzoo.core.errors import ModelError, UnknownModelError, closest
 from frictionzoo.core.params import UNITS
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models.base import FrictionModel, sliding_torque
-from frictionzoo.models.formula import (
-    Formula,
-    Values,
-    as_numpy,
-    jax_slopes,
-    saved,
-    torch_slopes,
-    torch_state,
-    torch_values,
-)
+from frictionzoo.models.formula import Formula, Values, as_numpy, jax_slopes, torch_slopes, torch_state, torch_values
 from frictionzoo.models.registry import get_model
 from frictionzoo.models.torch_friction import TorchFriction
 
@@ -134,12 +125,12 @@ def _check_bounds(model: FrictionModel) -> None:
 def _check_terms(model: FrictionModel, samples: DriveState) -> None:
     """The right terms, arrays of the namespace asked for, of the state's shape, whatever the batch dimensions."""
     for batch in ((), (3,), (2, 3), samples.qvel.shape[:-1]):
-        state = _resized(samples, (*batch, model.nv))
+        state = samples.map(lambda signal, shape=(*batch, model.nv): np.resize(signal, shape))
         terms = _torch_terms(model, state)
         _check_kinds(model, terms, "torch", torch.Tensor, batch)
         if terms.frictionloss is not None and not bool((terms.frictionloss > 0).all()):
             _fail(model, "frictionloss", "is 0 or negative somewhere, where MuJoCo locks the joint; keep it above 0")
-        if _is_over_jax(model):
+        if not isinstance(model, TorchFriction):
             _check_kinds(model, _jax_terms(model, state), "jax.numpy", jax.ShapeDtypeStruct, batch)
 
 
@@ -168,12 +159,12 @@ def _check_shape(model: FrictionModel, what: str, shape: tuple[int, ...], expect
 def _check_purity(model: FrictionModel, samples: DriveState) -> None:
     """Same inputs, same bits; nothing is written; the numbers come from `values`; no branch on a number."""
     values, state = torch_values(model), torch_state(samples)
-    before, kept_values, kept_state = saved(model), copy.deepcopy(values), copy.deepcopy(state)
+    before, kept_values, kept_state = torch_values(model), copy.deepcopy(values), copy.deepcopy(state)
     first = model.terms(torch, values, state)
     if not _same(first, model.terms(torch, values, state)):
         _fail(model, "deterministic", "two calls with the same inputs differ; take no random number in terms")
     unwritten = _equal(kept_values, values) and _equal(kept_state.given(), state.given())
-    if not unwritten or not _equal(before, saved(model)):
+    if not unwritten or not _equal(before, torch_values(model)):
         _fail(model, "pure", "terms writes into values, state or the module; return new arrays instead")
     if not _same(first, _changed(model).terms(torch, values, state)):
         _fail(model, "pure", "terms reads a parameter or buffer from the module; take it from values")
@@ -182,7 +173,7 @@ def _check_purity(model: FrictionModel, samples: DriveState) -> None:
 def _check_types(model: FrictionModel, samples: DriveState) -> None:
     """float32 in, float32 out: a constant of another type would break a compiled rollout."""
     answers = {"torch": model.terms(torch, torch_values(model, torch.float32), torch_state(samples, torch.float32))}
-    if _is_over_jax(model):
+    if not isinstance(model, TorchFriction):
         answers["jax.numpy"] = _jax_terms(model, samples, jnp.float32)
     for namespace, terms in answers.items():
         for name, term in terms.given().items():
@@ -237,7 +228,8 @@ def _check_formula(
     random, shape = np.random.default_rng(0), samples.qvel.shape
     weights = {name: random.standard_normal(shape) for name in FrictionTerms._fields}
     weights |= {name: random.standard_normal((*shape, model.memory)) for name in ("settled memory", "memory")}
-    in_jax = jax_slopes(model, list(places.values()), formula, weights) if _is_over_jax(model) else None
+    over_jax = not isinstance(model, TorchFriction)
+    in_jax = jax_slopes(model, list(places.values()), formula, weights) if over_jax else None
     found = []
     for place, (where, state) in enumerate(places.items()):
         values, ours = torch_slopes(model, state, formula, weights)
@@ -322,10 +314,6 @@ def _draw_samples(model: FrictionModel) -> DriveState:
     return state
 
 
-def _resized(state: DriveState, shape: tuple[int, ...]) -> DriveState:
-    return state.map(lambda signal: np.resize(signal, shape))
-
-
 def _equal(ours: Mapping[str, torch.Tensor], theirs: Mapping[str, torch.Tensor]) -> bool:
     return ours.keys() == theirs.keys() and all(torch.equal(ours[name], theirs[name]) for name in ours)
 
@@ -342,10 +330,6 @@ def _changed(model: FrictionModel) -> FrictionModel:
     return changed
 
 
-def _is_over_jax(model: FrictionModel) -> bool:
-    return not isinstance(model, TorchFriction)
-
-
 def _torch_terms(model: FrictionModel, state: DriveState) -> Any:
     return _called(model, "torch", lambda: model.terms(torch, torch_values(model), torch_state(state)))
 
@@ -356,7 +340,7 @@ def _jax_terms(model: FrictionModel, state: DriveState, dtype: Any = jnp.float64
     def traced(array: np.ndarray) -> jax.ShapeDtypeStruct:
         return jax.ShapeDtypeStruct(array.shape, dtype if np.issubdtype(array.dtype, np.floating) else array.dtype)
 
-    values, drive = jax.tree.map(traced, (as_numpy(saved(model)), state))
+    values, drive = jax.tree.map(traced, (as_numpy(torch_values(model)), state))
     return _called(model, "jax.numpy", lambda: jax.eval_shape(partial(model.terms, jnp), values, drive))
 
 

@@ -20,14 +20,9 @@ def as_numpy(arrays: Mapping[str, Any]) -> dict[str, np.ndarray]:
     return {name: a.detach().numpy() if isinstance(a, torch.Tensor) else np.asarray(a) for name, a in arrays.items()}
 
 
-def saved(model: FrictionModel) -> dict[str, torch.Tensor]:
-    """A copy of a law's parameters and buffers."""
-    return {name: tensor.detach().clone() for name, tensor in model.state_dict().items()}
-
-
 def torch_values(model: FrictionModel, dtype: torch.dtype = torch.float64) -> dict[str, torch.Tensor]:
-    """A copy of them that a formula may take, floating-point numbers of this type."""
-    state = saved(model)
+    """A copy of a law's parameters and buffers, floating-point numbers as this type."""
+    state = {name: tensor.detach().clone() for name, tensor in model.state_dict().items()}
     return {name: tensor.to(dtype) if tensor.is_floating_point() else tensor for name, tensor in state.items()}
 
 

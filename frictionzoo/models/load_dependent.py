@@ -35,11 +35,7 @@ class LoadDependent(FrictionModel):
     actuators", 2024, model M3.
     """
 
-    dimensions = {
-        "frictionloss": "torque",
-        "damping": "damping",
-        "load_friction": "1",
-    }
+    dimensions = {"frictionloss": "torque", "damping": "damping", "load_friction": "1"}
     constraint = True
     dissipative = True
 

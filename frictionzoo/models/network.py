@@ -63,9 +63,8 @@ class NetworkModel(FrictionModel):
             )
         generator = torch.Generator().manual_seed(seed)
         widths = [self.columns, *hidden, outputs]
-        self.layers: torch.nn.ModuleList = torch.nn.ModuleList(
-            _linear(*pair, generator) for pair in itertools.pairwise(widths)
-        )
+        layers = (_linear(*pair, generator) for pair in itertools.pairwise(widths))
+        self.layers: torch.nn.ModuleList = torch.nn.ModuleList(layers)
         with torch.no_grad():
             for weights in self.layers[-1].parameters():
                 # The network starts near zero, yet not at zero, where the other layers have no gradient.

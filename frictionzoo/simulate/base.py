@@ -3,6 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import jax.numpy as jnp
@@ -108,16 +109,7 @@ def control(bench: Bench, values: Values, qpos: Array, qvel: Array, ctrl: Array)
 
 def friction_of(module: Any) -> Friction:
     """A friction module's formula over `jax.numpy`."""
-
-    def settle(values: Mapping[str, Any], state: DriveState) -> Array:
-        return module.settle(jnp, values, state)
-
-    def advance(
-        values: Mapping[str, Any], state: DriveState, memory: Array, timestep: float
-    ) -> tuple[FrictionTerms, Array]:
-        return module.advance(jnp, values, state, memory, timestep)
-
-    return Friction(settle, advance)
+    return Friction(partial(module.settle, jnp), partial(module.advance, jnp))
 
 
 def without_memory(terms: Callable[[Mapping[str, Any], DriveState], FrictionTerms]) -> Friction:
@@ -126,13 +118,7 @@ def without_memory(terms: Callable[[Mapping[str, Any], DriveState], FrictionTerm
     Args:
         terms: Its values and what the drive is doing to friction terms.
     """
-
-    def settle(values: Mapping[str, Any], state: DriveState) -> Array:
-        return jnp.zeros((*state.qvel.shape, 0))
-
-    def advance(
-        values: Mapping[str, Any], state: DriveState, memory: Array, timestep: float
-    ) -> tuple[FrictionTerms, Array]:
-        return terms(values, state), memory
-
-    return Friction(settle, advance)
+    return Friction(
+        settle=lambda values, state: jnp.zeros((*state.qvel.shape, 0)),
+        advance=lambda values, state, memory, timestep: (terms(values, state), memory),
+    )

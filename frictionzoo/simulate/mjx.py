@@ -221,9 +221,7 @@ class MjxEngine(Engine):
         return model, data
 
 
-def _jacobians(
-    model: mujoco.MjModel,
-) -> tuple[Float[np.ndarray, "bodies 2 3 nv"], Float[np.ndarray, "tendons 1 nv"]]:
+def _jacobians(model: mujoco.MjModel) -> tuple[Float[np.ndarray, "bodies 2 3 nv"], Float[np.ndarray, "tendons 1 nv"]]:
     """How bodies' centres of mass and tendons move with the joints at the reference position.
 
     Of bodies in translation and rotation, and none where no constraint acts on bodies: their inverse inertia, with
