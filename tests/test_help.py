@@ -15,7 +15,7 @@ from conftest import ROOT
 from test_readme import assert_composes
 
 from frictionzoo.cli import run
-from frictionzoo.cli.commands import COMMANDS, HELP, dispatch
+from frictionzoo.cli.commands import _INSPECT, COMMANDS, HELP, dispatch
 from frictionzoo.cli.inspect import _name_files
 from frictionzoo.core.config import CONF_DIR
 from frictionzoo.core.options import read_options
@@ -54,7 +54,7 @@ def test_the_page_names_every_command_wherever_a_run_is_asked_for_help(
         assert f"  {name:<8} {does}\n" in page
 
 
-@pytest.mark.parametrize("words", examples_of(HELP), ids=" ".join)
+@pytest.mark.parametrize("words", examples_of(HELP + _INSPECT), ids=" ".join)
 def test_an_example_is_true(words: list[str]) -> None:
     """Jobs compose and data sets do; other commands parse, and what they name exists."""
     name, *rest = words
@@ -117,7 +117,7 @@ def test_a_command_leaves_the_process_as_it_was(
     monkeypatch.setattr(sys, "argv", ["program", "of its own"])
     before = dict(os.environ), signal.getsignal(signal.SIGINT), sys.unraisablehook
     with pytest.raises(SystemExit):
-        run.main(["-m", "model=coulomb_smoth"])
+        run.main(["seed=1", "-m", "model=coulomb_smoth"])  # a flag between overrides
     assert "did you mean coulomb_smooth?" in capsys.readouterr().err
     assert (dict(os.environ), signal.getsignal(signal.SIGINT), sys.unraisablehook) == before
     assert sys.argv == ["program", "of its own"]

@@ -42,7 +42,7 @@ STATUS = {  # of a program that was ended so after it had begun, and before it h
 STAGES = ("", ".hydra/overrides.yaml", "checkpoints/last.ckpt", "figures", "friction.safetensors", "report.html")
 LATEST = 1.5
 PATIENCE = 300.0  # s after which a process that has not ended is a failure
-# The program with a law of its own; as in frictionzoo/run.py, Ctrl-C is answered from the start.
+# The program with a law of its own; as in frictionzoo.cli.commands, Ctrl-C is answered from the start.
 WITH_LAW = """
 import signal
 signal.signal(signal.SIGINT, signal.SIG_DFL)

@@ -30,7 +30,9 @@ def given_to_hydra(arguments: Sequence[str]) -> Iterator[None]:
         arguments: In place of those of the command line.
     """
     given, full = sys.argv, os.environ.get(_RAISE)
-    sys.argv, os.environ[_RAISE] = [given[0], *arguments], "1"
+    # It refuses overrides on both sides of a flag.
+    flags_first = sorted(arguments, key=lambda each: each.startswith("~") or ("=" in each and each[0] != "-"))
+    sys.argv, os.environ[_RAISE] = [given[0], *flags_first], "1"
     try:
         yield
     finally:
