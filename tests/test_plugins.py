@@ -24,6 +24,7 @@ from frictionzoo.core.build import build
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.registry import KINDS
 from frictionzoo.fit import run_fit
+from frictionzoo.models import get_model
 from frictionzoo.models.contract import check_model
 
 TABLE = re.findall(r"^\| (\w+) \| (\d) \|", (ROOT / "CONTRIBUTING.md").read_text(), re.M)
@@ -379,7 +380,14 @@ def test_a_class_is_reached_by_its_name_in_its_package_and_nothing_else_is() -> 
     for kind in KINDS.values():
         for found in kind.own().values():
             home, _, cls = found.target.rpartition(".")
+            assert found.summary, found.target
             if kind.plural in ("models", "actuators", "methods"):  # whose classes configurations name
                 assert getattr(importlib.import_module(home), cls).name == found.name
     with pytest.raises(ImportError, match=r"cannot import name 'Newton' from 'frictionzoo\.fit'"):
         from frictionzoo.fit import Newton  # noqa: F401
+
+
+def test_every_law_says_what_it_cannot_represent_and_where_it_comes_from() -> None:
+    for name in KINDS["models"].own():
+        text = get_model(name).__doc__ or ""
+        assert "\n    Cannot represent: " in text and "\n    Source: " in text, name

@@ -10,11 +10,12 @@ from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from frictionzoo.core.errors import ConfigError, FrictionzooError, closest
 
 T = TypeVar("T")
+B = TypeVar("B")
 
 
 class Found(NamedTuple):
@@ -115,7 +116,7 @@ _REGISTRIES: list["Registry"] = []
 
 
 @dataclass
-class Registry:
+class Registry(Generic[B]):
     """The plug-ins of one kind.
 
     Attributes:
@@ -128,7 +129,7 @@ class Registry:
     """
 
     kind: Kind
-    base: type
+    base: type[B]
     method: str
     error: type[FrictionzooError] = ConfigError
     unknown: type[FrictionzooError] = ConfigError
@@ -154,7 +155,7 @@ class Registry:
         """
         return lambda cls: self._add(name, cls)
 
-    def get(self, name: str) -> Any:
+    def get(self, name: str) -> type[B]:
         """The class of that name, registered here or brought by another package.
 
         Args:
@@ -177,7 +178,7 @@ class Registry:
         """All names, sorted."""
         return sorted({*self.kind.own(), *self._outside(), *self.entries})
 
-    def find_class(self, name: str) -> Any:
+    def find_class(self, name: str) -> type[B]:
         """One of this package's classes by its own name: the `__getattr__` of the package that holds them.
 
         Raises:
@@ -209,7 +210,7 @@ class Registry:
         self.entries[name] = cls
         return cls
 
-    def _load(self, found: Found) -> Any:
+    def _load(self, found: Found) -> type[B]:
         """Import one of this package's own."""
         cls = getattr(importlib.import_module(found.module), found.target.rpartition(".")[2])
         return self.entries.setdefault(found.name, cls)

@@ -49,19 +49,8 @@ REGISTRY = Registry(KINDS["targets"], Target, "write", ExportError)
 register_target = REGISTRY.register
 """Class decorator that makes a target available on the command line, as `Registry.register`."""
 
-
-def get_target(name: str) -> type[Target]:
-    """The target of that name.
-
-    Args:
-        name: As registered, here or by a package with an entry point in the group `frictionzoo.targets`.
-
-    Raises:
-        ConfigError: No such name; the message names the closest.
-        ExportError: Two packages bring the name, or the one that does is broken.
-    """
-    return REGISTRY.get(name)
-
+get_target = REGISTRY.get
+"""The target of that name, as `Registry.get`."""
 
 target_names = REGISTRY.names
 """Names of all targets, sorted."""
