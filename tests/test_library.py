@@ -5,7 +5,6 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -241,5 +240,3 @@ def test_a_run_that_was_read_back_is_shown_and_exported(finished_run: Callable, 
     assert not (tmp_path / path).exists()
     with pytest.raises(RunError, match="expected the folder of a finished run"):
         fz.load(tmp_path)
-    with pytest.raises(RunError, match="no curves"):
-        replace(fit, curves=None).plot()

@@ -17,15 +17,16 @@ import pytest
 from omegaconf import OmegaConf
 from pages import ROOT
 
-from frictionzoo.cli.job import Problem
 from frictionzoo.cli.list import main
 from frictionzoo.core import config, registry
 from frictionzoo.core.build import build
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.registry import KINDS
 from frictionzoo.fit import run_fit
+from frictionzoo.identification import Problem
 from frictionzoo.models import get_model
 from frictionzoo.models.contract import check_model
+from frictionzoo.simulate.context import computing
 
 TABLE = re.findall(r"^\| (\w+) \| (\d) \|", (ROOT / "CONTRIBUTING.md").read_text(), re.M)
 FILES = {kind: int(count) for kind, count in TABLE}
@@ -194,14 +195,11 @@ def settings_of(*overrides: str) -> dict[str, Any]:
     return OmegaConf.to_container(config.compose_config(*overrides), resolve=True)
 
 
-def identify(settings: dict[str, Any], folder: Path) -> Any:
+def identify(settings: dict[str, Any]) -> Any:
     """The fit of these settings, without what a job does besides."""
-    problem = Problem.pose(settings)
-    return run_fit(
-        *(problem.fit, problem.objective, problem.drive.model),
-        **{"folder": folder, "identity": {}, "logger": build(settings["logger"]), "hyperparameters": {}},
-        **settings["loop"],
-    )
+    with computing("float64", "cpu", None):
+        problem = Problem.from_settings(settings)
+        return run_fit(problem.fit, problem.objective, problem.drive.model, **settings["loop"])
 
 
 def test_a_law_is_two_files(
@@ -212,7 +210,7 @@ def test_a_law_is_two_files(
     assert listed(capsys, "models")["round_coulomb"] == ["frictionzoo", "model=round_coulomb", line]
     settings = settings_of("model=round_coulomb", *tiny, "fit=lm", "logger=csv")
     check_model(build(settings["model"], nv=2))
-    outcome = identify(settings, tmp_path)
+    outcome = identify(settings)
     # The recording's drive has a hyperbolic tangent in place of this sign.
     truth = {"coulomb_torque": 0.1, "viscous_coefficient": 0.05}
     found = {name: outcome.values["friction"][name].item() for name in truth}
@@ -275,7 +273,7 @@ def test_a_fit_method_is_two_files(
     bounds = (
         f"bench.params.armature.{name}={value}" for name, value in {"init": 0.1, "low": 0.02, "high": 0.2}.items()
     )
-    outcome = identify(settings_of("fit=random_search", "model=baseline", "logger=csv", *bounds, *tiny), tmp_path)
+    outcome = identify(settings_of("fit=random_search", "model=baseline", "logger=csv", *bounds, *tiny))
     assert outcome.method == "random_search" and len(outcome.history["loss"]) == 30
     tried = outcome.history["bench.armature"]
     assert outcome.values["bench"]["armature"] == tried[np.argmin(outcome.history["loss"])]

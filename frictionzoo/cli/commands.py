@@ -38,7 +38,8 @@ examples (RUN stands for a run's folder, outputs/DATE/TIME_DATA_MODEL):
     frictionzoo inspect a.csv
     frictionzoo data=files 'data.train=[a.csv]' bench.mjcf=stand.xml \\
       bench.joint=shaft bench.actuator.params.kp.init=15
-  Another law, found by Levenberg-Marquardt
+  What laws there are; another one, found by Levenberg-Marquardt
+    frictionzoo list models
     frictionzoo model=mujoco_default fit=lm segments.length=1000
   A real data set, from the folder that FRICTIONZOO_DATA names
     frictionzoo experiment=emps

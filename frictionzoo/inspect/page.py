@@ -60,7 +60,8 @@ def write_page(path: Path, survey: Mapping[str, Any], recordings: Sequence[Recor
 
 def _plot_velocities(recordings: Sequence[Recording], joint: int, survey: Mapping[str, Any]) -> Figure:
     velocity, slow = pool_velocities(recordings, joint), survey["joints"][joint]["slow"]
-    bars = _count(velocity, *survey["joints"][joint]["velocity"], "share of the samples")
+    low, high = survey["joints"][joint]["velocity"]
+    bars = _count(velocity, low, high, "share of the samples")
     band = Stripe(low=-slow["speed"], high=slow["speed"], color=BASELINE, opacity=0.18)
     panel = Panel((band, bars), Axis("velocity", "rad/s or m/s"), Axis("share of the samples", "%"))
     text = f"Velocities of all samples, estimated from the position. {100 * slow['share']:.0f} % lie in the band, "
