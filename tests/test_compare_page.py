@@ -144,7 +144,7 @@ def figure_named(source, title):
 
 def test_figures_hold_the_numbers_of_the_comparison(runs, tmp_path):
     source, comparison = show(tmp_path / "comparison.html", runs)
-    bars = [trace for trace in figure_named(source, "Error of each run")["data"] if trace["x"]]
+    bars = [trace for trace in figure_named(source, "Error of each run")["data"] if trace["x"] != [None]]
     errors = [entry[part]["position_mae"] for part in ("test", "train") for entry in comparison["runs"]]
     np.testing.assert_allclose([bar["x"][0] for bar in bars], errors, rtol=1e-5)
     best = comparison["runs"][0]["label"]

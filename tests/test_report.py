@@ -28,7 +28,7 @@ from frictionzoo.result.curves import Curves
 from frictionzoo.result.evaluate import Evaluation, Prediction
 from frictionzoo.result.record import _list_parameters, build_result, read_schema, write_result
 from frictionzoo.show.figure import Sheet
-from frictionzoo.show.run_plots import draw_rollout, plot_error, plot_history, write_figures
+from frictionzoo.show.run_plots import draw_rollout, plot_run, write_figures
 from frictionzoo.show.terminal import summarise
 from frictionzoo.show.with_matplotlib import draw
 from frictionzoo.simulate.proof import Proof
@@ -417,7 +417,7 @@ def of_joints(result, *joints):
 
 def draw_history(result, **values):
     """Panels of figure 3."""
-    figures = list(plot_history(result, curves_of(make_rollout(), **values)))
+    figures = plot_run(result, curves_of(make_rollout(nv=len(result["joints"])), **values))["history"]
     figure = draw(Sheet("title", figures, 2.0, columns=2, headings=True))
     return figure, {axes.get_title("left"): axes for axes in figure.get_axes() if axes.axison}
 
@@ -480,7 +480,7 @@ def test_figure4_has_a_column_a_joint(result):
 
 def draw_error(result, rollout, window):
     record = result | {"evaluation": {"window": window}}
-    return draw(Sheet("title", [plot_error(record, curves_of(rollout))], 3.0))
+    return draw(Sheet("title", plot_run(record, curves_of(rollout))["error"], 3.0))
 
 
 def test_figure5_draws_the_moving_error(result):

@@ -5,9 +5,9 @@ from pathlib import Path
 
 from frictionzoo.comparison.record import Comparison
 from frictionzoo.comparison.runs import Run
-from frictionzoo.show import comparison_plots as plots
+from frictionzoo.show.comparison_plots import plot_comparison
 from frictionzoo.show.figure import Sheet
-from frictionzoo.show.with_matplotlib import draw, save_figure
+from frictionzoo.show.with_matplotlib import LINE, draw, save_figure
 
 FORMATS = ("png", "pdf")
 PIXELS = 75.0  # of a page for an inch of paper, where a figure's height is that of its rows
@@ -39,50 +39,29 @@ def arrange(comparison: Comparison, runs: Sequence[Run]) -> dict[str, Sheet]:
         comparison: The runs side by side.
         runs: The same runs with their curves.
     """
-    named = {run.label: run for run in runs}
-    runs = [named[entry["label"]] for entry in comparison["runs"]]
-    joints, evaluation = len(comparison["joints"]), comparison["evaluation"]
+    drawn, evaluation, joints = plot_comparison(comparison, runs), comparison["evaluation"], len(comparison["joints"])
     data = f"{comparison['data']['name']} ({'simulated' if comparison['data']['simulated'] else 'real'} data)"
+    fits = f"Fits to the training part of {data}\nred: the best iteration and what it identified"
     one = f"One rollout of the test part of {data}"
-    all_short = f"{evaluation['rollouts']} rollouts of {evaluation['horizon']:g} s, {data}"
-    all_long = f"Mean over {evaluation['long_rollouts']} rollouts of the test part of {data}"
-    local = f"{sum(comparison['by_speed']['windows'])} short rollouts over the test part of {data}"
     window = f"moving mean and standard deviation over {runs[0].result['evaluation']['window']:g} s"
-    fits = list(plots.plot_parameters(comparison, runs))
-    lines = max((len(part.panels[0].marks) // 2 for part in fits), default=0)
-    trajectories, friction = plots.plot_trajectories(comparison, runs), plots.plot_friction(comparison)
-    errors, differences = plots.plot_errors(comparison), plots.plot_differences(comparison)
-    rows = (errors.height or 0) / PIXELS
+    short = f"{evaluation['rollouts']} rollouts of {evaluation['horizon']:g} s, {data}"
+    long = f"Mean over {evaluation['long_rollouts']} rollouts of the test part of {data}"
+    local = (
+        f"{sum(comparison['by_speed']['windows'])} short rollouts over the test part of {data}, in bins of equal number"
+    )
+    friction = f"Friction identified from {data}\nband: 10 % to 90 % of recorded states, where friction depends on more"
+    names = max((len(figure.panels[0].marks) // 2 for figure in drawn["parameters"]), default=0)
+    rows = (drawn["mae"][0].height or 0) / PIXELS
+    columns = 2 if joints == 1 else joints
     return {
-        "figure3_parameters": Sheet(
-            f"Fits to the training part of {data}\nred: the best iteration and what it identified",
-            fits,
-            2.1 + 0.17 * lines,
-            columns=2 if joints == 1 else joints,
-            apart=True,
-        ),
-        "figure4_trajectories": Sheet(one, list(trajectories), 5.4, columns=joints, headings=True),
-        "figure5_error": Sheet(f"{one}\n{window}", [plots.plot_error(comparison, runs)], 3.4),
-        "figure6_mae": Sheet(f"{all_short}\nmean and standard deviation over rollouts", [errors], rows),
-        "error_by_horizon": Sheet(all_long, [plots.plot_by_horizon(comparison)], 3.0),
-        **{
-            f"error_{section}": Sheet(
-                f"{local}, in bins of equal number", [plots.plot_by_bin(comparison, section)], 3.0
-            )
-            for section in ("by_speed", "by_load")
-        },
-        "friction": Sheet(
-            f"Friction identified from {data}\n"
-            "band: 10 % to 90 % of recorded states, where friction depends on more than the velocity",
-            list(friction),
-            3.2,
-            columns=joints,
-            headings=True,
-        ),
-        "autocorrelation": Sheet(all_long, [plots.plot_autocorrelation(comparison)], 3.0),
-        "differences": Sheet(
-            f"{all_short}\nmean of paired differences and its 95 % interval",
-            [differences] if len(runs) > 1 else [],
-            rows,
-        ),
+        "figure3_parameters": Sheet(fits, drawn["parameters"], 2.1 + LINE * names, columns, apart=True),
+        "figure4_trajectories": Sheet(one, drawn["trajectories"], 5.4, joints, headings=True),
+        "figure5_error": Sheet(f"{one}\n{window}", drawn["error"], 3.4),
+        "figure6_mae": Sheet(f"{short}\nmean and standard deviation over rollouts", drawn["mae"], rows),
+        "error_by_horizon": Sheet(long, drawn["by_horizon"], 3.0),
+        "error_by_speed": Sheet(local, drawn["by_speed"], 3.0),
+        "error_by_load": Sheet(local, drawn["by_load"], 3.0),
+        "friction": Sheet(f"{friction} than the velocity", drawn["friction"], 3.2, joints, headings=True),
+        "autocorrelation": Sheet(long, drawn["autocorrelation"], 3.0),
+        "differences": Sheet(f"{short}\nmean of paired differences and its 95 % interval", drawn["differences"], rows),
     }

@@ -11,12 +11,11 @@ from frictionzoo.comparison.record import FEW, Comparison
 from frictionzoo.comparison.runs import Run
 from frictionzoo.comparison.statistics import MATTERS
 from frictionzoo.core.output import write_atomically
-from frictionzoo.show import comparison_plots as plots
 from frictionzoo.show.colors import DARK
-from frictionzoo.show.figure import Figure
+from frictionzoo.show.comparison_plots import Look, choose_looks, plot_comparison
 from frictionzoo.show.page import Check, render_page
 from frictionzoo.show.run_page import METHODS, check_held_out, check_origin, check_result, list_timing
-from frictionzoo.show.run_plots import plot_history
+from frictionzoo.show.run_plots import plot_run
 
 POINTS = 2000  # of a curve; a comparison has many of them
 NAMED = 4  # runs that a sentence names, the others are counted
@@ -46,12 +45,13 @@ def write_page(path: Path, comparison: Comparison, runs: Sequence[Run]) -> None:
     labels = [entry["label"] for entry in comparison["runs"]]
     named = {run.label: run for run in runs}
     ranked = [named[label] for label in labels]
-    looks = plots.choose_looks(labels)
+    looks = choose_looks(labels)
     rows = [_describe(i, run, comparison, looks[run.label], path.parent) for i, run in enumerate(ranked)]
     checks = list(check_comparison(comparison, ranked))
+    histories = {str(i): plot_run(run.result, run.curves)["history"] for i, run in enumerate(ranked)}
     page = render_page(
         "show/comparison.html.jinja",
-        _draw_sections(comparison, ranked),
+        plot_comparison(comparison, runs) | histories,
         POINTS,
         comparison=comparison,
         rows=rows,
@@ -69,22 +69,7 @@ def write_page(path: Path, comparison: Comparison, runs: Sequence[Run]) -> None:
     write_atomically(path, page)
 
 
-def _draw_sections(comparison: Comparison, runs: Sequence[Run]) -> dict[str, list[Figure]]:
-    """Figures by section, in the order of the page; those of each run under its place in the ranking."""
-    return {str(i): list(plot_history(run.result, run.curves)) for i, run in enumerate(runs)} | {
-        "errors": [plots.plot_errors(comparison), plots.plot_differences(comparison)],
-        "rollout": [*plots.plot_trajectories(comparison, runs), plots.plot_error(comparison, runs)],
-        "where": [
-            plots.plot_by_horizon(comparison),
-            plots.plot_by_bin(comparison, "by_speed"),
-            plots.plot_by_bin(comparison, "by_load"),
-            plots.plot_autocorrelation(comparison),
-        ],
-        "friction": [*plots.plot_friction(comparison), plots.plot_loss(comparison, runs)],
-    }
-
-
-def _describe(index: int, run: Run, comparison: Comparison, look: plots.Look, folder: Path) -> dict[str, Any]:
+def _describe(index: int, run: Run, comparison: Comparison, look: Look, folder: Path) -> dict[str, Any]:
     """What the page says about one run: its row in the ranking and its panel."""
     entry = comparison["runs"][index]
     recommendation = comparison["recommendation"]

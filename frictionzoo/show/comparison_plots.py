@@ -32,24 +32,10 @@ from frictionzoo.show.run_plots import REPORTED
 from frictionzoo.show.text import format_digits, format_number, format_unit, wrap
 
 # Seven lines for six colours: each pair of both occurs once in 42 runs, and neighbours differ in both.
-DASHES: tuple[Dash, ...] = (
-    (),
-    (5.0, 2.0),
-    (1.2, 1.6),
-    (6.0, 2.0, 1.2, 2.0),
-    (3.5, 1.3, 1.2, 1.3, 1.2, 1.3),
-    (9.0, 3.0),
-    (2.4, 3.5),
-)
-MARKERS = (
-    "circle",
-    "x",
-    "triangle-up",
-    "cross",
-    "square",
-    "triangle-down",
-    "diamond",
-)  # of parameters in a grid search
+_BROKEN: tuple[Dash, ...] = ((6.0, 2.0, 1.2, 2.0), (3.5, 1.3, 1.2, 1.3, 1.2, 1.3), (9.0, 3.0), (2.4, 3.5))
+DASHES: tuple[Dash, ...] = ((), (5.0, 2.0), (1.2, 1.6), *_BROKEN)
+# Of parameters in a grid search.
+MARKERS = ("circle", "x", "triangle-up", "cross", "square", "triangle-down", "diamond")
 FRAME = 4.0  # times the middle one of the differences is what a frame shows; one beyond is named at its edge
 ROW, LINE = 28, 17  # px for each run of a figure with a row a run, and for each line of its label
 
@@ -69,6 +55,30 @@ def choose_looks(labels: Iterable[str]) -> dict[str, Look]:
     }
 
 
+def plot_comparison(comparison: Comparison, runs: Sequence[Run]) -> dict[str, list[Figure]]:
+    """All that is drawn of several runs, by name; nothing under one where there is nothing to show.
+
+    Args:
+        comparison: The runs side by side.
+        runs: The same runs with their curves.
+    """
+    named = {run.label: run for run in runs}
+    ranked = [named[entry["label"]] for entry in comparison["runs"]]
+    return {
+        "parameters": list(_plot_parameters(comparison, ranked)),
+        "trajectories": list(_plot_trajectories(comparison, ranked)),
+        "error": [_plot_error(comparison, ranked)],
+        "mae": [_plot_errors(comparison)],
+        "differences": [_plot_differences(comparison)] if len(runs) > 1 else [],
+        "by_horizon": [_plot_by_horizon(comparison)],
+        "by_speed": [_plot_by_bin(comparison, "by_speed")],
+        "by_load": [_plot_by_bin(comparison, "by_load")],
+        "friction": list(_plot_friction(comparison)),
+        "autocorrelation": [_plot_autocorrelation(comparison)],
+        "loss": [_plot_loss(comparison, ranked)],
+    }
+
+
 def _looks(comparison: Comparison) -> dict[str, Look]:
     return choose_looks(run["label"] for run in comparison["runs"])
 
@@ -78,14 +88,10 @@ def _numbers(values: Iterable[float | None]) -> Float[np.ndarray, "values"]:
     return np.array(list(values), dtype=np.float64)
 
 
-def plot_parameters(comparison: Comparison, runs: Sequence[Run]) -> Iterator[Figure]:
+def _plot_parameters(comparison: Comparison, runs: Sequence[Run]) -> Iterator[Figure]:
     """Figure 3, a figure for each run and joint: identified parameters over the iterations of its fit.
 
     Of a grid search, the combinations that were better than all before are drawn as points. None without parameters.
-
-    Args:
-        comparison: The runs side by side.
-        runs: The same runs with their curves, best first.
     """
     joints, looks = comparison["joints"], _looks(comparison)
     for run in (run for run in runs if _identified(run)):
@@ -132,13 +138,8 @@ def _improvements(loss: Float[np.ndarray, "iterations"]) -> Int[np.ndarray, "imp
     return np.flatnonzero(loss < np.concatenate([[np.inf], np.minimum.accumulate(loss)[:-1]]))
 
 
-def plot_trajectories(comparison: Comparison, runs: Sequence[Run]) -> Iterator[Figure]:
-    """Figure 4, a figure a joint: measured and simulated position above velocity in the first long test rollout.
-
-    Args:
-        comparison: The runs side by side.
-        runs: The same runs with their curves, best first.
-    """
+def _plot_trajectories(comparison: Comparison, runs: Sequence[Run]) -> Iterator[Figure]:
+    """Figure 4, a figure a joint: measured and simulated position above velocity in the first long test rollout."""
     drives, timestep = _list_drives(comparison, runs), comparison["data"]["timestep"]
     duration = timestep * (runs[0].curves.measured_qpos.shape[1] - 1)
     for joint, name in enumerate(comparison["joints"]):
@@ -155,13 +156,8 @@ def _list_drives(comparison: Comparison, runs: Sequence[Run]) -> list[Drive]:
     return [Drive(run.curves, looks[run.label], reference=run.label == reference) for run in runs]
 
 
-def plot_error(comparison: Comparison, runs: Sequence[Run]) -> Figure:
-    """Figure 5: absolute position error in the first long test rollout, moving mean and +- one standard deviation.
-
-    Args:
-        comparison: The runs side by side.
-        runs: The same runs with their curves, best first.
-    """
+def _plot_error(comparison: Comparison, runs: Sequence[Run]) -> Figure:
+    """Figure 5: absolute position error in the first long test rollout, moving mean and +- one standard deviation."""
     window = runs[0].result["evaluation"]["window"]
     text = (
         f"Moving mean over {window:g} s of the absolute position error in the same rollout; for the selected run the "
@@ -171,18 +167,14 @@ def plot_error(comparison: Comparison, runs: Sequence[Run]) -> Figure:
     return Figure("Error over time", text, (panel,), time=True)
 
 
-def plot_errors(comparison: Comparison) -> Figure:
-    """Figure 6: MAE with sigma on test data and on training data, two bars a run.
-
-    Args:
-        comparison: The runs side by side.
-    """
+def _plot_errors(comparison: Comparison) -> Figure:
+    """Figure 6: MAE with sigma on test data and on training data, two bars a run."""
     entries, unit, looks = comparison["runs"], comparison["unit"], _looks(comparison)
-    nothing, ends = np.empty(0), [0.0]
+    key, ends = {"at": np.zeros(1), "length": np.full(1, np.nan), "notes": ("",)}, [0.0]
     marks: list[Mark] = []
     for part, offset in (("test", -0.2), ("train", 0.2)):
         shared: dict[str, Any] = {"width": 0.38, "pale": part == "train"}
-        marks.append(Bars(at=nothing, length=nothing, name=part, color=SOFT, **shared))
+        marks.append(Bars(name=part, color=SOFT, **key, **shared))  # for the legend
         for i, entry in enumerate(entries):
             mean, spread = (_numbers([entry[part][key]]) for key in ("position_mae", "position_mae_std"))
             said = (f"{part} {_say_error(entry[part])}",)
@@ -221,12 +213,8 @@ def _height(labels: Sequence[str]) -> int:
     return 110 + row * max(3, len(labels))
 
 
-def plot_differences(comparison: Comparison) -> Figure:
-    """How much larger each run's test error is than the best one's, with its interval from the paired bootstrap.
-
-    Args:
-        comparison: The runs side by side.
-    """
+def _plot_differences(comparison: Comparison) -> Figure:
+    """How much larger each run's test error is than the best one's, with its interval from the paired bootstrap."""
     looks, unit = _looks(comparison), comparison["unit"]
     labels = [*looks]
     pairs = {pair["run"]: pair for pair in comparison["pairs"] if pair["other"] == labels[0]}
@@ -258,12 +246,8 @@ def _say_difference(pair: Mapping[str, Any]) -> str:
     return f"{mean} [{low}, {high}], {pair['verdict']}"
 
 
-def plot_by_horizon(comparison: Comparison) -> Figure:
-    """How the error grows over the first seconds of the long test rollouts.
-
-    Args:
-        comparison: The runs side by side.
-    """
+def _plot_by_horizon(comparison: Comparison) -> Figure:
+    """How the error grows over the first seconds of the long test rollouts."""
     evaluation = comparison["evaluation"]
     text = (
         f"Mean position error over the first seconds of {evaluation['long_rollouts']} test rollouts of "
@@ -272,13 +256,8 @@ def plot_by_horizon(comparison: Comparison) -> Figure:
     return _plot_errors_over("Against the horizon", text, comparison, "by_horizon", "horizon", Axis("horizon", "s"))
 
 
-def plot_by_bin(comparison: Comparison, section: str) -> Figure:
-    """The error of short test rollouts against the speed or the load that was measured in them.
-
-    Args:
-        comparison: The runs side by side.
-        section: `by_speed` or `by_load`.
-    """
+def _plot_by_bin(comparison: Comparison, section: str) -> Figure:
+    """The error of short test rollouts against the speed or the load that was measured in them."""
     windows = comparison[section]["windows"]
     title, quantity, unit = {
         "by_speed": ("Against the speed", "mean absolute speed", "velocity_unit"),
@@ -301,12 +280,8 @@ def _plot_errors_over(
     return Figure(title, text, (Panel(marks, axis, y, say_above(marks, y)),))
 
 
-def plot_friction(comparison: Comparison) -> Iterator[Figure]:
-    """Friction torque over velocity, a figure a joint; a band where it depends on more than the velocity.
-
-    Args:
-        comparison: The runs side by side.
-    """
+def _plot_friction(comparison: Comparison) -> Iterator[Figure]:
+    """Friction torque over velocity, a figure a joint; a band where it depends on more than the velocity."""
     for joint, name in enumerate(comparison["joints"]):
         marks: list[Mark] = [Stripe(low=0.0, high=0.0, level=True, color=GRID)]
         for label, look in _looks(comparison).items():
@@ -324,12 +299,8 @@ def plot_friction(comparison: Comparison) -> Iterator[Figure]:
         yield Figure(f"Friction of {name}", text, (Panel(marks, x, y),))
 
 
-def plot_autocorrelation(comparison: Comparison) -> Figure:
-    """What structure is left in the errors, and the band in which white noise would lie.
-
-    Args:
-        comparison: The runs side by side.
-    """
+def _plot_autocorrelation(comparison: Comparison) -> Figure:
+    """What structure is left in the errors, and the band in which white noise would lie."""
     section = comparison["autocorrelation"]
     lag, band = _numbers(section["lag"]), section["band"]
     noise = {"level": True, "name": "white noise, 95 %", "color": SOFT, "opacity": 0.3}
@@ -344,13 +315,8 @@ def plot_autocorrelation(comparison: Comparison) -> Figure:
     return Figure("Structure left in the error", text, (panel,))
 
 
-def plot_loss(comparison: Comparison, runs: Sequence[Run]) -> Figure:
-    """The training loss of every fit, its reported iteration marked.
-
-    Args:
-        comparison: The runs side by side.
-        runs: The same runs with their curves, best first.
-    """
+def _plot_loss(comparison: Comparison, runs: Sequence[Run]) -> Figure:
+    """The training loss of every fit, its reported iteration marked."""
     marks: list[Mark] = []
     looks = _looks(comparison)
     losses: list[np.ndarray] = []

@@ -97,7 +97,7 @@ class Bars(Mark):
     """Bars from 0, along the horizontal axis unless they stand upright.
 
     Attributes:
-        at: Their places on the other axis; none of a mark that only stands in a legend.
+        at: Their places on the other axis.
         length: Their lengths, NaN where there is none.
         width: On the other axis.
         spread: Half the length of the whisker at the end of each.

@@ -11,7 +11,7 @@ from frictionzoo.core.output import write_atomically
 from frictionzoo.result.curves import Curves
 from frictionzoo.result.verdict import doubt_gain, doubt_reference
 from frictionzoo.show.page import Check, render_page
-from frictionzoo.show.run_plots import plot_error, plot_history, plot_horizons, plot_trajectory
+from frictionzoo.show.run_plots import plot_run
 from frictionzoo.show.terminal import ERRORS
 from frictionzoo.show.text import format_change, format_number, format_unit
 
@@ -46,14 +46,9 @@ def write_report(path: Path, result: Mapping[str, Any], curves: Curves) -> None:
         OutputError: It cannot be written.
     """
     checks = list(check_result(result, curves.history))
-    sections = {
-        "rollout": [*plot_trajectory(result, curves), plot_error(result, curves)],
-        "history": list(plot_history(result, curves)),
-        "horizons": [plot_horizons(result)] if len(result["by_horizon"]) > 1 else [],
-    }
     page = render_page(
         "show/run.html.jinja",
-        sections,
+        plot_run(result, curves),
         result=result,
         joints=result["joints"] if any(isinstance(p["value"], list) for p in result["parameters"]) else ("value",),
         headline=_say_headline(result),

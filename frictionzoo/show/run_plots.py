@@ -18,6 +18,21 @@ from frictionzoo.show.text import format_number, format_unit
 REPORTED: Mapping[str, Any] = {"width": 0.0, "marker": "diamond", "size": 8.0, "color": BEST}  # what a fit reports
 
 
+def plot_run(result: Mapping[str, Any], curves: Curves) -> dict[str, list[Figure]]:
+    """All that is drawn of one run, by name; nothing under one where there is nothing to show.
+
+    Args:
+        result: What `result.json` holds.
+        curves: What `curves.safetensors` holds; of several rollouts, the first is drawn.
+    """
+    return {
+        "trajectories": list(_plot_trajectories(result, curves)),
+        "error": [_plot_error(result, curves)],
+        "history": list(_plot_history(result, curves)),
+        "horizons": [_plot_horizons(result)] if len(result["by_horizon"]) > 1 else [],
+    }
+
+
 def write_figures(folder: Path, result: Mapping[str, Any], curves: Curves) -> None:
     """Figures 3, 4 and 5 of a run as PNG files.
 
@@ -29,19 +44,19 @@ def write_figures(folder: Path, result: Mapping[str, Any], curves: Curves) -> No
     Raises:
         OutputError: They cannot be written.
     """
-    fit, rows = result["fit"], list(plot_history(result, curves))
-    fitted = f"{_describe(result, 'fit to the training part')}\nmarked: iteration {fit['best_iteration']}, as reported"
+    drawn = plot_run(result, curves)
+    fitted = f"{_describe(result, 'fit to the training part')}\nmarked: iteration {result['fit']['best_iteration']}, "
     window = f"moving mean and standard deviation over {result['evaluation']['window']:g} s"
     tested = _describe(result, "one rollout of the test part")
     sheets = {
-        "figure3_parameters.png": Sheet(fitted, rows, 1.9, columns=2, headings=True),
-        "figure4_trajectory.png": _arrange_trajectory(result, curves),
-        "figure5_error.png": Sheet(f"{tested}\n{window}", [plot_error(result, curves)], 3.6),
+        "figure3_parameters": Sheet(f"{fitted}as reported", drawn["history"], 1.9, columns=2, headings=True),
+        "figure4_trajectory": _arrange(result, drawn["trajectories"]),
+        "figure5_error": Sheet(f"{tested}\n{window}", drawn["error"], 3.6),
     }
     if len(curves.history["iteration"]) == 1:  # known values have no course
-        del sheets["figure3_parameters.png"]
+        del sheets["figure3_parameters"]
     for name, sheet in sheets.items():
-        with_matplotlib.save_figure(with_matplotlib.draw(sheet), folder / name)
+        with_matplotlib.save_figure(with_matplotlib.draw(sheet), folder / f"{name}.png")
 
 
 def draw_rollout(result: Mapping[str, Any], curves: Curves) -> Drawing:
@@ -51,12 +66,12 @@ def draw_rollout(result: Mapping[str, Any], curves: Curves) -> Drawing:
         result: What `result.json` holds.
         curves: What `curves.safetensors` holds.
     """
-    return with_matplotlib.draw(_arrange_trajectory(result, curves))
+    return with_matplotlib.draw(_arrange(result, list(_plot_trajectories(result, curves))))
 
 
-def _arrange_trajectory(result: Mapping[str, Any], curves: Curves) -> Sheet:
-    title, figures = _describe(result, "one rollout of the test part"), list(plot_trajectory(result, curves))
-    return Sheet(title, figures, 6.0, columns=len(figures), headings=True)
+def _arrange(result: Mapping[str, Any], trajectories: list[Figure]) -> Sheet:
+    title = _describe(result, "one rollout of the test part")
+    return Sheet(title, trajectories, 6.0, columns=len(trajectories), headings=True)
 
 
 def _describe(result: Mapping[str, Any], what: str) -> str:
@@ -64,14 +79,10 @@ def _describe(result: Mapping[str, Any], what: str) -> str:
     return f"{result['model']}, {what} of {result['data']['name']} ({kind} data)"
 
 
-def plot_history(result: Mapping[str, Any], curves: Curves) -> Iterator[Figure]:
+def _plot_history(result: Mapping[str, Any], curves: Curves) -> Iterator[Figure]:
     """Figure 3: loss and identified parameters over the iterations, a figure each, the reported iteration marked.
 
     A law without parameters of its own to show (a network) has its gradient norm shown instead.
-
-    Args:
-        result: What `result.json` holds.
-        curves: What `curves.safetensors` holds.
     """
     history = curves.history
     units = {f"{p['owner']}.{p['name']}": format_unit(p["unit"]) for p in result["parameters"] if p["identified"]}
@@ -108,13 +119,8 @@ def _draw_courses(
     yield Curve(x=np.full(len(columns), best), y=columns[:, at], name="reported", legend=several, **REPORTED)
 
 
-def plot_trajectory(result: Mapping[str, Any], curves: Curves) -> Iterator[Figure]:
-    """Figure 4, a figure a joint: measured and simulated position above velocity.
-
-    Args:
-        result: What `result.json` holds, for names and units.
-        curves: What `curves.safetensors` holds; of several rollouts, the first is drawn.
-    """
+def _plot_trajectories(result: Mapping[str, Any], curves: Curves) -> Iterator[Figure]:
+    """Figure 4, a figure a joint: measured and simulated position above velocity."""
     test, timestep, drives = result["metrics"]["test"], result["data"]["timestep"], _list_drives(curves)
     duration = timestep * (curves.measured_qpos.shape[1] - 1)
     for joint, name in enumerate(result["joints"]):
@@ -141,13 +147,8 @@ def _say_error(error: Float[np.ndarray, "samples"], unit: str) -> str:
     return f"{steps.mean():.4g} {unit}" if np.isfinite(steps).all() else "without a value (the rollout diverged)"
 
 
-def plot_error(result: Mapping[str, Any], curves: Curves) -> Figure:
-    """Figure 5: absolute position error over time, mean over joints: its moving mean and +- one standard deviation.
-
-    Args:
-        result: What `result.json` holds, for units and the moving window.
-        curves: What `curves.safetensors` holds; of several rollouts, the first is drawn.
-    """
+def _plot_error(result: Mapping[str, Any], curves: Curves) -> Figure:
+    """Figure 5: absolute position error over time, mean over joints: its moving mean and +- one standard deviation."""
     window, unit, drives = result["evaluation"]["window"], result["metrics"]["test"]["unit"], _list_drives(curves)
     model, baseline = (format_number(float(np.nanmax(drive.errors()))) for drive in drives)
     text = (
@@ -158,12 +159,8 @@ def plot_error(result: Mapping[str, Any], curves: Curves) -> Figure:
     return Figure("Its error", text, (panel,), time=True)
 
 
-def plot_horizons(result: Mapping[str, Any]) -> Figure:
-    """Position error at every horizon: train, test and without friction.
-
-    Args:
-        result: What `result.json` holds.
-    """
+def _plot_horizons(result: Mapping[str, Any]) -> Figure:
+    """Position error at every horizon: train, test and without friction."""
     entries = sorted(result["by_horizon"], key=lambda entry: entry["horizon"])
     unit, places = entries[0]["test"]["unit"], np.arange(len(entries), dtype=np.float64)
     parts = (("test", "test", MODEL), ("train", "train", TRAIN), ("baseline", "test, no friction", BASELINE))

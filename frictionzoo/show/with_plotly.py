@@ -53,7 +53,7 @@ def draw(figure: Figure, points: int = POINTS) -> dict[str, Any]:
     margin = {"l": 20 if rows else 62, "r": 12, "t": top, "b": 44}
     if rows:
         axes["yaxis"] |= {"showgrid": False, "fixedrange": True}
-    hover = "closest" if rows else "x unified"
+    hover = "closest" if rows or figure.panels[0].x.ticks else "x unified"
     layout = {"margin": margin, "showlegend": bool(named), "hovermode": hover, "barmode": "overlay"}
     return {"data": data, "layout": _SHARED | axes | layout | {name: value for name, value in extra.items() if value}}
 
@@ -84,7 +84,8 @@ def _make_axis(axis: Axis, ticks: int) -> dict[str, Any]:
 
 
 def _draw_mark(mark: Mark, points: int, panel: Panel) -> dict[str, Any]:
-    shared: dict[str, Any] = {"type": "scatter", "name": escape(mark.name), "opacity": mark.opacity}
+    name = escape(mark.name)
+    shared: dict[str, Any] = {"type": "scatter", "name": name, "legendgroup": name, "opacity": mark.opacity}
     shared |= {} if mark.run is None else {"meta": {"run": mark.run}}
     match mark:
         case Band():
