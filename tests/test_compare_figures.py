@@ -301,7 +301,7 @@ def test_a_diverged_rollout_is_drawn_as_far_as_it_goes(make_runs):
     (axes,) = panels_of("figure5_error", comparison, runs)
     assert np.isfinite(drawn(axes, "lost", comparison)[1]).sum() == 32  # windows of 10 of 41 samples
     (bars,) = panels_of("figure6_mae", comparison, runs)
-    assert bars.texts[1].get_text() == "test all diverged"
+    assert bars.texts[2].get_text() == "test all diverged"
 
 
 def test_labels_stand_as_they_are(make_runs, tmp_path):

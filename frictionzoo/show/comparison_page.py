@@ -48,10 +48,12 @@ def write_page(path: Path, comparison: Comparison, runs: Sequence[Run]) -> None:
     looks = choose_looks(labels)
     rows = [_describe(i, run, comparison, looks[run.label], path.parent) for i, run in enumerate(ranked)]
     checks = list(check_comparison(comparison, ranked))
-    histories = {str(i): plot_run(run.result, run.curves)["history"] for i, run in enumerate(ranked)}
+    # In the order of the page; the parameters of each run by themselves, under its place in the ranking.
+    sections = {str(i): plot_run(run.result, run.curves)["history"] for i, run in enumerate(ranked)}
+    sections |= {name: drawn for name, drawn in plot_comparison(comparison, runs).items() if name != "parameters"}
     page = render_page(
         "show/comparison.html.jinja",
-        plot_comparison(comparison, runs) | histories,
+        sections,
         POINTS,
         comparison=comparison,
         rows=rows,

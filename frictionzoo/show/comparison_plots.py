@@ -66,15 +66,15 @@ def plot_comparison(comparison: Comparison, runs: Sequence[Run]) -> dict[str, li
     ranked = [named[entry["label"]] for entry in comparison["runs"]]
     return {
         "parameters": list(_plot_parameters(comparison, ranked)),
-        "trajectories": list(_plot_trajectories(comparison, ranked)),
-        "error": [_plot_error(comparison, ranked)],
         "mae": [_plot_errors(comparison)],
         "differences": [_plot_differences(comparison)] if len(runs) > 1 else [],
+        "trajectories": list(_plot_trajectories(comparison, ranked)),
+        "error": [_plot_error(comparison, ranked)],
         "by_horizon": [_plot_by_horizon(comparison)],
         "by_speed": [_plot_by_bin(comparison, "by_speed")],
         "by_load": [_plot_by_bin(comparison, "by_load")],
-        "friction": list(_plot_friction(comparison)),
         "autocorrelation": [_plot_autocorrelation(comparison)],
+        "friction": list(_plot_friction(comparison)),
         "loss": [_plot_loss(comparison, ranked)],
     }
 

@@ -30,7 +30,8 @@ def draw(figure: Figure, points: int = POINTS) -> dict[str, Any]:
     extra: dict[str, list[dict[str, Any]]] = {"shapes": [], "annotations": []}
     axes: dict[str, Any] = {}
     named: set[str] = set()
-    top, ticks = 1.0, 5 if figure.small else 8
+    rows = bool(figure.panels[0].y.ticks)
+    top, ticks = 1.0, 5 if figure.small or rows else 8
     heights = (1 - GAP * (len(figure.panels) - 1)) / sum(panel.share for panel in figure.panels)
     for i, panel in enumerate(figure.panels):
         axis = f"y{i + 1}" if i else "y"
@@ -43,16 +44,16 @@ def draw(figure: Figure, points: int = POINTS) -> dict[str, Any]:
                 extra["shapes"].append(_draw_stripe(mark, axis))
                 continue
             trace = _draw_mark(mark, points, panel)
-            shown = id(mark) in legend and mark.run is None and mark.name not in named
+            shown = id(mark) in legend and mark.run is None and mark.name not in named and not rows
             data.append(trace | {"yaxis": axis, "showlegend": shown})
             named |= {mark.name} if shown else set()
         extra["annotations"] += _annotate(panel, axis)
     axes["xaxis"] = _make_axis(figure.panels[-1].x, ticks) | {"anchor": axis}
-    rows = bool(figure.panels[0].y.ticks)
     top = 40 if named else 12 if figure.small and not extra["annotations"] else 30
     margin = {"l": 20 if rows else 62, "r": 12, "t": top, "b": 44}
     if rows:
         axes["yaxis"] |= {"showgrid": False, "fixedrange": True}
+        axes["xaxis"] |= {"tickangle": 0}
     hover = "closest" if rows or figure.panels[0].x.ticks else "x unified"
     layout = {"margin": margin, "showlegend": bool(named), "hovermode": hover, "barmode": "overlay"}
     return {"data": data, "layout": _SHARED | axes | layout | {name: value for name, value in extra.items() if value}}
