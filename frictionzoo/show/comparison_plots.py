@@ -4,6 +4,7 @@ Every run has its own colour and line, the same in all figures.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -64,6 +65,8 @@ def plot_comparison(comparison: Comparison, runs: Sequence[Run]) -> dict[str, li
     """
     named = {run.label: run for run in runs}
     ranked = [named[entry["label"]] for entry in comparison["runs"]]
+    speed = Axis("mean absolute speed", comparison["velocity_unit"])
+    load = Axis("mean absolute motor torque", comparison["torque_unit"])
     return {
         "parameters": list(_plot_parameters(comparison, ranked)),
         "mae": [_plot_errors(comparison)],
@@ -71,8 +74,8 @@ def plot_comparison(comparison: Comparison, runs: Sequence[Run]) -> dict[str, li
         "trajectories": list(_plot_trajectories(comparison, ranked)),
         "error": [_plot_error(comparison, ranked)],
         "by_horizon": [_plot_by_horizon(comparison)],
-        "by_speed": [_plot_by_bin(comparison, "by_speed")],
-        "by_load": [_plot_by_bin(comparison, "by_load")],
+        "by_speed": [_plot_by_bin(comparison, "by_speed", "Against the speed", speed)],
+        "by_load": [_plot_by_bin(comparison, "by_load", "Against the load", load)],
         "autocorrelation": [_plot_autocorrelation(comparison)],
         "friction": list(_plot_friction(comparison)),
         "loss": [_plot_loss(comparison, ranked)],
@@ -248,36 +251,28 @@ def _say_difference(pair: Mapping[str, Any]) -> str:
 
 def _plot_by_horizon(comparison: Comparison) -> Figure:
     """How the error grows over the first seconds of the long test rollouts."""
-    evaluation = comparison["evaluation"]
-    text = (
-        f"Mean position error over the first seconds of {evaluation['long_rollouts']} test rollouts of "
-        f"{evaluation['long_horizon']:g} s."
-    )
-    return _plot_errors_over("Against the horizon", text, comparison, "by_horizon", "horizon", Axis("horizon", "s"))
+    rollouts, horizon = comparison["evaluation"]["long_rollouts"], comparison["evaluation"]["long_horizon"]
+    text = f"Mean position error over the first seconds of {rollouts} test rollouts of {horizon:g} s."
+    panel = _draw_errors_over(comparison, "by_horizon", "horizon", Axis("horizon", "s"))
+    return Figure("Against the horizon", text, (panel,))
 
 
-def _plot_by_bin(comparison: Comparison, section: str) -> Figure:
+def _plot_by_bin(comparison: Comparison, section: str, title: str, axis: Axis) -> Figure:
     """The error of short test rollouts against the speed or the load that was measured in them."""
     windows = comparison[section]["windows"]
-    title, quantity, unit = {
-        "by_speed": ("Against the speed", "mean absolute speed", "velocity_unit"),
-        "by_load": ("Against the load", "mean absolute motor torque", "torque_unit"),
-    }[section]
-    text = f"Position error of {sum(windows)} short test rollouts in {len(windows)} bins of the {quantity}, each with "
-    text += "as many."
-    return _plot_errors_over(title, text, comparison, section, "centre", Axis(quantity, comparison[unit]), "circle")
+    text = f"Position error of {sum(windows)} short test rollouts in {len(windows)} bins of the {axis.label}, each "
+    text += "with as many."
+    return Figure(title, text, (_draw_errors_over(comparison, section, "centre", axis, "circle"),))
 
 
-def _plot_errors_over(
-    title: str, text: str, comparison: Comparison, section: str, abscissa: str, axis: Axis, marker: str = ""
-) -> Figure:
+def _draw_errors_over(comparison: Comparison, section: str, abscissa: str, axis: Axis, marker: str = "") -> Panel:
     x = _numbers(comparison[section][abscissa])
     errors = {label: _numbers(values) for label, values in comparison[section]["position_mae"].items()}
-    marker = "circle" if marker or len(x) == 1 else ""
-    marks = [Curve(x=x, y=errors[label], marker=marker, size=5.0, **look) for label, look in _looks(comparison).items()]
+    points: dict[str, Any] = {"marker": "circle" if len(x) == 1 else marker, "size": 5.0}
+    marks = [Curve(x=x, y=errors[label], **points, **look) for label, look in _looks(comparison).items()]
     y = scale_errors("position MAE", comparison["unit"], list(errors.values()), (), RUNAWAY)
-    axis = Axis(axis.label, axis.unit, limits=(0.0, 1.02 * float(x.max(initial=0.0)) or 1.0))
-    return Figure(title, text, (Panel(marks, axis, y, say_above(marks, y)),))
+    shown = replace(axis, limits=(0.0, 1.02 * float(x.max(initial=0.0)) or 1.0))
+    return Panel(marks, shown, y, say_above(marks, y))
 
 
 def _plot_friction(comparison: Comparison) -> Iterator[Figure]:

@@ -61,8 +61,8 @@ def draw(sheet: Sheet) -> Figure:
         block = grid[place // columns * parts :, place % columns][:parts]
         if place < len(sheet.figures):
             _draw_figure(block, sheet.figures[place], sheet)
-        else:
-            block[0].set_axis_off()
+        for axes in block if place >= len(sheet.figures) else ():
+            axes.set_axis_off()
     figure.suptitle(_name(sheet.title, LEGEND), fontsize="medium")
     if not sheet.apart:
         _add_legend(figure, _list_keys(panel for part in sheet.figures for panel in part.panels))
@@ -145,11 +145,8 @@ def _draw_mark(axes: Axes, mark: Mark, order: float) -> None:
             stripe(mark.low, mark.high, facecolor=mark.color, alpha=mark.opacity, linewidth=0)
         case Bars():
             whiskers = {"ecolor": "black", "elinewidth": 1, "capsize": 2.5}
-            if mark.upright:
-                spread, draw = {"yerr": mark.spread, "width": mark.width}, axes.bar
-            else:
-                spread, draw = {"xerr": mark.spread, "height": mark.width}, axes.barh
-            draw(mark.at, mark.length, **spread, error_kw=whiskers, **_fill(mark))
+            draw, spread = (axes.bar, "yerr") if mark.upright else (axes.barh, "xerr")
+            draw(mark.at, mark.length, mark.width, **{spread: mark.spread}, error_kw=whiskers, **_fill(mark))
 
 
 def _look(mark: Curve) -> dict[str, Any]:
@@ -170,7 +167,7 @@ def _line(dash: Dash) -> Any:
 
 def _fill(mark: Bars) -> dict[str, Any]:
     pale = {"alpha": 0.45, "hatch": "////"} if mark.pale else {}
-    return {"color" if mark.upright else "facecolor": mark.color, "edgecolor": "black", "linewidth": 0.5, **pale}
+    return {"facecolor": mark.color, "edgecolor": "black", "linewidth": 0.5, **pale}
 
 
 def _scale(ruler: Ruler, axis: Axis) -> None:
