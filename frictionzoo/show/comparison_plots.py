@@ -212,7 +212,7 @@ def _make_rows(labels: Sequence[str]) -> Axis:
 
 
 def _height(labels: Sequence[str]) -> int:
-    row = max(ROW, LINE * max(len(wrap(label, 28, 3)) for label in labels))
+    row = max(ROW, LINE * max(len(wrap(label, 28)) for label in labels))
     return 110 + row * max(3, len(labels))
 
 

@@ -173,7 +173,7 @@ def _fill(mark: Bars) -> dict[str, Any]:
 def _scale(ruler: Ruler, axis: Axis) -> None:
     """Ticks of one axis."""
     if axis.ticks:
-        ruler.set_ticks(range(len(axis.ticks)), [_name(tick, TICK, 3) for tick in axis.ticks])
+        ruler.set_ticks(range(len(axis.ticks)), [_name(tick, TICK) for tick in axis.ticks])
     if axis.log:
         ruler.axes.set(**{f"{ruler.axis_name}scale": "log"})
         ruler.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if axis.few else (1.0,)))
@@ -217,7 +217,7 @@ def _add_legend(figure: Figure, keys: Mapping[str, Artist]) -> None:
     figure.legend([*keys.values()], [*keys], fontsize="small", handlelength=3.5, **place)
 
 
-def _name(text: str, width: int, lines: int | None = None) -> str:
+def _name(text: str, width: int) -> str:
     """A text on lines of this width, and not as mathematics."""
-    wrapped = [part for line in text.splitlines() for part in wrap(line, width, lines)]
+    wrapped = [part for line in text.splitlines() for part in wrap(line, width)]
     return "\n".join(wrapped).replace("$", r"\$")
