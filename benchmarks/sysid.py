@@ -27,6 +27,7 @@ from frictionzoo.core.config import compose_config
 from frictionzoo.core.log import Log
 from frictionzoo.core.segments import Segments, cut_segments
 from frictionzoo.fit import LevenbergMarquardt, Objective, Space
+from frictionzoo.fit.chunk import begin, make_chunk
 from frictionzoo.models import FrictionModel
 from frictionzoo.simulate import friction_of, make_engine, specialised
 from frictionzoo.simulate.rollout import make_rollout
@@ -187,9 +188,9 @@ def run_ours(bench: Bench, model: FrictionModel, segments: Segments, judge: Judg
     space = Space(bench, model, dtype)
     objective = Objective(space, make_rollout(engine), segments, 1.0, 1.0, "none", 1.0, False)
     fit = LevenbergMarquardt(100, 1e-8)
-    chunk = fit.chunk(objective, 100)
+    chunk = make_chunk(fit, objective, 100)
     compiled = time.perf_counter() - began
-    progress, _ = chunk(fit.start(objective), 100)
+    progress, _ = chunk(begin(fit, objective), 100)
     seconds = time.perf_counter() - began
     identified = space.identified(progress.best)
     values = {name.partition(".")[2]: float(value[0]) for name, value in identified.items()}

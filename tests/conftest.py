@@ -27,6 +27,7 @@ from frictionzoo.cli.run import main
 from frictionzoo.comparison import Run
 from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config
+from frictionzoo.core.segments import Segments
 from frictionzoo.identification import Problem
 from frictionzoo.result.curves import Curves
 from frictionzoo.simulate.context import computing
@@ -324,6 +325,14 @@ def make_runs() -> Callable[..., list[Run]]:
         return [_make_run(i, label, joints, label == diverged, label == grid) for i, label in enumerate(labels)]
 
     return make_runs
+
+
+def trace_nothing(segments: Segments) -> Curves:
+    """The curves of a drive that nobody draws."""
+    none, flat, states = np.empty(0), np.empty((0, segments.qpos.shape[2])), (segments.qpos, segments.qvel)
+    moved = [state[:, 1:] for state in states]
+    loads = np.empty((segments.count, 0))
+    return Curves(*states, segments.ctrl, loads, *moved, *moved, *[none] * 6, *[flat] * 3, {})
 
 
 def _make_run(place: int, label: str, joints: int, diverged: bool, grid: bool) -> Run:

@@ -16,6 +16,7 @@ from frictionzoo.core.log import Log
 from frictionzoo.core.segments import Segments, cut_segments
 from frictionzoo.core.state import DriveState
 from frictionzoo.fit import Objective, Space, estimate_uncertainty
+from frictionzoo.fit.chunk import search
 from frictionzoo.fit.lm import LevenbergMarquardt
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.logs.two_inertia import TwoInertia
@@ -237,7 +238,7 @@ def test_parameters_are_recovered_from_the_simulated_recording(
         names, expected = objective.space.names, coordinates(objective.space, drive_values(knee, oracle, law))
         objective.space.start = jnp.asarray(expected + np.log([factors.get(name, 1.0) for name in names]))
         method = LevenbergMarquardt(60, 1e-8)
-        progress, _ = method.chunk(objective, 60)(method.start(objective), 60)
+        progress, _ = search(method, objective)
         best = np.asarray(progress.best)
         found = dict(zip(names, np.exp(best - expected), strict=True))
         uncertainty = estimate_uncertainty(objective, best)

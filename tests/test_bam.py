@@ -14,6 +14,7 @@ from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.state import DriveState
 from frictionzoo.export.bam import friction_budget
 from frictionzoo.export.read_bam import LAWS, main, read_bam
+from frictionzoo.fit.chunk import search
 from frictionzoo.identification import Problem
 from frictionzoo.models import get_model
 
@@ -171,7 +172,7 @@ def test_bams_own_equations_are_followed_and_identified(
     problem = pose_problem(
         configure(compose, logs, write(M6), "fit=lm", *(f"{name}={start(init)}" for name, init in free.items()))
     )
-    progress, _ = problem.fit.chunk(problem.objective, 20)(problem.fit.start(problem.objective), 20)
+    progress, _ = search(problem.fit, problem.objective)
     found = jax.tree.map(np.asarray, problem.objective.space.values(progress.best))
     assert found["friction"]["damping"] == pytest.approx(M6["friction_viscous"], rel=0.02)
     assert found["friction"]["frictionloss"] == pytest.approx(M6["friction_base"], rel=0.02)

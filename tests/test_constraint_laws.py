@@ -17,6 +17,7 @@ from frictionzoo.core.log import Log
 from frictionzoo.core.segments import cut_segments
 from frictionzoo.core.state import DriveState
 from frictionzoo.fit import LevenbergMarquardt, Objective, Space
+from frictionzoo.fit.chunk import search
 from frictionzoo.models import get_model
 from frictionzoo.simulate import friction_of, make_engine
 from frictionzoo.simulate.rollout import make_rollout
@@ -210,7 +211,7 @@ def test_a_known_drive_is_found_again(make: Callable[..., Any], knee: Bench, nam
     rollout = make_rollout(make_engine("specialised", knee, friction_of(law), law.constraint))
     objective = Objective(Space(knee, law, "float64"), rollout, segments, 1.0, 1.0, "none", 1.0, False)
     fit = LevenbergMarquardt(30, 1e-8)
-    progress, _ = fit.chunk(objective, 30)(fit.start(objective), 30)
+    progress, _ = search(fit, objective)
     found = objective.space.identified(progress.best)
     wanted = {"bench.armature": ARMATURE} | {f"friction.{key}": value for key, value in TRUTH[name].items()}
     assert {key.partition(".")[2] for key in found} == {"armature", *TRUTH[name]} - {"periods"}

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from conftest import trace_nothing
 
 from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.core.segments import Segments
@@ -68,7 +69,8 @@ def fit(bench, model, values=None):
     friction = {name: value.detach().numpy() for name, value in model.double().state_dict().items()}
     values = {"bench": bench.initial_values() if values is None else values, "friction": friction}
     segments = Segments(*states, ctrl, bench.timestep)
-    return Identified(Path("run"), {}, bench, model, values, segments, bench.sampling(bench.timestep))
+    sampling = bench.sampling(bench.timestep)
+    return Identified(Path("run"), {}, bench, model, {}, values, segments, sampling, trace_nothing(segments))
 
 
 def export(bench, model, values=None):

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from conftest import trace_nothing
 from omegaconf import OmegaConf
 from test_levels import imports
 
@@ -116,7 +117,8 @@ def make_fitted(model: str | FrictionModel, *overrides: str, steps: int = 150) -
     )
     values = {"bench": bench.initial_values(), "friction": {k: v.detach().numpy() for k, v in law.state_dict().items()}}
     result = {"settings": compose(*overrides), "model": law.name}
-    return Identified(Path("run"), result, bench, law, values, segments, bench.sampling(interval))
+    sampling = bench.sampling(interval)
+    return Identified(Path("run"), result, bench, law, {}, values, segments, sampling, trace_nothing(segments))
 
 
 def known(size):

@@ -23,6 +23,7 @@ from frictionzoo.core.errors import ConfigError, FitError
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import DriveState
 from frictionzoo.fit import Adam, Grid, Objective, Space, fit_reference, run_fit
+from frictionzoo.fit.chunk import search
 from frictionzoo.fit.loggers import TensorBoard
 from frictionzoo.fit.loop import Record
 from frictionzoo.models import FrictionModel
@@ -158,7 +159,7 @@ def test_known_values_are_judged_and_not_moved(make: Callable[..., Any]) -> None
     with pytest.raises(ConfigError, match=r"bench\.armature is to be identified"):
         fit.total(searched)
     objective = pose("mujoco_default", *KNOWN).objective
-    progress, trace = fit.chunk(objective, fit.total(objective))(fit.start(objective), 1)
+    progress, trace = search(fit, objective)
     assert (int(progress.iteration), int(progress.best_iteration)) == (1, 0)
     expected = float(searched.loss(searched.space.start, searched.data))
     assert float(trace.loss[0]) == float(progress.best_loss) == pytest.approx(expected, rel=1e-9)

@@ -8,12 +8,14 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from test_bam import M5, jax_as_before, pose, write, write_logs  # noqa: F401 - jax_as_before and write are fixtures
+from test_bam import M5, configure, write, write_logs  # noqa: F401 - write is a fixture
 
 from frictionzoo.core.log import Log, Payload
 from frictionzoo.core.segments import cut_segments
 from frictionzoo.export.read_bam import read_bam
 from frictionzoo.fit import Objective, Space, fit_reference
+from frictionzoo.fit.chunk import search
+from frictionzoo.identification import Problem
 from frictionzoo.result.evaluate import predict
 from frictionzoo.simulate import Values, friction_of, make_engine
 from frictionzoo.simulate.rollout import Rollout, make_rollout
@@ -94,9 +96,9 @@ def test_a_law_is_found_again(make: Callable[..., Any], name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("jax_as_before")
 def test_load_friction_of_bams_own_equations_is_identified(
     compose: Callable[..., Any],
+    pose_problem: Callable[[Any], Problem],
     write: Callable[..., Path],  # noqa: F811
     tmp_path: Path,
 ) -> None:
@@ -108,8 +110,9 @@ def test_load_friction_of_bams_own_equations_is_identified(
     friction = read_bam(file).friction
     free = {"bench.params.armature": 0.01} | {f"model.params.{name}": 1.5 * value for name, value in friction.items()}
     free.pop("model.params.stribeck_exponent")
-    problem = pose(compose, logs, file, "fit=lm", *(f"{name}={start(init)}" for name, init in free.items()))
-    progress, _ = problem.fit.chunk(problem.objective, 40)(problem.fit.start(problem.objective), 40)
+    overrides = [f"{name}={start(init)}" for name, init in free.items()]
+    problem = pose_problem(configure(compose, logs, file, "fit=lm", *overrides))
+    progress, _ = search(problem.fit, problem.objective)
     found = jax.tree.map(lambda value: value.item(), problem.objective.space.values(progress.best))
     moving = ("frictionloss", "damping", "load_friction_motor", "load_friction_external")
     expected = {name: friction[name] for name in moving} | {"armature": M5["armature"]}

@@ -125,7 +125,7 @@ def posing(call: Callable, monkeypatch: pytest.MonkeyPatch) -> type[Exception]:
 
     def begin(fit: Any, objective: Any, *_: Any) -> None:
         fit.total(objective)
-        fit.start(objective)
+        fit.init(objective)
         raise PosedError
 
     def seen(drive: Any, bench: Any, dataset: Any) -> DriveState:

@@ -18,6 +18,7 @@ from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.bench.compiled import NO_PAYLOAD
 from frictionzoo.core.errors import BenchError, ConfigError
 from frictionzoo.core.log import Log, Payload
+from frictionzoo.fit.chunk import search
 from frictionzoo.identification import Problem
 from frictionzoo.logs.payloads import choose_payloads
 from frictionzoo.logs.recording import Recording
@@ -146,7 +147,7 @@ def test_one_drive_is_found_from_recordings_with_different_payloads(
     )
     settings: Any = OmegaConf.to_container(config, resolve=True)
     problem = pose_problem(settings)
-    progress, _ = problem.fit.chunk(problem.objective, 40)(problem.fit.start(problem.objective), 40)
+    progress, _ = search(problem.fit, problem.objective)
     values = jax.tree.map(np.asarray, problem.objective.space.values(progress.best))
     found = values["bench"] | values["friction"]
     for name, value in TRUTH.items():

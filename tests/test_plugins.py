@@ -112,23 +112,21 @@ class Semicolons(Csv):
 METHOD = '''
 import jax
 
-from frictionzoo.fit.base import register_method
-from frictionzoo.fit.grid import Grid
+from frictionzoo.fit.base import Search, register_method
 
 @register_method("random_search")
-class RandomSearch(Grid):
+class RandomSearch(Search):
     """Vectors drawn evenly between the bounds."""
 
     def __init__(self, tries):
-        super().__init__(2)
         self._tries = tries
 
     def total(self, objective):
         return self._tries
 
-    def _combination(self, objective, index):
+    def candidate(self, objective, iteration):
         low, high = objective.space.low, objective.space.high
-        return jax.random.uniform(jax.random.fold_in(jax.random.key(0), index), low.shape, low.dtype, low, high)
+        return jax.random.uniform(jax.random.fold_in(jax.random.key(0), iteration), low.shape, low.dtype, low, high)
 '''
 TARGET = '''
 from frictionzoo.export.base import Target, register_target

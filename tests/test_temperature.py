@@ -24,6 +24,7 @@ from frictionzoo.core.state import DriveState
 from frictionzoo.export.module import load_module
 from frictionzoo.export.write import write_exports
 from frictionzoo.fit import LevenbergMarquardt, Objective, Space, estimate_uncertainty
+from frictionzoo.fit.chunk import search
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.models.temperature import ABSOLUTE_ZERO
 from frictionzoo.result.identified import Identified
@@ -175,7 +176,7 @@ def pose(make: Callable[..., Any], name: str, log: Log) -> Objective:
 def identify(make: Callable[..., Any], name: str, log: Log) -> tuple[Values, Uncertainty]:
     objective = pose(make, name, log)
     fit = LevenbergMarquardt(30, 1e-8)
-    progress, _ = fit.chunk(objective, 30)(fit.start(objective), 30)
+    progress, _ = search(fit, objective)
     return objective.space.values(progress.best), estimate_uncertainty(objective, np.asarray(progress.best))
 
 

@@ -19,6 +19,7 @@ from frictionzoo.core.segments import Sampling, Segments
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.export.write import write_exports
 from frictionzoo.fit import Adam, Known, Objective, Space, loop, run_fit
+from frictionzoo.fit.chunk import search
 from frictionzoo.fit.loggers import Csv
 from frictionzoo.fit.loop import Record
 from frictionzoo.models import CoulombStribeck, FrictionModel, TorchFriction, register_model
@@ -165,7 +166,7 @@ def test_a_fit_takes_the_same_way_also_after_an_interruption(
     torched, jaxed = pair("specialised")
     fit, law = Adam(5, 0.05, 0.9, "auto"), make("model", f"model._target_={STRIBECK}", nv=1).double()
     whole = run_fit(fit, torched, law, chunk=2, progress=False)
-    _, trace = fit.chunk(jaxed, 5)(fit.start(jaxed), 5)
+    _, trace = search(fit, jaxed)
     assert whole.iterations == 5
     assert (np.diff(whole.history["loss"]) < 0).all()
     for name, values in {"loss": trace.loss, **trace.params}.items():
@@ -207,7 +208,7 @@ def test_given_values_are_judged(make: Callable[..., Any], segments: Segments) -
     choices = (f"model._target_={STRIBECK}", "bench.params.armature.identify=false", *known)
     objective = pose(make("bench", *choices), make("model", *choices, nv=1), segments, "specialised", "float32")
     fit = Known()
-    progress, trace = fit.chunk(objective, fit.total(objective))(fit.start(objective), 1)
+    progress, trace = search(fit, objective)
     assert float(progress.best_loss) == trace.loss[0] == float(objective.loss(objective.space.start, objective.data))
 
 

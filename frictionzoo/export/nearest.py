@@ -14,6 +14,7 @@ from frictionzoo.core.params import UNITS
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.fit import Objective, Space
+from frictionzoo.fit.chunk import search
 from frictionzoo.fit.lm import LevenbergMarquardt
 from frictionzoo.models import FrictionModel
 from frictionzoo.models.base import sliding_torque
@@ -86,7 +87,7 @@ def _refit(
     with jax.enable_x64(True):
         objective = _pose(fitted, followed, loss, damping)
         fit = LevenbergMarquardt(_ITERATIONS, 1e-8)
-        progress, _ = fit.chunk(objective, _ITERATIONS)(fit.start(objective), _ITERATIONS)
+        progress, _ = search(fit, objective)
         found = jax.tree.map(lambda value: np.asarray(value, np.float64), objective.space.values(progress.best))
     bench, friction = dict(found["bench"]), found["friction"]
     before, after = (float(np.sqrt(loss)) for loss in (progress.method.loss[0], progress.best_loss))

@@ -2,7 +2,8 @@
 
 from frictionzoo.fit.base import REGISTRY, Fit, register_method
 from frictionzoo.fit.loggers import RunLogger
-from frictionzoo.fit.loop import Outcome, run_fit
+from frictionzoo.fit.loop import run_fit
+from frictionzoo.fit.module import Outcome
 from frictionzoo.fit.objective import Objective
 from frictionzoo.fit.reference import fit_reference
 from frictionzoo.fit.space import Space

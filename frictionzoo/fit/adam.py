@@ -3,23 +3,11 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array
 
 from frictionzoo.core.errors import ConfigError, closest
-from frictionzoo.fit.base import (
-    Chunk,
-    Fit,
-    Progress,
-    Trace,
-    begin,
-    compile_chunk,
-    keep_best,
-    refuse_nothing,
-    register_method,
-)
+from frictionzoo.fit.base import Fit, Seen, refuse_nothing, register_method
 from frictionzoo.fit.objective import Blocks, Objective
 
 SCHEDULES: Mapping[str, Callable[[float, int], Any]] = {
@@ -76,61 +64,18 @@ class Adam(Fit):
         refuse_nothing(objective)
         return self._iterations
 
-    def start(self, objective: Objective) -> Progress:
-        """See `Fit.start`."""
-        vector = objective.space.start
-        return begin(objective, vector, self._optimiser.init(vector))
+    def init(self, objective: Objective) -> tuple[Any, Any]:
+        """See `Fit.init`."""
+        return objective.space.start, self._optimiser.init(objective.space.start)
 
-    def chunk(self, objective: Objective, size: int) -> Chunk:
-        """See `Fit.chunk`."""
-        value_and_grad = objective.value_and_grad(self._derivative)
-        repeat: Callable[..., Any] = jax.lax.fori_loop
+    def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Seen, Any, Any]:
+        """See `Fit.step`."""
+        loss, gradient = objective.value_and_grad(self._derivative)(vector, data)
+        updates, moments = self._optimiser.update(gradient, state, vector)
+        moved = jnp.asarray(optax.apply_updates(vector, updates))
+        lost = ~jnp.isfinite(loss) | ~jnp.isfinite(gradient).all()
+        return Seen(loss, gradient, lost), jnp.clip(moved, objective.space.low, objective.space.high), moments
 
-        def record(row: Array, carry: tuple[Progress, Trace], loss: Array, gradient: Array) -> tuple[Progress, Trace]:
-            progress, trace = carry
-            here = objective.space.identified(progress.vector)
-            written = Trace(
-                trace.loss.at[row].set(loss),
-                trace.grad_norm.at[row].set(jnp.linalg.norm(gradient)),
-                {name: values.at[row].set(here[name]) for name, values in trace.params.items()},
-            )
-            return self._update(objective, progress, loss, gradient), written
-
-        if objective.torch_law:
-            value_and_grad(objective.space.start, objective.data)  # compiles it
-            repeat, record = _repeat, objective.compile(record)
-
-        def run(progress: Progress, count: Array, data: Blocks) -> tuple[Progress, Trace]:
-            empty = jnp.zeros(size, progress.vector.dtype)
-            shapes = jax.eval_shape(objective.space.identified, progress.vector)
-            params = {name: jnp.zeros((size, *shape.shape), shape.dtype) for name, shape in shapes.items()}
-
-            def body(row: Array, carry: tuple[Progress, Trace]) -> tuple[Progress, Trace]:
-                return record(row, carry, *value_and_grad(carry[0].vector, data))
-
-            return repeat(0, count, body, (progress, Trace(empty, empty, params)))
-
-        return compile_chunk(self, objective, run)
-
-    def _update(self, objective: Objective, progress: Progress, loss: Array, gradient: Array) -> Progress:
-        updates, moments = self._optimiser.update(gradient, progress.method, progress.vector)
-        moved = jnp.asarray(optax.apply_updates(progress.vector, updates))
-        following = keep_best(progress, loss)._replace(
-            iteration=progress.iteration + 1,
-            vector=jnp.clip(moved, objective.space.low, objective.space.high),
-            broken=progress.broken | ~jnp.isfinite(loss) | ~jnp.isfinite(gradient).all(),
-            gradient=gradient,
-            method=moments,
-        )
-        # Once broken, everything but the offending gradient stays as it was.
-        kept = jax.tree.map(lambda old, new: jnp.where(following.broken, old, new), progress, following)
-        return kept._replace(
-            broken=following.broken, gradient=jnp.where(progress.broken, progress.gradient, following.gradient)
-        )
-
-
-def _repeat(start: int, stop: Array, body: Callable[[Any, Any], Any], carry: Any) -> Any:
-    """`jax.lax.fori_loop` for a body that cannot be compiled."""
-    for row in range(start, int(stop)):
-        carry = body(jnp.asarray(row), carry)
-    return carry
+    def prepare(self, objective: Objective) -> None:
+        """See `Fit.prepare`: the gradient of a law that exists only in torch."""
+        objective.value_and_grad(self._derivative)(objective.space.start, objective.data)

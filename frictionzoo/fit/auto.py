@@ -1,10 +1,12 @@
 """The method that suits the law: what one sweep over laws of all kinds takes."""
 
+from typing import Any
+
 from frictionzoo.core.errors import refuse_outside
 from frictionzoo.fit.adam import Adam
-from frictionzoo.fit.base import Chunk, Fit, Progress, register_method
+from frictionzoo.fit.base import Fit, Seen, register_method
 from frictionzoo.fit.lm import MOST_COORDINATES, MOST_TRIES, LevenbergMarquardt
-from frictionzoo.fit.objective import Objective
+from frictionzoo.fit.objective import Blocks, Objective
 
 
 @register_method("auto")
@@ -47,10 +49,6 @@ class Auto(Fit):
         """See `Fit.total`; raises ConfigError where nothing is to be identified."""
         return self.choose(objective).total(objective)
 
-    def start(self, objective: Objective) -> Progress:
-        """See `Fit.start`."""
-        return self.choose(objective).start(objective)
-
-    def chunk(self, objective: Objective, size: int) -> Chunk:
-        """See `Fit.chunk`."""
-        return self.choose(objective).chunk(objective, size)
+    def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Seen, Any, Any]:
+        """Not its own: `choose` names the method that does the work."""
+        return self.choose(objective).step(objective, vector, state, data)

@@ -1,70 +1,44 @@
-"""The interface of a fit: a state that advances by iterations inside one compiled call."""
+"""The interface of a fit method: where it begins, one iteration, and whether there is more to gain."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from frictionzoo.core.described import Described
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.registry import KINDS, Registry
-from frictionzoo.fit.objective import Objective
+from frictionzoo.fit.objective import Blocks, Objective
 
 
-class Progress(NamedTuple):
-    """Where a fit stands.
-
-    Attributes:
-        iteration: Iterations done.
-        vector: Coordinates of the next iteration.
-        best: Coordinates with the lowest loss so far.
-        best_loss: That loss; infinite before the first.
-        best_iteration: Its iteration, from 0; -1 before the first.
-        broken: Whether a loss or a gradient was not finite; then nothing moves any more.
-        converged: Whether the method sees nothing left to gain.
-        gradient: The gradient of the last iteration.
-        method: What the method keeps besides (moments of Adam).
-    """
-
-    iteration: Int[Array, ""]
-    vector: Float[Array, "coordinates"]
-    best: Float[Array, "coordinates"]
-    best_loss: Float[Array, ""]
-    best_iteration: Int[Array, ""]
-    broken: Any
-    converged: Any
-    gradient: Float[Array, "coordinates"]
-    method: Any
-
-
-class Trace(NamedTuple):
-    """One row an iteration, in JAX inside a chunk and in numpy outside.
+class Seen(NamedTuple):
+    """What a method saw at one vector.
 
     Attributes:
-        loss: The objective, of shape (rows,).
-        grad_norm: Length of its gradient, of shape (rows,); 0 where the method uses none.
-        params: Values of the identified physical parameters, each of shape (rows, nv).
+        loss: The objective, of shape ().
+        gradient: Its gradient, of shape (coordinates,); zeros where the method uses none.
+        lost: Whether the method cannot go on from here.
     """
 
     loss: Any
-    grad_norm: Any
-    params: dict[str, Any]
-
-
-Chunk = Callable[[Progress, int], tuple[Progress, Trace]]
-"""(progress, count) to the progress after up to `count` more iterations, and a trace whose first rows are theirs."""
+    gradient: Any
+    lost: Any
 
 
 class Fit(Described, ABC):
-    """A way of finding parameters.
+    """A way of finding parameters, vector by vector.
+
+    What goes around it is the loop's: chunks of iterations, history, the best vector, checkpoints. A method keeps what
+    it needs in a state of its own, a pytree of arrays, and holds nothing that changes.
 
     Attributes:
         name: Its name in results, set by `register_method`.
+        traced: Whether `step` is a JAX function, which the loop compiles; otherwise it is called from Python.
     """
 
     name: ClassVar[str]
+    traced: ClassVar[bool] = True
 
     def choose(self, objective: Objective) -> "Fit":
         """The method that does the work for this objective: this one, unless it leaves the choice to the law."""
@@ -78,19 +52,51 @@ class Fit(Described, ABC):
             ConfigError: The method cannot search this space.
         """
 
-    @abstractmethod
-    def start(self, objective: Objective) -> Progress:
-        """Where the fit begins."""
+    def init(self, objective: Objective) -> tuple[Any, Any]:
+        """The vector that is tried first, and the method's state then."""
+        return objective.space.start, ()
 
     @abstractmethod
-    def chunk(self, objective: Objective, size: int) -> Chunk:
-        """The function that does up to `size` iterations, compiled.
+    def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Seen, Any, Any]:
+        """One iteration.
 
-        How iterations are cut into chunks must not change a bit of the result: an interrupted fit goes on in others.
+        Args:
+            objective: What is minimised.
+            vector: What is tried, of shape (coordinates,).
+            state: The method's own.
+            data: What the objective's functions take.
+
+        Returns:
+            What was seen at the vector, the vector that is tried next, and the state then.
         """
 
+    def done(self, state: Any) -> Any:
+        """Whether the method sees nothing left to gain."""
+        return False
 
-REGISTRY = Registry(KINDS["methods"], Fit, "chunk")
+    def prepare(self, objective: Objective) -> None:
+        """Compile what `step` calls, where the loop does not compile it as a whole."""
+
+
+class Search(Fit):
+    """A method whose iterations do not look at what the ones before found: the loop tries many vectors at once."""
+
+    @abstractmethod
+    def candidate(self, objective: Objective, iteration: Any) -> Float[Array, "coordinates"]:
+        """The vector of an iteration, counted from 0."""
+
+    def init(self, objective: Objective) -> tuple[Any, Any]:
+        """See `Fit.init`."""
+        return self.candidate(objective, jnp.asarray(0)), jnp.asarray(0)
+
+    def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Seen, Any, Any]:
+        """See `Fit.step`. A vector without a finite loss loses; it does not end the search."""
+        following = state + 1
+        seen = Seen(objective.loss(vector, data), jnp.zeros_like(vector), lost=False)
+        return seen, self.candidate(objective, following), following
+
+
+REGISTRY = Registry(KINDS["methods"], Fit, "step")
 
 register_method = REGISTRY.register
 """Class decorator that makes a fit method known by its name, as `Registry.register`."""
@@ -125,45 +131,3 @@ def refuse_torch(objective: Objective, name: str) -> None:
         raise ConfigError(
             f"fit={name}: {objective.torch_law} exists only in torch, expected a formula over xp; use fit=adam"
         )
-
-
-def begin(objective: Objective, vector: Float[Array, "coordinates"], method: Any) -> Progress:
-    """Progress before the first iteration, at this vector."""
-    return Progress(
-        iteration=jnp.asarray(0),
-        vector=vector,
-        best=vector,
-        best_loss=jnp.asarray(jnp.inf, vector.dtype),
-        best_iteration=jnp.asarray(-1),
-        broken=jnp.asarray(False),
-        converged=jnp.asarray(False),
-        gradient=jnp.zeros_like(vector),
-        method=method,
-    )
-
-
-def keep_best(progress: Progress, loss: Float[Array, ""]) -> Progress:
-    """The same progress, with its vector as the best one if this is its loss and the lowest."""
-    better = loss < progress.best_loss
-    return progress._replace(
-        best=jnp.where(better, progress.vector, progress.best),
-        best_loss=jnp.where(better, loss, progress.best_loss),
-        best_iteration=jnp.where(better, progress.iteration, progress.best_iteration),
-    )
-
-
-def compile_chunk(fit: Fit, objective: Objective, run: Callable[..., tuple[Progress, Trace]]) -> Chunk:
-    """A chunk from a JAX function (progress, count, data) to (progress, trace).
-
-    The count is an argument and not a constant: a chunk cut short runs the same machine code. Where the law exists only
-    in torch, the function is called as it is.
-    """
-    if objective.torch_law:
-        return lambda progress, count: run(progress, jnp.asarray(count), objective.data)
-    example = objective.spread((fit.start(objective), jnp.asarray(0)))
-    compiled = objective.compile(run).lower(*example, objective.data).compile()
-
-    def chunk(progress: Progress, count: int) -> tuple[Progress, Trace]:
-        return objective.collect(compiled(*objective.spread((progress, jnp.asarray(count))), objective.data))
-
-    return chunk

@@ -1,10 +1,11 @@
 """No fit at all: given values are judged as they are."""
 
+from typing import Any
+
 import jax.numpy as jnp
-from jaxtyping import Array
 
 from frictionzoo.core.errors import ConfigError
-from frictionzoo.fit.base import Chunk, Fit, Progress, Trace, begin, compile_chunk, keep_best, register_method
+from frictionzoo.fit.base import Fit, Seen, register_method
 from frictionzoo.fit.objective import Blocks, Objective
 
 
@@ -21,18 +22,7 @@ class Known(Fit):
             )
         return 1
 
-    def start(self, objective: Objective) -> Progress:
-        """See `Fit.start`."""
-        return begin(objective, objective.space.start, ())
-
-    def chunk(self, objective: Objective, size: int) -> Chunk:
-        """See `Fit.chunk`."""
-
-        def run(progress: Progress, count: Array, data: Blocks) -> tuple[Progress, Trace]:
-            loss = objective.loss(progress.vector, data)
-            judged = keep_best(progress, loss)._replace(
-                iteration=progress.iteration + count, broken=~jnp.isfinite(loss)
-            )
-            return judged, Trace(loss[None], jnp.zeros(1, loss.dtype), {})
-
-        return compile_chunk(self, objective, run)
+    def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Seen, Any, Any]:
+        """See `Fit.step`."""
+        loss = objective.loss(vector, data)
+        return Seen(loss, jnp.zeros_like(vector), ~jnp.isfinite(loss)), vector, state

@@ -1,35 +1,35 @@
 """Levenberg-Marquardt on exact Jacobians, by scipy's trust-region solver for bounded least squares."""
 
-from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import scipy.optimize
 from jaxtyping import Float
 
 from frictionzoo.core.errors import ConfigError, refuse_outside
-from frictionzoo.fit.base import Chunk, Fit, Progress, Trace, begin, refuse_nothing, refuse_torch, register_method
-from frictionzoo.fit.objective import NormalEquations, Objective
+from frictionzoo.fit.base import Fit, Seen, refuse_nothing, refuse_torch, register_method
+from frictionzoo.fit.objective import Blocks, NormalEquations, Objective
 
 MOST_TRIES = 10_000  # each is remembered with its second derivative; ten are usual
 MOST_COORDINATES = 200  # a Jacobian has a column for each: more are a network's weights
 _SLACK = 30.0  # of the floating-point type's precision, below which a change of the loss is rounding
 
 
-Evaluate = Callable[[np.ndarray], NormalEquations]
-
-
-class Memory(NamedTuple):
-    """What was found so far, so that an interrupted fit is repeated from it instead of from the simulator.
+class State(NamedTuple):
+    """What was found so far, from which the solver tells the next vector whenever it is asked.
 
     Attributes:
-        loss: The objective at each vector that the solver asked for, of shape (iterations,).
+        tried: How many vectors.
+        asked: The vector that is tried next, or the last one where the solver has ended, of shape (coordinates,).
+        ended: Whether the solver has ended of itself.
+        loss: The objective at each vector that was tried, of shape (iterations,).
         gradient: Half its gradient, (iterations, coordinates).
         hessian: Half its approximate second derivative, (iterations, coordinates, coordinates).
     """
 
+    tried: np.ndarray
+    asked: np.ndarray
+    ended: np.ndarray
     loss: np.ndarray
     gradient: np.ndarray
     hessian: np.ndarray
@@ -54,6 +54,8 @@ class LevenbergMarquardt(Fit):
         ConfigError: An argument is out of range.
     """
 
+    traced = False
+
     def __init__(self, iterations: int = 100, tolerance: float = 1e-8) -> None:
         refuse_outside("fit.iterations", iterations, 1, MOST_TRIES)
         if not 0 < tolerance < 1:
@@ -76,123 +78,83 @@ class LevenbergMarquardt(Fit):
             )
         return self._iterations
 
-    def start(self, objective: Objective) -> Progress:
-        """See `Fit.start`."""
-        vector = objective.space.start
-        shape = (self._iterations, *vector.shape)
-        return begin(objective, vector, Memory(np.zeros(shape[0]), np.zeros(shape), np.zeros((*shape, len(vector)))))
+    def init(self, objective: Objective) -> tuple[Any, Any]:
+        """See `Fit.init`."""
+        start = np.asarray(objective.space.start, np.float64)
+        equations = np.zeros(self._iterations), *(np.zeros((self._iterations, *[len(start)] * axes)) for axes in (1, 2))
+        asked = _ask(objective, State(np.asarray(0), start, np.asarray(False), *equations), self._tolerance).asked
+        return start, State(np.asarray(0), asked, np.asarray(False), *equations)
 
-    def chunk(self, objective: Objective, size: int) -> Chunk:
-        """See `Fit.chunk`."""
-        self.total(objective)
-        evaluate = objective.compile_normal_equations()
-        identified = jax.jit(jax.vmap(objective.space.identified))
-        identified(jnp.zeros((size, len(objective.space.start)), objective.space.start.dtype))  # compiles it
+    def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Seen, Any, Any]:
+        """See `Fit.step`; what is tried is the vector that the solver asked for, in its own precision."""
+        found = objective.compile_normal_equations()(state.asked)
+        at = int(state.tried)
+        # A start without finite equations is none; from a later vector, the solver tries a shorter step.
+        lost = at == 0 and not _is_finite(found)
+        equations = [part.copy() for part in (state.loss, state.gradient, state.hessian)]
+        for part, value in zip(equations, found, strict=True):
+            part[at] = value
+        following = State(np.asarray(at + 1), state.asked, state.ended, *equations)
+        following = following if lost else _ask(objective, following, self._tolerance)
+        return Seen(found.loss, 2 * found.gradient, lost), following.asked, following
 
-        def run(progress: Progress, count: int) -> tuple[Progress, Trace]:
-            solver = _Solver(objective, evaluate, progress.method, int(progress.iteration), count)
-            converged = solver.solve(self._tolerance)
-            following = solver.update(progress, converged)
-            rows = np.zeros((size, len(progress.vector)))
-            rows[: len(solver.fresh)] = solver.fresh
-            params = identified(jnp.asarray(rows, progress.vector.dtype))
-            done = slice(int(progress.iteration), int(progress.iteration) + size)
-            gradients = 2 * np.linalg.norm(following.method.gradient[done], axis=1)
-            losses = np.resize(following.method.loss[done], size)
-            trace = Trace(losses, np.resize(gradients, size), dict(params))
-            return following, trace
+    def done(self, state: Any) -> Any:
+        """See `Fit.done`."""
+        return state.ended
 
-        return run
-
-
-class _PauseError(Exception):
-    """The chunk's iterations are used up."""
+    def prepare(self, objective: Objective) -> None:
+        """See `Fit.prepare`."""
+        objective.compile_normal_equations()
 
 
-class _Solver:
-    """One run of scipy's solver over what is remembered and up to `count` vectors more."""
+class _AskedError(Exception):
+    """The solver asks for a vector that was not tried yet."""
 
-    def __init__(self, objective: Objective, evaluate: Evaluate, memory: Memory, known: int, count: int) -> None:
-        self.fresh: list[np.ndarray] = []
-        self.broken = False
-        self._objective = objective
-        self._evaluate = evaluate
-        self._memory = Memory(*(part.copy() for part in memory))
-        self._known, self._count = known, count
-        self._vectors: list[np.ndarray] = []
-        self._last: NormalEquations | None = None
 
-    def solve(self, tolerance: float) -> bool:
-        """Whether the solver ended of itself."""
-        space = self._objective.space
-        tolerance = max(tolerance, _SLACK * float(np.finfo(space.start.dtype).eps))
-        low, high, start = (np.asarray(side, np.float64) for side in (space.low, space.high, space.start))
-        try:
-            found = scipy.optimize.least_squares(
-                self._residuals,
-                np.clip(start, low, high),
-                jac=self._jacobian,  # pyright: ignore[reportArgumentType] - a function is one of its kinds
-                bounds=(low, high),
-                x_scale="jac",
-                ftol=tolerance,
-                xtol=tolerance,
-                gtol=tolerance,
-                max_nfev=len(self._memory.loss),
-            )
-        except _PauseError:
-            return False
-        return found.status > 0  # 0: the number of vectors is used up
+def _ask(objective: Objective, state: State, tolerance: float) -> State:
+    """The state with the vector that scipy's solver tries next, or with its end.
 
-    def update(self, progress: Progress, converged: bool) -> Progress:
-        """The progress after this run."""
-        losses = self._memory.loss[: len(self._vectors)]
-        finite = np.where(np.isfinite(losses), losses, np.inf)
-        best = int(np.argmin(finite)) if len(finite) and np.isfinite(finite).any() else -1
-        dtype = progress.vector.dtype
-        return progress._replace(
-            # A vector without a finite loss is none, as in other methods.
-            iteration=jnp.asarray(0 if self.broken else len(self._vectors)),
-            vector=jnp.asarray(self._vectors[-1], dtype),
-            best=jnp.asarray(self._vectors[max(best, 0)], dtype),
-            best_loss=jnp.asarray(finite[best] if best >= 0 else np.inf, dtype),
-            best_iteration=jnp.asarray(best),
-            broken=jnp.asarray(self.broken),
-            converged=jnp.asarray(converged),
-            gradient=jnp.asarray(2 * self._memory.gradient[len(self._vectors) - 1], dtype),
-            method=self._memory,
-        )
+    The solver cannot be stopped and asked; it is run again from the start over what was found, and asks for the same
+    vectors in the same order. That takes a fraction of a millisecond for each, simulating one takes many.
+    """
+    space, asked = objective.space, [state.asked]
+    tolerance = max(tolerance, _SLACK * float(np.finfo(space.start.dtype).eps))
+    low, high, start = (np.asarray(side, np.float64) for side in (space.low, space.high, space.start))
+    unit = float(state.loss[0]) or 1.0  # tolerances mean shares of it
+    known: list[NormalEquations] = []
 
-    def _equations(self, vector: Float[np.ndarray, "coordinates"]) -> NormalEquations:
-        """From memory, or anew; the solver asks for the same vectors in the same order whenever it starts again."""
-        number = len(self._vectors)
-        if number >= self._known:
-            if len(self.fresh) == self._count or number == len(self._memory.loss):
-                raise _PauseError
-            found = self._evaluate(vector)
-            for part, value in zip(self._memory, found, strict=True):
-                part[number] = value
-            self.fresh.append(vector.copy())
-        self._vectors.append(vector.copy())
-        return NormalEquations(*(part[number] for part in self._memory))
-
-    def _residuals(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "compressed"]:
-        equations = self._equations(vector)
-        if not all(np.isfinite(part).all() for part in equations):
-            if len(self._vectors) == 1:
-                self.broken = True
-                raise _PauseError
+    def residuals(vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "compressed"]:
+        at = len(known)
+        if at == int(state.tried):
+            asked.append(vector.copy())
+            raise _AskedError
+        equations = NormalEquations(*(part[at] for part in (state.loss, state.gradient, state.hessian)))
+        known.append(equations)
+        if not _is_finite(equations):
             return np.full(len(vector) + 1, np.inf)  # the solver takes it back and tries a shorter step
-        self._last = equations
-        return _compress(equations, self._unit)[0]
+        finite.append(equations)
+        return _compress(equations, unit)[0]
 
-    def _jacobian(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "compressed coordinates"]:
-        assert self._last is not None
-        return _compress(self._last, self._unit)[1]
+    finite: list[NormalEquations] = []
+    try:
+        found = scipy.optimize.least_squares(
+            residuals,
+            np.clip(start, low, high),
+            jac=lambda vector: _compress(finite[-1], unit)[1],  # pyright: ignore[reportArgumentType] - one of its kinds
+            bounds=(low, high),
+            x_scale="jac",
+            ftol=tolerance,
+            xtol=tolerance,
+            gtol=tolerance,
+            max_nfev=len(state.loss),
+        )
+    except _AskedError:
+        return state._replace(asked=asked[-1])
+    return state._replace(ended=np.asarray(found.status > 0))  # 0: the number of vectors is used up
 
-    @property
-    def _unit(self) -> float:
-        """The loss at the start, so that tolerances mean shares of it."""
-        return float(self._memory.loss[0]) or 1.0
+
+def _is_finite(equations: NormalEquations) -> bool:
+    return all(np.isfinite(part).all() for part in equations)
 
 
 def _compress(

@@ -6,6 +6,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
+from frictionzoo.fit.chunk import search
 from frictionzoo.fit.lm import LevenbergMarquardt
 from frictionzoo.fit.objective import Objective
 from frictionzoo.logs.cache import cached, digest
@@ -29,8 +30,7 @@ def fit_reference(objective: Objective, folder: Path | None = None) -> Values:
 
     def fit() -> dict[str, np.ndarray]:
         method = LevenbergMarquardt(_ITERATIONS, 1e-8)
-        progress, _ = method.chunk(objective, _ITERATIONS)(method.start(objective), _ITERATIONS)
-        return {"best": np.asarray(progress.best)}
+        return {"best": np.asarray(search(method, objective)[0].best)}
 
     path = None if folder is None else folder / f"{_fingerprint(objective)}.npz"
     best = cached(path, ["best"], fit)["best"]

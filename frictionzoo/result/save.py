@@ -1,5 +1,6 @@
 """What a run leaves in its folder."""
 
+import time
 from pathlib import Path
 
 import safetensors.torch
@@ -29,6 +30,7 @@ def save(identified: Identified, curves: Curves, folder: Path) -> None:
     Raises:
         OutputError: A file cannot be written.
     """
+    began = time.perf_counter()
     (folder / RESULT).unlink(missing_ok=True)
     write_figures(folder / "figures", identified.result, curves)
     # One entry only: safetensors writes several in an order that changes from run to run.
@@ -37,5 +39,8 @@ def save(identified: Identified, curves: Curves, folder: Path) -> None:
     write_curves(folder, curves)
     # What `python -m frictionzoo.export RUN target=mjcf` writes, too.
     write_atomically(folder / MJCF, write_bench(identified, find_nearest(identified)).encode())
-    write_report(folder / REPORT, identified.result, curves)
-    write_result(folder / RESULT, identified.result)
+    timing = identified.result["timing"]
+    timing = {**timing, "total": timing["total"] + time.perf_counter() - began}
+    result = {**identified.result, "timing": timing}
+    write_report(folder / REPORT, result, curves)
+    write_result(folder / RESULT, result)

@@ -1,0 +1,231 @@
+"""A chunk of a fit's iterations, whatever the method: what it advances, and what it writes down of each."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from frictionzoo.core.errors import ConfigError
+from frictionzoo.fit.base import Fit, Search, Seen
+from frictionzoo.fit.objective import Blocks, Objective
+
+_ARRAYS = ("iteration", "vector", "best", "best_iteration", "broken", "converged", "gradient")  # JAX's, between chunks
+MOST_STATES = 1_000_000_000  # simulated at once: some GB of memory
+
+
+class Progress(NamedTuple):
+    """Where a fit stands.
+
+    Attributes:
+        iteration: Iterations done.
+        vector: Coordinates of the next iteration.
+        best: Coordinates with the lowest loss so far.
+        best_loss: That loss; infinite before the first.
+        best_iteration: Its iteration, from 0; -1 before the first.
+        broken: Whether the method was lost; then nothing moves any more.
+        converged: Whether the method sees nothing left to gain.
+        gradient: The gradient of the last iteration.
+        method: What the method keeps besides (moments of Adam).
+    """
+
+    iteration: Int[Any, ""]
+    vector: Float[Any, "coordinates"]
+    best: Float[Any, "coordinates"]
+    best_loss: Float[Any, ""]
+    best_iteration: Int[Any, ""]
+    broken: Any
+    converged: Any
+    gradient: Float[Any, "coordinates"]
+    method: Any
+
+
+class Trace(NamedTuple):
+    """One row an iteration, in JAX inside a chunk and in numpy outside.
+
+    Attributes:
+        loss: The objective, of shape (rows,).
+        grad_norm: Length of its gradient, of shape (rows,); 0 where the method uses none.
+        params: Values of the identified physical parameters, each of shape (rows, nv).
+    """
+
+    loss: Any
+    grad_norm: Any
+    params: dict[str, Any]
+
+
+Chunk = Callable[[Progress, int], tuple[Progress, Trace]]
+"""(progress, count) to the progress after up to `count` more iterations, and a trace whose first rows are theirs."""
+
+
+def begin(fit: Fit, objective: Objective) -> Progress:
+    """Progress before the first iteration.
+
+    Args:
+        fit: The method.
+        objective: What it minimises.
+    """
+    vector, method = fit.init(objective)
+    vector = jnp.asarray(vector, objective.space.start.dtype)
+    return Progress(
+        iteration=jnp.asarray(0),
+        vector=vector,
+        best=vector,
+        best_loss=jnp.asarray(jnp.inf, vector.dtype) if _is_traced(fit, objective) else np.asarray(np.inf),
+        best_iteration=jnp.asarray(-1),
+        broken=jnp.asarray(False),
+        converged=jnp.asarray(False),
+        gradient=jnp.zeros_like(vector),
+        method=method,
+    )
+
+
+def search(fit: Fit, objective: Objective) -> tuple[Progress, Trace]:
+    """A whole fit in one chunk, without a record of it.
+
+    Args:
+        fit: The method.
+        objective: What it minimises.
+
+    Raises:
+        ConfigError: The method cannot search this space.
+    """
+    fit = fit.choose(objective)
+    total = fit.total(objective)
+    return make_chunk(fit, objective, total)(begin(fit, objective), total)
+
+
+def make_chunk(fit: Fit, objective: Objective, size: int) -> Chunk:
+    """The function that does up to `size` iterations, compiled as far as the method and the law can be.
+
+    How iterations are cut into chunks does not change a bit of the result: an interrupted fit goes on in others.
+
+    Args:
+        fit: The method.
+        objective: What it minimises.
+        size: Most iterations of a call.
+
+    Raises:
+        ConfigError: So many vectors are not tried at once.
+    """
+    if isinstance(fit, Search):
+        return _compile(_try_at_once(fit, objective, size), fit, objective)
+    if _is_traced(fit, objective):
+        return _compile(_try_in_turn(fit, objective, size), fit, objective)
+    return _try_from_python(fit, objective, size)
+
+
+def _is_traced(fit: Fit, objective: Objective) -> bool:
+    """Whether JAX compiles whole iterations; otherwise they are called from Python."""
+    return fit.traced and not objective.torch_law
+
+
+def _advance(xp: Any, progress: Progress, seen: Seen, vector: Any, method: Any, converged: Any) -> Progress:
+    """The progress after one more iteration."""
+    gradient = xp.asarray(seen.gradient, progress.vector.dtype)
+    following = _keep_best(xp, progress, seen.loss)._replace(
+        iteration=progress.iteration + 1,
+        vector=xp.asarray(vector, progress.vector.dtype),
+        broken=progress.broken | seen.lost,
+        converged=xp.asarray(converged),
+        gradient=gradient,
+        method=method,
+    )
+    # Once broken, everything but the offending gradient stays as it was.
+    kept = jax.tree.map(lambda old, new: xp.where(following.broken, old, new), progress, following)
+    return kept._replace(broken=following.broken, gradient=xp.where(progress.broken, progress.gradient, gradient))
+
+
+def _keep_best(xp: Any, progress: Progress, loss: Any) -> Progress:
+    """The same progress, with its vector as the best one if this is its loss and the lowest."""
+    better = loss < progress.best_loss
+    return progress._replace(
+        best=xp.where(better, progress.vector, progress.best),
+        best_loss=xp.where(better, loss, progress.best_loss),
+        best_iteration=xp.where(better, progress.iteration, progress.best_iteration),
+    )
+
+
+def _try_in_turn(fit: Fit, objective: Objective, size: int) -> Callable[..., tuple[Progress, Trace]]:
+    """One vector after the other, in a loop of JAX."""
+
+    def run(progress: Progress, count: Array, data: Blocks) -> tuple[Progress, Trace]:
+        empty = jnp.zeros(size, progress.vector.dtype)
+        shapes = jax.eval_shape(objective.space.identified, progress.vector)
+        params = {name: jnp.zeros((size, *shape.shape), shape.dtype) for name, shape in shapes.items()}
+
+        def body(row: Array, carry: tuple[Progress, Trace]) -> tuple[Progress, Trace]:
+            progress, trace = carry
+            seen, vector, method = fit.step(objective, progress.vector, progress.method, data)
+            here = objective.space.identified(progress.vector)
+            written = Trace(
+                trace.loss.at[row].set(seen.loss),
+                trace.grad_norm.at[row].set(jnp.linalg.norm(seen.gradient)),
+                {name: values.at[row].set(here[name]) for name, values in trace.params.items()},
+            )
+            return _advance(jnp, progress, seen, vector, method, fit.done(method)), written
+
+        return jax.lax.fori_loop(0, count, body, (progress, Trace(empty, empty, params)))
+
+    return run
+
+
+def _try_at_once(fit: Search, objective: Objective, size: int) -> Callable[..., tuple[Progress, Trace]]:
+    """Many vectors side by side."""
+    at_once = size * objective.data.qpos[0].size
+    if at_once > MOST_STATES:
+        raise ConfigError(
+            f"loop.chunk={size}: {at_once:g} states simulated at once, expected at most {MOST_STATES:g}; lower it"
+        )
+
+    def run(progress: Progress, count: Array, data: Blocks) -> tuple[Progress, Trace]:
+        rows = jnp.arange(size)
+        vectors = jax.vmap(lambda row: fit.candidate(objective, progress.iteration + row))(rows)
+        losses = jax.vmap(objective.loss, in_axes=(0, None))(vectors, data)
+        candidates = jnp.where(jnp.isfinite(losses) & (rows < count), losses, jnp.inf)
+        row = jnp.argmin(candidates)
+        tried = progress._replace(vector=vectors[row], iteration=progress.iteration + row)
+        iteration = progress.iteration + count
+        following = _keep_best(jnp, tried, candidates[row])._replace(
+            iteration=iteration, vector=fit.candidate(objective, iteration), method=iteration
+        )
+        return following, Trace(losses, jnp.zeros_like(losses), jax.vmap(objective.space.identified)(vectors))
+
+    return run
+
+
+def _compile(run: Callable[..., tuple[Progress, Trace]], fit: Fit, objective: Objective) -> Chunk:
+    # The count is an argument and not a constant: a chunk cut short runs the same machine code.
+    example = objective.spread((begin(fit, objective), jnp.asarray(0)))
+    compiled = objective.compile(run).lower(*example, objective.data).compile()
+
+    def chunk(progress: Progress, count: int) -> tuple[Progress, Trace]:
+        return objective.collect(compiled(*objective.spread((progress, jnp.asarray(count))), objective.data))
+
+    return chunk
+
+
+def _try_from_python(fit: Fit, objective: Objective, size: int) -> Chunk:
+    """One vector after the other, in a loop of Python, until the method is done or lost."""
+    fit.prepare(objective)
+    identified = jax.jit(jax.vmap(objective.space.identified))
+    rows = np.zeros((size, *objective.space.start.shape), objective.space.start.dtype)
+    identified(jnp.asarray(rows))  # compiles it
+
+    def chunk(progress: Progress, count: int) -> tuple[Progress, Trace]:
+        vectors, losses, norms = rows.copy(), np.zeros(size), np.zeros(size)
+        for row in range(count):
+            tried = jnp.asarray(progress.vector)
+            seen, vector, method = fit.step(objective, tried, progress.method, objective.data)
+            vectors[row], losses[row] = progress.vector, seen.loss
+            norms[row] = np.linalg.norm(np.asarray(seen.gradient))
+            progress = _advance(np, progress, seen, vector, method, fit.done(method))
+            if progress.broken or progress.converged:
+                break
+        # The lowest loss stays as exact as the method has it: of two that are close, the lower one is the best.
+        arrays = {name: jnp.asarray(value) for name, value in progress._asdict().items() if name in _ARRAYS}
+        return progress._replace(**arrays), Trace(losses, norms, dict(identified(jnp.asarray(vectors))))
+
+    return chunk
