@@ -8,17 +8,17 @@ from pathlib import Path
 import pytest
 from conftest import ROOT
 
-from frictionzoo.fit.objective import BLOCK_STATES
+from frictionzoo.fit.blocks import BLOCK_STATES
 
 FITS = {"adam": "fit.iterations=10", "lm": "fit.iterations=30", "grid": "fit.points=3"}
 COMPARE = """
 import sys
 from frictionzoo.fit import objective
 from frictionzoo.cli.run import NOT_IDENTIFIED, main
-devices = objective._devices
+devices = objective.devices_of
 for fit, option in {fits}.items():
     for count in (1, 2):
-        objective._devices = lambda rollout: devices(rollout)[:count]
+        objective.devices_of = lambda rollout: devices(rollout)[:count]
         sys.argv[1:] = [*{options}, "fit=" + fit, option, f"hydra.run.dir={{fit}}{{count}}"]
         try:
             main()

@@ -15,6 +15,7 @@ from test_fit import TRUTH, bowl, identified, pose, record, run, x64  # noqa: F4
 from frictionzoo.core.errors import ConfigError, FitError
 from frictionzoo.core.segments import Segments
 from frictionzoo.fit import LevenbergMarquardt
+from frictionzoo.fit import blocks as blocks_module
 from frictionzoo.fit import objective as objective_module
 from frictionzoo.fit.lm import _compress
 from frictionzoo.fit.objective import NormalEquations
@@ -111,7 +112,7 @@ def test_chunks_change_no_bit(tmp_path: Path) -> None:
 
 def test_blocks_change_nothing_but_rounding(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = pose("mujoco_default").objective
-    monkeypatch.setattr(objective_module, "BLOCK_STATES", 35)  # 7 of the 60 segments: the last block is not full
+    monkeypatch.setattr(blocks_module, "BLOCK_STATES", 35)  # 7 of the 60 segments: the last block is not full
     blocks = pose("mujoco_default").objective
     assert blocks.data.weight.shape == (9, 7) and float(blocks.data.weight.sum()) == 60
     vector = np.asarray(whole.space.start)

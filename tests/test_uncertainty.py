@@ -17,6 +17,7 @@ from test_servo import wander
 
 from frictionzoo.core.segments import Segments, cut_segments
 from frictionzoo.fit import Objective, Space, estimate_uncertainty
+from frictionzoo.fit import blocks as blocks_module
 from frictionzoo.fit import objective as objective_module
 from frictionzoo.fit.objective import NormalEquations
 from frictionzoo.fit.uncertainty import Uncertainty, assess
@@ -40,7 +41,7 @@ def test_intervals_are_those_of_the_formula(monkeypatch: pytest.MonkeyPatch) -> 
     """The covariance spelt out with the whole Jacobian of all residuals."""
     stretches, scale = 7, 0.02
     monkeypatch.setattr(objective_module, "MOST_STRETCHES", stretches)
-    monkeypatch.setattr(objective_module, "BLOCK_STATES", 35)  # blocks and stretches do not begin together
+    monkeypatch.setattr(blocks_module, "BLOCK_STATES", 35)  # blocks and stretches do not begin together
     data, plain = noisy(record(), 1e-3, 2e-2), pose("mujoco_default").objective
     started = [jnp.asarray(signal) for signal in (data.qpos[:, 0], data.qvel[:, 0], data.ctrl)]
 

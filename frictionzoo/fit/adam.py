@@ -8,7 +8,8 @@ import optax
 
 from frictionzoo.core.errors import ConfigError, closest
 from frictionzoo.fit.base import Fit, Seen, refuse_nothing, register_method
-from frictionzoo.fit.objective import Blocks, Objective
+from frictionzoo.fit.blocks import Blocks
+from frictionzoo.fit.objective import Objective
 
 SCHEDULES: Mapping[str, Callable[[float, int], Any]] = {
     "constant": lambda rate, iterations: rate,

@@ -5,8 +5,9 @@ from typing import Any
 from frictionzoo.core.errors import refuse_outside
 from frictionzoo.fit.adam import Adam
 from frictionzoo.fit.base import Fit, Seen, register_method
+from frictionzoo.fit.blocks import Blocks
 from frictionzoo.fit.lm import MOST_COORDINATES, MOST_TRIES, LevenbergMarquardt
-from frictionzoo.fit.objective import Blocks, Objective
+from frictionzoo.fit.objective import Objective
 
 
 @register_method("auto")

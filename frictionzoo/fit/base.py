@@ -9,7 +9,8 @@ from jaxtyping import Array, Float
 from frictionzoo.core.described import Described
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.registry import KINDS, Registry
-from frictionzoo.fit.objective import Blocks, Objective
+from frictionzoo.fit.blocks import Blocks
+from frictionzoo.fit.objective import Objective
 
 
 class Seen(NamedTuple):

@@ -10,7 +10,8 @@ from jaxtyping import Array, Float, Int
 
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.fit.base import Fit, Search, Seen
-from frictionzoo.fit.objective import Blocks, Objective
+from frictionzoo.fit.blocks import Blocks
+from frictionzoo.fit.objective import Objective
 
 _ARRAYS = ("iteration", "vector", "best", "best_iteration", "broken", "converged", "gradient")  # JAX's, between chunks
 MOST_STATES = 1_000_000_000  # simulated at once: some GB of memory

@@ -6,7 +6,8 @@ import jax.numpy as jnp
 
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.fit.base import Fit, Seen, register_method
-from frictionzoo.fit.objective import Blocks, Objective
+from frictionzoo.fit.blocks import Blocks
+from frictionzoo.fit.objective import Objective
 
 
 @register_method("known")

@@ -8,7 +8,8 @@ from jaxtyping import Float
 
 from frictionzoo.core.errors import ConfigError, refuse_outside
 from frictionzoo.fit.base import Fit, Seen, refuse_nothing, refuse_torch, register_method
-from frictionzoo.fit.objective import Blocks, NormalEquations, Objective
+from frictionzoo.fit.blocks import Blocks
+from frictionzoo.fit.objective import NormalEquations, Objective
 
 MOST_TRIES = 10_000  # each is remembered with its second derivative; ten are usual
 MOST_COORDINATES = 200  # a Jacobian has a column for each: more are a network's weights

@@ -1,31 +1,25 @@
 """What a fit minimises."""
 
 import copy
-import operator
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import torch
-from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jax.sharding import NamedSharding, PartitionSpec
 from jaxtyping import Array, Float
 
 from frictionzoo.core.errors import ConfigError, closest
 from frictionzoo.core.segments import Segments
+from frictionzoo.fit.blocks import MOST_STRETCHES, Blocks, devices_of, each, into_blocks
 from frictionzoo.fit.space import Space
 from frictionzoo.simulate import Values
 from frictionzoo.simulate.bridge import as_torch_function, to_arrays, to_tensors
 from frictionzoo.simulate.linear import solve_spd
 from frictionzoo.simulate.rollout import FORWARD, Rollout
 from frictionzoo.simulate.torch_rollout import TorchRollout
-
-BLOCK_STATES = 25_000
-"""States that are simulated at once: they fit into a processor's cache, and memory does not grow with the log."""
-
-MOST_STRETCHES = 50
-"""Stretches into which the segments are divided at most, in their order in time."""
 
 _REFINEMENTS = 5  # steps for an initial state; rollouts are nearly linear in it but for sticking and sliding
 _ROBUST: Mapping[str, Callable[[Any], Any]] = {
@@ -35,26 +29,6 @@ _ROBUST: Mapping[str, Callable[[Any], Any]] = {
     "cauchy": jnp.log1p,
 }
 """Losses of a squared residual over the squared scale, as in scipy.optimize.least_squares."""
-
-
-class Blocks(NamedTuple):
-    """Segments in blocks of equal size, each of shape (blocks, segments, ...).
-
-    Attributes:
-        qpos: Measured position [rad or m], (blocks, segments, states, nv).
-        qvel: Measured velocity [rad/s or m/s], of the same shape.
-        ctrl: Command, (blocks, segments, time, nu).
-        load: What payloads change in the bench's model, (blocks, segments, load).
-        weight: 1; 0 for a segment that only fills the last block.
-        stretch: Number of the stretch of consecutive segments to which a segment belongs, from 0.
-    """
-
-    qpos: Any
-    qvel: Any
-    ctrl: Any
-    load: Any
-    weight: Any
-    stretch: Any
 
 
 class NormalEquations(NamedTuple):
@@ -129,11 +103,11 @@ class Objective:
             raise ConfigError(
                 f"loss.refine=true: {rollout.law} exists only in torch, with no forward mode; set loss.refine=false"
             )
-        self.space = space
-        self.compile = rollout.compile
-        self.stretches = min(segments.count, MOST_STRETCHES)
-        self.data = _into_blocks(segments, self.stretches, space.start.dtype, _devices(rollout))
-        self.devices = len(self.data.weight.sharding.device_set)
+        self.space: Space = space
+        self.compile: Callable[..., Any] = rollout.compile
+        self.stretches: int = min(segments.count, MOST_STRETCHES)
+        self.data: Blocks = into_blocks(segments, self.stretches, space.start.dtype, devices_of(rollout))
+        self.devices: int = len(self.data.weight.sharding.device_set)
         self._first = min(self.data.weight.sharding.device_set, key=lambda device: device.id)
         self._rollout = rollout
         self._roots = np.sqrt([position, velocity])
@@ -168,7 +142,7 @@ class Objective:
     def loss(self, vector: Float[Array, "coordinates"], data: Blocks) -> Float[Array, ""]:
         """The objective."""
         if self.torch_law:
-            return jnp.sum(jnp.stack([self._block_loss(vector, block) for block in _each(data)]))
+            return jnp.sum(jnp.stack([self._block_loss(vector, block) for block in each(data)]))
         return jnp.sum(jax.lax.map(lambda block: self._block_loss(vector, block), data))
 
     def value_and_grad(self, derivative: str) -> Callable[[Array, Blocks], tuple[Array, Array]]:
@@ -226,7 +200,7 @@ class Objective:
         def of_all(vector: Array, data: Blocks) -> tuple[Array, Array]:
             moving = to_tensors(vector).requires_grad_()
             losses = []
-            for block in _each(data):
+            for block in each(data):
                 loss = of_block(moving, to_tensors(block))
                 loss.backward()  # at once, so that the steps of one block are kept and not those of all
                 losses.append(loss.detach())
@@ -378,36 +352,3 @@ class Objective:
         members = jax.nn.one_hot(block.stretch, self.stretches, dtype=vector.dtype)
         scores = jnp.einsum("sg,si->gi", members, of_segment, precision="highest")
         return loss / self._terms, scores / self._terms, hessian / self._terms
-
-
-def _devices(rollout: Rollout) -> list[Any]:
-    """Over which the segments are spread; torch works on one."""
-    device = jax.config.jax_default_device
-    devices = jax.local_devices(backend=device.platform if device is not None else None)
-    return devices[:1] if isinstance(rollout, TorchRollout) else devices
-
-
-def _each(data: Blocks) -> Iterator[Blocks]:
-    """The blocks one after the other."""
-    for index in range(len(data.weight)):
-        yield jax.tree.map(operator.itemgetter(index), data)
-
-
-def _into_blocks(segments: Segments, stretches: int, dtype: Any, devices: list[Any]) -> Blocks:
-    """Equal blocks; where the segments do not fill the last, its rest repeats the last segment with no weight."""
-    largest = max(1, BLOCK_STATES // segments.length)
-    blocks = -(-segments.count // largest)
-    size = -(-segments.count // blocks)
-    size = -(-size // len(devices)) * len(devices)
-    index = np.minimum(np.arange(blocks * size), segments.count - 1)
-
-    def cut(signal: np.ndarray) -> np.ndarray:
-        return signal[index].astype(dtype).reshape(blocks, size, *signal.shape[1:])
-
-    weight = (np.arange(blocks * size) < segments.count).astype(dtype).reshape(blocks, size)
-    stretch = (index * stretches // segments.count).astype(np.int32).reshape(blocks, size)
-    host = Blocks(cut(segments.qpos), cut(segments.qvel), cut(segments.ctrl), cut(segments.loads), weight, stretch)
-    if len(devices) == 1:
-        return jax.tree.map(jnp.asarray, host)
-    sharding = NamedSharding(Mesh(np.array(devices), ("segments",)), PartitionSpec(None, "segments"))
-    return jax.tree.map(lambda signal: jax.device_put(signal, sharding), host)

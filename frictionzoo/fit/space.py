@@ -43,16 +43,17 @@ class Space:
         specs |= {f"friction.{name}": param for name, param in model.params.items()}
         self.params: dict[str, Param] = {name: param for name, param in specs.items() if param.identify}
         free = [f"friction.{name}" for name, tensor in model.named_parameters() if tensor.requires_grad]
-        self.weights = [name for name in free if name not in specs]
-        self.names = [*self.params, *self.weights]
+        self.weights: list[str] = [name for name in free if name not in specs]
+        self.names: list[str] = [*self.params, *self.weights]
         coordinates = [self._to_coordinate(name, self._get(self._values, name)) for name in self.names]
         sizes = {name: coordinate.size for name, coordinate in zip(self.names, coordinates, strict=True)}
-        self.labels = [
+        self.labels: list[str] = [
             name if sizes[name] == 1 else f"{name}/{joint}" for name in self.params for joint in range(sizes[name])
         ]
         start, self._unravel = ravel_pytree(coordinates)
-        self.start = jnp.asarray(start, dtype)  # of no coordinates, ravel_pytree makes float32
-        self.low, self.high = (ravel_pytree(self._bounds(coordinates, side))[0] for side in ("low", "high"))
+        self.start: Array = jnp.asarray(start, dtype)  # of no coordinates, ravel_pytree makes float32
+        self.low: Array = ravel_pytree(self._bounds(coordinates, "low"))[0]
+        self.high: Array = ravel_pytree(self._bounds(coordinates, "high"))[0]
 
     def values(self, vector: Float[Array, "coordinates"]) -> Values:
         """Physical values of all parameters, identified and known, by owner and name."""

@@ -1,0 +1,73 @@
+"""Segments as a fit holds them: in blocks that fit into a processor's cache, spread over the devices."""
+
+import operator
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from frictionzoo.core.segments import Segments
+from frictionzoo.simulate.rollout import Rollout
+from frictionzoo.simulate.torch_rollout import TorchRollout
+
+BLOCK_STATES = 25_000
+"""States that are simulated at once: they fit into a processor's cache, and memory does not grow with the log."""
+
+MOST_STRETCHES = 50
+"""Stretches into which the segments are divided at most, in their order in time."""
+
+
+class Blocks(NamedTuple):
+    """Segments in blocks of equal size, each of shape (blocks, segments, ...).
+
+    Attributes:
+        qpos: Measured position [rad or m], (blocks, segments, states, nv).
+        qvel: Measured velocity [rad/s or m/s], of the same shape.
+        ctrl: Command, (blocks, segments, time, nu).
+        load: What payloads change in the bench's model, (blocks, segments, load).
+        weight: 1; 0 for a segment that only fills the last block.
+        stretch: Number of the stretch of consecutive segments to which a segment belongs, from 0.
+    """
+
+    qpos: Any
+    qvel: Any
+    ctrl: Any
+    load: Any
+    weight: Any
+    stretch: Any
+
+
+def devices_of(rollout: Rollout) -> list[Any]:
+    """Over which the segments are spread; torch works on one."""
+    device = jax.config.jax_default_device
+    devices = jax.local_devices(backend=device.platform if device is not None else None)
+    return devices[:1] if isinstance(rollout, TorchRollout) else devices
+
+
+def each(data: Blocks) -> Iterator[Blocks]:
+    """The blocks one after the other."""
+    for index in range(len(data.weight)):
+        yield jax.tree.map(operator.itemgetter(index), data)
+
+
+def into_blocks(segments: Segments, stretches: int, dtype: Any, devices: list[Any]) -> Blocks:
+    """Equal blocks; where the segments do not fill the last, its rest repeats the last segment with no weight."""
+    largest = max(1, BLOCK_STATES // segments.length)
+    blocks = -(-segments.count // largest)
+    size = -(-segments.count // blocks)
+    size = -(-size // len(devices)) * len(devices)
+    index = np.minimum(np.arange(blocks * size), segments.count - 1)
+
+    def cut(signal: np.ndarray) -> np.ndarray:
+        return signal[index].astype(dtype).reshape(blocks, size, *signal.shape[1:])
+
+    weight = (np.arange(blocks * size) < segments.count).astype(dtype).reshape(blocks, size)
+    stretch = (index * stretches // segments.count).astype(np.int32).reshape(blocks, size)
+    host = Blocks(cut(segments.qpos), cut(segments.qvel), cut(segments.ctrl), cut(segments.loads), weight, stretch)
+    if len(devices) == 1:
+        return jax.tree.map(jnp.asarray, host)
+    sharding = NamedSharding(Mesh(np.array(devices), ("segments",)), PartitionSpec(None, "segments"))
+    return jax.tree.map(lambda signal: jax.device_put(signal, sharding), host)
