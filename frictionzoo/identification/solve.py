@@ -82,6 +82,11 @@ def solve(
         device=device,
         uncertainty=uncertainty,
     )
+    return _hand_over(problem, outcome, result, _collect_curves(problem, outcome, judgement, baseline))
+
+
+def _hand_over(problem: Problem, outcome: Outcome, result: dict[str, Any], curves: Curves) -> Identified:
+    """The drive, apart from what found it."""
     return Identified(
         folder=None,
         result=result,
@@ -91,7 +96,7 @@ def solve(
         values={owner: {k: np.array(v, np.float64) for k, v in own.items()} for owner, own in outcome.values.items()},
         segments=problem.evaluation.trajectories,
         sampling=problem.sampling,
-        curves=_collect_curves(problem, outcome, judgement, baseline),
+        curves=curves,
         complaint=outcome.message,
     )
 
