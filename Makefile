@@ -26,7 +26,8 @@ format: ## mend what can be mended
 	ruff format
 	ruff check --fix
 
-docs: ## the documentation in site/, the pages of JSON files from their schemas, those of plug-ins from docstrings
+docs: ## the documentation in site/, JSON schemas from types, pages of JSON files from them, those of plug-ins from docstrings
+	python docs/write_schema.py
 	python docs/write_result.py
 	python docs/write_plugins.py
 	NO_MKDOCS_2_WARNING=1 mkdocs build --strict

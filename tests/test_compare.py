@@ -285,7 +285,8 @@ def test_a_missing_file_is_said(zoo):
 def test_the_command_writes_into_the_folder_and_prints_the_table(zoo, capsys, monkeypatch):
     monkeypatch.chdir(zoo.parent)
     drawn = []
-    monkeypatch.setattr("frictionzoo.comparison.files.write_figures", lambda folder, *_: drawn.append(str(folder)))
+    figures = "frictionzoo.show.comparison_figures.write_figures"
+    monkeypatch.setattr(figures, lambda folder, *_: drawn.append(str(folder)))
     assert main(["sweep"]) == 0
     written = json.loads(Path("sweep/comparison/comparison.json").read_text())
     jsonschema.Draft202012Validator(read_schema()).validate(written)

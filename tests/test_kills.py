@@ -84,7 +84,7 @@ def prepared(monkeypatch: pytest.MonkeyPatch) -> None:
     """The law is known here too; a comparison is made without figures, most of its time."""
     monkeypatch.setattr(REGISTRY, "entries", dict(REGISTRY.entries))
     register_model("torch_stribeck")(TorchStribeck)
-    monkeypatch.setattr("frictionzoo.comparison.files.write_figures", lambda *_: None)
+    monkeypatch.setattr("frictionzoo.show.comparison_figures.write_figures", lambda *_: None)
 
 
 def folder_option(job: str) -> tuple[str]:

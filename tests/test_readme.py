@@ -126,6 +126,13 @@ def test_a_missing_block_of_the_readme_stops_ci():
     assert "no bash block number 99" in shown.stderr
 
 
+def test_the_schemas_of_json_files_are_made_from_their_types():
+    script = runpy.run_path(str(ROOT / "docs" / "write_schema.py"))
+    for name in script["TYPES"]:
+        same = script["find_path"](name).read_text() == script["lay_out"](script["make_schema"](name)) + "\n"
+        assert same, f"{name}.schema.json: run `make docs`"
+
+
 def test_the_pages_of_json_files_are_made_from_their_schemas():
     script = runpy.run_path(str(ROOT / "docs" / "write_result.py"))
     schemas = {path.name.removesuffix(".schema.json") for path in (ROOT / "frictionzoo").rglob("*.schema.json")}

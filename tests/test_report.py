@@ -26,7 +26,7 @@ from frictionzoo.models.coulomb_stribeck import CoulombStribeck
 from frictionzoo.models.neural_friction import NeuralFriction
 from frictionzoo.result.curves import Curves
 from frictionzoo.result.evaluate import Evaluation, Prediction
-from frictionzoo.result.record import _list_parameters, build_result, read_schema, write_result
+from frictionzoo.result.record import Findings, _list_parameters, build_result, read_schema, write_result
 from frictionzoo.show.figure import Sheet
 from frictionzoo.show.run_plots import draw_rollout, plot_run, write_figures
 from frictionzoo.show.terminal import summarise
@@ -34,7 +34,10 @@ from frictionzoo.show.with_matplotlib import draw
 from frictionzoo.simulate.proof import Proof
 
 TIMESTEP = 0.001
-FIT = {"method": "adam", "iterations": 3, "best_iteration": 2, "loss": 1e-6, "stopped": "all iterations made"}
+FIT = {
+    **{"method": "adam", "iterations": 3, "best_iteration": 2, "loss": 1e-6},
+    **{"stopped": "all iterations made", "moving": []},
+}
 SETTINGS = {"seed": 0, "dtype": "float64", "segments": {"count": 20, "length": 5}}
 PROOF = Proof(step=1e-16, rollout=1e-15, cases=32, steps=8)
 TIMING = {"setup": 1.0, "compile": 2.0, "fit": 3.0, "uncertainty": 0.25, "evaluate": 0.25, "total": 6.5}
@@ -116,10 +119,9 @@ def build(bench, model, dataset, evaluation, friction, offset=0.01, **changes):
         "device": "cpu",
         "uncertainty": Uncertainty(missing="nobody asked"),
         "reference": bench.initial_values(),
-        "history": {"loss": np.array([3.0, 2.0, 1.0])},
     }
     shared = {"bench": bench, "model": model, "dataset": dataset, "evaluation": evaluation}
-    return build_result(name=model.name, **shared, **(options | changes))
+    return build_result(Findings(name=model.name, **shared, **(options | changes)))
 
 
 @pytest.fixture
@@ -173,7 +175,7 @@ def test_result_says_what_was_done(result):
     }
     assert parameters["bench", "armature"]["unit"] == "kg m^2"
     assert result["network"] is None
-    assert result["fit"] == FIT | {"moving": []}
+    assert result["fit"] == FIT
     assert result["timing"] == TIMING
 
 

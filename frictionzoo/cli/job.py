@@ -15,13 +15,14 @@ from frictionzoo.identification import Problem, solve
 from frictionzoo.logs.cache import digest
 from frictionzoo.result.identified import Identified
 from frictionzoo.result.record import describe_data, pick_metrics
+from frictionzoo.result.types import Result
 from frictionzoo.show.terminal import summarise_in_markdown
 from frictionzoo.simulate.context import computing
 
 
 def run_job(
     config: DictConfig, name: str, folder: Path, teacher: Identified | None = None
-) -> tuple[dict[str, Any], str | None]:
+) -> tuple[Result, str | None]:
     """Identify a drive and write what a run leaves behind.
 
     Args:
@@ -43,7 +44,7 @@ def run_job(
         problem = measured if teacher is None else measured.following(teacher)
         record = Record(folder, logger, _identify(name, problem), _list_hyperparameters(name, problem))
         found = solve(problem, name, device, record=record, measured=measured)
-    result = dict(found.result)
+    result = found.result
     found.save(folder)
     figures = sorted((folder / "figures").glob("*.png"))
     logger.finish(result["fit"]["iterations"], pick_metrics(result), figures, summarise_in_markdown(result, folder))

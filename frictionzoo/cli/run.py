@@ -22,6 +22,7 @@ from frictionzoo.cli.sweep import SweepFolder, conclude_sweep, describe, objecti
 from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, forget_plugin_schemas, register_resolvers
 from frictionzoo.core.output import occupy
 from frictionzoo.core.threads import limit_threads, threads_each
+from frictionzoo.result.types import Result
 
 
 @hydra.main(version_base="1.3", config_path=str(CONF_DIR), config_name="config")
@@ -47,7 +48,7 @@ def _job(config: DictConfig) -> float:
     return objective_of(result)
 
 
-def _identify(config: DictConfig, model: str, folder: Path) -> tuple[dict[str, Any], str | None]:
+def _identify(config: DictConfig, model: str, folder: Path) -> tuple[Result, str | None]:
     hydra_config = HydraConfig.get()
     check_overrides(config, compose_config(*choices_of(hydra_config.runtime.choices)))
     alone = hydra_config.mode == RunMode.RUN or hydra_config.runtime.choices["hydra/launcher"] == "basic"

@@ -17,6 +17,7 @@ from omegaconf import DictConfig, OmegaConf
 from frictionzoo import __version__
 from frictionzoo.core.errors import OutputError, RunError
 from frictionzoo.core.output import FAILURE, RESULT, RUNNING, occupy, to_json, write_atomically
+from frictionzoo.result.types import Result
 
 _log = logging.getLogger(__name__)
 # Hydra makes the callback itself: what it learns can be handed to its maker only beside it.
@@ -45,7 +46,7 @@ class SweepFolder(Callback):
 
 
 def run_in_sweep(
-    job: Callable[[], tuple[dict[str, Any], str | None]],
+    job: Callable[[], tuple[Result, str | None]],
     folder: Path,
     model: str,
     overrides: Sequence[str],
@@ -89,7 +90,7 @@ def run_in_sweep(
     return math.inf if result is None or complaint else objective_of(result)
 
 
-def _read_finished(folder: Path, settings: Mapping[str, Any]) -> dict[str, Any] | None:
+def _read_finished(folder: Path, settings: Mapping[str, Any]) -> Result | None:
     """What a job's `result.json` holds if this version made it with these settings, else None."""
     try:
         result = json.loads((folder / RESULT).read_text(encoding="utf-8"))
@@ -99,7 +100,7 @@ def _read_finished(folder: Path, settings: Mapping[str, Any]) -> dict[str, Any] 
         return None
 
 
-def objective_of(result: dict[str, Any]) -> float:
+def objective_of(result: Result) -> float:
     """What a sweeper may minimise: the position error of open-loop rollouts of the training part [rad or m].
 
     Unlike the loss, it does not depend on how segments are cut or errors are weighted, so that jobs compare; and the
@@ -112,10 +113,10 @@ def objective_of(result: dict[str, Any]) -> float:
         The mean absolute error; infinite if a rollout diverged, because the mean leaves that one out.
     """
     train = result["metrics"]["train"]
-    return math.inf if train["diverged"] else float(train["position_mae"])
+    return math.inf if train["diverged"] or train["position_mae"] is None else float(train["position_mae"])
 
 
-def conclude_sweep(folder: Path) -> tuple[dict[str, Any] | None, str, list[str]]:
+def conclude_sweep(folder: Path) -> tuple[Mapping[str, Any] | None, str, list[str]]:
     """Compare what the jobs of a sweep left, in whatever processes and on whatever machines they ran.
 
     Waits for jobs that still run, as some do when their launcher gave up on another one.

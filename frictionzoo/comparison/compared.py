@@ -3,10 +3,11 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from frictionzoo.comparison.record import Comparison, compare_runs
+from frictionzoo.comparison.files import save_comparison
+from frictionzoo.comparison.record import compare_runs
 from frictionzoo.comparison.runs import Failure, Run, gather
+from frictionzoo.comparison.types import Comparison, PairRow
 from frictionzoo.result.identified import Identified
 
 
@@ -52,7 +53,7 @@ class Compared:
         return self.drives[recommendation["run"]] if recommendation else None
 
     @property
-    def differences(self) -> dict[tuple[str, str], Mapping[str, Any]]:
+    def differences(self) -> dict[tuple[str, str], PairRow]:
         """How much worse the first of two is than the second, in paired rollouts: mean, 95 % interval, verdict."""
         return {(pair["run"], pair["other"]): pair for pair in self.record["pairs"]}
 
@@ -65,9 +66,6 @@ class Compared:
         Raises:
             OutputError: It cannot be written.
         """
-        # Imported here, so that what compares does not wait for what draws.
-        from frictionzoo.comparison.files import save_comparison
-
         save_comparison(self.record, self.runs, Path(folder))
 
     def __repr__(self) -> str:

@@ -4,13 +4,11 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from frictionzoo.comparison.record import Comparison, compare_runs
+from frictionzoo.comparison.record import compare_runs
 from frictionzoo.comparison.runs import Run, read_runs
+from frictionzoo.comparison.types import Comparison
 from frictionzoo.core.errors import RunError
 from frictionzoo.core.output import write_atomically
-from frictionzoo.show.comparison_figures import write_figures
-from frictionzoo.show.comparison_page import write_page
-from frictionzoo.show.latex import tabulate_latex
 
 
 def write_comparison(folders: Sequence[Path], output: Path) -> Comparison:
@@ -44,6 +42,11 @@ def save_comparison(comparison: Comparison, runs: Sequence[Run], output: Path) -
     Raises:
         OutputError: A file cannot be written.
     """
+    # Imported here, so that what compares does not wait for what draws.
+    from frictionzoo.show.comparison_figures import write_figures
+    from frictionzoo.show.comparison_page import write_page
+    from frictionzoo.show.latex import tabulate_latex
+
     write_figures(output / "figures", comparison, runs)
     write_atomically(output / "table.tex", tabulate_latex(comparison).encode())
     write_page(output / "comparison.html", comparison, runs)

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib import resources
 from itertools import combinations
-from typing import Any
+from typing import Any, Final, Literal, cast
 
 import numpy as np
 from jaxtyping import Float
@@ -21,27 +21,30 @@ from frictionzoo.comparison.statistics import (
     mean_of_finite,
     resample,
 )
+from frictionzoo.comparison.types import (
+    AutocorrelationRow,
+    BinnedRow,
+    Comparison,
+    DifferenceRow,
+    FailureRow,
+    FrictionRow,
+    GrowthRow,
+    Numbers,
+    PairRow,
+    RecommendationRow,
+    RunRow,
+)
 from frictionzoo.core.output import to_json
-from frictionzoo.result.record import read_schema as result_schema
 from frictionzoo.result.verdict import doubt_reference
 
-SCHEMA_VERSION = 3
-# Sections taken over from result.json.
-SHARED = ("data", "joints", "parameters", "not_identified", "network", "fit", "timing")
+SCHEMA_VERSION: Final = 3
 LONGEST_LAG = 0.5  # s, of the residuals' autocorrelation
 FEW = 8  # rollouts below which an interval over them says little
-
-Comparison = dict[str, Any]
-"""What `comparison.json` holds."""
 
 
 def read_schema() -> dict[str, Any]:
     """The JSON schema of `comparison.json`; its descriptions are the documentation of every field."""
-    schema = json.loads(resources.files("frictionzoo.comparison").joinpath("comparison.schema.json").read_text("utf-8"))
-    result = result_schema()
-    # What a run's own record describes already is described there.
-    schema["$defs"] |= result["$defs"] | {name: result["properties"][name] for name in SHARED}
-    return schema
+    return json.loads(resources.files("frictionzoo.comparison").joinpath("comparison.schema.json").read_text("utf-8"))
 
 
 def compare_runs(runs: Sequence[Run], failures: Sequence[Failure]) -> Comparison:
@@ -55,7 +58,7 @@ def compare_runs(runs: Sequence[Run], failures: Sequence[Failure]) -> Comparison
     pairs = _compare_pairs(ranked)
     first = ranked[0].result
     reference = next((run for run in ranked if run.result["model"] == "baseline"), None)
-    comparison = {
+    comparison: Comparison = {
         "schema_version": SCHEMA_VERSION,
         "data": first["data"],
         "joints": first["joints"],
@@ -75,9 +78,9 @@ def compare_runs(runs: Sequence[Run], failures: Sequence[Failure]) -> Comparison
             reference.result["parameters"] if reference else ranked[0].result["reference"]
         ),
         "runs": [_describe(run, reference) for run in ranked],
-        "failures": [asdict(failure) for failure in failures],
+        "failures": [cast(FailureRow, asdict(failure)) for failure in failures],
         "differences": _list_differences(ranked),
-        "pairs": [{"run": a, "other": b, **asdict(pair)} for (a, b), pair in pairs.items()],
+        "pairs": [cast(PairRow, {"run": a, "other": b, **asdict(pair)}) for (a, b), pair in pairs.items()],
         "by_horizon": _by_horizon(ranked),
         "by_speed": _by_local(ranked, "local_speed"),
         "by_load": _by_local(ranked, "local_load"),
@@ -122,7 +125,7 @@ def _compare_pairs(runs: Sequence[Run]) -> dict[tuple[str, str], Difference]:
     }
 
 
-def _recommend(ranked: Sequence[Run], pairs: Mapping[tuple[str, str], Difference]) -> dict[str, Any] | None:
+def _recommend(ranked: Sequence[Run], pairs: Mapping[tuple[str, str], Difference]) -> RecommendationRow | None:
     """The simplest run within noise of the best, why, and what it leaves open; None where all lost all rollouts."""
     best = ranked[0]
     if best.result["metrics"]["test"]["position_mae"] is None:
@@ -175,47 +178,49 @@ def _explain(chosen: Run, best: Run, close: Sequence[Run], pairs: Mapping[tuple[
     return f"{text}.{network}{doubt}{caution}"
 
 
-def _describe(run: Run, reference: Run | None) -> dict[str, Any]:
+def _describe(run: Run, reference: Run | None) -> RunRow:
     result = run.result
-    without = {part: _without_friction(run, reference, part) for part in ("train", "test")}
     return {
         "label": run.label,
         "run": run.folder.name,
         "model": result["model"],
         "identified": _count_identified(run),
-        **{part: result["metrics"][part] for part in ("train", "test")},
-        "change": {part: _change(result["metrics"][part]["position_mae"], error) for part, error in without.items()},
+        "train": result["metrics"]["train"],
+        "test": result["metrics"]["test"],
+        "change": {"train": _change(run, reference, "train"), "test": _change(run, reference, "test")},
         "rollout_mae": run.curves.test_mae.tolist(),
-        "by_horizon": [{key: entry[key] for key in ("horizon", "train", "test")} for entry in result["by_horizon"]],
-        "paper": {key: result["paper"][key]["model"] for key in ("a", "b")},
+        "by_horizon": [
+            {"horizon": entry["horizon"], "train": entry["train"], "test": entry["test"]}
+            for entry in result["by_horizon"]
+        ],
+        "paper": {"a": result["paper"]["a"]["model"], "b": result["paper"]["b"]["model"]},
         "parameters": result["parameters"],
         "not_identified": result["not_identified"],
         "network": result["network"],
         "fit": result["fit"],
-        "settings": {key: result[key] for key in ("seed", "dtype", "engine")},
+        "settings": {"seed": result["seed"], "dtype": result["dtype"], "engine": result["engine"]},
         "timing": result["timing"],
     }
 
 
-def _without_friction(run: Run, reference: Run | None, part: str) -> float | None:
-    """The error without friction: of the run that has none, else of the baseline that each run fits itself."""
+def _change(run: Run, reference: Run | None, part: Literal["train", "test"]) -> float | None:
+    """Against the error without friction: of the run that has none, else of the baseline that each run fits itself."""
+    value = run.result["metrics"][part]["position_mae"]
     if reference:
-        return reference.result["metrics"][part]["position_mae"]
-    return run.result["metrics"]["baseline"]["position_mae"] if part == "test" else None
+        without = reference.result["metrics"][part]["position_mae"]
+    else:
+        without = run.result["metrics"]["baseline"]["position_mae"] if part == "test" else None
+    return value / without - 1 if value is not None and without else None
 
 
-def _change(value: float | None, reference: float | None) -> float | None:
-    return value / reference - 1 if value is not None and reference else None
-
-
-def _list_differences(runs: Sequence[Run]) -> list[dict[str, Any]]:
+def _list_differences(runs: Sequence[Run]) -> list[DifferenceRow]:
     """Options besides the law's own in which the runs differ."""
     options = differing([run.result["settings"] | {"engine": run.result["engine"]} for run in runs], NAMED)
     labels = [run.label for run in runs]
     return [{"option": name, "values": dict(zip(labels, values, strict=True))} for name, values in options.items()]
 
 
-def _by_horizon(runs: Sequence[Run]) -> dict[str, Any]:
+def _by_horizon(runs: Sequence[Run]) -> GrowthRow:
     timestep = runs[0].result["data"]["timestep"]
     curves = {run.label: error_by_horizon(position_error(run), timestep) for run in runs}
     horizon = next(iter(curves.values()))[0]
@@ -225,12 +230,12 @@ def _by_horizon(runs: Sequence[Run]) -> dict[str, Any]:
     }
 
 
-def _seconds(times: Float[np.ndarray, "times"]) -> list[float]:
+def _seconds(times: Float[np.ndarray, "times"]) -> Numbers:
     """Times without the rounding that multiplying brings."""
     return times.round(9).tolist()
 
 
-def _by_local(runs: Sequence[Run], signal: str) -> dict[str, Any]:
+def _by_local(runs: Sequence[Run], signal: str) -> BinnedRow:
     """Error of the short rollouts in bins of what was measured in them."""
     measured = getattr(runs[0].curves, signal)
     members = bin_evenly(measured)
@@ -245,13 +250,17 @@ def _by_local(runs: Sequence[Run], signal: str) -> dict[str, Any]:
     }
 
 
-def _describe_friction(run: Run) -> dict[str, Any]:
+def _describe_friction(run: Run) -> FrictionRow:
     curves = run.curves
-    torques = {"torque": curves.friction, "low": curves.friction_low, "high": curves.friction_high}
-    return {"velocity": curves.velocity.tolist(), **{name: torque.T.tolist() for name, torque in torques.items()}}
+    return {
+        "velocity": curves.velocity.tolist(),
+        "torque": curves.friction.T.tolist(),
+        "low": curves.friction_low.T.tolist(),
+        "high": curves.friction_high.T.tolist(),
+    }
 
 
-def _describe_autocorrelation(runs: Sequence[Run]) -> dict[str, Any]:
+def _describe_autocorrelation(runs: Sequence[Run]) -> AutocorrelationRow:
     timestep = runs[0].result["data"]["timestep"]
     rollouts, steps, joints = runs[0].curves.qpos.shape
     curves = {}

@@ -14,6 +14,7 @@ from frictionzoo.core.errors import RunError
 from frictionzoo.core.output import FAILURE, RESULT, RUNNING
 from frictionzoo.result.curves import Curves
 from frictionzoo.result.record import read_json, read_run
+from frictionzoo.result.types import Result
 
 MOST_NAMED = 2  # options in a label
 # Options that may differ between runs that are compared, and are then named. A law's own options belong to the law, and
@@ -34,7 +35,7 @@ class Run:
 
     label: str
     folder: Path
-    result: Mapping[str, Any]
+    result: Result
     curves: Curves
 
 
@@ -160,7 +161,7 @@ def _refuse_incomparable(run: Run, first: Run) -> None:
             )
 
 
-def _name_data(result: Mapping[str, Any]) -> str:
+def _name_data(result: Result) -> str:
     return f"{result['data']['name']} (SHA-256 {result['data']['sha256'][:12]})"
 
 

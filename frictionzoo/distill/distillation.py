@@ -22,6 +22,7 @@ from frictionzoo.export.nearest import evaluate_law
 from frictionzoo.models import FrictionModel
 from frictionzoo.models.base import sliding_torque
 from frictionzoo.result.identified import Identified
+from frictionzoo.result.types import Result
 
 NOTE = "distillation.json"
 _GROUPS = ("model", "fit")  # what a student may choose anew, by the name of a file
@@ -42,8 +43,8 @@ class Distillation:
     """
 
     folder: Path
-    teacher: Mapping[str, Any]
-    student: Mapping[str, Any]
+    teacher: Result
+    student: Result
     note: Mapping[str, Any]
     complaint: str | None
 

@@ -3,8 +3,6 @@
 import copy
 import logging
 import time
-from collections.abc import Mapping
-from typing import Any
 
 import jax
 import numpy as np
@@ -13,13 +11,16 @@ from jaxtyping import Float
 from frictionzoo.core.segments import Segments
 from frictionzoo.fit import Outcome, Space, estimate_uncertainty, fit_reference, run_fit
 from frictionzoo.fit.loop import Record
+from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.identification.problem import Problem
 from frictionzoo.logs.cache import cache_folder
 from frictionzoo.models import Baseline
 from frictionzoo.result.curves import Curves, sample_friction
 from frictionzoo.result.evaluate import Judgement
 from frictionzoo.result.identified import Identified
-from frictionzoo.result.record import build_result
+from frictionzoo.result.record import Findings, build_result
+from frictionzoo.result.types import FitRow, Result
+from frictionzoo.result.verdict import list_moving
 from frictionzoo.simulate import Values
 from frictionzoo.simulate.drive import Drive
 from frictionzoo.simulate.rollout import make_observer
@@ -51,18 +52,16 @@ def solve(
     settings = problem.settings
     _log_engine(problem)
     outcome = run_fit(problem.fit, problem.objective, problem.drive.model, record, **settings["loop"])
-    timing = {"setup": problem.seconds, "compile": outcome.compile_seconds, "fit": outcome.fit_seconds}
 
     asked = time.perf_counter()
     uncertainty = estimate_uncertainty(problem.objective, outcome.vector)
-    timing |= {"uncertainty": time.perf_counter() - asked}
 
     judged = time.perf_counter()
     judgement = problem.evaluation.judge(problem.drive.rollout.compiled, outcome.values)
     baseline, reference = judge_baseline(measured or problem)
-    timing |= {"evaluate": time.perf_counter() - judged, "total": problem.seconds + time.perf_counter() - began}
+    ended = time.perf_counter()
 
-    result = build_result(
+    found = Findings(
         name=name,
         bench=problem.bench,
         model=problem.drive.model,
@@ -72,9 +71,15 @@ def solve(
         judgement=judgement,
         baseline=baseline,
         reference=reference["bench"],
-        fit=_describe_fit(outcome),
-        history=outcome.history,
-        timing=timing,
+        fit=_describe_fit(outcome, uncertainty),
+        timing={
+            "setup": problem.seconds,
+            "compile": outcome.compile_seconds,
+            "fit": outcome.fit_seconds,
+            "uncertainty": judged - asked,
+            "evaluate": ended - judged,
+            "total": problem.seconds + ended - began,
+        },
         settings=settings,
         engine=problem.drive.engine.name,
         proof=problem.proof,
@@ -82,10 +87,10 @@ def solve(
         device=device,
         uncertainty=uncertainty,
     )
-    return _hand_over(problem, outcome, result, _collect_curves(problem, outcome, judgement, baseline))
+    return _hand_over(problem, outcome, build_result(found), _collect_curves(problem, outcome, judgement, baseline))
 
 
-def _hand_over(problem: Problem, outcome: Outcome, result: dict[str, Any], curves: Curves) -> Identified:
+def _hand_over(problem: Problem, outcome: Outcome, result: Result, curves: Curves) -> Identified:
     """The drive, apart from what found it."""
     return Identified(
         folder=None,
@@ -161,11 +166,14 @@ def _motor_torque(problem: Problem, segments: Segments) -> Float[np.ndarray, "ba
     return np.asarray(state.motor_torque, np.float64)
 
 
-def _describe_fit(outcome: Outcome) -> Mapping[str, Any]:
+def _describe_fit(outcome: Outcome, uncertainty: Uncertainty) -> FitRow:
+    # Iterations of a search are no path, and what converged or diverged says so itself.
+    descended = outcome.stopped == "finished" and outcome.method != "grid"
     return {
         "method": outcome.method,
         "iterations": outcome.iterations,
         "best_iteration": outcome.best_iteration,
         "loss": outcome.loss,
         "stopped": outcome.stopped,
+        "moving": list_moving(outcome.history, uncertainty.intervals) if descended else [],
     }

@@ -27,6 +27,7 @@ from frictionzoo.result.curves import FILE as CURVES
 from frictionzoo.result.curves import Curves
 from frictionzoo.result.evaluate import Metrics, Values
 from frictionzoo.result.record import read_run
+from frictionzoo.result.types import MetricsRow, ParameterRow, Result
 from frictionzoo.simulate import Engine
 from frictionzoo.simulate.drive import Drive
 from frictionzoo.simulate.proof import Proof, Recorded, prove
@@ -73,7 +74,7 @@ class Identified:
     """
 
     folder: Path | None
-    result: Mapping[str, Any]
+    result: Result
     bench: Bench
     model: FrictionModel
     state: Mapping[str, torch.Tensor]
@@ -135,10 +136,8 @@ class Identified:
     @property
     def metrics(self) -> dict[str, Metrics]:
         """Errors of open-loop rollouts: of `train`, of `test`, and of `baseline`, the test part without friction."""
-        return {
-            part: Metrics(**{**row, **{name: np.nan for name, value in row.items() if value is None}})
-            for part, row in self.result["metrics"].items()
-        }
+        rows = self.result["metrics"]
+        return {part: _read_metrics(rows[part]) for part in ("train", "test", "baseline")}
 
     def plot(self) -> Figure:
         """Measured and simulated motion of the first long test rollout, with and without friction.
@@ -181,7 +180,7 @@ class Identified:
 
         return summarise_in_html(self.result, self.folder)
 
-    def _parameter(self, row: Mapping[str, Any]) -> Parameter:
+    def _parameter(self, row: ParameterRow) -> Parameter:
         nv = self.bench.nv
         found: Any = row["interval"]
         ends = found if found is not None and isinstance(row["value"], list) else [found]
@@ -329,7 +328,12 @@ def _load_law(model: FrictionModel, path: Path) -> dict[str, torch.Tensor]:
         raise RunError(f"{path}: {reason}; expected the values of {model.name}; run it again") from None
 
 
-def _read_bench(result: Mapping[str, Any], bench: Bench) -> dict[str, Float[np.ndarray, "nv"]]:
+def _read_metrics(row: MetricsRow) -> Metrics:
+    values: dict[str, Any] = {name: np.nan if value is None else value for name, value in row.items()}
+    return Metrics(**values)
+
+
+def _read_bench(result: Result, bench: Bench) -> dict[str, Float[np.ndarray, "nv"]]:
     found = {row["name"]: row["value"] for row in result["parameters"] if row["owner"] == "bench"}
     if set(found) != set(bench.params):
         raise RunError(

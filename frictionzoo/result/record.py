@@ -4,28 +4,44 @@ import hashlib
 import json
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from importlib import metadata, resources
 from pathlib import Path
-from typing import Any
+from typing import Any, Final, Literal, cast
 
 import jsonschema
 import numpy as np
-from jaxtyping import Shaped
 
 from frictionzoo.bench.base import Bench
 from frictionzoo.core.errors import RunError
-from frictionzoo.core.log import Dataset, Payload
+from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.output import RESULT, to_json, write_atomically
 from frictionzoo.core.params import Param
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.result.curves import Curves, read_curves
-from frictionzoo.result.evaluate import Evaluation, Judgement, Values
-from frictionzoo.result.verdict import doubt_sizes, explain_failure, list_moving
+from frictionzoo.result.evaluate import Evaluation, Judgement, Metrics, Values
+from frictionzoo.result.types import (
+    ContrastRow,
+    DataRow,
+    FitRow,
+    HorizonRow,
+    LogRow,
+    MetricsRow,
+    NetworkRow,
+    PaperRow,
+    ParameterRow,
+    ProofRow,
+    ReferenceRow,
+    Result,
+    Simulator,
+    TimingRow,
+    Versions,
+)
+from frictionzoo.result.verdict import doubt_sizes, explain_failure
 from frictionzoo.simulate.proof import Proof
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION: Final = 4
 PACKAGES = ("frictionzoo", "mujoco", "mujoco-mjx", "jax", "torch", "optax", "lightning", "numpy")
 
 
@@ -34,30 +50,11 @@ def read_schema() -> dict[str, Any]:
     return json.loads(resources.files("frictionzoo.result").joinpath("result.schema.json").read_text(encoding="utf-8"))
 
 
-def build_result(
-    *,
-    name: str,
-    bench: Bench,
-    model: FrictionModel,
-    values: Values,
-    dataset: Dataset,
-    evaluation: Evaluation,
-    judgement: Judgement,
-    baseline: Judgement,
-    reference: Mapping[str, np.ndarray],
-    fit: Mapping[str, Any],
-    history: Mapping[str, Shaped[np.ndarray, "iterations ..."]],
-    timing: Mapping[str, float],
-    settings: Mapping[str, Any],
-    engine: str,
-    proof: Proof,
-    warnings: Sequence[str],
-    device: str,
-    uncertainty: Uncertainty,
-) -> dict[str, Any]:
-    """The record of a run, ready for JSON: no NaN, no numpy types.
+@dataclass(frozen=True, kw_only=True)
+class Findings:
+    """What a run used and found.
 
-    Args:
+    Attributes:
         name: The chosen model, as in conf/model.
         bench: The bench that was used.
         model: The friction law.
@@ -67,9 +64,8 @@ def build_result(
         judgement: Of the identified drive.
         baseline: Of the same bench identified without friction, on the same rollouts.
         reference: The values of that bench.
-        fit: `method`, `iterations`, `best_iteration`, `loss`, `stopped`, as the schema says.
-        history: What the fit went through, as `Outcome.history` has it.
-        timing: Seconds of `setup`, `compile`, `fit`, `evaluate`, `total`.
+        fit: How they were found.
+        timing: Seconds that each part took.
         settings: All options of the run, among them `seed` and `dtype`.
         engine: What simulated.
         proof: That it simulates as MuJoCo does.
@@ -77,43 +73,72 @@ def build_result(
         device: Where it ran.
         uncertainty: How far the data determine what was identified.
     """
+
+    name: str
+    bench: Bench
+    model: FrictionModel
+    values: Values
+    dataset: Dataset
+    evaluation: Evaluation
+    judgement: Judgement
+    baseline: Judgement
+    reference: Mapping[str, np.ndarray]
+    fit: FitRow
+    timing: TimingRow
+    settings: Mapping[str, Any]
+    engine: str
+    proof: Proof
+    warnings: Sequence[str]
+    device: str
+    uncertainty: Uncertainty
+
+
+def build_result(found: Findings) -> Result:
+    """The record of a run, ready for JSON: no NaN, no numpy types.
+
+    Args:
+        found: What the run used and found.
+    """
+    bench, joint_type, uncertainty = found.bench, found.bench.joint_type, found.uncertainty
+    by_horizon = _list_horizons(found.judgement, found.baseline)
+    main = by_horizon[0]
     # Without friction, inertia makes up for it.
-    sizes = [] if name == "baseline" else doubt_sizes(bench.params, values["bench"], bench.joint_type)
-    # Iterations of a search are no path, and what converged or diverged says so itself.
-    descended = fit["stopped"] == "finished" and fit["method"] != "grid"
-    result = {
+    sizes = [] if found.name == "baseline" else doubt_sizes(bench.params, found.values["bench"], joint_type)
+    result: Result = {
         "schema_version": SCHEMA_VERSION,
-        "model": name,
+        "model": found.name,
         "joints": list(bench.joints),
-        "data": describe_data(dataset),
+        "data": describe_data(found.dataset),
         "parameters": [
-            *_list_parameters("bench", bench.params, values["bench"], bench.joint_type, uncertainty),
-            *_list_parameters("friction", model.params, values["friction"], bench.joint_type, uncertainty),
+            *_list_parameters("bench", bench.params, found.values["bench"], joint_type, uncertainty),
+            *_list_parameters("friction", found.model.params, found.values["friction"], joint_type, uncertainty),
         ],
         "indistinct": [list(group) for group in uncertainty.indistinct],
         "no_intervals": uncertainty.missing,
-        "network": _describe_network(model),
-        **_describe_metrics(judgement, baseline),
+        "network": _describe_network(found.model),
+        "metrics": {"train": main["train"], "test": main["test"], "baseline": main["baseline"]},
+        "by_horizon": by_horizon,
+        "paper": _describe_paper(found.judgement, found.baseline),
         "reference": [
-            _describe_value("bench", param, name, reference[name], bench.joint_type)
-            for name, param in bench.params.items()
+            _describe_value(name, param, found.reference[name], joint_type) for name, param in bench.params.items()
         ],
-        "evaluation": {"sha256": evaluation.sha256, "window": evaluation.window},
-        "fit": dict(fit) | {"moving": list_moving(history, uncertainty.intervals) if descended else []},
-        "timing": dict(timing),
-        "seed": settings["seed"],
-        "dtype": settings["dtype"],
-        "engine": engine,
-        "proof": asdict(proof),
-        "warnings": [*warnings, *sizes],
-        "device": device,
+        "evaluation": {"sha256": found.evaluation.sha256, "window": found.evaluation.window},
+        "fit": found.fit,
+        "timing": found.timing,
+        "seed": found.settings["seed"],
+        "dtype": found.settings["dtype"],
+        "engine": cast(Simulator, found.engine),
+        "proof": cast(ProofRow, asdict(found.proof)),
+        "warnings": [*found.warnings, *sizes],
+        "device": found.device,
         "versions": _read_versions(),
-        "settings": dict(settings),
+        "settings": dict(found.settings),
+        "not_identified": None,
     }
-    return to_json(result | {"not_identified": explain_failure(result)})
+    return to_json({**result, "not_identified": explain_failure(result)})
 
 
-def pick_metrics(result: Mapping[str, Any]) -> dict[str, float]:
+def pick_metrics(result: Result) -> dict[str, float]:
     """The numbers by which runs are compared, without those that have no value because rollouts diverged.
 
     Args:
@@ -135,7 +160,7 @@ def pick_metrics(result: Mapping[str, Any]) -> dict[str, float]:
     return {name: value for name, value in picked.items() if value is not None}
 
 
-def write_result(path: Path, result: Mapping[str, Any]) -> None:
+def write_result(path: Path, result: Result) -> None:
     """Write `result.json`.
 
     Args:
@@ -148,7 +173,7 @@ def write_result(path: Path, result: Mapping[str, Any]) -> None:
     write_atomically(path, (json.dumps(result, indent=2, allow_nan=False) + "\n").encode())
 
 
-def read_run(folder: Path) -> tuple[dict[str, Any], Curves]:
+def read_run(folder: Path) -> tuple[Result, Curves]:
     """What a finished run's `result.json` and `curves.safetensors` hold.
 
     Args:
@@ -169,7 +194,7 @@ def read_run(folder: Path) -> tuple[dict[str, Any], Curves]:
     error = jsonschema.Draft202012Validator(read_schema()).iter_errors(result)
     if first := next(iter(error), None):
         raise RunError(f"{path}: {first.json_path}: {first.message[:200]}; expected the file that this version writes")
-    return result, read_curves(folder)
+    return cast(Result, result), read_curves(folder)
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -192,13 +217,12 @@ def read_json(path: Path) -> dict[str, Any]:
     return content
 
 
-def describe_data(dataset: Dataset) -> dict[str, Any]:
+def describe_data(dataset: Dataset) -> DataRow:
     """The section `data`: what was read, with hashes.
 
     Args:
         dataset: Recordings, train and test.
     """
-    parts = [(part, log) for part in ("train", "test") for log in getattr(dataset, part)]
     hashes = list(dict.fromkeys(log.sha256 for log in dataset.logs))
     joined = hashlib.sha256("\n".join(hashes).encode()).hexdigest()
     return {
@@ -207,33 +231,26 @@ def describe_data(dataset: Dataset) -> dict[str, Any]:
         "simulated": any(log.simulated for log in dataset.logs),
         "timestep": round(dataset.logs[0].timestep, 9),
         "samples": sum(log.samples for log in dataset.logs),
-        "logs": [
-            {
-                "name": log.name,
-                "part": part,
-                "samples": log.samples,
-                "sha256": log.sha256,
-                "payload": _flat(log.payload),
-            }
-            for part, log in parts
-        ],
+        "logs": [_describe_log(log, part) for part in ("train", "test") for log in getattr(dataset, part)],
     }
 
 
-def _flat(payload: Payload | None) -> list[float] | None:
-    return None if payload is None else [payload.mass, *payload.position, *payload.inertia]
+def _describe_log(log: Log, part: Literal["train", "test"]) -> LogRow:
+    carried = log.payload and [log.payload.mass, *log.payload.position, *log.payload.inertia]
+    return {"name": log.name, "part": part, "samples": log.samples, "sha256": log.sha256, "payload": carried}
 
 
 def _list_parameters(
-    owner: str,
+    owner: Literal["bench", "friction"],
     params: Mapping[str, Param],
     values: Mapping[str, np.ndarray],
     joint_type: str,
     uncertainty: Uncertainty,
-) -> list[dict[str, Any]]:
+) -> list[ParameterRow]:
     return [
         {
-            **_describe_value(owner, param, name, values[name], joint_type),
+            **_describe_value(name, param, values[name], joint_type),
+            "owner": owner,
             "interval": _interval(uncertainty.intervals.get(f"{owner}.{name}")),
             "identifiable": uncertainty.identifiable.get(f"{owner}.{name}"),
         }
@@ -241,10 +258,10 @@ def _list_parameters(
     ]
 
 
-def _describe_value(owner: str, param: Param, name: str, value: np.ndarray, joint_type: str) -> dict[str, Any]:
+def _describe_value(name: str, param: Param, value: np.ndarray, joint_type: str) -> ReferenceRow:
     return {
         "name": name,
-        "owner": owner,
+        "owner": "bench",
         "value": _number_or_list(value),
         "unit": param.unit(joint_type),
         "low": param.low,
@@ -260,7 +277,7 @@ def _number_or_list(value: np.ndarray) -> float | list[float]:
     return float(flat[0]) if flat.size == 1 else flat.tolist()
 
 
-def _interval(ends: np.ndarray | None) -> list[Any] | None:
+def _interval(ends: np.ndarray | None) -> Any:
     """One joint's interval, or a list of several joints'; None where no joint has one."""
     if ends is None or not np.isfinite(ends).any():
         return None
@@ -268,37 +285,43 @@ def _interval(ends: np.ndarray | None) -> list[Any] | None:
     return by_joint if len(by_joint) > 1 else by_joint[0]
 
 
-def _describe_network(model: FrictionModel) -> dict[str, int] | None:
+def _describe_network(model: FrictionModel) -> NetworkRow | None:
     weights = sum(tensor.numel() for name, tensor in model.named_parameters() if name not in model.params)
     return {"weights": weights} if weights else None
 
 
-def _describe_metrics(judgement: Judgement, baseline: Judgement) -> dict[str, Any]:
-    by_horizon = [
+def _list_horizons(judgement: Judgement, baseline: Judgement) -> list[HorizonRow]:
+    return [
         {
             "horizon": fitted["test"].horizon,
-            "train": asdict(fitted["train"]),
-            "test": asdict(fitted["test"]),
-            "baseline": asdict(without["test"]),
+            "train": _describe_metrics(fitted["train"]),
+            "test": _describe_metrics(fitted["test"]),
+            "baseline": _describe_metrics(without["test"]),
         }
         for fitted, without in zip(judgement.by_horizon, baseline.by_horizon, strict=True)
     ]
-    main = by_horizon[0]
+
+
+def _describe_paper(judgement: Judgement, baseline: Judgement) -> PaperRow:
     return {
-        "metrics": {part: main[part] for part in ("train", "test", "baseline")},
-        "by_horizon": by_horizon,
-        "paper": {
-            "a": {"model": asdict(judgement.trajectory), "baseline": asdict(baseline.trajectory)},
-            "b": {"model": asdict(judgement.places), "baseline": asdict(baseline.places)},
-        },
+        "a": _contrast(judgement.trajectory, baseline.trajectory),
+        "b": _contrast(judgement.places, baseline.places),
     }
 
 
-def _read_versions() -> dict[str, str]:
+def _contrast(model: Metrics, baseline: Metrics) -> ContrastRow:
+    return {"model": _describe_metrics(model), "baseline": _describe_metrics(baseline)}
+
+
+def _describe_metrics(metrics: Metrics) -> MetricsRow:
+    return cast(MetricsRow, asdict(metrics))
+
+
+def _read_versions() -> Versions:
     versions = {"python": platform.python_version()}
     for package in PACKAGES:
         try:
             versions[package] = metadata.version(package)
         except metadata.PackageNotFoundError:
             versions[package] = "not installed"
-    return versions
+    return cast(Versions, versions)

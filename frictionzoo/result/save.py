@@ -1,5 +1,6 @@
 """What a run leaves in its folder."""
 
+import copy
 import time
 from pathlib import Path
 
@@ -39,8 +40,7 @@ def save(identified: Identified, curves: Curves, folder: Path) -> None:
     write_curves(folder, curves)
     # What `python -m frictionzoo.export RUN target=mjcf` writes, too.
     write_atomically(folder / MJCF, write_bench(identified, find_nearest(identified)).encode())
-    timing = identified.result["timing"]
-    timing = {**timing, "total": timing["total"] + time.perf_counter() - began}
-    result = {**identified.result, "timing": timing}
+    result = copy.deepcopy(identified.result)
+    result["timing"]["total"] += time.perf_counter() - began
     write_report(folder / REPORT, result, curves)
     write_result(folder / RESULT, result)

@@ -1,12 +1,12 @@
 """Whether a fit identified the drive at all, and what its numbers are to be compared with."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Shaped
 
 from frictionzoo.core.params import Param
+from frictionzoo.result.types import ParameterRow, ReferenceRow, Result
 
 BOUNDS = 2  # identified parameters at bounds from which on that is doubted
 LITTLE = 1 / 3  # of the test error without friction; a law that identifies a drive leaves less
@@ -17,7 +17,7 @@ MOVING = 1 / 3  # of half its interval, by which it moves then
 MOVING_BLINDLY = 0.01  # of its value, where it has no interval
 
 
-def explain_failure(result: Mapping[str, Any]) -> list[str] | None:
+def explain_failure(result: Result) -> list[str] | None:
     """Why a fit did not identify the drive, and the likely reasons, the likeliest first; None where it may have.
 
     It did not if several parameters ended at a bound and the test error is still more than a third of that without
@@ -41,7 +41,7 @@ def explain_failure(result: Mapping[str, Any]) -> list[str] | None:
     ]
 
 
-def doubt_gain(result: Mapping[str, Any]) -> str | None:
+def doubt_gain(result: Result) -> str | None:
     """That a law explains next to nothing of what a drive without friction leaves; None where it does.
 
     Args:
@@ -106,7 +106,7 @@ def list_moving(
     return moving
 
 
-def doubt_reference(parameters: Sequence[Mapping[str, Any]]) -> str | None:
+def doubt_reference(parameters: Sequence[ParameterRow | ReferenceRow]) -> str | None:
     """That the drive without friction, by whose error others are judged, is none; None where it may be one.
 
     Args:

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from frictionzoo.comparison.record import Comparison
 from frictionzoo.comparison.runs import Run
+from frictionzoo.comparison.types import Comparison
 from frictionzoo.show.comparison_plots import plot_comparison
 from frictionzoo.show.figure import Sheet
 from frictionzoo.show.with_matplotlib import LINE, draw, save_figure

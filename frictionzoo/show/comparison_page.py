@@ -1,15 +1,16 @@
 """`comparison.html`: runs side by side on one page, from the one to take down to the curves of each."""
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 from frictionzoo import __version__
-from frictionzoo.comparison.record import FEW, Comparison
+from frictionzoo.comparison.record import FEW
 from frictionzoo.comparison.runs import Run
 from frictionzoo.comparison.statistics import MATTERS
+from frictionzoo.comparison.types import Comparison, DifferenceRow, RolloutsRow, RunRow
 from frictionzoo.core.output import write_atomically
 from frictionzoo.show.colors import DARK
 from frictionzoo.show.comparison_plots import Look, choose_looks, plot_comparison
@@ -110,7 +111,7 @@ def _link(target: Path, folder: Path) -> str:
     return quote(Path(os.path.relpath(target.resolve(), folder.resolve())).as_posix())
 
 
-def _list_errors(entry: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+def _list_errors(entry: RunRow) -> Iterator[dict[str, Any]]:
     """Every metric of a run: the rollouts of each horizon on train and test, and the long one."""
     for horizon in entry["by_horizon"]:
         yield {"on": "test", **horizon["test"]}
@@ -119,7 +120,7 @@ def _list_errors(entry: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     yield {"on": "random places", **entry["paper"]["b"]}
 
 
-def _list_parameters(entries: Sequence[Mapping[str, Any]]) -> Iterator[dict[str, Any]]:
+def _list_parameters(entries: Sequence[RunRow]) -> Iterator[dict[str, Any]]:
     """Rows of the table of all parameters, those of most runs first."""
     keys = [(p["owner"], p["name"], p["unit"]) for entry in entries for p in entry["parameters"]]
     for owner, name, unit in sorted(dict.fromkeys(keys), key=lambda key: -keys.count(key)):
@@ -183,7 +184,7 @@ def _name(labels: Sequence[str]) -> str:
     return ", ".join(labels[:NAMED]) + (f" and {len(labels) - NAMED} more" if len(labels) > NAMED else "")
 
 
-def _check_rollouts(evaluation: Mapping[str, Any]) -> Check:
+def _check_rollouts(evaluation: RolloutsRow) -> Check:
     text = f"All runs were judged on the same {evaluation['rollouts']} test rollouts of {evaluation['horizon']:g} s"
     if evaluation["rollouts"] < FEW:
         return Check("caution", "Few rollouts", f"{text}: too few for a sure order. Raise evaluation.rollouts.")
@@ -204,7 +205,7 @@ def _check_divergence(comparison: Comparison) -> Check:
     return Check(state, "Stability", f"Rollouts diverged, and are left out of the errors, of {_name(counts)}.")
 
 
-def _check_bounds(entries: Sequence[Mapping[str, Any]]) -> Check:
+def _check_bounds(entries: Sequence[RunRow]) -> Check:
     ended = [
         f"{entry['label']} ({', '.join(names)})"
         for entry in entries
@@ -229,7 +230,7 @@ def _check_fits(runs: Sequence[Run]) -> Check:
     return Check("good", "Fits", "Every fit came to rest or tried all of its combinations.")
 
 
-def _check_differences(differences: Sequence[Mapping[str, Any]]) -> Check:
+def _check_differences(differences: Sequence[DifferenceRow]) -> Check:
     options = [difference["option"] for difference in differences]
     sections = list(dict.fromkeys(option.partition(".")[0] for option in options))
     unlike = [section for section in sections if section in FITTED]

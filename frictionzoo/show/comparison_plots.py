@@ -5,14 +5,15 @@ Every run has its own colour and line, the same in all figures.
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from frictionzoo.comparison.record import Comparison
 from frictionzoo.comparison.runs import Run
 from frictionzoo.comparison.statistics import MATTERS
+from frictionzoo.comparison.types import Comparison, PairRow
+from frictionzoo.result.types import MetricsRow, ParameterRow
 from frictionzoo.show.colors import BEST, GRID, RUNS, SOFT
 from frictionzoo.show.figure import (
     FLATTENED,
@@ -129,7 +130,7 @@ def _draw_parameters(run: Run, joint: int, color: str) -> list[Mark]:
     return marks
 
 
-def _identified(run: Run) -> dict[str, Mapping[str, Any]]:
+def _identified(run: Run) -> dict[str, ParameterRow]:
     """The parameters that the fit chose and whose course it kept, by their names in the history."""
     parameters = {f"{parameter['owner']}.{parameter['name']}": parameter for parameter in run.result["parameters"]}
     return {key: value for key, value in parameters.items() if value["identified"] and key in run.curves.history}
@@ -193,11 +194,12 @@ def _plot_errors(comparison: Comparison) -> Figure:
     return Figure("Error of each run", text, (Panel(marks, x, _make_rows(labels)),), height=_height(labels))
 
 
-def _say_error(metrics: Mapping[str, Any]) -> str:
-    if metrics["position_mae"] is None:
+def _say_error(metrics: MetricsRow) -> str:
+    mean, spread = metrics["position_mae"], metrics["position_mae_std"]
+    if mean is None or spread is None:
         return "all diverged"
     lost = f", {metrics['diverged']} of {metrics['rollouts']} diverged" if metrics["diverged"] else ""
-    return f"{format_digits(metrics['position_mae'], 3)} ± {format_digits(metrics['position_mae_std'], 2)}{lost}"
+    return f"{format_digits(mean, 3)} ± {format_digits(spread, 2)}{lost}"
 
 
 def _limit(sizes: Float[np.ndarray, "rows"], widest: float) -> float:
@@ -223,10 +225,11 @@ def _plot_differences(comparison: Comparison) -> Figure:
     pairs = {pair["run"]: pair for pair in comparison["pairs"] if pair["other"] == labels[0]}
     marks: list[Mark] = [Stripe(low=0.0, high=0.0, color=SOFT)]
     for i, label in enumerate(labels):
-        pair = pairs.get(label, {"mean": 0.0, "low": 0.0, "high": 0.0, "verdict": "best"})
-        marker = {"best": "diamond", "noise": "circle-open"}.get(pair["verdict"], "circle")
-        x, *ends = (_numbers([pair[key]]) for key in ("mean", "low", "high"))
-        point = {"width": 0.0, "marker": marker, "size": 10.0, "notes": (_say_difference(pair),)}
+        pair = pairs.get(label)
+        marker = "diamond" if pair is None else "circle-open" if pair["verdict"] == "noise" else "circle"
+        x, *ends = (_numbers([pair[key] if pair else 0.0]) for key in ("mean", "low", "high"))
+        said = _say_difference(pair) if pair else "best"
+        point = {"width": 0.0, "marker": marker, "size": 10.0, "notes": (said,)}
         marks.append(Curve(x=x, y=np.array([float(i)]), ends=np.array(ends), **looks[label], **point))
     text = (
         f"Difference to {labels[0]} with its 95 % interval, from a paired bootstrap over "
@@ -240,12 +243,12 @@ def _plot_differences(comparison: Comparison) -> Figure:
     return Figure("How sure is the order?", text, (panel,), height=_height(labels))
 
 
-def _say_difference(pair: Mapping[str, Any]) -> str:
-    if pair["verdict"] == "best":
-        return "best"
-    if pair["mean"] is None:
+def _say_difference(pair: PairRow) -> str:
+    ends = pair["mean"], pair["low"], pair["high"]
+    known = [format_digits(end, 2) for end in ends if end is not None]
+    if len(known) < len(ends):
         return f"diverged, {pair['verdict']}"
-    mean, low, high = (format_digits(pair[key], 2) for key in ("mean", "low", "high"))
+    mean, low, high = known
     return f"{mean} [{low}, {high}], {pair['verdict']}"
 
 
@@ -253,20 +256,22 @@ def _plot_by_horizon(comparison: Comparison) -> Figure:
     """How the error grows over the first seconds of the long test rollouts."""
     rollouts, horizon = comparison["evaluation"]["long_rollouts"], comparison["evaluation"]["long_horizon"]
     text = f"Mean position error over the first seconds of {rollouts} test rollouts of {horizon:g} s."
-    panel = _draw_errors_over(comparison, "by_horizon", "horizon", Axis("horizon", "s"))
+    panel = _draw_errors_over(comparison, "by_horizon", Axis("horizon", "s"))
     return Figure("Against the horizon", text, (panel,))
 
 
-def _plot_by_bin(comparison: Comparison, section: str, title: str, axis: Axis) -> Figure:
+def _plot_by_bin(comparison: Comparison, section: Literal["by_speed", "by_load"], title: str, axis: Axis) -> Figure:
     """The error of short test rollouts against the speed or the load that was measured in them."""
     windows = comparison[section]["windows"]
     text = f"Position error of {sum(windows)} short test rollouts in {len(windows)} bins of the {axis.label}, each "
     text += "with as many."
-    return Figure(title, text, (_draw_errors_over(comparison, section, "centre", axis, "circle"),))
+    return Figure(title, text, (_draw_errors_over(comparison, section, axis, "circle"),))
 
 
-def _draw_errors_over(comparison: Comparison, section: str, abscissa: str, axis: Axis, marker: str = "") -> Panel:
-    x = _numbers(comparison[section][abscissa])
+def _draw_errors_over(
+    comparison: Comparison, section: Literal["by_horizon", "by_speed", "by_load"], axis: Axis, marker: str = ""
+) -> Panel:
+    x = _numbers(comparison["by_horizon"]["horizon"] if section == "by_horizon" else comparison[section]["centre"])
     errors = {label: _numbers(values) for label, values in comparison[section]["position_mae"].items()}
     points: dict[str, Any] = {"marker": "circle" if len(x) == 1 else marker, "size": 5.0}
     marks = [Curve(x=x, y=errors[label], **points, **look) for label, look in _looks(comparison).items()]

@@ -1,11 +1,9 @@
 """The paper's Table 2 of a comparison, as LaTeX."""
 
 import math
-from collections.abc import Mapping
-from typing import Any
 
-from frictionzoo.comparison.record import Comparison
 from frictionzoo.comparison.statistics import MATTERS
+from frictionzoo.comparison.types import Comparison, RunRow
 
 SPECIAL = str.maketrans(
     {
@@ -73,7 +71,7 @@ def _choose_exponent(comparison: Comparison) -> int:
     return 3 * math.floor(math.log10(lowest) / 3)
 
 
-def _tabulate_run(run: Mapping[str, Any], exponent: int, comparison: Comparison) -> str:
+def _tabulate_run(run: RunRow, exponent: int, comparison: Comparison) -> str:
     train, test = (_scale(run[part]["position_mae"], exponent) for part in ("train", "test"))
     if test != NONE:
         test = f"{test} ({_scale(run['test']['position_mae_std'], exponent)})"

@@ -9,6 +9,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from plotly.offline import get_plotlyjs
 
+from frictionzoo.result.types import ParameterRow
 from frictionzoo.show import with_plotly
 from frictionzoo.show.colors import DARK
 from frictionzoo.show.figure import Figure
@@ -72,7 +73,7 @@ def _environment() -> Environment:
     return environment
 
 
-def _place(value: float, parameter: Mapping[str, Any]) -> float:
+def _place(value: float, parameter: ParameterRow) -> float:
     """Where a value lies between its bounds, from 0 to 100; in decades where the bounds are positive."""
     low, high = parameter["low"], parameter["high"]
     if low > 0:

@@ -9,6 +9,7 @@ from jaxtyping import Shaped
 
 from frictionzoo.core.output import write_atomically
 from frictionzoo.result.curves import Curves
+from frictionzoo.result.types import DataRow, FitRow, PartsRow, Result, TimingRow
 from frictionzoo.result.verdict import doubt_gain, doubt_reference
 from frictionzoo.show.page import Check, render_page
 from frictionzoo.show.run_plots import plot_run
@@ -34,7 +35,7 @@ FILES = {  # what else a run leaves behind, by path beside the page
 }
 
 
-def write_report(path: Path, result: Mapping[str, Any], curves: Curves) -> None:
+def write_report(path: Path, result: Result, curves: Curves) -> None:
     """Write the page of a run.
 
     Args:
@@ -63,9 +64,7 @@ def write_report(path: Path, result: Mapping[str, Any], curves: Curves) -> None:
     write_atomically(path, page)
 
 
-def check_result(
-    result: Mapping[str, Any], history: Mapping[str, Shaped[np.ndarray, "iterations ..."]]
-) -> Iterator[Check]:
+def check_result(result: Result, history: Mapping[str, Shaped[np.ndarray, "iterations ..."]]) -> Iterator[Check]:
     """What speaks for the result and what against it.
 
     Args:
@@ -89,7 +88,7 @@ def check_result(
     yield check_origin(result["data"])
 
 
-def _check_gain(result: Mapping[str, Any]) -> Check:
+def _check_gain(result: Result) -> Check:
     test, baseline = (result["metrics"][part]["position_mae"] for part in ("test", "baseline"))
     if result["model"] == "baseline":
         return Check("note", "Gain", "This model is the drive without friction: it is compared with itself.")
@@ -106,7 +105,7 @@ def _check_gain(result: Mapping[str, Any]) -> Check:
     return Check("good", "Gain", text)
 
 
-def check_held_out(data: Mapping[str, Any]) -> Check:
+def check_held_out(data: DataRow) -> Check:
     """How much was tested that the fit did not see; `data` as in `result.json`."""
     seconds = {
         part: data["timestep"] * sum(log["samples"] for log in data["logs"] if log["part"] == part)
@@ -119,7 +118,7 @@ def check_held_out(data: Mapping[str, Any]) -> Check:
     return Check("good", "Held-out data", f"{text}, from other recordings.")
 
 
-def _check_train(metrics: Mapping[str, Any]) -> Check:
+def _check_train(metrics: PartsRow) -> Check:
     train, test = (metrics[part]["position_mae"] for part in ("train", "test"))
     if train is None or test is None or train == 0:
         return Check("caution", "Test against train", "Test and training error cannot be compared: one is missing.")
@@ -131,7 +130,7 @@ def _check_train(metrics: Mapping[str, Any]) -> Check:
     return Check("good", "Test against train", f"{text}: no sign of overfitting.")
 
 
-def _check_fit(fit: Mapping[str, Any], loss: Shaped[np.ndarray, "iterations"]) -> Check:
+def _check_fit(fit: FitRow, loss: Shaped[np.ndarray, "iterations"]) -> Check:
     method, count = METHODS.get(fit["method"], fit["method"]), fit["iterations"]
     kept = f"iteration {fit['best_iteration']}, that of the lowest training loss, is reported"
     match fit["stopped"]:
@@ -169,7 +168,7 @@ def _still_falling(loss: Shaped[np.ndarray, "iterations"]) -> float:
     return 1 - float(finite.min() / before) if np.isfinite(before) and before > 0 else 0.0
 
 
-def _check_bounds(result: Mapping[str, Any]) -> Check:
+def _check_bounds(result: Result) -> Check:
     identified = [parameter for parameter in result["parameters"] if parameter["identified"]]
     ended = [
         f"{p['owner']}.{p['name']} ended at a bound of [{format_number(p['low'])}, {format_number(p['high'])}] "
@@ -182,7 +181,7 @@ def _check_bounds(result: Mapping[str, Any]) -> Check:
     return Check("good", "Bounds", f"No identified parameter, of {len(identified)}, ended at a bound.")
 
 
-def _check_identifiability(result: Mapping[str, Any]) -> Check:
+def _check_identifiability(result: Result) -> Check:
     if result["no_intervals"] is not None:
         return Check("note", "Identifiability", f"No parameter has an interval: {result['no_intervals']}.")
     identified = [parameter for parameter in result["parameters"] if parameter["identified"]]
@@ -193,10 +192,10 @@ def _check_identifiability(result: Mapping[str, Any]) -> Check:
     return Check("caution" if doubtful or result["indistinct"] else "good", "Identifiability", " ".join(text))
 
 
-def _check_divergence(result: Mapping[str, Any]) -> Check:
+def _check_divergence(result: Result) -> Check:
     names = {"test": "test", "train": "training", "model": "test", "baseline": "frictionless test"}
     judged = [(names[part], entry[part]) for entry in result["by_horizon"] for part in ("test", "train", "baseline")]
-    judged += [(names[part], metrics) for part, metrics in result["paper"]["a"].items()]
+    judged += [(names[part], result["paper"]["a"][part]) for part in ("model", "baseline")]
     lost = [(name, metrics) for name, metrics in judged if metrics["diverged"]]
     if not lost:
         total = sum(metrics["rollouts"] for _, metrics in judged)
@@ -208,7 +207,7 @@ def _check_divergence(result: Mapping[str, Any]) -> Check:
     )
 
 
-def check_origin(data: Mapping[str, Any]) -> Check:
+def check_origin(data: DataRow) -> Check:
     """Whether the numbers say anything about hardware; `data` as in `result.json`."""
     if data["simulated"]:
         text = "A simulator made these data. The numbers say how well the law imitates it, and nothing about hardware."
@@ -216,7 +215,7 @@ def check_origin(data: Mapping[str, Any]) -> Check:
     return Check("good", "Real data", "The data were recorded on hardware.")
 
 
-def _say_headline(result: Mapping[str, Any]) -> str:
+def _say_headline(result: Result) -> str:
     test, baseline = result["metrics"]["test"], result["metrics"]["baseline"]
     if test["position_mae"] is None:
         return f"All {test['rollouts']} test rollouts of {test['horizon']:g} s diverged: there is no error to report."
@@ -229,14 +228,14 @@ def _say_headline(result: Mapping[str, Any]) -> str:
     return f"{text}; {format_number(baseline['position_mae'])} {test['unit']} without friction{doubt} ({change})."
 
 
-def _list_errors(metrics: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+def _list_errors(metrics: PartsRow) -> Iterator[dict[str, Any]]:
     """Rows of the main table: each error of the model beside that without friction."""
     test, baseline = metrics["test"], metrics["baseline"]
     for name, (key, unit) in ERRORS.items():
         yield {"name": name, "unit": test[unit], "model": test[key], "baseline": baseline[key]}
 
 
-def _list_evaluations(result: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+def _list_evaluations(result: Result) -> Iterator[dict[str, Any]]:
     """Rows of the table of all evaluations: the metrics under a name of their rollouts and of the drive."""
     names = {"test": "test, this model", "train": "train, this model", "baseline": "test, no friction"}
     for entry in result["by_horizon"]:
@@ -246,7 +245,7 @@ def _list_evaluations(result: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
             yield {"on": f"{where}, {name}", **result["paper"][key][part]}
 
 
-def list_timing(timing: Mapping[str, float]) -> dict[str, float]:
+def list_timing(timing: TimingRow) -> dict[str, float]:
     """Seconds of every part, the rest of the total last."""
-    parts = {name: seconds for name, seconds in timing.items() if name != "total"}
+    parts: dict[str, Any] = {name: seconds for name, seconds in timing.items() if name != "total"}
     return parts | {"figures and files": max(0.0, timing["total"] - sum(parts.values()))}

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from matplotlib.figure import Figure as Drawing
 
 from frictionzoo.result.curves import Curves
+from frictionzoo.result.types import Result
 from frictionzoo.show import with_matplotlib
 from frictionzoo.show.colors import BASELINE, BEST, JOINTS, MODEL, TRAIN
 from frictionzoo.show.figure import Axis, Bars, Curve, Figure, Mark, Panel, Sheet, Stripe, scale_values
@@ -18,7 +19,7 @@ from frictionzoo.show.text import format_number, format_unit
 REPORTED: Mapping[str, Any] = {"width": 0.0, "marker": "diamond", "size": 8.0, "color": BEST}  # what a fit reports
 
 
-def plot_run(result: Mapping[str, Any], curves: Curves) -> dict[str, list[Figure]]:
+def plot_run(result: Result, curves: Curves) -> dict[str, list[Figure]]:
     """All that is drawn of one run, by name; nothing under one where there is nothing to show.
 
     Args:
@@ -33,7 +34,7 @@ def plot_run(result: Mapping[str, Any], curves: Curves) -> dict[str, list[Figure
     }
 
 
-def write_figures(folder: Path, result: Mapping[str, Any], curves: Curves) -> None:
+def write_figures(folder: Path, result: Result, curves: Curves) -> None:
     """Figures 3, 4 and 5 of a run as PNG files.
 
     Args:
@@ -59,7 +60,7 @@ def write_figures(folder: Path, result: Mapping[str, Any], curves: Curves) -> No
         with_matplotlib.save_figure(with_matplotlib.draw(sheet), folder / f"{name}.png")
 
 
-def draw_rollout(result: Mapping[str, Any], curves: Curves) -> Drawing:
+def draw_rollout(result: Result, curves: Curves) -> Drawing:
     """Figure 4, for matplotlib.
 
     Args:
@@ -69,17 +70,17 @@ def draw_rollout(result: Mapping[str, Any], curves: Curves) -> Drawing:
     return with_matplotlib.draw(_arrange(result, list(_plot_trajectories(result, curves))))
 
 
-def _arrange(result: Mapping[str, Any], trajectories: list[Figure]) -> Sheet:
+def _arrange(result: Result, trajectories: list[Figure]) -> Sheet:
     title = _describe(result, "one rollout of the test part")
     return Sheet(title, trajectories, 6.0, columns=len(trajectories), headings=True)
 
 
-def _describe(result: Mapping[str, Any], what: str) -> str:
+def _describe(result: Result, what: str) -> str:
     kind = "simulated" if result["data"]["simulated"] else "real"
     return f"{result['model']}, {what} of {result['data']['name']} ({kind} data)"
 
 
-def _plot_history(result: Mapping[str, Any], curves: Curves) -> Iterator[Figure]:
+def _plot_history(result: Result, curves: Curves) -> Iterator[Figure]:
     """Figure 3: loss and identified parameters over the iterations, a figure each, the reported iteration marked.
 
     A law without parameters of its own to show (a network) has its gradient norm shown instead.
@@ -106,7 +107,7 @@ def _draw_courses(
     iteration: Float[np.ndarray, "iterations"],
     columns: Float[np.ndarray, "joints iterations"],
     at: int,
-    result: Mapping[str, Any],
+    result: Result,
 ) -> Iterator[Mark]:
     """A line a joint, points of a grid search, and the reported values."""
     best, several = float(iteration[at]), len(columns) > 1
@@ -119,7 +120,7 @@ def _draw_courses(
     yield Curve(x=np.full(len(columns), best), y=columns[:, at], name="reported", legend=several, **REPORTED)
 
 
-def _plot_trajectories(result: Mapping[str, Any], curves: Curves) -> Iterator[Figure]:
+def _plot_trajectories(result: Result, curves: Curves) -> Iterator[Figure]:
     """Figure 4, a figure a joint: measured and simulated position above velocity."""
     test, timestep, drives = result["metrics"]["test"], result["data"]["timestep"], _list_drives(curves)
     duration = timestep * (curves.measured_qpos.shape[1] - 1)
@@ -147,7 +148,7 @@ def _say_error(error: Float[np.ndarray, "samples"], unit: str) -> str:
     return f"{steps.mean():.4g} {unit}" if np.isfinite(steps).all() else "without a value (the rollout diverged)"
 
 
-def _plot_error(result: Mapping[str, Any], curves: Curves) -> Figure:
+def _plot_error(result: Result, curves: Curves) -> Figure:
     """Figure 5: absolute position error over time, mean over joints: its moving mean and +- one standard deviation."""
     window, unit, drives = result["evaluation"]["window"], result["metrics"]["test"]["unit"], _list_drives(curves)
     model, baseline = (format_number(float(np.nanmax(drive.errors()))) for drive in drives)
@@ -159,7 +160,7 @@ def _plot_error(result: Mapping[str, Any], curves: Curves) -> Figure:
     return Figure("Its error", text, (panel,), time=True)
 
 
-def _plot_horizons(result: Mapping[str, Any]) -> Figure:
+def _plot_horizons(result: Result) -> Figure:
     """Position error at every horizon: train, test and without friction."""
     entries = sorted(result["by_horizon"], key=lambda entry: entry["horizon"])
     unit, places = entries[0]["test"]["unit"], np.arange(len(entries), dtype=np.float64)

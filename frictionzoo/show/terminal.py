@@ -5,6 +5,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from frictionzoo.comparison.types import Comparison, FailureRow, RecommendationRow
+from frictionzoo.result.types import DataRow, MetricsRow, ParameterRow, Result
 from frictionzoo.result.verdict import doubt_gain, doubt_reference
 
 Rows = Sequence[Sequence[str]]
@@ -17,7 +19,7 @@ ERRORS = {  # row of the table: key of the metrics, key of its unit
 }
 
 
-def summarise(result: Mapping[str, Any], folder: Path | None) -> str:
+def summarise(result: Result, folder: Path | None) -> str:
     """Parameters, test errors beside those without friction, warnings, and where the files are.
 
     Args:
@@ -27,7 +29,7 @@ def summarise(result: Mapping[str, Any], folder: Path | None) -> str:
     return _arrange(result, folder, align)
 
 
-def summarise_in_markdown(result: Mapping[str, Any], folder: Path) -> str:
+def summarise_in_markdown(result: Result, folder: Path) -> str:
     """The same as a page of Markdown, for loggers that show one.
 
     Args:
@@ -37,7 +39,7 @@ def summarise_in_markdown(result: Mapping[str, Any], folder: Path) -> str:
     return _arrange(result, folder, _tabulate_in_markdown)
 
 
-def summarise_in_html(result: Mapping[str, Any], folder: Path | None) -> str:
+def summarise_in_html(result: Result, folder: Path | None) -> str:
     """The same with tables of HTML, for notebooks.
 
     Args:
@@ -58,7 +60,7 @@ def _tabulate_in_html(rows: Rows) -> str:
 
 
 def _arrange(
-    result: Mapping[str, Any],
+    result: Result,
     folder: Path | None,
     tabulate: Callable[[Rows], str],
     say: Callable[[str], str] = lambda text: text,
@@ -74,9 +76,7 @@ def _arrange(
     return "\n\n".join(blocks)
 
 
-def summarise_distillation(
-    student: Mapping[str, Any], teacher: Mapping[str, Any], note: Mapping[str, Any], folder: Path
-) -> str:
+def summarise_distillation(student: Result, teacher: Result, note: Mapping[str, Any], folder: Path) -> str:
     """The student's parameters, its errors beside its teacher's, how far the two are apart, and where the files are.
 
     Args:
@@ -100,7 +100,7 @@ def summarise_distillation(
     return "\n\n".join(blocks)
 
 
-def summarise_comparison(comparison: Mapping[str, Any], folder: Path | None) -> str:
+def summarise_comparison(comparison: Comparison, folder: Path | None) -> str:
     """The runs best first, what failed, the recommendation, and where the files are.
 
     Args:
@@ -110,7 +110,7 @@ def summarise_comparison(comparison: Mapping[str, Any], folder: Path | None) -> 
     return "\n\n".join(_arrange_comparison(comparison, folder, align))
 
 
-def summarise_comparison_in_html(comparison: Mapping[str, Any], folder: Path | None) -> str:
+def summarise_comparison_in_html(comparison: Comparison, folder: Path | None) -> str:
     """The same with a table of HTML, for notebooks.
 
     Args:
@@ -121,9 +121,7 @@ def summarise_comparison_in_html(comparison: Mapping[str, Any], folder: Path | N
     return "".join([_say_in_html(origin), table, *map(_say_in_html, more)])
 
 
-def _arrange_comparison(
-    comparison: Mapping[str, Any], folder: Path | None, tabulate: Callable[[Rows], str]
-) -> list[str]:
+def _arrange_comparison(comparison: Comparison, folder: Path | None, tabulate: Callable[[Rows], str]) -> list[str]:
     count = len(comparison["runs"])
     return [
         f"{count} run{'s' * (count != 1)} on {comparison['data']['name']}. {_say_kind(comparison['data'])}",
@@ -135,7 +133,7 @@ def _arrange_comparison(
     ]
 
 
-def _list_runs(comparison: Mapping[str, Any]) -> Rows:
+def _list_runs(comparison: Comparison) -> Rows:
     evaluation, unit = comparison["evaluation"], comparison["unit"]
     best = comparison["runs"][0]["label"]
     verdicts = {pair["run"]: pair["verdict"] for pair in comparison["pairs"] if pair["other"] == best}
@@ -161,26 +159,26 @@ def _list_runs(comparison: Mapping[str, Any]) -> Rows:
     return rows
 
 
-def _list_failures(failures: Sequence[Mapping[str, str]]) -> list[str]:
+def _list_failures(failures: Sequence[FailureRow]) -> list[str]:
     lines = [f"failed: {failure['run']}: {failure['reason']}" for failure in failures]
     return ["\n".join(lines)] if lines else []
 
 
-def _say_recommendation(recommendation: Mapping[str, str] | None) -> str:
+def _say_recommendation(recommendation: RecommendationRow | None) -> str:
     if not recommendation:
         return "No run has a test error: all test rollouts diverged. None can be recommended."
     return f"recommended: {recommendation['run']}. {recommendation['reason']}"
 
 
-def _say_origin(result: Mapping[str, Any]) -> str:
+def _say_origin(result: Result) -> str:
     return f"{result['model']} on {result['data']['name']}. {_say_kind(result['data'])}"
 
 
-def _say_kind(data: Mapping[str, Any]) -> str:
+def _say_kind(data: DataRow) -> str:
     return "The data are simulated." if data["simulated"] else "The data are real, recorded on hardware."
 
 
-def _list_parameters(result: Mapping[str, Any]) -> Rows:
+def _list_parameters(result: Result) -> Rows:
     rows = [("parameter", "value", "95 % interval", "unit", "")]
     for parameter in result["parameters"]:
         name = f"{parameter['owner']}.{parameter['name']}"
@@ -191,7 +189,7 @@ def _list_parameters(result: Mapping[str, Any]) -> Rows:
     return rows
 
 
-def _list_errors(test: Mapping[str, Any], reference: Mapping[str, Any], names: tuple[str, str]) -> Rows:
+def _list_errors(test: MetricsRow, reference: MetricsRow, names: tuple[str, str]) -> Rows:
     """Errors of one drive beside those of another, and the change from that to it."""
     rows = [(f"test, {test['rollouts']} x {test['horizon']:g} s", *names, "unit", "change")]
     for row, (key, unit) in ERRORS.items():
@@ -201,7 +199,7 @@ def _list_errors(test: Mapping[str, Any], reference: Mapping[str, Any], names: t
     return rows
 
 
-def _warn(result: Mapping[str, Any]) -> list[str]:
+def _warn(result: Result) -> list[str]:
     """What is doubtful: of the recordings, of parameters at a bound, not identifiable or indistinct, and of it all."""
     lines = [f"warning: {sentence}" for sentence in result["warnings"]]
     lines += [
@@ -234,7 +232,7 @@ def _format_value(value: float | Sequence[float] | None) -> str:
     return f"{value:.4g}" if isinstance(value, int | float) else " ".join(f"{joint:.4g}" for joint in value)
 
 
-def say_status(parameter: Mapping[str, Any]) -> str:
+def say_status(parameter: ParameterRow) -> str:
     """Where the value of a parameter, as in `result.json`, comes from, and whether the data determine it."""
     if not parameter["identified"]:
         return "known"

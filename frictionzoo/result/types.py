@@ -1,0 +1,314 @@
+"""What `result.json` holds, as types.
+
+`make docs` makes `result.schema.json` from them: the text below a key describes it, and what stands beside a type in
+`Annotated` are keywords of JSON schema.
+"""
+
+from typing import Annotated, Any, Literal, TypedDict
+
+Positive = Annotated[float, ("exclusiveMinimum", 0)]
+NotNegative = Annotated[float, ("minimum", 0)]
+Natural = Annotated[int, ("minimum", 0)]
+Count = Annotated[int, ("minimum", 1)]
+Samples = Annotated[int, ("minimum", 2)]
+Text = Annotated[str, ("minLength", 1)]
+Sha256 = Annotated[str, ("pattern", "^[0-9a-f]{64}$")]
+Joints = Annotated[list[str], ("minItems", 1)]
+PerJoint = Annotated[list[float], ("minItems", 2)]
+Interval = Annotated[list[float], ("minItems", 2), ("maxItems", 2)]
+Intervals = Annotated[list[Interval | None], ("minItems", 2)]
+Carried = Annotated[list[float], ("minItems", 7), ("maxItems", 7)]
+Number = Literal["float32", "float64"]
+Simulator = Literal["mjx", "specialised"]
+
+
+class LogRow(TypedDict):
+    """One recording, or a block of one."""
+
+    name: str
+    """Its source; `NAME[part]` for a block of time of a recording."""
+    part: Literal["train", "test"]
+    """Whether the fit saw it."""
+    samples: Samples
+    """Its samples."""
+    sha256: Sha256
+    """Hash of the whole source that it came from."""
+    payload: Carried | None
+    """What the drive carried: mass [kg], centre x, y, z [m], inertia ixx, iyy, izz [kg m^2]."""
+
+
+class DataRow(TypedDict):
+    """What was read, or made by a simulator."""
+
+    name: str
+    """The data set."""
+    sha256: Sha256
+    """Hash of what was read: the source's where there is one; for several sources, the hash of their distinct hashes
+    in the order of `logs`, joined by line feeds."""
+    simulated: bool
+    """True: a simulator made the data. False: recorded on hardware."""
+    timestep: Positive
+    """Sample interval [s]."""
+    samples: Samples
+    """Samples in all logs, train and test."""
+    logs: Annotated[list[LogRow], ("minItems", 2)]
+    """Every recording or block of one."""
+
+
+class ReferenceRow(TypedDict):
+    """One parameter of the bench without friction."""
+
+    name: str
+    """As in `parameters`."""
+    owner: Literal["bench"]
+    """It has no friction law."""
+    value: float | PerJoint
+    """A number for one joint, a list in the order of the joints for several."""
+    unit: str
+    """SI unit; 1 for a pure number."""
+    low: float
+    """Lower bound of the fit."""
+    high: float
+    """Upper bound of the fit."""
+    identified: bool
+    """True: the fit chose the value. False: it was given."""
+    at_bound: bool
+    """It ended at a bound: then errors without friction are those of no drive, and a change against them says
+    little."""
+
+
+class ParameterRow(TypedDict):
+    """One physical parameter of bench or friction law."""
+
+    name: str
+    """MuJoCo's or the literature's word."""
+    owner: Literal["bench", "friction"]
+    """What it belongs to."""
+    value: float | PerJoint
+    """A number for one joint, a list in the order of the joints for several."""
+    unit: str
+    """SI unit; 1 for a pure number."""
+    low: float
+    """Lower bound of the fit."""
+    high: float
+    """Upper bound of the fit."""
+    identified: bool
+    """True: the fit chose the value. False: it was given."""
+    at_bound: bool
+    """The fit ended at a bound, so that the data may ask for more than the bounds allow; false for known
+    parameters."""
+    interval: Interval | Intervals | None
+    """Lower and upper end of the 95 % interval, by the spread between stretches of the training data and within the
+    bounds; for several joints a list of them in their order. null: none, for a known parameter, at a bound, and where
+    the data show no effect of it, or one in combination with others only; see also `no_intervals`."""
+    identifiable: bool | None
+    """Whether the data determine it. False: it has no interval, or one that reaches a bound or is too wide, in any
+    joint. null: known, or there are no intervals."""
+
+
+class NetworkRow(TypedDict):
+    """A law's trained network."""
+
+    weights: Count
+    """Number of its weights and biases."""
+
+
+class MetricsRow(TypedDict):
+    """Errors of open-loop rollouts from measured states under recorded commands.
+
+    Diverged rollouts are left out of the errors.
+    """
+
+    position_mae: NotNegative | None
+    """Mean over rollouts of each one's absolute position error, averaged over time and joints [unit]."""
+    position_mae_std: NotNegative | None
+    """Population standard deviation of that error over the rollouts [unit]; 0 for one rollout."""
+    position_rmse: NotNegative | None
+    """Root mean square position error over all samples [unit]."""
+    velocity_rmse: NotNegative | None
+    """Root mean square velocity error over all samples [velocity_unit]."""
+    unit: Literal["rad", "m"]
+    """Unit of the position errors."""
+    velocity_unit: Literal["rad/s", "m/s"]
+    """Unit of the velocity error."""
+    horizon: Positive
+    """Length of each rollout [s]."""
+    rollouts: Count
+    """How many were simulated."""
+    diverged: Natural
+    """How many of them left the finite numbers."""
+
+
+class PartsRow(TypedDict):
+    """Errors on each part of the data."""
+
+    train: MetricsRow
+    """On the logs that the fit saw."""
+    test: MetricsRow
+    """On the logs that it did not see."""
+    baseline: MetricsRow
+    """The same bench identified without friction on the same segments, judged on the rollouts of `test`."""
+
+
+class HorizonRow(TypedDict):
+    """Errors of rollouts of one length on each part of the data."""
+
+    horizon: Positive
+    """Length of each rollout [s]."""
+    train: MetricsRow
+    """On the logs that the fit saw."""
+    test: MetricsRow
+    """On the logs that it did not see."""
+    baseline: MetricsRow
+    """The same bench identified without friction on the same segments, judged on the rollouts of `test`."""
+
+
+class ContrastRow(TypedDict):
+    """One simulated drive beside another."""
+
+    model: MetricsRow
+    """The identified drive."""
+    baseline: MetricsRow
+    """The same bench identified without friction on the same segments, judged on the same rollouts."""
+
+
+class PaperRow(TypedDict):
+    """The two evaluations of Kovalev et al. (2026), on test data."""
+
+    a: ContrastRow
+    """One long rollout, which figures 4 and 5 show."""
+    b: ContrastRow
+    """Rollouts of the main horizon at random places."""
+
+
+class EvaluationRow(TypedDict):
+    """The rollouts on which the drive was judged."""
+
+    sha256: Sha256
+    """Hash of all measured windows; runs with the same one were judged on the same rollouts and can be compared."""
+    window: Positive
+    """Length of the moving mean over the error of the long rollout, in figures [s]."""
+
+
+class FitRow(TypedDict):
+    """How the parameters were found."""
+
+    method: str
+    """The optimiser: adam, lm or grid."""
+    iterations: Natural
+    """Iterations that were made; for a grid, its points."""
+    best_iteration: Natural
+    """The iteration whose values are reported: that of the lowest loss on the whole training set."""
+    loss: float | None
+    """Loss of that iteration, weighted as configured."""
+    stopped: Text
+    """Why the fit ended: converged, finished (all iterations made), patience, or diverged."""
+    moving: list[str]
+    """Parameters, as `owner.name`, that still moved in the last tenth of the iterations: by more than a third of half
+    their interval, or 1 % of their value where they have none."""
+
+
+class TimingRow(TypedDict):
+    """Wall-clock seconds."""
+
+    setup: NotNegative
+    """Reading or making data, building bench and model."""
+    compile: NotNegative
+    """Compiling the fit's rollouts."""
+    fit: NotNegative
+    """The fit without compiling."""
+    uncertainty: NotNegative
+    """The intervals of the parameters, with compiling."""
+    evaluate: NotNegative
+    """The rollouts of the evaluation."""
+    total: NotNegative
+    """From the start of the run to this file."""
+
+
+class ProofRow(TypedDict):
+    """How far the engine is from MuJoCo C."""
+
+    step: NotNegative
+    """Largest difference of a position or velocity after one step [rad or m, rad/s or m/s], relative where they are
+    above 1."""
+    rollout: NotNegative
+    """The same after all steps."""
+    cases: Count
+    """Rollouts."""
+    steps: Count
+    """Steps in each."""
+
+
+Versions = TypedDict(
+    "Versions",
+    {
+        "frictionzoo": str,
+        "python": str,
+        "mujoco": str,
+        "mujoco-mjx": str,
+        "jax": str,
+        "torch": str,
+        "optax": str,
+        "lightning": str,
+        "numpy": str,
+    },
+)
+
+
+class Result(TypedDict):
+    """The record of one identification run.
+
+    Numbers are SI, angles radians; null stands for a number that does not exist (all rollouts diverged, or nothing was
+    fitted). A run writes this file last: where it exists, the run's other files do too.
+    """
+
+    schema_version: Literal[4]
+    """Raised by every change that a reader of this file could notice."""
+    model: Text
+    """The chosen model, a file of conf/model."""
+    joints: Joints
+    """Names of the identified joints, in the order of lists."""
+    data: DataRow
+    parameters: list[ParameterRow]
+    """Physical parameters of bench and friction law. A network's weights are in friction.safetensors."""
+    indistinct: list[Annotated[list[str], ("minItems", 2)]]
+    """Groups of parameters that the data cannot tell apart, by their full names OWNER.NAME, of several joints
+    OWNER.NAME/JOINT with the joint's number from 0. Only a combination of a group is determined, so make all but one
+    of it known."""
+    no_intervals: str | None
+    """Why no parameter has an interval; null where the data were asked for them."""
+    network: NetworkRow | None
+    """The law's trained network; null for a law without one."""
+    metrics: PartsRow
+    """Open-loop rollouts at the main horizon, the first of `by_horizon`."""
+    reference: list[ReferenceRow]
+    """Parameters of the bench without friction, whose errors `metrics.baseline` holds."""
+    by_horizon: Annotated[list[HorizonRow], ("minItems", 1)]
+    """The same metrics at every horizon of the evaluation."""
+    paper: PaperRow
+    evaluation: EvaluationRow
+    fit: FitRow
+    timing: TimingRow
+    seed: int
+    """Seed of everything random in the run."""
+    dtype: Number
+    """Number type of the simulation."""
+    engine: Simulator
+    """What simulated."""
+    proof: ProofRow
+    """How far the engine is from MuJoCo C with the MJCF that would be exported, in float64, on short rollouts from
+    states within the recorded range and beyond, before the fit. A run in which they differ by more than 1e-9 does not
+    begin."""
+    warnings: list[Text]
+    """What in the recordings, in the recorded motion of the model, or in the size of what was identified makes the
+    result doubtful, a sentence each with what mends it."""
+    not_identified: list[Text] | None
+    """Null, or that the fit did not identify the drive: why that is said, and the likely reasons, the likeliest
+    first."""
+    device: Text
+    """Where it ran, for example cpu."""
+    versions: Versions
+    """Versions of what the numbers depend on."""
+    settings: dict[str, Any]
+    """Every option of the run, as `.hydra/config.yaml` has them, with all values computed; of a distilled drive also
+    `teacher`, the folder of the run that it follows."""
