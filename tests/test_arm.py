@@ -2,7 +2,7 @@
 
 import itertools
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import mujoco
@@ -19,7 +19,7 @@ TRUTH = {
 HEADERS = {signal: [f"{signal}{index}" for index in range(5)] for signal in ("qpos", "qvel", "ctrl")}
 GAINS = {"kp": 400.0, "kd": 40.0}
 LENGTHS, MASSES = (0.15, 0.2, 0.2, 0.2, 0.1), (4.0, 4.0, 3.0, 2.0, 1.0)  # m, kg
-TIMESTEP, SECONDS = 1e-3, 10
+TIMESTEP = 1e-3
 
 
 def arm() -> str:
@@ -40,34 +40,43 @@ def arm() -> str:
     )
 
 
-def record(path: Path) -> None:
+def record(
+    path: Path,
+    mjcf: str,
+    truth: Mapping[str, Sequence[float]],
+    gains: Mapping[str, float],
+    headers: Mapping[str, Sequence[str]],
+    *,
+    seconds: float = 10.0,
+    noise: tuple[float, float] = (2e-6, 1e-3),
+    seed: int = 0,
+) -> None:
     """A recording by MuJoCo C under its own position controllers, with the noise of encoders, as CSV."""
-    spec = mujoco.MjSpec.from_string(arm())
-    for index, name in enumerate(JOINTS):
-        joint = spec.joint(name)
-        joint.armature, joint.frictionloss = TRUTH["armature"][index], TRUTH["frictionloss"][index]
-        joint.damping = [TRUTH["damping"][index], 0.0, 0.0]
-        actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-        actuator.set_to_position(kp=GAINS["kp"], kv=GAINS["kd"])
+    spec = mujoco.MjSpec.from_string(mjcf)
+    for index, joint in enumerate(spec.joints):
+        joint.armature, joint.frictionloss = truth["armature"][index], truth["frictionloss"][index]
+        joint.damping = [truth["damping"][index], 0.0, 0.0]
+        actuator = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        actuator.set_to_position(kp=gains["kp"], kv=gains["kd"])
     model = spec.compile()
-    data, rng, time = mujoco.MjData(model), np.random.default_rng(0), np.arange(0, SECONDS, TIMESTEP)
-    frequencies, phases = rng.uniform(0.5, 9.0, (4, 5)), rng.uniform(0, 2 * np.pi, (4, 5))
-    amplitudes = rng.uniform(0.5, 1.0, (4, 5)) / frequencies
+    data, rng, time = mujoco.MjData(model), np.random.default_rng(seed), np.arange(0, seconds, model.opt.timestep)
+    frequencies, phases = rng.uniform(0.5, 9.0, (4, model.nv)), rng.uniform(0, 2 * np.pi, (4, model.nv))
+    amplitudes = rng.uniform(0.5, 1.0, (4, model.nv)) / frequencies
     ctrl = (amplitudes * np.sin(time[:, None, None] * frequencies + phases)).sum(axis=1)
-    states = np.empty((len(time), 10))
+    states = np.empty((len(time), 2 * model.nv))
     data.qpos[:] = ctrl[0]
     for state, data.ctrl[:] in zip(states, ctrl, strict=True):
         state[:] = np.concatenate([data.qpos, data.qvel])
         mujoco.mj_step(model, data)
-    states += rng.normal(size=states.shape) * np.repeat([2e-6, 1e-3], 5)
-    columns = ",".join(["time", *itertools.chain(*HEADERS.values())])
+    states += rng.normal(size=states.shape) * np.repeat(noise, model.nv)
+    columns = ",".join(["time", *itertools.chain(*headers.values())])
     np.savetxt(path, np.hstack([time[:, None], states, ctrl]), fmt="%.9g", delimiter=",", header=columns, comments="")
 
 
 @pytest.mark.slow
 def test_fifteen_parameters_of_an_arm_in_one_run(call: Callable, tmp_path: Path, in_haste: None) -> None:
     (tmp_path / "arm.xml").write_text(arm())
-    record(tmp_path / "arm.csv")
+    record(tmp_path / "arm.csv", arm(), TRUTH, GAINS, HEADERS)
     finished = call(
         *("model=mujoco_default", "fit=lm", "data=files", "data.train=[arm.csv]", "data.simulated=true"),
         *("bench.mjcf=arm.xml", f"bench.joint=[{','.join(JOINTS)}]", "hydra.run.dir=run", "loop.progress=false"),

@@ -33,8 +33,11 @@ from pages import PAGES, ROOT, blocks_of, commands_of, expand
 from test_benchmarks import QUICKEST
 from test_out_of_tree import COMMANDS as WITH_PACKAGE
 from test_sweep import LAUNCHERS
+from test_tutorials import write_robots
 from write_logs import WRITERS, write_degrees, write_log
 
+from frictionzoo.cli.commands import COMMANDS
+from frictionzoo.cli.inspect import _name_files
 from frictionzoo.core.build import build
 from frictionzoo.core.config import CONF_DIR, compose_config
 from frictionzoo.identification import Problem
@@ -126,7 +129,7 @@ def do_jobs(command: str, place: Place) -> None:
     arguments = arguments_of(command)
     finished = place.call(*arguments, *shrink(arguments, place.cache))
     assert finished.status == 0, finished.err
-    results = [*place.folder.glob("outputs/**/result.json"), *place.folder.glob("multirun/**/result.json")]
+    results = list(place.folder.glob("**/result.json"))
     assert len(results) == len(list(jobs_of(arguments)))
     for path in results:
         result = json.loads(path.read_text())
@@ -236,7 +239,8 @@ def leave_to_the_experiments(command: str, place: Place) -> None:
 
 def inspect(command: str, place: Place) -> None:
     """The data set that it names loads."""
-    settings = OmegaConf.to_container(compose_config(*arguments_of(command), "data.split.gap=0.05"), resolve=True)
+    arguments = _name_files(arguments_of(command))
+    settings = OmegaConf.to_container(compose_config(*arguments, "data.split.gap=0.05"), resolve=True)
     assert build(settings["data"]).load().test
     left_to("test_inspect::test_the_command_writes_what_it_says_without_torch_or_jax")(command, place)
 
@@ -328,10 +332,14 @@ RULES: list[tuple[str, How, *tuple[pytest.MarkDecorator, ...]]] = [
     (r"wandb sync FOLDER/wandb/offline-run-\*", left_to("test_loggers::read_wandb")),
     (r"mlflow ui( --backend-store-uri sqlite:///FOLDER/mlflow/mlflow\.db)?", left_to("test_loggers::read_mlflow")),
     (r"python benchmarks/\w+\.py.*", measure),
+    (r"python docs/draw_landing\.py", left_to("test_docs::test_the_picture_shows_a_run")),
     (r"python experiments/reproduce\.py.*", leave_to_the_experiments),
     (r"python -m frictionzoo\.list( \w+)*", lambda command, place: place.run(command)),
     (r"python -m frictionzoo\.export RUN target=all", export_all, SLOW),
-    (r"python -m frictionzoo\.export RUN target=(mjcf|mujoco|onnx)", left_to("test_commands::export_all")),
+    (
+        r"python -m frictionzoo\.export (RUN|drive) target=(mjcf|mujoco|onnx|isaaclab|mjlab)",
+        left_to("test_commands::export_all"),
+    ),
     (
         r"python -m frictionzoo\.export RUN target=mjcf into=robot\.xml joint=left_knee,right_knee",
         left_to("test_export_targets::test_a_drive_goes_into_several_joints_and_adds_their_actuators"),
@@ -349,7 +357,8 @@ RULES: list[tuple[str, How, *tuple[pytest.MarkDecorator, ...]]] = [
         r"python -m frictionzoo\.compare multirun/\S+( outputs/\S+ --output comparison)?",
         left_to("test_compare::test_the_command_writes_into_the_folder_and_prints_the_table"),
     ),
-    (r"python -m frictionzoo\.inspect data=files .*", inspect),
+    (r"python -m frictionzoo\.inspect (data=files .*|\S+\.csv)", inspect),
+    (r"python -m frictionzoo\.inspect data=xl330", inspect, needs_data),
     (rf"{JOB}--cfg job", show_configuration),
     (rf"{JOB}--help", left_to("test_help::test_help_does_not_wait_for_imports")),
     (
@@ -363,6 +372,7 @@ RULES: list[tuple[str, How, *tuple[pytest.MarkDecorator, ...]]] = [
     (rf"{JOB}-m hydra/sweeper=.*", search, SLOW),
     (rf"{JOB}-m experiment=\w+ \"bench\..*", pose_jobs, SLOW, needs_data),
     (rf"{JOB}(-m )?experiment=.*", leave_to_the_experiments),
+    (rf"{JOB}-m data=xl330 .*", pose_jobs, SLOW, needs_data),
     (rf"{JOB}-m .*", do_jobs, SLOW),
     # One job of each kind of drive, and those like it, which differ in what they read
     (rf"{JOB}model=coulomb_stribeck", do_jobs),
@@ -394,6 +404,7 @@ def desk(shared_folder: Path, recording: Path) -> Path:
                 write_log(folder, name, columns)
             write_degrees(folder / "degrees.csv", columns)
             (folder / "stand.xml").write_text(STAND)
+            write_robots(folder)
     return folder
 
 
@@ -407,6 +418,7 @@ def place(call: Callable, finished_run: Callable, desk: Path, tmp_path: Path, sh
 def fill(command: str) -> str:
     """The command without its reader's choices; the console script is the same program."""
     filled = re.sub("|".join(FILLED), lambda match: FILLED[match[0]], command)
+    filled = re.sub(rf"^frictionzoo (?=(?:{'|'.join(COMMANDS)})\b)", "python -m frictionzoo.", filled)
     return re.sub("^frictionzoo ", "python -m frictionzoo.run ", filled)
 
 

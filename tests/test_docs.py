@@ -5,13 +5,17 @@ import importlib
 import re
 import subprocess
 import sys
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 from omegaconf import OmegaConf
 from pages import ROOT
 
+import frictionzoo as fz
 from frictionzoo.core.config import CONF_DIR
 
 pytest.importorskip("mkdocs", reason="the extra docs is not installed")  # CI installs it and runs this file
@@ -68,24 +72,34 @@ def test_a_link_between_pages_leads_to_a_place_on_the_site(site: Path) -> None:
     assert followed > 100
 
 
-def test_every_section_of_the_readme_has_a_page(monkeypatch: pytest.MonkeyPatch) -> None:
-    hooks = load("hooks", monkeypatch)
-    homeless = [anchor for anchor in hooks.read_sections() if hooks.find_section(anchor) is None]
-    assert not homeless, "add a line with nothing but a link to the section to a page in docs/"
-
-
-def test_a_section_that_does_not_exist_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    from mkdocs.exceptions import PluginError
-
-    with pytest.raises(PluginError, match=r"README\.md#nowhere: no such section, expected one of .*data"):
-        load("hooks", monkeypatch).read_section("nowhere")
-
-
-def test_a_text_of_the_readme_is_on_its_page_with_links_of_the_site(site: Path) -> None:
+def test_the_readme_is_the_front_page_with_links_of_the_site(site: Path) -> None:
+    text = (site / "index.html").read_text()
+    assert "<code>FRICTIONZOO_DATA</code>" in text and "README.md" not in text
+    assert 'href="data.html"' in text and 'href="CONTRIBUTING.html"' in text and (site / "landing.svg").exists()
     text = (site / "data.html").read_text()
-    assert "Your own recording." in text and "../README.md" not in text
+    assert "A recording of your own" in text
     assert 'href="experiments/emps/index.html"' in text and 'href="notebooks/quickstart.html"' in text
-    assert "<code>FRICTIONZOO_DATA</code>" in (site / "index.html").read_text()
+
+
+def test_the_front_page_and_the_menu_lead_every_reader_to_a_tutorial(site: Path) -> None:
+    text, tutorials = (site / "index.html").read_text(), {*(ROOT / "docs" / "tutorials").glob("*.md")}
+    linked = re.findall(r'href="?tutorials/(\w+)\.html', text.partition("<article")[2].partition("</article>")[0])
+    assert {*linked} == {path.stem for path in tutorials} and len(tutorials) >= 5
+
+
+def test_the_picture_shows_a_run(finished_run: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    picture = load("draw_landing", monkeypatch)
+    fit = fz.load(finished_run("mujoco_default")[0])
+    position, error = picture.draw(
+        replace(fit, result=fit.result | {"data": fit.result["data"] | {"simulated": True}})
+    ).axes
+    measured, without, found = (line.get_ydata() for line in position.lines)
+    assert np.array_equal(measured, fit.curves.measured_qpos[0, 1 :: picture.EVERY, 0])
+    assert np.array_equal(found, fit.curves.qpos[0, :: picture.EVERY, 0])
+    for line, states in zip(error.lines[1:], (without, found), strict=True):
+        np.testing.assert_allclose(line.get_ydata(), 1e3 * (states - measured), atol=1e-9)
+    drawn = picture.PICTURE.read_text()
+    assert len(drawn) < 150_000 and "<image" not in drawn and "fill: #ffffff" in drawn  # legible on any page
 
 
 def test_every_module_that_is_an_interface_is_in_the_reference(monkeypatch: pytest.MonkeyPatch) -> None:

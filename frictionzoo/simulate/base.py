@@ -1,4 +1,4 @@
-"""The interface of an engine, and how a friction law enters it."""
+"""What every engine offers: one simulation step of a bench with a friction law in it."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -18,12 +18,13 @@ Values = Mapping[str, Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class Friction:
-    """A friction law's formula over `jax.numpy`.
+    """A friction law as two functions over `jax.numpy`.
 
     Attributes:
-        settle: From its values and the first state to the memory that a simulation begins with, of shape (nv, memory).
-        advance: From its values, the present state, the memory and the time step [s] to friction terms and the memory
-            of the next step.
+        settle: Called once, where a rollout begins. Gets the law's values and the first state; returns its memory,
+            of shape (nv, memory).
+        advance: Called in each step. Gets the law's values, the state, the memory and the time step [s]; returns the
+            friction terms that act during the step, and the memory after it.
     """
 
     settle: Callable[[Mapping[str, Any], DriveState], Array]
@@ -31,21 +32,24 @@ class Friction:
 
 
 UNFUSED: dict[str, str | bool] = {"xla_disable_hlo_passes": "fusion", "xla_cpu_use_fusion_emitters": True}
-"""For XLA: its fusion on CPUs computes shared terms again for each of their uses, and of many joints there are many.
+"""Compiler options that switch XLA's fusion off on CPUs.
 
-Without fusion its older emitters mixed up arrays of two joints (jaxlib 0.10.2): whoever asks for those gets the newer.
+Fusion computes a term anew wherever it is used. The dynamics of many joints use each term many times, so that the
+compiled step becomes slow. The newer emitters are asked for too: without fusion, the older ones mixed up the arrays of
+two joints (jaxlib 0.10.2).
 """
 
 
 class Engine(ABC):
-    """One simulation step of a bench with a friction law, differentiable in all values.
+    """Simulates a bench with a friction law, one step at a time; JAX differentiates the step in all values.
 
     Attributes:
-        name: Its name on the command line and in results.
-        note: What a user may want to know of how it came to simulate.
-        compiler_options: What XLA needs to know where a step of this engine is compiled.
-        forward_limit: Tangents up to which forward mode is faster than a reverse sweep.
-        reverse: Whether there is a reverse mode: none passes a loop of unknown length.
+        name: What chooses it, `engine=NAME`, and what results call it.
+        note: One line that a run prints about it, or "".
+        compiler_options: Options for XLA where a step of this engine is compiled.
+        forward_limit: Number of parameters up to which forward mode is the faster way to the derivative.
+        reverse: Whether the step can be differentiated in reverse mode. It cannot where a solver iterates until it has
+            converged: JAX has no reverse mode for a loop of unknown length.
     """
 
     name: ClassVar[str]
@@ -65,16 +69,20 @@ class Engine(ABC):
         load: Float[Array, "load"],
         memory: Float[Array, "nv memory"],
     ) -> tuple[Float[Array, "nv"], Float[Array, "nv"], Float[Array, "nv memory"]]:
-        """Position, velocity and the friction law's memory one time step later.
+        """Simulate one time step.
 
         Args:
-            values: Bench and friction parameters.
+            values: Values of the bench's parameters and of the friction law's.
             qpos: Position [rad or m].
             qvel: Velocity [rad/s or m/s].
-            ctrl: The command of each joint's actuator, then each other input of the actuator law, then what the
-                friction law looks at, one a joint each; see `Bench.split`.
-            load: What the recording's payload changes in the model, from `Bench.load`.
-            memory: The friction law's, from `start` or the step before.
+            ctrl: What was recorded besides the state, one number a joint each: the commands, then the other inputs of
+                the actuator law (supply, gain), then what the friction law looks at (temperature). `Bench.split` takes
+                them apart.
+            load: How the payload of the recording changes the model, from `Bench.load`.
+            memory: The friction law's, from `start` or from the step before.
+
+        Returns:
+            Position, velocity and the friction law's memory after the step.
         """
 
     def start(
@@ -85,7 +93,7 @@ class Engine(ABC):
         ctrl: Float[Array, "channels"],
         load: Float[Array, "load"],
     ) -> Float[Array, "nv memory"]:
-        """The friction law's memory at the beginning of a rollout; arguments as in `step`."""
+        """The friction law's memory where a rollout begins; arguments as in `step`."""
         return self._friction.settle(values["friction"], self.drive_state(values, qpos, qvel, ctrl, load))
 
     @abstractmethod
@@ -97,26 +105,26 @@ class Engine(ABC):
         ctrl: Float[Array, "channels"],
         load: Float[Array, "load"],
     ) -> DriveState:
-        """What a friction law would see in this state; arguments as in `step`."""
+        """What the friction law sees in this state: velocity, torques and so on; arguments as in `step`."""
 
 
 def control(bench: Bench, values: Values, qpos: Array, qvel: Array, ctrl: Array) -> tuple[Channels, Array]:
-    """The channels, and what the actuator law's controller makes of the commands; arguments as in `Engine.step`."""
+    """`ctrl` taken apart, and what the controller makes of the commands; arguments as in `Engine.step`."""
     channels = bench.split(ctrl)
     command, inputs, _ = channels
     return channels, bench.actuator.control(jnp, values["bench"], qpos, qvel, command, inputs)
 
 
 def friction_of(module: Any) -> Friction:
-    """A friction module's formula over `jax.numpy`."""
+    """The two functions of a friction module, over `jax.numpy`."""
     return Friction(partial(module.settle, jnp), partial(module.advance, jnp))
 
 
 def without_memory(terms: Callable[[Mapping[str, Any], DriveState], FrictionTerms]) -> Friction:
-    """A law that is a function of the present state.
+    """A law that depends on the present state alone, from its one function.
 
     Args:
-        terms: Its values and what the drive is doing to friction terms.
+        terms: Gets the law's values and the state; returns the friction terms.
     """
     return Friction(
         settle=lambda values, state: jnp.zeros((*state.qvel.shape, 0)),

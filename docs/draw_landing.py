@@ -1,0 +1,76 @@
+"""Draw README's picture: a recording beside its simulation from the same first state, with friction and without."""
+
+import argparse
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+import frictionzoo as fz
+from frictionzoo.show.colors import BASELINE, GRID, MEASURED, MODEL, TEXT
+
+PICTURE = Path(__file__).parent / "landing.svg"
+JOB = ("data=twin", "model=mujoco_default", "fit=lm", "loop.progress=false")
+EVERY = 12  # samples of 1 ms; a screen shows no more of 3 s
+STYLE = {
+    "font.size": 23,  # of 720 points across: legible on a phone
+    "text.color": TEXT,
+    "axes.labelcolor": TEXT,
+    "axes.edgecolor": TEXT,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": GRID,
+    "xtick.color": TEXT,
+    "ytick.color": TEXT,
+    "legend.frameon": False,
+    "svg.hashsalt": "landing",  # the same drawing is the same file
+}
+
+
+def draw(fit: fz.Identified) -> Figure:
+    """Position and error in the first long test rollout, on a ground of its own for pages of any colour.
+
+    Args:
+        fit: A drive of simulated data: the picture passes no real recording on.
+    """
+    assert fit.result["data"]["simulated"], "expected simulated data"
+    curves = fit.curves
+    measured = curves.measured_qpos[0, 1:, 0]
+    simulated = {
+        "without friction": (curves.baseline_qpos[0, :, 0], BASELINE),
+        "with friction": (curves.qpos[0, :, 0], MODEL),
+    }
+    time = fit.segments.timestep * np.arange(1, 1 + len(measured))
+    figure = Figure(figsize=(10, 6.4), layout="constrained", facecolor="white")
+    position, error = figure.subplots(2, 1, sharex=True)
+    thick = {"color": MEASURED, "linewidth": 9, "alpha": 0.25}
+    position.plot(time[::EVERY], measured[::EVERY], label="measured", **thick)
+    error.plot(time[[0, -1]], [0, 0], **thick)
+    for name, (states, color) in simulated.items():
+        position.plot(time[::EVERY], states[::EVERY], color=color, linewidth=3, label=name)
+        error.plot(time[::EVERY], 1e3 * (states - measured)[::EVERY], color=color, linewidth=3)
+    position.set_ylabel("angle [rad]")
+    error.set(ylabel="error [mrad]", xlabel="time [s], open loop from the first state on", xlim=(0, time[-1]))
+    figure.legend(loc="outside upper center", ncols=3, handlelength=1.2, columnspacing=1.2)
+    return figure
+
+
+def main() -> None:
+    """Draw it, of a run that is named or made."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("run", nargs="?", type=Path, help="folder of a run; left out, one is made first")
+    given = parser.parse_args().run
+    with tempfile.TemporaryDirectory() as folder, matplotlib.rc_context(STYLE):
+        if given is None:
+            subprocess.run([sys.executable, "-m", "frictionzoo.run", *JOB, f"hydra.run.dir={folder}"], check=True)
+        draw(fz.load(given or folder)).savefig(PICTURE, metadata={"Date": None})
+
+
+if __name__ == "__main__":
+    main()

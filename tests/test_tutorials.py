@@ -1,0 +1,117 @@
+"""The Python of the tutorials and of the page on Python runs as it stands, and finds the drives that it speaks of."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from conftest import ROOT
+from test_arm import GAINS, HEADERS, TRUTH, arm, record
+
+import frictionzoo as fz
+from frictionzoo.models.registry import REGISTRY
+
+DOCS = ROOT / "docs"
+STAND = """<mujoco><option timestep="0.002"><flag contact="disable"/></option><worldbody><body>
+<joint name="shaft" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.01" mass="0.3"/>
+</body></worldbody></mujoco>"""
+SHAFT = {"armature": [0.03], "frictionloss": [0.15], "damping": [0.05]}
+LEG = {"armature": [0.01, 0.008], "frictionloss": [0.25, 0.15], "damping": [0.05, 0.03]}
+ENCODER = 2e-4, 1e-2  # rad, rad/s: its noise
+
+
+def blocks_of(page: str, language: str) -> list[str]:
+    """The code of a page of docs/."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", (DOCS / page).read_text(), re.M | re.S)
+
+
+def write_robots(folder: Path) -> None:
+    """The leg and the arm of the tutorials, and a recording of each."""
+    (leg,) = blocks_of("tutorials/leg.md", "xml")
+    headers = {signal: [f"{signal}_hip", f"{signal}_knee"] for signal in ("qpos", "qvel", "ctrl")}
+    (folder / "leg.xml").write_text(leg)
+    record(folder / "leg.csv", leg, LEG, {"kp": 25, "kd": 0.6}, headers, seconds=20.0, noise=ENCODER)
+    (folder / "arm.xml").write_text(arm())
+    record(folder / "arm.csv", arm(), TRUTH, GAINS, HEADERS)
+
+
+@pytest.fixture
+def follow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, in_haste: None) -> Callable[..., dict[str, Any]]:
+    """Runs the Python of a page from some block on, where its files are; the names that it leaves."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(REGISTRY, "entries", dict(REGISTRY.entries))
+    write_robots(tmp_path)
+    (tmp_path / "stand.xml").write_text(STAND)
+    for seed, name in enumerate(("a", "b")):
+        headers, gains = {signal: [signal] for signal in ("qpos", "qvel", "ctrl")}, {"kp": 15, "kd": 0.5}
+        path = tmp_path / f"{name}.csv"
+        record(path, STAND, SHAFT, gains, headers, seconds=20.0, noise=ENCODER, seed=seed)
+
+    def run(page: str, first: int = 0) -> dict[str, Any]:
+        names: dict[str, Any] = {"__name__": page}
+        for block in blocks_of(page, "python")[first:]:
+            exec(compile(block, page, "exec"), names)
+        return names
+
+    return run
+
+
+def assert_found(drive: fz.Identified, truth: dict[str, Any], tolerance: float) -> None:
+    """Its armature and MuJoCo's friction are near these."""
+    for name, values in truth.items():
+        found = drive.parameters[f"{'bench' if name == 'armature' else 'friction'}.{name}"]
+        np.testing.assert_allclose(found.value, values, rtol=tolerance, err_msg=name)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("page", "drive", "truth", "tolerance"),
+    [("leg", "leg", LEG, 0.05), ("arm", "arm", TRUTH, 0.05), ("servo", "servo", SHAFT, 0.15)],
+)
+def test_a_tutorial_finds_its_drive(
+    follow: Callable, page: str, drive: str, truth: dict[str, Any], tolerance: float
+) -> None:
+    assert_found(follow(f"tutorials/{page}.md")[drive], truth, tolerance)
+
+
+@pytest.mark.slow
+def test_the_tutorial_of_a_law_ranks_it(follow: Callable, tmp_path: Path) -> None:
+    found = follow("tutorials/law.md")["found"]
+    assert {*found.ranking} == {"baseline", "coulomb_smooth", "mujoco_default", "pushed_coulomb"}
+    assert found.ranking[0] == "mujoco_default"  # whose friction the recording has
+    assert (tmp_path / "comparison" / "comparison.html").exists()
+
+
+@pytest.mark.slow
+def test_the_tutorial_of_ranges_holds_the_drive(
+    follow: Callable, finished_run: Callable, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "drive").symlink_to(finished_run("mujoco_default")[0])
+    names = follow("tutorials/randomisation.md")
+    for fit in names["units"]:
+        assert_found(fit, SHAFT, 0.15)
+    low, high = names["envelope"](names["units"], "bench.armature")
+    assert low < min(fit.parameters["bench.armature"].value[0] for fit in names["units"]) < high < 1.2 * low
+    for pairs in names["ranges"](names["units"][0]).values():
+        assert all(low < 1 < high for low, high in pairs)
+
+
+@pytest.mark.slow
+def test_the_page_on_python_identifies_compares_and_defines_a_law(follow: Callable, tmp_path: Path) -> None:
+    before = torch.get_default_dtype()
+    names = follow("python.md", first=2)
+    assert torch.get_default_dtype() == before
+    assert_found(names["fit"], SHAFT, 0.1)
+    assert names["several"].cleaned[0][0].qpos.shape[1] == 2 and names["held_out"].held_out == 1
+    assert names["found"].ranking == ["mujoco_default", "baseline"]
+    assert names["own"].parameters["friction.coulomb_torque"].value[0] == pytest.approx(0.15, rel=0.1)
+    assert (tmp_path / "comparison" / "comparison.json").exists()
+
+
+def test_every_tutorial_has_code_that_is_run() -> None:
+    pages = {path.stem for path in (DOCS / "tutorials").glob("*.md")}
+    assert pages == {"servo", "leg", "arm", "law", "randomisation"}
+    assert all(blocks_of(f"tutorials/{page}.md", "python") for page in pages)
