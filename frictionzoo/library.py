@@ -1,7 +1,7 @@
 """The ten lines of a notebook: read, identify, compare, load, and friction laws by name."""
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypedDict, Unpack, cast
 
@@ -13,11 +13,10 @@ from frictionzoo.comparison.compared import Compared
 from frictionzoo.comparison.runs import Failure
 from frictionzoo.core.build import build
 from frictionzoo.core.config import check_overrides, compose_config, list_choices
-from frictionzoo.core.described import describe, read_defaults
-from frictionzoo.core.errors import ConfigError, FrictionzooError, LogError, RunError, closest
+from frictionzoo.core.described import describe
+from frictionzoo.core.errors import ConfigError, FrictionzooError, LogError, ModelError, RunError, refuse_unlike
 from frictionzoo.core.log import Log
-from frictionzoo.core.segments import cut_segments
-from frictionzoo.fit import Fit, Objective, run_fit
+from frictionzoo.fit import Fit
 from frictionzoo.fit.base import REGISTRY as METHODS
 from frictionzoo.identification import Problem, solve
 from frictionzoo.logs.cache import digest
@@ -28,7 +27,6 @@ from frictionzoo.logs.recording import Table
 from frictionzoo.logs.split import Split
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.models.registry import get_model
-from frictionzoo.result.evaluate import Evaluation
 from frictionzoo.result.identified import Identified
 from frictionzoo.simulate.context import computing
 
@@ -88,15 +86,6 @@ class How(TypedDict, total=False):
     compilation_cache: str | None
 
 
-SECTIONS: dict[str, Callable[..., Any]] = {
-    "segments": cut_segments,
-    "loss": Objective,
-    "evaluation": Evaluation,
-    "loop": run_fit,
-}
-"""Whose arguments the sections of `identify` are."""
-
-
 def read(
     *recordings: str | Path | Any,
     test: str | Path | Sequence[str | Path] = (),
@@ -138,10 +127,15 @@ def read(
     Returns:
         The logs; what was repaired in each is in its `repairs`, and is shown with them.
 
+    Messages name an argument as a configuration does: `data.columns` is `columns`, `data.train` what is read.
+
     Raises:
         LogError: A recording cannot be read, or does not hold what `columns` names.
         ConfigError: An option is impossible.
     """
+    if not recordings:
+        raise LogError("read: no recording, expected paths, tables or mappings; name one, as in read('a.csv')")
+    refuse_unlike("clean", clean, Cleaning, "a Cleaning, as in Cleaning(step=0.002)")
     paths = [str(recording) for recording in recordings if isinstance(recording, str | Path)]
     held = [recording for recording in recordings if not isinstance(recording, str | Path)]
     tables = [_to_table(f"recording {number} in memory", recording) for number, recording in enumerate(held, 1)]
@@ -195,21 +189,21 @@ def identify(
     Raises:
         FrictionzooError: The input is at fault.
     """
-    given: dict[str, Any] = {"segments": segments, "loss": loss, "evaluation": evaluation, "loop": loop}
-    sizes = {**_scales(), **(scale or {})}
-    model = _compose_law(law, bench.nv, {"scale": sizes, "seed": seed}) if isinstance(law, str) else copy.deepcopy(law)
-    recordings = (logs if isinstance(logs, Logs) else Logs.of([logs] if isinstance(logs, Log) else logs)).dividing(test)
+    refuse_unlike("bench", bench, Bench, "a Bench, as in Bench('stand.xml', actuator=PositionPD(kp=15, kd=0.5))")
+    _refuse_unknown(law)
+    recordings = _gather(logs).dividing(test)
     fit = METHODS.get(method)() if isinstance(method, str) else method
-    settings = {
-        **{section: _complete(section, options) for section, options in given.items()},
-        **{"seed": seed, "dtype": dtype, "engine": engine, "device": device, "compilation_cache": compilation_cache},
-        **{"scale": sizes, "threads": None, "resume": None, "logger": None},
-        **{"bench": describe(bench), "data": dict(recordings.section), "fit": describe(fit)},
-        "model": {name: value for name, value in describe(model).items() if name != "nv"},
-    }
+    refuse_unlike("method", fit, Fit, f"a name, {', '.join(METHODS.names())}, or such an object")
+    sections = {"segments": segments, "loss": loss, "evaluation": evaluation, "loop": loop, "scale": scale}
+    given: dict[str, Any] = {name: options for name, options in sections.items() if options is not None}
+    given |= {"seed": seed, "dtype": dtype, "engine": engine, "device": device, "compilation_cache": compilation_cache}
+    settings = _compose(given)
+    model = _make_law(law, bench.nv, {k: settings[k] for k in ("scale", "seed")}) if isinstance(law, str) else law
+    described = {name: value for name, value in describe(model).items() if name != "nv"}
+    settings |= {"bench": describe(bench), "data": dict(recordings.section), "fit": describe(fit), "model": described}
     with computing(dtype, device, compilation_cache) as place:
-        problem = Problem.pose(bench, model, recordings.divide(), fit, settings)
-        return solve(problem, getattr(model, "name", type(model).__name__), place)
+        problem = Problem.pose(bench, copy.deepcopy(model), recordings.divide(), fit, settings | {"logger": None})
+        return solve(problem, model.name, place)
 
 
 def compare(
@@ -230,16 +224,20 @@ def compare(
     Raises:
         FrictionzooError: The input is at fault, or every law failed.
     """
-    drives, failures = [], []
+    if isinstance(laws, str) or not laws:
+        raise ConfigError(f"laws={laws!r}; expected several, as in ['baseline', 'coulomb_smooth']")
     for law in laws:
-        name = law if isinstance(law, str) else getattr(law, "name", type(law).__name__)
+        _refuse_unknown(law)  # before the first fit
+    recordings, drives, failures = _gather(logs), [], []
+    for law in laws:
         try:
-            drives.append(identify(bench, law, logs, **how))
+            drives.append(identify(bench, law, recordings, **how))
         except FrictionzooError as error:
+            name = law if isinstance(law, str) else law.name
             failures.append(Failure(name, name, str(error)))
     if not drives:
-        reasons = "; ".join(f"{failure.model}: {failure.reason}" for failure in failures)
-        raise RunError(f"no law has a result to compare: {reasons or 'none was named, expected several'}")
+        reasons = dict.fromkeys(failure.reason for failure in failures)
+        raise RunError(f"no law has a result to compare: {'; '.join(reasons)}")
     return Compared.of(drives, failures)
 
 
@@ -273,32 +271,39 @@ def law(name: str, nv: int = 1, *, scale: Mapping[str, float] | None = None, **o
         UnknownModelError: No such law.
         ConfigError: No such option, or a value that it cannot have.
     """
-    return _compose_law(name, nv, {"scale": scale} if scale else {}, options)
+    return _make_law(name, nv, {"scale": scale} if scale else {}, options)
 
 
-def _compose_law(name: str, nv: int, shared: Mapping[str, Any], options: Mapping[str, Any] | None = None) -> Any:
+def _make_law(name: str, nv: int, shared: Mapping[str, Any], options: Mapping[str, Any] | None = None) -> FrictionModel:
     if name not in list_choices("model"):
         return get_model(name)(nv, **(options or {}))
-    plain = compose_config(f"model={name}")
+    return build(_compose({**shared, "model": options or {}}, f"model={name}")["model"], nv=nv)
+
+
+def _compose(given: Mapping[str, Any], *choices: str) -> dict[str, Any]:
+    """The configuration with these choices and options, looked at as on the command line."""
+    plain = compose_config(*choices)
     changed = copy.deepcopy(plain)
     OmegaConf.set_struct(changed, False)
-    changed = cast(DictConfig, OmegaConf.merge(changed, {"model": options or {}, **shared}))
+    changed = cast(DictConfig, OmegaConf.merge(changed, describe(given)))
     check_overrides(changed, plain)
-    return build(cast(dict[str, Any], OmegaConf.to_container(changed, resolve=True))["model"], nv=nv)
+    return cast(dict[str, Any], OmegaConf.to_container(changed, resolve=True))
 
 
-def _scales() -> dict[str, float]:
-    """The typical sizes of conf/'s own bench, 1 in SI units."""
-    return cast(dict[str, float], OmegaConf.to_container(compose_config()["scale"], resolve=True))
+def _refuse_unknown(law: str | FrictionModel) -> None:
+    """Refuse what is no law, or has no name by which a result could be loaded."""
+    if isinstance(law, str):
+        if law not in list_choices("model"):
+            get_model(law)
+        return
+    refuse_unlike("law", law, FrictionModel, "the name of a friction law, or a FrictionModel with its values")
+    if not hasattr(law, "name"):
+        kind = type(law).__name__
+        raise ModelError(f'{kind}: no name, expected a registered law; decorate it @register_model("{kind.lower()}")')
 
 
-def _complete(section: str, options: Mapping[str, Any] | None) -> dict[str, Any]:
-    """A section of the options with what was not said."""
-    function = SECTIONS[section]
-    defaults = {name: value for name, value in read_defaults(function).items() if name not in ("history", "record")}
-    for name in (options or {}).keys() - defaults.keys():
-        raise ConfigError(f"{section}.{name}: unknown option; {closest(name, defaults)}")
-    return {**defaults, **describe(options or {})}
+def _gather(logs: Logs | Log | Sequence[Log]) -> Logs:
+    return logs if isinstance(logs, Logs) else Logs.of([logs] if isinstance(logs, Log) else logs)
 
 
 def _to_table(name: str, recording: Any) -> Table:
@@ -311,7 +316,7 @@ def _to_table(name: str, recording: Any) -> Table:
         ) from None
     columns: dict[str, np.ndarray] = {}
     for header, samples in held.items():
-        if samples.ndim not in (1, 2) or not np.issubdtype(samples.dtype, np.number):
+        if samples.ndim not in (1, 2) or samples.dtype.kind not in "biuf":
             raise LogError(
                 f"{name}: {header} of shape {samples.shape} and type {samples.dtype}, expected numbers of shape (time,)"
             )

@@ -2,6 +2,7 @@
 
 import fnmatch
 import functools
+import inspect
 import re
 import shlex
 from pathlib import Path
@@ -20,7 +21,7 @@ from frictionzoo.core.config import (
     compose_config,
     list_options,
 )
-from frictionzoo.core.described import read_defaults
+from frictionzoo.core.described import describe
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.segments import cut_segments
 from frictionzoo.fit import Grid, Objective, loggers, run_fit
@@ -97,7 +98,9 @@ def test_defaults_of_the_command_line_are_those_of_python(place: str) -> None:
     group, _, _ = choice.partition("=")
     said = OmegaConf.to_container(compose_once(*[choice] if "=" in choice else []), resolve=True)[group]
     said = without_nulls(said[section] if section else said)
-    defaults = without_nulls(read_defaults(DEFAULTS[place]))
+    function = DEFAULTS[place].__init__ if isinstance(DEFAULTS[place], type) else DEFAULTS[place]
+    parameters = inspect.signature(function).parameters.values()
+    defaults = without_nulls({p.name: describe(p.default) for p in parameters if p.default is not p.empty})
     left = LEFT_TO_THE_JOB | ({"clean", "split"} if place == "data=files" else set())
     assert {k: v for k, v in said.items() if k not in left} == {k: v for k, v in defaults.items() if k not in left}
 

@@ -99,5 +99,7 @@ def test_a_parameter_that_the_law_does_not_have():
 
 
 def test_a_parameter_without_a_section():
-    with pytest.raises(ConfigError, match=r"^Law: no section for parameter coulomb_torque; add params\.coulomb_torque"):
+    with pytest.raises(
+        ConfigError, match=r"^Law: no parameter coulomb_torque; give its value, or params\.coulomb_torque"
+    ):
         read_params("Law", {"coulomb_torque": "torque"}, {})

@@ -15,7 +15,7 @@ from frictionzoo.bench.channels import Channels, pick_inputs, pick_observed
 from frictionzoo.bench.compiled import INERTIAL, NO_PAYLOAD, combine, put_inertial
 from frictionzoo.bench.template import Template, in_full
 from frictionzoo.core.described import Described
-from frictionzoo.core.errors import BenchError, ConfigError, closest
+from frictionzoo.core.errors import BenchError, ConfigError, closest, refuse_unlike
 from frictionzoo.core.log import Dataset, Log, Payload
 from frictionzoo.core.params import Param, read_params
 from frictionzoo.core.segments import Sampling
@@ -79,6 +79,7 @@ class Bench(Described):
         payload: str | None = None,
         timestep: float | None = None,
     ) -> None:
+        refuse_unlike("bench.actuator", actuator, Actuator, "an actuator law, as in PositionPD(kp=15, kd=0.5)")
         self.source = mjcf
         self.actuator = actuator
         self.params: dict[str, Param] = {

@@ -2,19 +2,20 @@
 
 import importlib
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import PurePath
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.registry import dotted_name
 
 
 class Described:
     """A class whose objects remember the arguments of their constructor."""
 
-    def __new__(cls, *args: Any, **kwargs: Any) -> Any:
+    def __new__(cls, *args: Any, **kwargs: Any) -> Self:
         """An object that has kept these arguments."""
         made = super().__new__(cls)
         object.__setattr__(made, "_given", (args, kwargs))  # a dataclass may be frozen
@@ -43,33 +44,22 @@ def describe(part: Any) -> Any:
         return str(part)
     if part is None or isinstance(part, bool | int | float | str):
         return part
-    raise ConfigError(f"{part!r}: expected numbers, text, lists or parts of frictionzoo, which a record can hold")
-
-
-def read_defaults(function: Callable[..., Any]) -> dict[str, Any]:
-    """What a function or a constructor takes where nothing is said, by argument, as a configuration has it.
-
-    Args:
-        function: The function, or a class.
-    """
-    parameters = inspect.signature(_callable(function)).parameters
-    return {name: describe(p.default) for name, p in parameters.items() if p.default is not inspect.Parameter.empty}
-
-
-def _callable(function: Callable[..., Any]) -> Callable[..., Any]:
-    # A class's own signature would be that of `Described.__new__`.
-    return function.__init__ if isinstance(function, type) else function
+    raise ConfigError(
+        f"{type(part).__name__}: expected numbers, text, lists or parts of frictionzoo, which a record can hold"
+    )
 
 
 def _arguments(cls: type, args: tuple[Any, ...], kwargs: Mapping[str, Any]) -> dict[str, Any]:
     """All arguments of a constructor by name, those that were not given with their defaults."""
-    signature = inspect.signature(_callable(cls))
+    signature = inspect.signature(cls.__init__)  # the class's own would be that of `Described.__new__`
     bound = signature.bind(None, *args, **kwargs)
     bound.apply_defaults()
     named: dict[str, Any] = {}
     for name, parameter in list(signature.parameters.items())[1:]:
-        value = bound.arguments[name]
-        named |= value if parameter.kind is inspect.Parameter.VAR_KEYWORD else {name: value}
+        if parameter.kind is inspect.Parameter.VAR_KEYWORD:
+            named |= bound.arguments[name]
+        elif parameter.kind is not inspect.Parameter.VAR_POSITIONAL:  # as a class without a constructor has it
+            named[name] = bound.arguments[name]
     return {name: describe(value) for name, value in named.items()}
 
 
@@ -80,4 +70,4 @@ def _public_name(cls: type) -> str:
         package = ".".join(parts[:count])
         if getattr(importlib.import_module(package), cls.__qualname__, None) is cls:
             return f"{package}.{cls.__qualname__}"
-    return f"{cls.__module__}.{cls.__qualname__}"
+    return dotted_name(cls)

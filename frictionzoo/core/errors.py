@@ -64,6 +64,22 @@ def refuse_outside(option: str, value: int | float, low: int | float, high: int 
         raise ConfigError(f"{option}={value:g}: expected {low:g} to {high:g}")
 
 
+def refuse_unlike(name: str, value: object, kind: type | tuple[type, ...], expected: str) -> None:
+    """Refuse a value of another kind.
+
+    Args:
+        name: Of the argument.
+        value: What came.
+        kind: What is meant.
+        expected: The same in words, and what to do.
+
+    Raises:
+        ConfigError: It is of another kind.
+    """
+    if not isinstance(value, kind):
+        raise ConfigError(f"{name}: {type(value).__name__}, expected {expected}")
+
+
 def closest(name: str, options: Iterable[str]) -> str:
     """Hint for an unknown name: the closest option if one is near, then all of them.
 

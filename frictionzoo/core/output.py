@@ -79,7 +79,7 @@ def write_atomically(path: Path, content: bytes) -> None:
     except OSError as error:
         raise OutputError(
             f"{path}: {error.strerror} while writing {len(content)} bytes, expected a folder that can be written; "
-            "free space or set hydra.run.dir to another folder"
+            "free space or name another folder"
         ) from error
     finally:
         with contextlib.suppress(OSError):

@@ -108,6 +108,8 @@ class Param:
             ConfigError: A key is missing, unknown or of the wrong type.
         """
         keys = {"init", "low", "high", "scale", "identify"}
+        if not isinstance(config, Mapping):
+            raise ConfigError(f"{name}={config!r}; expected a number, or a section with {', '.join(sorted(keys))}")
         for key in set(config) - keys:
             raise ConfigError(f"{name}.{key}: unknown option; {closest(str(key), keys)}")
         for key in keys - set(config):
@@ -172,6 +174,6 @@ def read_params(
     config = {**{name: {} for name in defaults or {}}, **config}
     config = {name: _complete(section, (defaults or {}).get(name, {})) for name, section in config.items()}
     for name in set(dimensions) - set(config) - set(optional):
-        raise ConfigError(f"{owner}: no section for parameter {name}; add params.{name} with init, low, high")
+        raise ConfigError(f"{owner}: no parameter {name}; give its value, or params.{name} with init, low, high")
     params = {name: Param.from_config(name, dimensions[name], config[name]) for name in dimensions if name in config}
     return {name: param for name, param in params.items() if param.identify or param.init or name not in optional}

@@ -1,7 +1,7 @@
 """The interface of an export target: what it writes, how exact that is, and what it cannot represent."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -49,10 +49,10 @@ REGISTRY = Registry(KINDS["targets"], Target, "write", ExportError)
 register_target = REGISTRY.register
 """Class decorator that makes a target available on the command line, as `Registry.register`."""
 
-get_target = REGISTRY.get
+get_target: Callable[[str], type[Target]] = REGISTRY.get
 """The target of that name, as `Registry.get`."""
 
-target_names = REGISTRY.names
+target_names: Callable[[], list[str]] = REGISTRY.names
 """Names of all targets, sorted."""
 
 

@@ -4,7 +4,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.described import describe
+from frictionzoo.core.errors import ConfigError, LogError, refuse_unlike
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.logs.recording import Recording
 from frictionzoo.logs.split import Split
@@ -36,7 +37,15 @@ class Logs:
 
         Args:
             logs: Each a recording of its own.
+
+        Raises:
+            LogError: There is none.
+            ConfigError: They are no logs.
         """
+        if not logs:
+            raise LogError("logs: none, expected at least one recording")
+        for log in [logs] if isinstance(logs, str) else logs:
+            refuse_unlike("logs", log, Log, "a Log, or all that read('a.csv') returns")
         recordings = tuple(Recording(log.name, log.time, {}, log.metadata, log.sha256, log.simulated) for log in logs)
         section = {"_target_": "frictionzoo.logs.logs.Logs", "names": [log.name for log in logs]}
         return cls("logs in memory", recordings, tuple((log,) for log in logs), 0, Split(), section)
@@ -58,14 +67,20 @@ class Logs:
             test: The last share of each recording, or a rule; None as they were.
 
         Raises:
-            ConfigError: Some were read to test only.
+            ConfigError: It is neither, or some were read to test only.
         """
         if test is None:
             return self
+        refuse_unlike("test", test, (int, float, Split), "a share between 0 and 1, or a Split")
+        if not isinstance(test, Split) and not 0 < test < 1:
+            raise ConfigError(f"test={test:g}; expected a share between 0 and 1, or a Split")
         if self.held_out:
-            raise ConfigError(f"test={test!r}: {self.held_out} recordings were read to test; leave one of the two out")
+            raise ConfigError(
+                f"test={test}: expected None, for {self.held_out} of the recordings were read to test; leave one of "
+                "the two out"
+            )
         split = test if isinstance(test, Split) else Split(test_share=test)
-        return replace(self, split=split, section={**self.section, "split": asdict(split)})
+        return replace(self, split=split, section={**self.section, "split": describe(asdict(split))})
 
     def divide(self) -> Dataset:
         """The logs that train and those that test.

@@ -47,5 +47,5 @@ def _expand(name: str, path: Path, source: str | None) -> list[Path]:
 
 def _advise(name: str, source: str | None) -> str:
     if source is None:
-        return f" (looked from {Path.cwd()}); check data.train and data.test"
+        return f" (looked from {Path.cwd()}); check the path"
     return f"; set FRICTIONZOO_DATA or data.folder to the folder that holds {name} (from {source})"

@@ -1,7 +1,7 @@
 """Coulomb and viscous friction of another size in each direction."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models.base import FrictionModel
@@ -37,7 +37,7 @@ class Asymmetric(FrictionModel):
     documentation, "Computation", friction loss.
     """
 
-    dimensions = {
+    dimensions: ClassVar[Mapping[str, str]] = {
         "frictionloss_forward": "torque",
         "frictionloss_backward": "torque",
         "damping_forward": "damping",

@@ -1,7 +1,7 @@
 """Play between motor and load, joined by a stiff coupling: a drive of two inertias."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models.base import FrictionModel
@@ -62,7 +62,7 @@ class Backlash(FrictionModel):
     powertrains", IEEE Transactions on Control Systems Technology 15(3), 2007. Rounding and step are this package's.
     """
 
-    dimensions = {
+    dimensions: ClassVar[Mapping[str, str]] = {
         "rotor_inertia": "inertia",
         "gap": "position",
         "stiffness": "stiffness",

@@ -1,7 +1,7 @@
 """Coulomb friction with a smooth sign, and viscous friction."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models.base import FrictionModel
@@ -28,7 +28,11 @@ class CoulombSmooth(FrictionModel):
     Source: V. Kovalev et al., Proc. MIPT 18(2), 2026, Table 1, "Coulomb-Smooth".
     """
 
-    dimensions = {"static_torque": "torque", "smoothing": "1/velocity", "viscous_coefficient": "damping"}
+    dimensions: ClassVar[Mapping[str, str]] = {
+        "static_torque": "torque",
+        "smoothing": "1/velocity",
+        "viscous_coefficient": "damping",
+    }
     dissipative = True
 
     def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:

@@ -1,7 +1,7 @@
 """Friction that falls from static to kinetic with speed, and viscous friction."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models.base import FrictionModel
@@ -36,7 +36,7 @@ class CoulombStribeck(FrictionModel):
     2026, Table 1, "Coulomb-Stribeck".
     """
 
-    dimensions = {
+    dimensions: ClassVar[Mapping[str, str]] = {
         "static_torque": "torque",
         "kinetic_torque": "torque",
         "stribeck_velocity": "velocity",

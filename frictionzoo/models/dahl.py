@@ -1,7 +1,7 @@
 """Friction as a spring that yields."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models.base import FrictionModel
@@ -33,7 +33,7 @@ class Dahl(FrictionModel):
     Source: P. R. Dahl, "A solid friction model", Aerospace Corporation, TOR-0158(3107-18)-1, 1968, with the exponent 1.
     """
 
-    dimensions = {
+    dimensions: ClassVar[Mapping[str, str]] = {
         "stiffness": "stiffness",
         "coulomb_torque": "torque",
         "viscous_coefficient": "damping",

@@ -1,7 +1,7 @@
 """Dry friction that takes the load of the motor for another than that from outside, as a constraint."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models.base import FrictionModel
@@ -35,7 +35,7 @@ class Directional(FrictionModel):
     actuators", 2024, model M5.
     """
 
-    dimensions = {
+    dimensions: ClassVar[Mapping[str, str]] = {
         "frictionloss": "torque",
         "damping": "damping",
         "stribeck_torque": "torque",

@@ -1,7 +1,7 @@
 """Friction as a neural network that cannot drive the joint."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 
@@ -60,7 +60,7 @@ class DissipativeNetwork(GearNetwork):
         ConfigError: A width is below 1, or a parameter is missing, unknown, or out of bounds.
     """
 
-    dimensions = {"smoothing_velocity": "velocity"}
+    dimensions: ClassVar[Mapping[str, str]] = {"smoothing_velocity": "velocity"}
     dissipative = True
 
     def __init__(

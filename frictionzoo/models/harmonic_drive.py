@@ -1,7 +1,7 @@
 """Dry friction of a loaded gear whose meshing is felt, with the Stribeck effect, as a constraint."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models.base import FrictionModel
@@ -54,7 +54,11 @@ class HarmonicDrive(FrictionModel):
     G. Passault, V. Padois, O. Ly, "Extended friction models for the physics simulation of servo actuators", 2024.
     """
 
-    dimensions = {**Directional.dimensions, **Ripple.dimensions, "cubic_damping": "damping/velocity^2"}
+    dimensions: ClassVar[Mapping[str, str]] = {
+        **Directional.dimensions,
+        **Ripple.dimensions,
+        "cubic_damping": "damping/velocity^2",
+    }
     constraint = True
     dissipative = True
 

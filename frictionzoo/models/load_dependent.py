@@ -1,7 +1,7 @@
 """Dry friction that grows with the load on the gear, as a constraint that can stop the joint."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models.base import FrictionModel
@@ -35,7 +35,7 @@ class LoadDependent(FrictionModel):
     actuators", 2024, model M3.
     """
 
-    dimensions = {"frictionloss": "torque", "damping": "damping", "load_friction": "1"}
+    dimensions: ClassVar[Mapping[str, str]] = {"frictionloss": "torque", "damping": "damping", "load_friction": "1"}
     constraint = True
     dissipative = True
 

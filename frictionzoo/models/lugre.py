@@ -1,7 +1,7 @@
 """Friction of elastic bristles."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models.base import FrictionModel
@@ -38,7 +38,7 @@ class LuGre(FrictionModel):
     friction", IEEE Transactions on Automatic Control 40(3), 1995.
     """
 
-    dimensions = {
+    dimensions: ClassVar[Mapping[str, str]] = {
         "stiffness": "stiffness",
         "micro_damping": "damping",
         "static_torque": "torque",

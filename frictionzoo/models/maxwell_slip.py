@@ -1,7 +1,7 @@
 """Friction of several springs that slip one after the other."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 from frictionzoo.core.errors import refuse_outside
 from frictionzoo.core.state import DriveState, FrictionTerms
@@ -51,7 +51,7 @@ class MaxwellSlip(FrictionModel):
         ConfigError: There is no element, or a parameter's section makes no sense.
     """
 
-    dimensions = {
+    dimensions: ClassVar[Mapping[str, str]] = {
         "presliding": "position",
         "static_torque": "torque",
         "kinetic_torque": "torque",

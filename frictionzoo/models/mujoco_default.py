@@ -1,7 +1,7 @@
 """MuJoCo's own joint friction."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models.base import FrictionModel
@@ -29,7 +29,7 @@ class MujocoDefault(FrictionModel):
     documentation, "Computation", friction loss; V. Kovalev et al., Proc. MIPT 18(2), 2026, Table 1, "MuJoCo-Default".
     """
 
-    dimensions = {"frictionloss": "torque", "damping": "damping"}
+    dimensions: ClassVar[Mapping[str, str]] = {"frictionloss": "torque", "damping": "damping"}
     constraint = True
     dissipative = True
 

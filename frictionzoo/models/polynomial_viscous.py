@@ -1,7 +1,7 @@
 """Dry friction, and viscous friction as a polynomial of the speed."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models.base import FrictionModel
@@ -34,7 +34,7 @@ class PolynomialViscous(FrictionModel):
     joint, damping.
     """
 
-    dimensions = {
+    dimensions: ClassVar[Mapping[str, str]] = {
         "frictionloss": "torque",
         "damping": "damping",
         "quadratic_damping": "damping/velocity",

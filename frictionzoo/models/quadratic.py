@@ -1,7 +1,7 @@
 """Dry friction with a part that grows with the square of the load, as a constraint."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models.base import FrictionModel
@@ -41,7 +41,7 @@ class Quadratic(FrictionModel):
     actuators", 2024, model M6.
     """
 
-    dimensions = {
+    dimensions: ClassVar[Mapping[str, str]] = {
         **Directional.dimensions,
         "quadratic_load_friction_motor": "1/torque",
         "quadratic_load_friction_external": "1/torque",

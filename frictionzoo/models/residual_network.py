@@ -1,7 +1,7 @@
 """MuJoCo's own joint friction, and a small neural network for what it leaves."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 
@@ -63,7 +63,7 @@ class ResidualNetwork(NetworkModel):
         ConfigError: A width is below 1, the limit is not positive, or a parameter is missing, unknown or out of bounds.
     """
 
-    dimensions = {"frictionloss": "torque", "damping": "damping"}
+    dimensions: ClassVar[Mapping[str, str]] = {"frictionloss": "torque", "damping": "damping"}
     constraint = True
     residual_limit: torch.Tensor
 

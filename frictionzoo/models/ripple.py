@@ -1,7 +1,7 @@
 """Dry friction that changes with the position, as of meshing gears, and viscous friction."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models.base import FrictionModel
@@ -41,7 +41,7 @@ class Ripple(FrictionModel):
     dependence on the speed is left out here.
     """
 
-    dimensions = {
+    dimensions: ClassVar[Mapping[str, str]] = {
         "frictionloss": "torque",
         "damping": "damping",
         "periods": "1/position",

@@ -1,7 +1,7 @@
 """Dry friction that falls with speed, as a constraint that can stop the joint."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models.base import FrictionModel
@@ -32,7 +32,7 @@ class Stribeck(FrictionModel):
     models, analysis tools and compensation methods for the control of machines with friction", Automatica 30(7), 1994.
     """
 
-    dimensions = {
+    dimensions: ClassVar[Mapping[str, str]] = {
         "frictionloss": "torque",
         "damping": "damping",
         "stribeck_torque": "torque",

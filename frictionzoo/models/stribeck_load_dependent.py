@@ -1,7 +1,7 @@
 """Dry friction that grows with the load on the gear and falls with speed, as a constraint."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models.base import FrictionModel
@@ -36,7 +36,7 @@ class StribeckLoadDependent(FrictionModel):
     actuators", 2024, model M4.
     """
 
-    dimensions = {
+    dimensions: ClassVar[Mapping[str, str]] = {
         "frictionloss": "torque",
         "damping": "damping",
         "stribeck_torque": "torque",

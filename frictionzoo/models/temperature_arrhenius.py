@@ -1,7 +1,7 @@
 """Dry and viscous friction that follow the temperature as the viscosity of a lubricant does."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 from frictionzoo.models.registry import register_model
 from frictionzoo.models.temperature import ABSOLUTE_ZERO, TemperatureModel
@@ -35,7 +35,7 @@ class TemperatureArrhenius(TemperatureModel):
     friction that falls exponentially with the temperature.
     """
 
-    dimensions = {
+    dimensions: ClassVar[Mapping[str, str]] = {
         "frictionloss": "torque",
         "damping": "damping",
         "frictionloss_activation": "temperature",

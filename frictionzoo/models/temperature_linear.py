@@ -1,7 +1,7 @@
 """Dry and viscous friction that change in proportion to the temperature."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 from frictionzoo.models.registry import register_model
 from frictionzoo.models.temperature import TemperatureModel
@@ -36,7 +36,7 @@ class TemperatureLinear(TemperatureModel):
     that grow or fall with the temperature; their Stribeck and load terms are left out here.
     """
 
-    dimensions = {
+    dimensions: ClassVar[Mapping[str, str]] = {
         "frictionloss": "torque",
         "damping": "damping",
         "frictionloss_slope": "1/temperature",

@@ -121,7 +121,7 @@ class Identified:
         # Imported here, so that what reads a run does not wait for what draws one.
         from frictionzoo.result.save import save
 
-        save(self, self.curves, Path(folder))
+        save(self, Path(folder))
 
     @property
     def place(self) -> str:

@@ -78,8 +78,6 @@ def rollout(
 @lru_cache(_KEPT)
 def _compile(bench: Bench, law: FrictionModel, engine: str, interval: float | None) -> tuple:
     """The bench as the law sees it, the function, whether it has a gradient, and how many samples act before."""
-    if law.nv != bench.nv:
-        raise BenchError(f"a law of {law.nv} joints on {bench.source} with {bench.nv}, expected as many; set its nv")
     bench = bench.observing(law.inputs)
     interval = bench.timestep if interval is None else interval
     bench.check_interval(interval, "rollout")

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from frictionzoo.bench import Bench
+from frictionzoo.core.errors import BenchError
 from frictionzoo.core.segments import Sampling
 from frictionzoo.models import FrictionModel, TorchFriction
 from frictionzoo.simulate import Engine, friction_of, make_engine
@@ -35,9 +36,14 @@ class Drive:
             sampling: As `make_rollout` takes it.
 
         Raises:
+            BenchError: The law has another number of joints.
             ConfigError: No such engine, or it does not apply.
             ModelError: The law exists only in torch and has a memory.
         """
+        if model.nv != bench.nv:
+            raise BenchError(
+                f"a law of {model.nv} joints on {bench.source} with {bench.nv}, expected as many; set its nv"
+            )
         if isinstance(model, TorchFriction):
             simulated = make_engine(engine, bench, AS_GIVEN, model.constraint)
             return cls(model, simulated, make_torch_rollout(bench, simulated, model, sampling))

@@ -1,7 +1,7 @@
 """An embedded position controller of a DC motor."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 from frictionzoo.bench.actuators.base import Actuator, Affine, register_actuator
 
@@ -19,7 +19,7 @@ class DcMotorPD(Actuator):
     Source: Isaac Lab, documentation of the actuator model `DCMotor`, where stall_torque is called saturation effort.
     """
 
-    dimensions = {
+    dimensions: ClassVar[Mapping[str, str]] = {
         "kp": "stiffness",
         "kd": "damping",
         "stall_torque": "torque",

@@ -1,7 +1,7 @@
 """An embedded position controller without a limit."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 from frictionzoo.bench.actuators.base import Actuator, Affine, register_actuator
 
@@ -10,7 +10,7 @@ from frictionzoo.bench.actuators.base import Actuator, Affine, register_actuator
 class PositionPD(Actuator):
     """Embedded position controller: torque = kp (ctrl - qpos) - kd qvel, ctrl the desired position."""
 
-    dimensions = {"kp": "stiffness", "kd": "damping"}
+    dimensions: ClassVar[Mapping[str, str]] = {"kp": "stiffness", "kd": "damping"}
 
     def affine(self, values: Mapping[str, Any]) -> Affine:
         """See `Actuator.affine`."""

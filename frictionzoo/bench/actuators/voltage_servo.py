@@ -1,7 +1,7 @@
 """A hobby servo: a position controller that sets a voltage."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 from frictionzoo.bench.actuators.base import Actuator, Affine, register_actuator
 
@@ -22,13 +22,13 @@ class VoltageServo(Actuator):
     actuators", 2024, section II.
     """
 
-    dimensions = {
+    dimensions: ClassVar[Mapping[str, str]] = {
         "kt_over_r": "torque/voltage",
         "kt2_over_r": "damping",
         "duty_gain": "1/position",
         "duty_limit": "1",
     }
-    inputs = ("gain", "supply", "enable")
+    inputs: ClassVar[tuple[str, ...]] = ("gain", "supply", "enable")
 
     def affine(self, values: Mapping[str, Any]) -> Affine:
         """See `Actuator.affine`."""

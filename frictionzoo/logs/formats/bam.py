@@ -4,7 +4,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -21,8 +21,8 @@ class Bam(Format):
     Source: github.com/Rhoban/bam, Better Actuator Models.
     """
 
-    suffixes = (".json", ".zip")
-    magic = (b"PK\x03\x04",)
+    suffixes: ClassVar[tuple[str, ...]] = (".json", ".zip")
+    magic: ClassVar[tuple[bytes, ...]] = (b"PK\x03\x04",)
 
     def claims(self, path: Path) -> bool:
         """A JSON file or a zip, or a folder that holds JSON files."""

@@ -75,7 +75,7 @@ def read_bytes(path: Path) -> bytes:
         check_size(str(path), path.stat().st_size)
         return path.read_bytes()
     except FileNotFoundError:
-        raise LogError(f"{path}: no such file (looked from {Path.cwd()}); check data.train and data.test") from None
+        raise LogError(f"{path}: no such file (looked from {Path.cwd()}); check the path") from None
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror}); expected a recording") from None
 

@@ -4,6 +4,7 @@ import csv
 import io
 import re
 from collections.abc import Sequence
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Real
@@ -20,7 +21,7 @@ DIGITS = re.compile(r"\s*[+-]?\d{1,40}\s*")  # a whole number
 class Csv(Format):
     """Columns of numbers; an empty cell is a sample that is missing, and columns of text are left out."""
 
-    suffixes = (".csv",)
+    suffixes: ClassVar[tuple[str, ...]] = (".csv",)
 
     def parse(self, name: str, content: bytes) -> Table:
         """The columns in a file's text."""

@@ -3,6 +3,7 @@
 import io
 import struct
 import zlib
+from typing import ClassVar
 
 import scipy.io
 
@@ -21,8 +22,8 @@ BLOCK = 1 << 20  # bytes that are unpacked at a time to count them
 class Mat(Format):
     """Each vector is a column, each matrix one column a signal, each single value a field; objects are left out."""
 
-    suffixes = (".mat",)
-    magic = (b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file")
+    suffixes: ClassVar[tuple[str, ...]] = (".mat",)
+    magic: ClassVar[tuple[bytes, ...]] = (b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file")
 
     def parse(self, name: str, content: bytes) -> Table:
         """The variables in a file's bytes."""

@@ -1,6 +1,7 @@
 """NumPy archives of named arrays; what would have to be unpickled is left out."""
 
 import io
+from typing import ClassVar
 
 import numpy as np
 
@@ -16,8 +17,8 @@ HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.re
 class Npz(Format):
     """Each vector is a column, each matrix one column a signal, each single value a field."""
 
-    suffixes = (".npz",)
-    magic = (b"PK\x03\x04",)
+    suffixes: ClassVar[tuple[str, ...]] = (".npz",)
+    magic: ClassVar[tuple[bytes, ...]] = (b"PK\x03\x04",)
 
     def parse(self, name: str, content: bytes) -> Table:
         """The arrays in an archive's bytes."""

@@ -1,7 +1,7 @@
 """Parquet files, through Arrow."""
 
 import io
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -15,8 +15,8 @@ from frictionzoo.logs.recording import Table
 class Parquet(Format):
     """Each numeric column is a column, each column of lists of one length one column an entry."""
 
-    suffixes = (".parquet", ".pq")
-    magic = (b"PAR1",)
+    suffixes: ClassVar[tuple[str, ...]] = (".parquet", ".pq")
+    magic: ClassVar[tuple[bytes, ...]] = (b"PAR1",)
 
     def parse(self, name: str, content: bytes) -> Table:
         """The columns in a file's bytes."""

@@ -1,5 +1,7 @@
 """Log formats by name: those of this package, and those that other packages bring."""
 
+from collections.abc import Callable
+
 from frictionzoo.core.registry import KINDS, Registry
 from frictionzoo.logs.formats.base import Format
 
@@ -18,5 +20,5 @@ def get_format(name: str) -> Format:
     return REGISTRY.get(name)()
 
 
-format_names = REGISTRY.names
+format_names: Callable[[], list[str]] = REGISTRY.names
 """Names of all formats, sorted."""

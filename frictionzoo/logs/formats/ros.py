@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, ClassVar
 
 import numpy as np
 
@@ -72,16 +72,16 @@ class Ros(Format):
 class Mcap(Ros):
     """A single MCAP file."""
 
-    suffixes = (".mcap",)
-    magic = (MAGIC,)
+    suffixes: ClassVar[tuple[str, ...]] = (".mcap",)
+    magic: ClassVar[tuple[bytes, ...]] = (MAGIC,)
 
 
 @register_format("ros2bag")
 class Ros2Bag(Ros):
     """A rosbag2 folder, or one of its SQLite files."""
 
-    suffixes = (".db3",)
-    magic = (b"SQLite format 3\0",)
+    suffixes: ClassVar[tuple[str, ...]] = (".db3",)
+    magic: ClassVar[tuple[bytes, ...]] = (b"SQLite format 3\0",)
 
     def claims(self, path: Path) -> bool:
         """A folder with `metadata.yaml`, or a database of one."""
