@@ -203,7 +203,7 @@ def identify(
     settings |= {"bench": describe(bench), "data": dict(recordings.section), "fit": describe(fit), "model": described}
     with computing(dtype, device, compilation_cache) as place:
         problem = Problem.pose(bench, copy.deepcopy(model), recordings.divide(), fit, settings | {"logger": None})
-        return solve(problem, model.name, place)
+        return solve(problem, law if isinstance(law, str) else model.name, place)
 
 
 def compare(

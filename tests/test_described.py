@@ -10,7 +10,7 @@ from frictionzoo.bench import Force, PositionPD
 from frictionzoo.core.build import build
 from frictionzoo.core.described import Described, describe
 from frictionzoo.core.errors import ConfigError
-from frictionzoo.fit import Adam, Grid
+from frictionzoo.fit import Adam, Grid, Known
 from frictionzoo.logs.files import Files
 from frictionzoo.models import NeuralFriction
 
@@ -21,6 +21,7 @@ SECTION = {"init": 35.0, "low": 1.0, "high": 1e3, "scale": "log", "identify": Tr
     ("part", "section"),
     [
         (Grid(3), {"_target_": "frictionzoo.fit.Grid", "points": 3}),
+        (Known(), {"_target_": "frictionzoo.fit.Known"}),
         (Adam(5, np.float64(0.1)), {"iterations": 5, "learning_rate": 0.1, "schedule": "constant"}),
         (PositionPD(kp=15, kd=0.5), {"_target_": "frictionzoo.bench.PositionPD", "kp": 15, "kd": 0.5, "params": None}),
         (Force({"force_gain": SECTION}, force_offset=0.0), {"params": {"force_gain": SECTION}, "force_offset": 0.0}),

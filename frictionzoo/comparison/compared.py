@@ -11,7 +11,7 @@ from frictionzoo.comparison.types import Comparison, PairRow
 from frictionzoo.result.identified import Identified
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Compared:
     """Drives that were identified on the same recordings and judged on the same rollouts.
 

@@ -22,7 +22,7 @@ MOST_NAMED = 2  # options in a label
 NAMED = ("seed", "dtype", "engine", "segments", "loss", "fit", "bench", "teacher")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Run:
     """One finished run.
 

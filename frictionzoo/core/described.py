@@ -4,20 +4,22 @@ import importlib
 import inspect
 from collections.abc import Mapping
 from pathlib import PurePath
-from typing import Any, Self
+from typing import Any, TypeVar
 
 import numpy as np
 
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.registry import dotted_name
 
+T = TypeVar("T")
+
 
 class Described:
     """A class whose objects remember the arguments of their constructor."""
 
-    def __new__(cls, *args: Any, **kwargs: Any) -> Self:
+    def __new__(cls: type[T], *args: Any, **kwargs: Any) -> T:
         """An object that has kept these arguments."""
-        made = super().__new__(cls)
+        made = object.__new__(cls)
         object.__setattr__(made, "_given", (args, kwargs))  # a dataclass may be frozen
         return made
 

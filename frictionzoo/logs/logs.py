@@ -1,6 +1,6 @@
 """Recordings that were read and cleaned, before they are divided into what trains and what tests."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -11,7 +11,7 @@ from frictionzoo.logs.recording import Recording
 from frictionzoo.logs.split import Split
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Logs:
     """Recordings with the logs that came of them; to go through it goes through the logs.
 
@@ -32,7 +32,7 @@ class Logs:
     section: Mapping[str, Any]
 
     @classmethod
-    def of(cls, logs: Sequence[Log]) -> "Logs":
+    def of(cls, logs: Iterable[Log]) -> "Logs":
         """Logs that are in memory already.
 
         Args:
@@ -42,13 +42,14 @@ class Logs:
             LogError: There is none.
             ConfigError: They are no logs.
         """
-        if not logs:
+        held = list(logs) if isinstance(logs, Iterable) and not isinstance(logs, str) else [logs]
+        if not held:
             raise LogError("logs: none, expected at least one recording")
-        for log in [logs] if isinstance(logs, str) else logs:
+        for log in held:
             refuse_unlike("logs", log, Log, "a Log, or all that read('a.csv') returns")
-        recordings = tuple(Recording(log.name, log.time, {}, log.metadata, log.sha256, log.simulated) for log in logs)
-        section = {"_target_": "frictionzoo.logs.logs.Logs", "names": [log.name for log in logs]}
-        return cls("logs in memory", recordings, tuple((log,) for log in logs), 0, Split(), section)
+        recordings = tuple(Recording(log.name, log.time, {}, log.metadata, log.sha256, log.simulated) for log in held)
+        section = {"_target_": "frictionzoo.logs.logs.Logs", "names": [log.name for log in held]}
+        return cls("logs in memory", recordings, tuple((log,) for log in held), 0, Split(), section)
 
     def __iter__(self) -> Iterator[Log]:
         return (log for pieces in self.cleaned for log in pieces)

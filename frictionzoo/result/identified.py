@@ -55,7 +55,7 @@ class Parameter(NamedTuple):
     identifiable: bool | None
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Identified:
     """The identified drive of one run, and the recordings that it was judged on.
 

@@ -1,0 +1,399 @@
+"""`fz.read`, `fz.identify`, `fz.compare` and `fz.load`, as a notebook uses them, and as one with the command line."""
+
+import ast
+import inspect
+import json
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import nbformat
+import numpy as np
+import pytest
+from conftest import ROOT
+from jax.experimental.compilation_cache import compilation_cache as jax_cache
+from nbclient import NotebookClient
+
+import frictionzoo as fz
+from frictionzoo import library
+from frictionzoo.core.config import compose_config
+from frictionzoo.core.errors import ConfigError, LogError
+from frictionzoo.fit import Adam
+
+ARMATURE = 0.02  # kg m^2, of the recorded drive
+STAND = """<mujoco model="stand">
+  <option timestep="0.001"/>
+  <worldbody>
+    <body name="arm">
+      <joint name="shaft" axis="0 1 0"/>
+      <geom type="capsule" size="0.01" fromto="0 0 0 0 0 -0.2" mass="0.3" contype="0" conaffinity="0"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+# What the documentation shows; a page that has it is read in its place.
+BLOCK = """\
+import frictionzoo as fz
+
+logs = fz.read("a.csv", "b.csv")                                   # every format; what was repaired is said and kept
+bench = fz.Bench("stand.xml", joint="shaft", actuator=fz.PositionPD(kp=15, kd=0.5))
+fit = fz.identify(bench, "coulomb_stribeck", logs, test=0.2, method="lm")
+fit                                                                # a table in a notebook, text on a terminal
+fit.plot(); fit.parameters; fit.metrics; fit.save("run"); fit.export("mjcf", "drive.xml")
+fz.compare(bench, ["baseline", "mujoco_default", "directional"], logs)   # ranking, paired differences, recommendation
+fz.load("run")                                                     # the same object again
+
+law = fz.law("neural_friction", nv=1)                               # a torch.nn.Module
+qpos, qvel = fz.rollout(bench, law, qpos0, qvel0, ctrl)              # torch in, torch out, MJX between: autograd through it,
+(qpos - measured).square().mean().backward()                         # to the law, the bench's parameters and the commands
+"""  # noqa: E501 - as the pages have it
+GIVEN = """\
+import torch
+first = next(iter(logs))
+qpos0, qvel0 = (torch.tensor(signal[:500:100]) for signal in (first.qpos, first.qvel))
+ctrl = torch.tensor(first.ctrl[:500].reshape(5, 100, 1))
+measured = torch.tensor(first.qpos[1:501].reshape(5, 100, 1))
+"""
+OWN = """\
+@fz.register_model("mine")
+class Mine(fz.FrictionModel):
+    dimensions = {"coulomb_torque": "torque", "viscous_coefficient": "damping"}
+
+    def __init__(self, nv, params=None, sharpness=100.0):
+        self.sharpness = sharpness
+        one = {"init": 0.1, "low": 1e-4, "high": 10.0, "scale": "log", "identify": True}
+        super().__init__(nv, {**dict.fromkeys(self.dimensions, one), **(params or {})})
+
+    def terms(self, xp, values, state):
+        dry = values["coulomb_torque"] * xp.tanh(self.sharpness * state.qvel)
+        return fz.FrictionTerms(dry + values["viscous_coefficient"] * state.qvel)
+
+start = {"init": 0.2, "low": 1e-4, "high": 10.0, "scale": "log", "identify": True}
+options = dict(test=0.2, method="lm", evaluation=dict(horizons=[0.5], rollouts=2, places=2, trajectory=1.0))
+mine = fz.identify(bench, Mine(1, {"coulomb_torque": start}), logs, **options)
+named = fz.identify(bench, "mine", logs, **options)
+mine.save("mine")
+named.save("named")
+"""
+HOLDS = """\
+import numpy as np
+
+def hold(drive, folder):
+    again = fz.load(folder)
+    assert repr(again) == f"{drive!r}\\n\\nfiles: {folder}", (repr(again), repr(drive))
+    assert "<table>" in drive._repr_html_()
+    assert {*again.parameters} == {*drive.parameters}
+    for name, parameter in drive.parameters.items():
+        for one, other in zip(parameter, again.parameters[name]):
+            np.testing.assert_array_equal(one, other)
+    assert again.metrics == drive.metrics
+    for one, other in zip(drive.rollout(), again.rollout()):
+        np.testing.assert_array_equal(one, other)
+
+for drive, folder in ((fit, "run"), (mine, "mine"), (named, "named")):
+    hold(drive, folder)
+assert type(fz.load("mine").model) is Mine and fz.load("mine").model.params["coulomb_torque"].init == 0.2
+assert fz.load("named").model.params["coulomb_torque"].init == 0.1
+for name, parameter in mine.parameters.items():
+    np.testing.assert_allclose(parameter.value, named.parameters[name].value, rtol=1e-2)
+assert all(bool(p.grad.isfinite().all()) and p.grad.abs().max() > 0 for p in law.parameters())
+assert qpos.shape == measured.shape and fit.folder is None
+"""
+
+
+def block() -> str:
+    """The page's code where a page has it."""
+    for page in (ROOT / "README.md", ROOT / "docs" / "python.md"):
+        for code in re.findall(r"^```python\n(.*?)^```$", page.read_text(), re.M | re.S):
+            if 'fz.read("a.csv", "b.csv")' in code and "fz.rollout(bench, law, qpos0, qvel0, ctrl)" in code:
+                return code
+    return BLOCK
+
+
+def cells() -> list[str]:
+    """The block and what it is given, line by line, a statement that takes several as one."""
+    code = block()
+    lines, found = code.splitlines(), []
+    for statement in ast.parse(code).body:
+        text = "\n".join(lines[statement.lineno - 1 : statement.end_lineno])
+        if text not in found:  # several statements stand in one line
+            found.append(text)
+    place = next(i for i, text in enumerate(found) if text.startswith("law ="))
+    return [*found[:place], GIVEN, *found[place:], OWN, HOLDS]
+
+
+def record(path: Path, pace: float, samples: int = 4100) -> None:
+    """A recording by MuJoCo C, every 5 ms, of a drive with Coulomb, Stribeck and viscous friction."""
+    spec = mujoco.MjSpec.from_string(STAND)
+    spec.joint("shaft").armature = ARMATURE
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    rows = []
+    for _ in range(samples):
+        command = 0.7 * np.sin(pace * data.time) + 0.4 * np.sin(2.3 * pace * data.time + 1)
+        rows.append((data.time, data.qpos[0], data.qvel[0], command))
+        for _ in range(5):
+            (qpos,), (qvel,) = data.qpos, data.qvel
+            friction = np.tanh(qvel / 0.01) * (0.15 + 0.1 * np.exp(-((qvel / 0.1) ** 2))) + 0.05 * qvel
+            data.qfrc_applied[0] = 15 * (command - qpos) - 0.5 * qvel - friction
+            mujoco.mj_step(model, data)
+    np.savetxt(path, rows, fmt="%.9g", delimiter=",", header="time,qpos,qvel,ctrl", comments="")
+
+
+@pytest.fixture(scope="module")
+def stand(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with stand.xml, a.csv and b.csv."""
+    folder = tmp_path_factory.mktemp("stand")
+    (folder / "stand.xml").write_text(STAND)
+    record(folder / "a.csv", 3.0)
+    record(folder / "b.csv", 5.0)
+    return folder
+
+
+def names_in(folder: Path) -> set[str]:
+    """What a run leaves, but for its logger's record, its checkpoints and Hydra's."""
+    names = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+    return {name for name in names if name.partition("/")[0] not in ("tensorboard", "checkpoints", ".hydra")}
+
+
+def hold(folder: Path, run: Path) -> None:
+    """What the block leaves in its folder."""
+    result = json.loads((folder / "run" / "result.json").read_text())
+    values = {row["name"]: row["value"] for row in result["parameters"]}
+    assert values["armature"] == pytest.approx(ARMATURE, rel=0.01)
+    assert values["kinetic_torque"] == pytest.approx(0.15, rel=0.02)
+    assert names_in(folder / "run") == names_in(run)
+    same = (folder / "drive.xml").read_text() == (folder / "run" / "identified.xml").read_text()
+    assert same, "another drive than the run's own file holds"
+
+
+def test_the_block_runs_as_a_program(stand: Path, tmp_path: Path, start: Callable, finished_run: Callable) -> None:
+    shutil.copytree(stand, tmp_path, dirs_exist_ok=True)
+    (tmp_path / "program.py").write_text("\n".join(cells()))
+    program = start(program=["program.py"])
+    out, err = program.communicate(timeout=300)
+    assert program.returncode == 0, err
+    assert not out, "an expression of a program prints nothing"
+    hold(tmp_path, finished_run("coulomb_stribeck")[0])
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning:jupyter_core")
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.usefixtures("in_haste")
+def test_the_block_runs_in_a_notebook(
+    stand: Path, tmp_path: Path, compilation_cache: Path, finished_run: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(compilation_cache))
+    shutil.copytree(stand, tmp_path, dirs_exist_ok=True)
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(text) for text in cells()])
+    NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    shown = {
+        cell.source.split(" ")[0].partition("(")[0]: output.data["text/html"]
+        for cell in notebook.cells
+        for output in cell.outputs
+        if "text/html" in output.get("data", {})
+    }
+    assert {*shown} == {"fit", "fz.compare", "fz.load"}
+    assert all("<table>" in page for page in shown.values())
+    assert shown["fz.load"].startswith(shown["fit"])  # and the line with the folder
+    hold(tmp_path, finished_run("coulomb_stribeck")[0])
+
+
+EVALUATION = {"horizons": [0.1], "rollouts": 1, "places": 1, "trajectory": 0.1, "window": 0.02}  # those of `tiny`
+QUICK: dict[str, Any] = {
+    "test": fz.Split(gap=0.05),
+    "evaluation": EVALUATION,
+    "loop": {"chunk": 2, "progress": False},
+    "segments": {"count": 20},
+}
+
+
+def knee() -> fz.Bench:
+    """The bench of conf/ in words of Python."""
+    return fz.Bench("knee_rod.xml", "knee", actuator=fz.PositionPD(kp=20, kd=1.0))
+
+
+@pytest.mark.parametrize("name", ["coulomb_stribeck", "neural_friction"])
+def test_it_finds_what_the_command_line_finds(
+    recording: Path, tmp_path: Path, finished_run: Callable, name: str
+) -> None:
+    network = name == "neural_friction"
+    law = fz.law(name, hidden=[4, 4]) if network else name
+    more = {"method": Adam(iterations=3), "segments": {"count": 20, "length": 3}} if network else {"method": "lm"}
+    fit = fz.identify(knee(), law, fz.read(recording), dtype="float64", **{**QUICK, **more})
+    fit.save(tmp_path / "run")
+    folder, _ = finished_run(name)
+    same = [(path / "friction.safetensors").read_bytes() for path in (folder, tmp_path / "run")]
+    assert same[0] == same[1], "other values than those of the command line"
+    ran, found = (json.loads((path / "result.json").read_text()) for path in (folder, tmp_path / "run"))
+    rows = [row for result in (ran, found) for part in ("parameters", "reference") for row in result[part]]
+    for row in [row for row in rows if not row["identified"]]:
+        del row["low"], row["high"]  # a number that is known has no bounds of its own
+    differing = {key for key in ran.keys() | found.keys() if ran.get(key) != found.get(key)}
+    assert differing <= {"timing", "settings"}
+    left, kept = ran["settings"], found["settings"]
+    assert {key for key in left.keys() | kept.keys() if left.get(key) != kept.get(key)} <= {"bench", "data", "logger"}
+
+
+def test_options_are_those_of_the_configuration() -> None:
+    config, signature = compose_config(), inspect.signature(fz.identify)
+    sections = {"segments": library.Cut, "loss": library.Loss, "evaluation": library.Judging, "loop": library.Looping}
+    for section, kind in sections.items():
+        assert {*config[section]} == {*kind.__annotations__}
+    options = {name: p.default for name, p in signature.parameters.items() if p.kind is p.KEYWORD_ONLY}
+    assert {*options} == {*library.How.__annotations__}
+    for name in ("seed", "dtype", "engine", "device", "compilation_cache"):
+        assert options[name] == config[name]
+
+
+def test_what_was_read_twice_is_compared_under_two_labels(finished_run: Callable) -> None:
+    once, again = (fz.load(finished_run("mujoco_default")[0]) for _ in range(2))
+    compared = fz.Compared.of([once, again])
+    assert len(compared.drives) == 2 and {*compared.drives.values()} == {once, again}
+    assert [pair["mean"] for pair in compared.differences.values()] == [0.0]
+
+
+FAULTS = {
+    "fz.identify(bench, 'coulom', logs)": r"coulom: no such friction model; did you mean coulomb_smooth\?",
+    "fz.identify(bench, 3, logs)": "law: int, expected the name of a friction law, or a FrictionModel",
+    "fz.identify(bench, Unnamed(1), logs)": r'Unnamed: no name, .*; decorate it @register_model\("unnamed"\)',
+    "fz.identify(bench, fz.law('coulomb_smooth', nv=2), logs)": r"a law of 2 joints on .*, expected as many",
+    "fz.identify('stand.xml', 'coulomb_smooth', logs)": r"bench: str, expected a Bench, as in Bench\('stand\.xml', ",
+    "fz.identify(bench, 'coulomb_smooth', logs, method='lbfgs')": "lbfgs: no such fit method; expected one of adam, ",
+    "fz.identify(bench, 'coulomb_smooth', logs, method=3)": "method: int, expected a name, adam, .*, or such an object",
+    "fz.identify(bench, 'coulomb_smooth', logs, test=1.5)": r"test=1\.5; expected a share between 0 and 1, or a Split",
+    "fz.identify(bench, 'coulomb_smooth', logs, test='a.csv')": "test: str, expected a share between 0 and 1, or a ",
+    "fz.identify(bench, 'coulomb_smooth', held, test=0.2)": r"test=0\.2: expected None, for 1 of the recordings were ",
+    "fz.identify(bench, 'coulomb_smooth', logs, segments={'lenght': 5})": r"segments\.lenght: .*did you mean length\?",
+    "fz.identify(bench, 'coulomb_smooth', logs, segments={'length': '5'})": r"segments\.length=5; expected a whole num",
+    "fz.identify(bench, 'coulomb_smooth', logs, segments=5)": "segments=5; expected a section with count, length",
+    "fz.identify(bench, 'coulomb_smooth', logs, evaluation={'horizons': 1.0})": r"evaluation\.horizons=1\.0; expected ",
+    "fz.identify(bench, 'coulomb_smooth', logs, loss={'robust': 'hubr'})": r"loss\.robust=hubr: .*you mean huber\?",
+    "fz.identify(bench, 'coulomb_smooth', logs, dtype='float16')": "dtype=float16; expected float32 or float64",
+    "fz.identify(bench, 'coulomb_smooth', logs, engine='fast')": "engine=fast: no such engine; ",
+    "fz.identify(bench, 'coulomb_smooth', logs, device='tpu')": "device=tpu; expected auto, cpu or cuda",
+    "fz.identify(bench, 'coulomb_smooth', logs, seed=None)": "seed=null; expected a whole number from 0 on",
+    "fz.identify(bench, 'coulomb_smooth', logs, compilation_cache=3)": "compilation_cache=3; expected text",
+    "fz.identify(bench, 'coulomb_smooth', logs, scale={'torqe': 1})": r"scale\.torqe: .*did you mean torque\?",
+    "fz.identify(bench, 'coulomb_smooth', [])": "logs: none, expected at least one recording",
+    "fz.identify(bench, 'coulomb_smooth', 'a.csv')": r"logs: str, expected a Log, or all that read\('a\.csv'\) returns",
+    "fz.compare(bench, [], logs)": r"laws=\[\]; expected several, as in \['baseline', 'coulomb_smooth'\]",
+    "fz.compare(bench, 'baseline', logs)": "laws='baseline'; expected several, as in",
+    "fz.compare(bench, ['baseline', 'coulom'], logs)": "coulom: no such friction model; ",
+    "fz.compare(bench, ['baseline', 'dahl'], logs, dtype='float16')": r"no law has a result to compare: [^;]+; [^;]*$",
+    "fz.read()": r"read: no recording, expected paths, tables or mappings; name one, as in read\('a\.csv'\)",
+    "fz.read(3)": "recording 1 in memory: int, expected a path, a table, or a mapping from header to samples",
+    "fz.read(Frame({'time': [0.0, 1.0], 'qpos': ['a', 'b']}))": r"recording 1 in memory: qpos of shape \(2,\) and type",
+    "fz.read('unmoved.csv')": r"unmoved\.csv: data\.columns\.ctrl is missing; ",
+    "fz.read('gone.csv')": r"gone\.csv: no such file \(looked from .*\); check the path",
+    "fz.read('a.csv', clean={'step': 0.1})": r"clean: dict, expected a Cleaning, as in Cleaning\(step=0\.002\)",
+    "fz.read('a.csv', columns={'pos': 'qpos'})": r"data\.columns\.pos: unknown signal; did you mean qpos\?",
+    "fz.Bench('stand.xml', joint='knee', actuator=fz.PositionPD(kp=15, kd=0.5))": r"stand\.xml: no joint knee; expect",
+    "fz.Bench('stand.xml', actuator='position_pd')": r"bench\.actuator: str, expected an actuator law, as in ",
+    "fz.PositionPD(kp=15)": "PositionPD: no parameter kd; give its value",
+    "fz.PositionPD(kp='15', kd=1)": "kp='15'; expected a number, or a section with ",
+    "fz.law('lugre', hidden=[3])": r"model\.hidden: unknown option; ",
+    "fz.load('gone')": "gone: .*expected the folder of a finished run",
+    "saved.save('a.csv')": r"a\.csv: Not a directory; expected a folder that can be written, name another",
+    "saved.save('a.csv/run')": "a.csv/run: Not a directory; expected a folder that can be written, name another",
+}
+FAULTY = """\
+import json, sys
+import frictionzoo as fz
+from frictionzoo.core.errors import FrictionzooError
+
+class Frame(dict):
+    columns = property(list)
+
+class Unnamed(fz.FrictionModel):
+    def terms(self, xp, values, state):
+        return fz.FrictionTerms(0 * state.qvel)
+
+logs, held = fz.read("a.csv"), fz.read("a.csv", test="b.csv")
+bench = fz.Bench("stand.xml", joint="shaft", actuator=fz.PositionPD(kp=15, kd=0.5))
+saved = fz.load(sys.argv[1])
+found = {}
+for text in json.load(sys.stdin):
+    try:
+        found[text] = f"no error: {eval(text)}"
+    except FrictionzooError as error:
+        found[text] = str(error)
+    except Exception as error:
+        found[text] = f"a traceback: {error!r}"
+print(json.dumps(found))
+"""
+
+
+@pytest.fixture(scope="module")
+def faults(stand: Path, tmp_path_factory: pytest.TempPathFactory, finished_run: Callable) -> dict[str, str]:
+    """What each of `FAULTS` says; in a process whose types nobody checks as they are called."""
+    folder = tmp_path_factory.mktemp("faults")
+    shutil.copytree(stand, folder, dirs_exist_ok=True)
+    (folder / "unmoved.csv").write_text("time,qpos\n" + "".join(f"{i / 100},{i}\n" for i in range(50)))
+    command = [sys.executable, "-c", FAULTY, str(finished_run("mujoco_default")[0])]
+    told = subprocess.run(command, cwd=folder, input=json.dumps([*FAULTS]), capture_output=True, text=True)
+    assert told.returncode == 0, told.stderr
+    return json.loads(told.stdout.splitlines()[-1])
+
+
+@pytest.mark.parametrize("text", FAULTS)
+def test_a_mistake_is_told_in_one_line(faults: dict[str, str], text: str) -> None:
+    assert re.match(FAULTS[text], faults[text])
+    assert "\n" not in faults[text] and "hydra" not in faults[text] and "--" not in faults[text]
+
+
+def of_jax() -> tuple[Any, ...]:
+    """What JAX is set to, and how it then computes."""
+    array = jnp.zeros(1)
+    return dict(jax.config.values), array.dtype, array.devices(), jax.config.jax_compilation_cache_dir
+
+
+@pytest.fixture
+def without_cache() -> Any:
+    """JAX as it is where nobody has named a folder for what it compiles."""
+    before = jax.config.jax_compilation_cache_dir
+    jax.config.update("jax_compilation_cache_dir", None)
+    jax_cache.reset_cache()
+    yield
+    jax.config.update("jax_compilation_cache_dir", before)
+    jax_cache.reset_cache()
+
+
+@pytest.mark.usefixtures("without_cache")
+def test_settings_of_jax_stay_and_what_was_before_does_not_matter(
+    recording: Path, tmp_path: Path, start: Callable
+) -> None:
+    logs, before = fz.read(recording), of_jax()
+    options = {**QUICK, "method": "lm", "compilation_cache": str(tmp_path / "cache")}
+    double = fz.identify(knee(), "mujoco_default", logs, dtype="float64", **options)
+    assert of_jax() == before and any((tmp_path / "cache" / "xla").iterdir())
+    with pytest.raises(LogError):
+        fz.identify(knee(), "mujoco_default", logs, **{**options, "segments": {"length": 10**6}})
+    with pytest.raises(ConfigError):
+        fz.identify(knee(), "mujoco_default", logs, dtype="float16", **options)
+    assert of_jax() == before
+    single = fz.identify(knee(), "mujoco_default", logs, dtype="float32", **options)
+    assert of_jax() == before
+    assert double.result["dtype"] == "float64" and single.result["dtype"] == "float32"
+    single.save(tmp_path / "run")
+    code = (
+        "import frictionzoo as fz, sys\n"
+        "bench = fz.Bench('knee_rod.xml', 'knee', actuator=fz.PositionPD(kp=20, kd=1.0))\n"
+        f"options = { ({**options, 'test': None, 'compilation_cache': None})!r} | {{'test': fz.Split(gap=0.05)}}\n"
+        f"fz.identify(bench, 'mujoco_default', fz.read({str(recording)!r}), **options).save('fresh')\n"
+    )
+    fresh = start(program=["-c", code])
+    _, err = fresh.communicate(timeout=300)
+    assert fresh.returncode == 0, err
+    same = [(tmp_path / folder / "friction.safetensors").read_bytes() for folder in ("run", "fresh")]
+    assert same[0] == same[1], "another result than in a fresh process"
+    ran, found = (json.loads((tmp_path / folder / "result.json").read_text()) for folder in ("run", "fresh"))
+    assert ran["parameters"] == found["parameters"] and ran["metrics"] == found["metrics"]
