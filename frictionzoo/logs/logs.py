@@ -42,7 +42,7 @@ class Logs:
             LogError: There is none.
             ConfigError: They are no logs.
         """
-        held = list(logs) if isinstance(logs, Iterable) and not isinstance(logs, str) else [logs]
+        held: list[Any] = list(logs) if isinstance(logs, Iterable) and not isinstance(logs, str) else [logs]
         if not held:
             raise LogError("logs: none, expected at least one recording")
         for log in held:
