@@ -18,7 +18,7 @@ SCHEMAS = {  # docs/NAME.md is made from the schema of NAME.json
 }
 HEAD = """# `{name}.json`
 
-<!-- Made from its JSON schema by `make docs`; change the schema, not this page. -->
+<!-- Made from its JSON schema by `make docs`; change types.py beside that, or where there is none the schema. -->
 
 {description}
 

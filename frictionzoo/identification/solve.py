@@ -19,7 +19,7 @@ from frictionzoo.result.curves import Curves, sample_friction
 from frictionzoo.result.evaluate import Judgement
 from frictionzoo.result.identified import Identified
 from frictionzoo.result.record import Findings, build_result
-from frictionzoo.result.types import FitRow, Result
+from frictionzoo.result.types import FitRow, Result, TimingRow
 from frictionzoo.result.verdict import list_moving
 from frictionzoo.simulate import Values
 from frictionzoo.simulate.drive import Drive
@@ -49,9 +49,8 @@ def solve(
         FrictionzooError: The fit cannot begin, or the record cannot be written.
     """
     began = time.perf_counter()
-    settings = problem.settings
     _log_engine(problem)
-    outcome = run_fit(problem.fit, problem.objective, problem.drive.model, record, **settings["loop"])
+    outcome = run_fit(problem.fit, problem.objective, problem.drive.model, record, **problem.settings["loop"])
 
     asked = time.perf_counter()
     uncertainty = estimate_uncertainty(problem.objective, outcome.vector)
@@ -59,7 +58,6 @@ def solve(
     judged = time.perf_counter()
     judgement = problem.evaluation.judge(problem.drive.rollout.compiled, outcome.values)
     baseline, reference = judge_baseline(measured or problem)
-    ended = time.perf_counter()
 
     found = Findings(
         name=name,
@@ -72,15 +70,8 @@ def solve(
         baseline=baseline,
         reference=reference["bench"],
         fit=_describe_fit(outcome, uncertainty),
-        timing={
-            "setup": problem.seconds,
-            "compile": outcome.compile_seconds,
-            "fit": outcome.fit_seconds,
-            "uncertainty": judged - asked,
-            "evaluate": ended - judged,
-            "total": problem.seconds + ended - began,
-        },
-        settings=settings,
+        timing=_describe_timing(problem, outcome, began, asked, judged),
+        settings=problem.settings,
         engine=problem.drive.engine.name,
         proof=problem.proof,
         warnings=problem.doubts,
@@ -176,4 +167,17 @@ def _describe_fit(outcome: Outcome, uncertainty: Uncertainty) -> FitRow:
         "loss": outcome.loss,
         "stopped": outcome.stopped,
         "moving": list_moving(outcome.history, uncertainty.intervals) if descended else [],
+    }
+
+
+def _describe_timing(problem: Problem, outcome: Outcome, began: float, asked: float, judged: float) -> TimingRow:
+    """Seconds of each part of `solve`, which ends now; the others are when it began, asked for intervals and judged."""
+    ended = time.perf_counter()
+    return {
+        "setup": problem.seconds,
+        "compile": outcome.compile_seconds,
+        "fit": outcome.fit_seconds,
+        "uncertainty": judged - asked,
+        "evaluate": ended - judged,
+        "total": problem.seconds + ended - began,
     }
