@@ -377,7 +377,8 @@ RULES: list[tuple[str, How, *tuple[pytest.MarkDecorator, ...]]] = [
     # One job of each kind of drive, and those like it, which differ in what they read
     (rf"{JOB}model=coulomb_stribeck", do_jobs),
     (rf"{JOB}bench=emps data=files .*", do_jobs),
-    (rf"{JOB}.*bench\.payload=.*", do_jobs),
+    (rf"{JOB}.*bench\.payload=arm .*", do_jobs),
+    (rf"{JOB}.*'bench\.joint=\[.*", pose_jobs, SLOW),
     (rf"{JOB}.*data=files .*", pose_jobs),
     (rf"{JOB}data=(sts3215|xl330) model=.*", do_jobs, SLOW, needs_data),
     (rf"{JOB}data=sts3215 .*", pose_jobs, SLOW, needs_data),
