@@ -5,6 +5,7 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -16,7 +17,7 @@ from frictionzoo.show.colors import BASELINE, GRID, MEASURED, MODEL, TEXT
 PICTURE = Path(__file__).parent / "landing.svg"
 JOB = ("data=twin", "model=mujoco_default", "fit=lm", "loop.progress=false")
 EVERY = 12  # samples of 1 ms; a screen shows no more of 3 s
-STYLE = {
+STYLE: dict[Any, Any] = {
     "font.size": 23,  # of 720 points across: legible on a phone
     "text.color": TEXT,
     "axes.labelcolor": TEXT,

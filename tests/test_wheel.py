@@ -36,7 +36,7 @@ def check_content(wheel: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("in_haste")
 def test_a_wheel_does_the_same_job(call: Callable, tiny: tuple[str, ...], tmp_path: Path) -> None:
-    """The wheel is built as README.md says; the packages that it needs are those of this environment."""
+    """The wheel is built as docs/install.md says; the packages that it needs are those of this environment."""
     scripts, elsewhere = tmp_path / "environment" / "bin", tmp_path / "elsewhere"
     elsewhere.mkdir()
     venv.create(scripts.parent, with_pip=True)
