@@ -20,7 +20,10 @@ from typing import Any
 import yaml
 
 from frictionzoo.cli.run import NOT_IDENTIFIED
-from frictionzoo.comparison import Comparison, compare_runs, read_runs, write_comparison
+from frictionzoo.comparison.files import write_comparison
+from frictionzoo.comparison.record import compare_runs
+from frictionzoo.comparison.runs import read_runs
+from frictionzoo.comparison.types import Comparison, RunRow
 from frictionzoo.core.output import write_atomically
 
 EXPERIMENTS = Path(__file__).parent
@@ -91,7 +94,7 @@ def check(comparison: Comparison, checks: list[dict[str, Any]]) -> Iterator[str]
             yield f"{entry['label']}: {expected['path']} is {value}, expected {expected}"
 
 
-def find_run(comparison: Comparison, label: str | None) -> dict[str, Any]:
+def find_run(comparison: Comparison, label: str | None) -> RunRow:
     """The entry of a run.
 
     Args:
@@ -104,7 +107,7 @@ def find_run(comparison: Comparison, label: str | None) -> dict[str, Any]:
     return found[0]
 
 
-def look_up(entry: Mapping[str, Any], path: str) -> Any:
+def look_up(entry: Mapping[str, object], path: str) -> Any:
     """A value of a run's entry; `parameters.OWNER.NAME` is that parameter's value, or None where there is none.
 
     Args:

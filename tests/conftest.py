@@ -24,7 +24,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from frictionzoo.bench import Bench
 from frictionzoo.cli.run import main
-from frictionzoo.comparison import Run
+from frictionzoo.comparison.runs import Run
 from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config
 from frictionzoo.core.segments import Segments

@@ -11,7 +11,9 @@ import pytest
 from test_report import VALUES, bench, build, dataset, evaluation, model  # noqa: F401
 
 from frictionzoo.cli.compare import main
-from frictionzoo.comparison import Failure, compare_runs, read_runs, read_schema, write_comparison
+from frictionzoo.comparison.files import write_comparison
+from frictionzoo.comparison.record import compare_runs, read_schema
+from frictionzoo.comparison.runs import Failure, read_runs
 from frictionzoo.core.errors import RunError
 from frictionzoo.result.curves import Curves, read_curves, write_curves
 from frictionzoo.result.record import write_result

@@ -11,7 +11,7 @@ from matplotlib import colors
 from matplotlib.container import BarContainer
 from matplotlib.image import imread
 
-from frictionzoo.comparison import compare_runs, read_schema
+from frictionzoo.comparison.record import compare_runs, read_schema
 from frictionzoo.result.evaluate import moving_mean_and_std
 from frictionzoo.show.comparison_figures import arrange, write_figures
 from frictionzoo.show.comparison_plots import choose_looks

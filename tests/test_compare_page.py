@@ -14,7 +14,8 @@ from browser import WIDTHS, needs_browser, open_page
 from test_html import HOSTILE, Page, figures_of, judge_targets
 from test_report import bench, dataset, evaluation, model, result  # noqa: F401
 
-from frictionzoo.comparison import Failure, Run, compare_runs
+from frictionzoo.comparison.record import compare_runs
+from frictionzoo.comparison.runs import Failure, Run
 from frictionzoo.result.curves import Curves
 from frictionzoo.show.comparison_page import check_comparison, write_page
 from frictionzoo.show.comparison_plots import choose_looks

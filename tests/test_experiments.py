@@ -13,7 +13,8 @@ import yaml
 from conftest import needs_data
 
 from frictionzoo.cli.run import NOT_IDENTIFIED
-from frictionzoo.comparison import compare_runs, read_runs
+from frictionzoo.comparison.record import compare_runs
+from frictionzoo.comparison.runs import read_runs
 from frictionzoo.core.state import DriveState
 from frictionzoo.logs import files
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from conftest import slow_but
+from conftest import slow_but, trace_nothing
 from omegaconf import OmegaConf
 
 from frictionzoo.core.build import build
@@ -76,7 +76,8 @@ def fit(law: str, *overrides: str, kind: type[Identified] = Identified) -> Ident
     model.prepare(DriveState(*rng.normal(size=(5, 100, 1))))
     values = {"bench": bench.initial_values(), "friction": state(model)}
     segments = Segments(qpos, qvel, ctrl, interval, load, sampling.history, len(observed))
-    return kind(Path("run"), {"model": model.name}, bench, model.double(), values, segments, sampling)
+    drawn = trace_nothing(segments)
+    return kind(Path("run"), {"model": model.name}, bench, model.double(), {}, values, segments, sampling, drawn)
 
 
 draw = partial(fit, kind=Drawn)

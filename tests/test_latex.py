@@ -4,7 +4,8 @@ import re
 
 import pytest
 
-from frictionzoo.comparison import Failure, compare_runs
+from frictionzoo.comparison.record import compare_runs
+from frictionzoo.comparison.runs import Failure
 from frictionzoo.show.latex import escape, tabulate_latex
 
 LABELS = ("stribeck", "smooth", "baseline")

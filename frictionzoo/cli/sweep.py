@@ -136,7 +136,8 @@ def conclude_sweep(folder: Path) -> tuple[Mapping[str, Any] | None, str, list[st
         with FileLock(path):
             pass
     # Imported here, so that --help and a typing error do not wait for it.
-    from frictionzoo.comparison import find_runs, write_comparison
+    from frictionzoo.comparison.files import write_comparison
+    from frictionzoo.comparison.runs import find_runs
     from frictionzoo.show.terminal import summarise_comparison
 
     complaints: list[str] = []
@@ -150,7 +151,7 @@ def conclude_sweep(folder: Path) -> tuple[Mapping[str, Any] | None, str, list[st
 
 def _complaint(folder: Path) -> str | None:
     """What is wrong with the job in a folder; None if it did its work."""
-    from frictionzoo.comparison import read_failure
+    from frictionzoo.comparison.runs import read_failure
 
     if failure := read_failure(folder):
         return failure.reason

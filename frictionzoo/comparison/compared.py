@@ -8,6 +8,7 @@ from frictionzoo.comparison.files import save_comparison
 from frictionzoo.comparison.record import compare_runs
 from frictionzoo.comparison.runs import Failure, Run, gather
 from frictionzoo.comparison.types import Comparison, PairRow
+from frictionzoo.core.errors import RunError
 from frictionzoo.result.identified import Identified
 
 
@@ -34,8 +35,10 @@ class Compared:
             failures: What has no drive, to be listed.
 
         Raises:
-            RunError: They were not judged on the same rollouts of the same recordings.
+            RunError: There is none, or they were not judged on the same rollouts of the same recordings.
         """
+        if not drives:
+            raise RunError("drives: none, expected at least one to compare")
         runs = gather([Run(d.result["model"], Path(d.folder or d.result["model"]), d.result, d.curves) for d in drives])
         labelled = dict(zip((run.label for run in runs), drives, strict=True))
         record = compare_runs(runs, failures)
