@@ -174,6 +174,7 @@ def hold(folder: Path, run: Path) -> None:
     assert same, "another drive than the run's own file holds"
 
 
+@pytest.mark.slow
 def test_the_block_runs_as_a_program(stand: Path, tmp_path: Path, start: Callable, finished_run: Callable) -> None:
     shutil.copytree(stand, tmp_path, dirs_exist_ok=True)
     (tmp_path / "program.py").write_text("\n".join(cells()))
@@ -367,6 +368,7 @@ def without_cache() -> Any:
     jax_cache.reset_cache()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("without_cache")
 def test_settings_of_jax_stay_and_what_was_before_does_not_matter(
     recording: Path, tmp_path: Path, start: Callable
