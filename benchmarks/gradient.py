@@ -26,7 +26,7 @@ from frictionzoo.bench import Bench
 from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config
 from frictionzoo.core.segments import Segments, cut_segments
-from frictionzoo.core.state import DriveState
+from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.fit import Objective, Space
 from frictionzoo.models import FrictionModel
 from frictionzoo.simulate import Engine, MjxEngine, Values, friction_of
@@ -113,12 +113,12 @@ class PlainMjx(Engine):
         self._data = mjx.make_data(self._model)
 
     def step(
-        self, values: Values, qpos: Array, qvel: Array, ctrl: Array, load: Array, memory: Array
+        self, values: Values, qpos: Array, qvel: Array, signals: Signals, load: Array, memory: Array
     ) -> tuple[Array, Array, Array]:
         """See `Engine.step`."""
-        torque = self._law.terms(jnp, values["friction"], self.drive_state(values, qpos, qvel, ctrl, load)).torque
+        torque = self._law.terms(jnp, values["friction"], self.drive_state(values, qpos, qvel, signals, load)).torque
         model = self._model.replace(dof_armature=values["bench"]["armature"])
-        data = self._data.replace(qpos=qpos, qvel=qvel, ctrl=ctrl, qfrc_applied=-torque)
+        data = self._data.replace(qpos=qpos, qvel=qvel, ctrl=signals.ctrl, qfrc_applied=-torque)
         data = self._mjx_step(model, data)
         return data.qpos, data.qvel, memory
 
@@ -206,7 +206,7 @@ def random_segments(joints: int, count: int) -> Segments:
     start = rng.normal(size=(2, count, 1, joints))
     qpos, qvel = start + 0.1 * rng.normal(size=(2, count, STEPS + 1, joints))
     ctrl = start[0] + 0.1 * rng.normal(size=(count, STEPS, joints))
-    return Segments(qpos, qvel, ctrl, 0.001)
+    return Segments(qpos, qvel, Signals(ctrl), 0.001)
 
 
 def compose(*overrides: str) -> dict[str, Any]:
@@ -247,12 +247,12 @@ def packaged(case: Case, engine: str, derivative: str) -> Prepared:
 def plain(case: Case, way: str, derivative: str) -> Prepared:
     """The same objective as a user of MJX writes it: all segments at once."""
     space, rollout = case.space, make_rollout(PlainMjx(case))
-    signals = (case.segments.qpos, case.segments.qvel, case.segments.ctrl)
+    signals = (case.segments.qpos, case.segments.qvel, case.segments.signals)
     weights = case.loss["position"], case.loss["velocity"]
 
     def loss(vector: Array, data: Sequence[Array]) -> tuple[Array, Array]:
-        qpos, qvel, ctrl = data
-        predicted = rollout(space.values(vector), qpos[:, 0], qvel[:, 0], ctrl)
+        qpos, qvel, driven = data
+        predicted = rollout(space.values(vector), qpos[:, 0], qvel[:, 0], driven)
         errors = [jnp.mean(jnp.square(after - now[:, 1:])) for after, now in zip(predicted, (qpos, qvel), strict=True)]
         total = weights[0] * errors[0] + weights[1] * errors[1]
         return total, total

@@ -106,7 +106,7 @@ def simulate(step: Callable[..., Any], problem: Problem, vector: np.ndarray) -> 
     model, data = mjx.put_model(stock), mjx.make_data(stock)
     data = data.replace(qpos=jnp.asarray(segment.qpos[0, 0]), qvel=jnp.asarray(segment.qvel[0, 0]))
     predicted = []
-    for command in segment.ctrl[0]:
+    for command in segment.signals.ctrl[0]:
         data = step(model, data.replace(ctrl=jnp.asarray(command)))
         predicted.append((data.qpos, data.qvel))
     qpos, qvel = np.swapaxes(np.asarray(predicted), 0, 1)

@@ -154,6 +154,7 @@ def measure_fit(samples: int, length: int) -> dict[str, Any]:
 def record(rollout: Any, bench: Any, samples: int) -> Iterator[Any]:
     """Recordings of the known drive, one after the other, so that little more than themselves is in memory."""
     from frictionzoo.core.log import Log
+    from frictionzoo.core.state import Signals
 
     truth = {name: np.array([value]) for name, value in TRUTH.items()}
     armature = {"armature": truth.pop("armature")}
@@ -164,7 +165,7 @@ def record(rollout: Any, bench: Any, samples: int) -> Iterator[Any]:
     for number in range(samples // size):
         ctrl = command(time_axis, rng)
         start = ctrl[:1], np.zeros((1, 1))
-        after = rollout.compiled(values, *start, ctrl[None, :-1])
+        after = rollout.compiled(values, *start, Signals(ctrl[None, :-1]))
         qpos, qvel = (np.concatenate([first, states[0]]) for first, states in zip(start, after, strict=True))
         qpos = qpos + NOISE["qpos"] * rng.normal(size=qpos.shape)
         qvel = qvel + NOISE["qvel"] * rng.normal(size=qvel.shape)

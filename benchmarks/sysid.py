@@ -112,7 +112,7 @@ class Judge:
         """Mean squared error of position plus that of velocity."""
         model = self.model(values)
         start = np.concatenate([np.zeros((len(self.measured), 1)), self.measured[:, 0]], axis=1)
-        state, _ = mujoco_rollout.rollout(model, mujoco.MjData(model), start, self.segments.ctrl)
+        state, _ = mujoco_rollout.rollout(model, mujoco.MjData(model), start, self.segments.signals.ctrl)
         errors = np.asarray(state)[:, :, 1:3] - self.measured[:, 1:]
         return float(np.square(errors).sum(axis=2).mean())
 
@@ -142,7 +142,7 @@ def run_sysid(bench: Bench, model: FrictionModel, segments: Segments, judge: Jud
     )
     times = np.arange(segments.length + 1) * bench.timestep
     joint = bench.joints[0]
-    control = [sysid.TimeSeries.from_control_names(times[:-1], ctrl, start) for ctrl in segments.ctrl]
+    control = [sysid.TimeSeries.from_control_names(times[:-1], ctrl, start) for ctrl in segments.signals.ctrl]
     kinds = [(f"{joint}_qpos", sysid.SignalType.MjStateQPos), (f"{joint}_qvel", sysid.SignalType.MjStateQVel)]
     states = [
         sysid.TimeSeries(times, measured, dict(zip(*_mapping(kinds), strict=True))) for measured in judge.measured

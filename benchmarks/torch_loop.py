@@ -84,7 +84,8 @@ def pose(law: str, fit: str, options: argparse.Namespace) -> tuple[Problem, Any]
 def closure(problem: Problem, law: FrictionModel) -> tuple[Callable[[], torch.Tensor], list[torch.Tensor]]:
     """The loss of a run as torch has it, and what moves it."""
     bench, segments = problem.bench, problem.segments
-    qpos, qvel, ctrl = (torch.as_tensor(s, dtype=torch.float32) for s in (segments.qpos, segments.qvel, segments.ctrl))
+    signals = segments.qpos, segments.qvel, segments.signals.ctrl
+    qpos, qvel, ctrl = (torch.as_tensor(signal, dtype=torch.float32) for signal in signals)
     armature = torch.tensor(bench.initial_values()["armature"], dtype=torch.float32, requires_grad=True)
 
     def loss() -> torch.Tensor:

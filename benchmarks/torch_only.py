@@ -102,7 +102,7 @@ def measure(case: Case, engine: str, law: str, model: FrictionModel) -> tuple[di
 def measure_loop(case: Case, engine: str) -> tuple[dict[str, Any], np.ndarray]:
     """As `measure`, of a loop in torch around `frictionzoo.rollout`."""
     law = copy.deepcopy(case.model)
-    signals = case.segments.qpos, case.segments.qvel, case.segments.ctrl
+    signals = case.segments.qpos, case.segments.qvel, case.segments.signals.ctrl
     qpos, qvel, ctrl = (torch.as_tensor(signal, dtype=torch.float32) for signal in signals)
     armature = torch.tensor(case.bench.initial_values()["armature"], requires_grad=True)
     moving = {"bench.armature": armature} | {f"friction.{name}": value for name, value in law.named_parameters()}

@@ -28,6 +28,8 @@ from frictionzoo.comparison.runs import Run
 from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config
 from frictionzoo.core.segments import Segments
+from frictionzoo.core.state import Signals
+from frictionzoo.fit.objective import Objective
 from frictionzoo.identification import Problem
 from frictionzoo.result.curves import Curves
 from frictionzoo.simulate.context import computing
@@ -332,7 +334,13 @@ def trace_nothing(segments: Segments) -> Curves:
     none, flat, states = np.empty(0), np.empty((0, segments.qpos.shape[2])), (segments.qpos, segments.qvel)
     moved = [state[:, 1:] for state in states]
     loads = np.empty((segments.count, 0))
-    return Curves(*states, segments.ctrl, loads, *moved, *moved, *[none] * 6, *[flat] * 3, {})
+    return Curves(*states, segments.signals, loads, *moved, *moved, *[none] * 6, *[flat] * 3, {})
+
+
+def spoil(objective: Objective) -> None:
+    """Make the commands of the first block NaN."""
+    data = objective.data
+    objective.data = data._replace(signals=data.signals.map(lambda signal: signal.at[0].set(np.nan)))
 
 
 def _make_run(place: int, label: str, joints: int, diverged: bool, grid: bool) -> Run:
@@ -351,7 +359,7 @@ def _make_run(place: int, label: str, joints: int, diverged: bool, grid: bool) -
         *(
             measured,
             5 * measured,
-            measured[:, 1:],
+            Signals(measured[:, 1:]),
             np.zeros((3, 0)),
             measured[:, 1:] + error,
             5 * (measured[:, 1:] + error),

@@ -14,7 +14,7 @@ from frictionzoo.bench import Bench
 from frictionzoo.core.errors import ConfigError, LogError
 from frictionzoo.core.log import Log
 from frictionzoo.core.segments import Segments, cut_segments
-from frictionzoo.core.state import DriveState
+from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.fit import Objective, Space, estimate_uncertainty
 from frictionzoo.fit.chunk import search
 from frictionzoo.fit.lm import LevenbergMarquardt
@@ -59,7 +59,7 @@ def follow(bench: Bench, friction: Friction, values: Any, ctrl: np.ndarray, part
     with jax.enable_x64(True):
         rollout = make_rollout(make_engine("auto", bench, friction, False)).compiled
         commands = np.repeat(ctrl, parts)[None, :, None]
-        qpos, _ = rollout(values, np.full((1, 1), ctrl[0]), np.zeros((1, 1)), commands)
+        qpos, _ = rollout(values, np.full((1, 1), ctrl[0]), np.zeros((1, 1)), Signals(commands))
     return np.asarray(qpos)[0, parts - 1 :: parts, 0]
 
 
@@ -195,7 +195,7 @@ def test_gradient_of_a_rollout_equals_central_differences(
             friction = {name: jnp.asarray(value) for name, value in values["friction"].items()}
             friction |= {name: friction[name] * scale[i] for i, name in enumerate(names)}
             start = jnp.zeros((2, 1)), jnp.array([[0.0], [0.3]])
-            qpos, _ = rollout({**values, "friction": friction}, *start, jnp.asarray(ctrl)[..., None])
+            qpos, _ = rollout({**values, "friction": friction}, *start, Signals(jnp.asarray(ctrl)[..., None]))
             return (qpos * 1e3).sum()
 
         steps = 1e-7 * np.eye(len(names))  # small: the second derivative has corners
@@ -270,7 +270,7 @@ def test_without_play_rotor_and_load_are_one(law: Backlash, twin: Callable[..., 
     values = drive_values(knee, oracle, law, gap=2e-4, stiffness=5e4)
     with jax.enable_x64(True):
         rollout = make_rollout(make_engine("auto", knee, friction_of(law), False)).compiled
-        after = rollout(values, np.full((1, 1), ctrl[0]), np.zeros((1, 1)), ctrl[None, :, None])
+        after = rollout(values, np.full((1, 1), ctrl[0]), np.zeros((1, 1)), Signals(ctrl[None, :, None]))
         qpos, qvel = (np.asarray(part)[0, 499:-1] for part in after)  # from when it hangs in the coupling on
         log = Log("stiff", time[:-500], qpos, qvel, ctrl[500:, None], "", simulated=True)
         found = assess(knee, law, log, values, 300)

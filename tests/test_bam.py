@@ -183,7 +183,7 @@ def test_bams_own_equations_are_followed_and_identified(
     friction = found["friction"] | {name: np.array([value]) for name, value in said.items()}
     values = {"bench": found["bench"] | {"armature": np.array([M6["armature"]])}, "friction": friction}
     states = measured.qpos[:, 0], measured.qvel[:, 0]
-    qpos, _ = problem.drive.rollout.compiled(values, *states, measured.ctrl, measured.load)
+    qpos, _ = problem.drive.rollout.compiled(values, *states, measured.signals, measured.load)
     assert np.abs(np.asarray(qpos) - measured.qpos[:, 1:]).max() < 0.003
 
 

@@ -15,6 +15,7 @@ from frictionzoo.comparison.files import write_comparison
 from frictionzoo.comparison.record import compare_runs, read_schema
 from frictionzoo.comparison.runs import Failure, read_runs
 from frictionzoo.core.errors import RunError
+from frictionzoo.core.state import Signals
 from frictionzoo.result.curves import Curves, read_curves, write_curves
 from frictionzoo.result.record import write_result
 
@@ -29,7 +30,7 @@ def make_curves(test_mae, nv=1, length=60):
     return Curves(
         measured_qpos=position,
         measured_qvel=velocity,
-        ctrl=position[:, 1:],
+        signals=Signals(position[:, 1:]),
         load=np.zeros((3, 0)),
         qpos=position[:, 1:] + drift,
         qvel=velocity[:, 1:],

@@ -16,6 +16,7 @@ from test_report import bench, dataset, evaluation, model, result  # noqa: F401
 
 from frictionzoo.comparison.record import compare_runs
 from frictionzoo.comparison.runs import Failure, Run
+from frictionzoo.core.state import Signals
 from frictionzoo.result.curves import Curves
 from frictionzoo.show.comparison_page import check_comparison, write_page
 from frictionzoo.show.comparison_plots import choose_looks
@@ -44,7 +45,7 @@ def make_curves(error, joints, rollouts, seed):
     return Curves(
         **{"measured_qpos": measured, "measured_qvel": 2 * measured, "qpos": simulated, "qvel": 2 * simulated},
         **{"baseline_qpos": simulated, "baseline_qvel": 2 * simulated},
-        **{"ctrl": measured[:, 1:], "load": np.zeros((len(measured), 0))},
+        **{"signals": Signals(measured[:, 1:]), "load": np.zeros((len(measured), 0))},
         **{"train_mae": varied, "test_mae": varied, "local_mae": error * local, "local_speed": local},
         **{"local_load": local[::-1].copy(), "velocity": velocity, "friction": friction},
         **{"friction_low": friction - 0.1 * seed, "friction_high": friction + 0.1 * seed, "history": history},

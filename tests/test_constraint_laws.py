@@ -15,7 +15,7 @@ from test_models import friction
 from frictionzoo.bench import Bench
 from frictionzoo.core.log import Log
 from frictionzoo.core.segments import cut_segments
-from frictionzoo.core.state import DriveState
+from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.fit import LevenbergMarquardt, Objective, Space
 from frictionzoo.fit.chunk import search
 from frictionzoo.models import get_model
@@ -153,7 +153,7 @@ def test_a_step_equals_mujoco_c(make: Callable[..., Any], knee: Bench, name: str
     qpos, qvel, ctrl = rng.normal(size=(3, 200, 1))
     qvel[::2] *= 1e-3  # half of them slow enough to stick
     step = jax.jit(jax.vmap(lambda *state: engine.step(values, *state, jnp.zeros(0), jnp.zeros((1, 0)))[:2]))
-    ours = np.stack(step(qpos, qvel, qpos + 0.02 * ctrl))
+    ours = np.stack(step(qpos, qvel, Signals(qpos + 0.02 * ctrl)))
     model, data = in_c(knee)
     for index in range(200):
         mujoco.mj_resetData(model, data)
@@ -180,7 +180,7 @@ def test_a_load_between_the_two_limits_is_held_and_one_beyond_slides(make: Calla
     }
     rest = np.zeros((5, 1))
     ctrl = np.broadcast_to(force[:, None, None] / known["force_gain"], (5, 500, 1))
-    moved = np.asarray(rollout.compiled(values, rest, rest, ctrl)[0])[:, -1, 0]
+    moved = np.asarray(rollout.compiled(values, rest, rest, Signals(ctrl))[0])[:, -1, 0]
     # (force - limit) t^2 / 2 m; held, it yields with the soft constraint's creep of less than 0.5 mm/s.
     slid = np.array([-0.1 * backward, 0.1 * forward]) * 0.5**2 / (2 * known["armature"])
     np.testing.assert_allclose(moved[[0, 4]], slid, rtol=0.1)

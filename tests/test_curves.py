@@ -1,12 +1,14 @@
 """What a run keeps for figures: arrays that come back as they were, and a law's torque over velocity."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 from test_compare import HARD, make_curves
 from test_report import PARAMS
 
-from frictionzoo.core.state import DriveState
+from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.models.baseline import Baseline
 from frictionzoo.models.coulomb_stribeck import CoulombStribeck
 from frictionzoo.models.mujoco_default import MujocoDefault
@@ -24,13 +26,19 @@ def samples():
 
 def test_arrays_come_back_as_they_were(tmp_path):
     curves = make_curves(HARD, nv=2)
+    driven = Signals(curves.signals.ctrl, {"gain": 2 * curves.qpos}, {"temperature": 3 * curves.qpos})
+    curves = replace(curves, signals=driven)
     write_curves(tmp_path, curves)
     first = (tmp_path / "curves.safetensors").read_bytes()
     again = read_curves(tmp_path)
     for name, values in vars(curves).items():
-        pairs = values.items() if name == "history" else [(name, values)]
-        for key, value in pairs:
-            np.testing.assert_array_equal(again.history[key] if name == "history" else getattr(again, name), value)
+        if name != "signals":
+            pairs = values.items() if name == "history" else [(name, values)]
+            for key, value in pairs:
+                np.testing.assert_array_equal(again.history[key] if name == "history" else getattr(again, name), value)
+    assert again.signals.named().keys() == driven.named().keys()
+    for name, signal in driven.named().items():
+        np.testing.assert_array_equal(again.signals.named()[name], signal)
     write_curves(tmp_path, again)
     assert (tmp_path / "curves.safetensors").read_bytes() == first
 

@@ -11,7 +11,7 @@ import pytest
 from conftest import slow_but
 from test_specialised import BODIES, change, law, make_bench, random_cases, step_of, steps_in_c
 
-from frictionzoo.core.state import FrictionTerms
+from frictionzoo.core.state import FrictionTerms, Signals
 from frictionzoo.simulate import MjxEngine, SpecialisedEngine, without_memory
 from frictionzoo.simulate.rollout import make_rollout
 
@@ -65,8 +65,7 @@ def test_law_sees_what_mujoco_c_computes(tmp_path: Path) -> None:
     mujoco.mj_forward(model, data)
     for kind in (MjxEngine, SpecialisedEngine):
         engine = kind(bench, law(False), False)
-        signals = (case[name] for name in ("qpos", "qvel", "ctrl"))
-        state = jax.jit(engine.drive_state)(values, *signals, jnp.zeros(0))
+        state = jax.jit(engine.drive_state)(values, case["qpos"], case["qvel"], Signals(case["ctrl"]), jnp.zeros(0))
         np.testing.assert_allclose(state.motor_torque, data.qfrc_actuator, rtol=1e-12)
         np.testing.assert_allclose(state.external_torque, data.qfrc_passive - data.qfrc_bias, rtol=1e-12)
         np.testing.assert_array_equal([state.qpos, state.qvel, state.ctrl], [data.qpos, data.qvel, data.ctrl])
@@ -79,12 +78,14 @@ def test_rollout_is_the_step_repeated(tmp_path: Path) -> None:
     values = {"bench": {name: jnp.asarray(value) for name, value in bench.initial_values().items()}, "friction": {}}
     rng = np.random.default_rng(1)
     qpos, qvel, ctrl = rng.normal(size=(2, 1)), rng.normal(size=(2, 1)), rng.normal(size=(2, 4, 1))
-    positions, velocities = make_rollout(engine).compiled(values, *map(jnp.asarray, (qpos, qvel, ctrl)))
+    positions, velocities = make_rollout(engine).compiled(
+        values, *jax.tree.map(jnp.asarray, (qpos, qvel, Signals(ctrl)))
+    )
     assert positions.shape == velocities.shape == (2, 4, 1)
     step = jax.jit(engine.step)
     for row in range(2):
         q, v = jnp.asarray(qpos[row]), jnp.asarray(qvel[row])
         for i in range(4):
-            q, v, _ = step(values, q, v, jnp.asarray(ctrl[row, i]), jnp.zeros(0), jnp.zeros((1, 0)))
+            q, v, _ = step(values, q, v, Signals(jnp.asarray(ctrl[row, i])), jnp.zeros(0), jnp.zeros((1, 0)))
             np.testing.assert_allclose(positions[row, i], q, rtol=1e-13)
             np.testing.assert_allclose(velocities[row, i], v, rtol=1e-13)

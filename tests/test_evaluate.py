@@ -6,6 +6,7 @@ import pytest
 from frictionzoo.core.errors import ConfigError, LogError
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.segments import Segments
+from frictionzoo.core.state import Signals
 from frictionzoo.result.evaluate import Evaluation, Prediction, measure, moving_mean_and_std, rollout_mae
 
 TIMESTEP = 0.01
@@ -14,7 +15,7 @@ TIMESTEP = 0.01
 def make_segments(count, length, nv=1):
     rng = np.random.default_rng(0)
     qpos, qvel = rng.normal(size=(2, count, length + 1, nv))
-    return Segments(qpos, qvel, rng.normal(size=(count, length, nv)), TIMESTEP)
+    return Segments(qpos, qvel, Signals(rng.normal(size=(count, length, nv))), TIMESTEP)
 
 
 def make_log(name, samples, seed):
@@ -27,9 +28,9 @@ def with_errors(segments, position, velocity):
     return Prediction(segments.qpos[:, 1:] + position, segments.qvel[:, 1:] + velocity)
 
 
-def hold(values, qpos, qvel, ctrl, load):
+def hold(values, qpos, qvel, signals, load):
     """A drive that stays where it is, plus an offset."""
-    still = np.zeros((len(qpos), ctrl.shape[1], qpos.shape[1]))
+    still = np.zeros((len(qpos), signals.ctrl.shape[1], qpos.shape[1]))
     return still + qpos[:, None] + values["bench"]["offset"], still
 
 

@@ -12,7 +12,7 @@ from conftest import trace_nothing
 
 from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.core.segments import Segments
-from frictionzoo.core.state import DriveState, FrictionTerms
+from frictionzoo.core.state import DriveState, FrictionTerms, Signals
 from frictionzoo.export.bench import write_bench
 from frictionzoo.export.nearest import find_nearest, nearest_frictionloss_and_damping
 from frictionzoo.models.base import FrictionModel
@@ -68,7 +68,7 @@ def fit(bench, model, values=None):
     ctrl = np.sin(2 * np.pi * np.arange(250) * 0.02 + [[0.3], [2.0]])[..., None]
     friction = {name: value.detach().numpy() for name, value in model.double().state_dict().items()}
     values = {"bench": bench.initial_values() if values is None else values, "friction": friction}
-    segments = Segments(*states, ctrl, bench.timestep)
+    segments = Segments(*states, Signals(ctrl), bench.timestep)
     sampling = bench.sampling(bench.timestep)
     return Identified(Path("run"), {}, bench, model, {}, values, segments, sampling, trace_nothing(segments))
 
@@ -175,7 +175,7 @@ def test_identified_model_moves_in_mujoco_c_as_it_was_fitted(make, name):
         values["friction"] = to_jax(model, "float64")
         rollout = make_rollout(make_engine("auto", bench, friction_of(model), model.constraint)).compiled
         start = jnp.asarray([[0.1]]), jnp.asarray([[0.2]])
-        fitted, _ = rollout(jax.tree.map(jnp.asarray, values), *start, jnp.asarray(ctrl))
+        fitted, _ = rollout(jax.tree.map(jnp.asarray, values), *start, Signals(jnp.asarray(ctrl)))
     exported = np.empty(3000)
     for i in range(3000):
         data.ctrl = ctrl[0, i]

@@ -21,7 +21,7 @@ from frictionzoo.core.config import compose_config
 from frictionzoo.core.errors import ConfigError, ExportError
 from frictionzoo.core.log import Payload
 from frictionzoo.core.segments import Segments
-from frictionzoo.core.state import DriveState
+from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.export.base import get_target
 from frictionzoo.export.isaaclab import read_isaaclab
 from frictionzoo.export.mjlab import read_mjlab
@@ -68,14 +68,15 @@ def fit(law: str, *overrides: str, kind: type[Identified] = Identified) -> Ident
     sampling = bench.sampling(interval)
     samples = sampling.history + 50
     phase = 5 * interval * np.arange(samples)[:, None] + np.arange(2)[:, None, None]
-    extras = [np.full((2, samples, 1), value) for value in (16.0, 12.0, 1.0)[: len(bench.actuator.inputs)]]
-    observed = [value + 10 * np.cos(phase) for value in model.inputs.values()]
-    ctrl = np.concatenate([0.5 * np.sin(phase), *extras, *observed], axis=2)
+    known = {"gain": 16.0, "supply": 12.0, "enable": 1.0}
+    inputs = {name: np.full((2, samples, 1), known[name]) for name in bench.actuator.inputs}
+    observed = {name: value + 10 * np.cos(phase) for name, value in model.inputs.items()}
+    signals = Signals(0.5 * np.sin(phase), inputs, observed)
     qpos, qvel = rng.normal(size=(2, 2, 51, 1))
     load = None if bench.payload is None else np.stack(2 * [bench.load(PAYLOAD)])
     model.prepare(DriveState(*rng.normal(size=(5, 100, 1))))
     values = {"bench": bench.initial_values(), "friction": state(model)}
-    segments = Segments(qpos, qvel, ctrl, interval, load, sampling.history, len(observed))
+    segments = Segments(qpos, qvel, signals, interval, load)
     drawn = trace_nothing(segments)
     return kind(Path("run"), {"model": model.name}, bench, model.double(), {}, values, segments, sampling, drawn)
 

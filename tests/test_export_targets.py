@@ -23,7 +23,7 @@ from frictionzoo.core.config import compose_config
 from frictionzoo.core.errors import ConfigError, ExportError, FrictionzooError
 from frictionzoo.core.log import Payload
 from frictionzoo.core.segments import Segments
-from frictionzoo.core.state import DriveState, FrictionTerms
+from frictionzoo.core.state import DriveState, FrictionTerms, Signals
 from frictionzoo.export.base import get_target, target_names
 from frictionzoo.export.bench import Mjcf, run_bench
 from frictionzoo.export.mjx_module import Mjx
@@ -109,12 +109,11 @@ def make_fitted(model: str | FrictionModel, *overrides: str, steps: int = 150) -
     time = interval * np.arange(-history, steps)[:, None]
     swings = np.stack([0.5 * np.sin(30 * time + phase + np.arange(bench.nv)) for phase in (0.3, 2.0)])
     inputs = {"gain": 20.0, "supply": 48.0, "enable": 1.0, "temperature": 40 + 10 * np.sin(20 * time)}
-    more = [np.full_like(swings, inputs[name]) for name in bench.inputs]
+    recorded = {name: np.full_like(swings, inputs[name]) for name in bench.inputs}
     states = np.random.default_rng(0).normal(scale=0.2, size=(2, 2, steps + 1, bench.nv))
     load = None if bench.payload is None else np.stack(2 * [bench.load(PAYLOAD)])
-    segments = Segments(
-        *states, np.concatenate([swings, *more], axis=2), interval, load, history, len(law.inputs) * bench.nv
-    )
+    observed = {name: recorded.pop(name) for name in law.inputs}
+    segments = Segments(*states, Signals(swings, recorded, observed), interval, load)
     values = {"bench": bench.initial_values(), "friction": {k: v.detach().numpy() for k, v in law.state_dict().items()}}
     result = {"settings": compose(*overrides), "model": law.name}
     sampling = bench.sampling(interval)
@@ -268,7 +267,7 @@ def test_a_module_remembers_steps_and_not_calls(tmp_path):
     module = load_module(tmp_path / "drive.py")
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "bench.xml"))
     data, drive = mujoco.MjData(model), module.Drive(model)
-    commands, expected = fitted.segments.commands[0], fitted.rollout()[0][0]
+    commands, expected = fitted.segments.acting.ctrl[0], fitted.rollout()[0][0]
 
     def run(forward: bool) -> np.ndarray:
         data.qpos[:], data.qvel[:] = fitted.segments.qpos[0, 0], fitted.segments.qvel[0, 0]
@@ -368,9 +367,9 @@ def test_a_longer_step_keeps_every_other_sample_and_its_history():
     slower = fitted.at(0.002)
     assert slower.timestep == 0.002 and slower.segments.length == fitted.segments.length // 2
     np.testing.assert_array_equal(slower.segments.qpos, fitted.segments.qpos[:, ::2])
-    np.testing.assert_array_equal(slower.segments.commands, fitted.segments.commands[:, ::2])
+    np.testing.assert_array_equal(slower.segments.acting.ctrl, fitted.segments.acting.ctrl[:, ::2])
     assert slower.segments.history == slower.sampling.history == 10
-    np.testing.assert_array_equal(slower.segments.ctrl, fitted.segments.ctrl[:, ::2])
+    np.testing.assert_array_equal(slower.segments.signals.ctrl, fitted.segments.signals.ctrl[:, ::2])
     faster = fitted.at(0.0005)
     assert faster.timestep == 0.0005 and faster.segments.length == fitted.segments.length
     assert faster.sampling.substeps == 2 and faster.sampling.history == fitted.sampling.history

@@ -21,7 +21,7 @@ from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config
 from frictionzoo.core.errors import ConfigError, FitError
 from frictionzoo.core.segments import Segments
-from frictionzoo.core.state import DriveState
+from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.fit import Adam, Grid, Objective, Space, fit_reference, run_fit
 from frictionzoo.fit.chunk import search
 from frictionzoo.fit.loggers import TensorBoard
@@ -69,7 +69,7 @@ def record() -> Segments:
             data.ctrl = ctrl[row, i]
             mujoco.mj_step(model, data)
             states[row, i + 1] = data.qpos[0], data.qvel[0]
-    return Segments(states[..., :1], states[..., 1:], ctrl, 0.001)
+    return Segments(states[..., :1], states[..., 1:], Signals(ctrl), 0.001)
 
 
 @cache
@@ -103,7 +103,7 @@ def pose(
     drive = copy.deepcopy(compose_drive((f"model={model}", f"bench={bench}", *overrides)))
     rollout, segments = roll_out(model, bench, engine), record() if segments is None else segments
     objective = Objective(Space(*drive, "float64"), rollout, segments, **(LOSS | loss))
-    shapes = tuple(part.shape for part in objective.data)
+    shapes = tuple(part.shape for part in jax.tree.leaves(objective.data))
     objective._programs = PROGRAMS[model, bench, engine, overrides, str(loss), objective.stretches, shapes]
     return Problem(drive[1], objective)
 

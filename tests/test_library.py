@@ -20,6 +20,7 @@ import frictionzoo as fz
 from frictionzoo.bench.base import DEFAULTS
 from frictionzoo.core.errors import BenchError, ConfigError, RunError, UnknownModelError
 from frictionzoo.core.segments import Sampling
+from frictionzoo.core.state import Signals
 from frictionzoo.models import register_model
 from frictionzoo.models.registry import REGISTRY
 from frictionzoo.result.curves import read_curves
@@ -95,7 +96,8 @@ def test_a_rollout_is_that_of_a_fit(bench: fz.Bench, make: Callable, dtype: torc
     rollout = Drive.assemble(known, make("model", "model=dahl", nv=1), "auto", Sampling(0.002, 2, 0)).rollout
     values = {"bench": known.initial_values(), "friction": {k: v.detach().numpy() for k, v in law.state_dict().items()}}
     with jax.enable_x64(dtype == torch.float64):
-        expected = rollout.compiled(values, *(jnp.asarray(signal.numpy()) for signal in signals(dtype)))
+        qpos, qvel, ctrl = (jnp.asarray(signal.numpy()) for signal in signals(dtype))
+        expected = rollout.compiled(values, qpos, qvel, Signals(ctrl))
     for part, other in zip(found, expected, strict=True):
         np.testing.assert_allclose(part.numpy(), other, rtol=1e-4 if dtype == torch.float32 else 1e-12, atol=1e-6)
 

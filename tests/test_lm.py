@@ -1,6 +1,7 @@
 """Levenberg-Marquardt: its normal equations, what it finds, robust losses and refined initial states."""
 
 import copy
+import operator
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from conftest import spoil
 from scipy.optimize._lsq.least_squares import IMPLEMENTED_LOSSES
 from test_fit import TRUTH, bowl, identified, pose, record, run, x64  # noqa: F401 - x64 is a fixture for all tests
 
@@ -34,7 +36,7 @@ def noisy(segments: Segments, position: float, velocity: float) -> Segments:
     rng = np.random.default_rng(3)
     qpos = segments.qpos + position * rng.normal(size=segments.qpos.shape)
     qvel = segments.qvel + velocity * rng.normal(size=segments.qvel.shape)
-    return Segments(qpos, qvel, segments.ctrl, segments.timestep)
+    return Segments(qpos, qvel, segments.signals, segments.timestep)
 
 
 def test_a_known_drive_is_found_in_a_few_iterations(tmp_path: Path) -> None:
@@ -61,7 +63,8 @@ def test_the_derivatives_are_those_of_the_loss(options: dict[str, Any]) -> None:
     np.testing.assert_allclose(2 * equations.gradient, gradient, rtol=1e-6 if options.get("refine") else 1e-10)
     # Where nothing is left over, J' J is the second derivative.
     data, values = objective.data, objective.space.values(vector)
-    states = objective._rollout.compiled(values, data.qpos[0, :, 0], data.qvel[0, :, 0], data.ctrl[0], data.load[0])
+    driven = data.qpos[0, :, 0], data.qvel[0, :, 0], data.signals.map(operator.itemgetter(0)), data.load[0]
+    states = objective._rollout.compiled(values, *driven)
     qpos, qvel = (old.at[0, :, 1:].set(new) for old, new in zip((data.qpos, data.qvel), states, strict=True))
     objective.data, step = data._replace(qpos=qpos, qvel=qvel), 1e-5 * jnp.eye(len(vector))
     ends = [[value_and_grad(vector + side * unit, objective.data)[1] for unit in step] for side in (1, -1)]
@@ -72,7 +75,7 @@ def test_the_derivatives_are_those_of_the_loss(options: dict[str, Any]) -> None:
 
 def test_a_fit_that_never_starts_says_so(tmp_path: Path) -> None:
     problem = pose("mujoco_default")
-    problem.objective.data = problem.objective.data._replace(ctrl=problem.objective.data.ctrl.at[0].set(np.nan))
+    spoil(problem.objective)
     with pytest.raises(
         FitError, match="diverged at iteration 0: the loss or its gradient is not finite at the init"
     ) as error:

@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 from frictionzoo.bench import Bench
 from frictionzoo.core.errors import ConfigError, ModelError
 from frictionzoo.core.segments import Sampling, Segments
-from frictionzoo.core.state import DriveState, FrictionTerms
+from frictionzoo.core.state import DriveState, FrictionTerms, Signals
 from frictionzoo.fit import Objective, Space, fit_reference
 from frictionzoo.models import FrictionModel
 from frictionzoo.models.contract import check_model
@@ -74,7 +74,7 @@ def simulate(
         "friction": truth(law) | {name: np.array([value]) for name, value in friction.items()},
     }
     with jax.enable_x64(True):
-        states = rollout_of(bench, law)(values, np.zeros((1, 1)), np.full((1, 1), qvel), force[None, :, None])
+        states = rollout_of(bench, law)(values, np.zeros((1, 1)), np.full((1, 1), qvel), Signals(force[None, :, None]))
     return tuple(np.asarray(part)[0, :, 0] for part in states)
 
 
@@ -217,7 +217,7 @@ def test_gradient_of_a_rollout_equals_central_differences(
             friction |= {key: friction[key] * scale[i] for i, key in enumerate(names)}
             values = {"bench": bench.initial_values() | {"armature": np.array([MASS])}, "friction": friction}
             qvel, forces = jnp.array([[0.0], [0.03]]), jnp.stack([force, -force])[..., None]
-            qpos, _ = rollout(values, jnp.zeros((2, 1)), qvel, forces)
+            qpos, _ = rollout(values, jnp.zeros((2, 1)), qvel, Signals(forces))
             return (qpos * 1e3).sum()
 
         steps = 1e-6 * np.eye(len(names))
@@ -250,9 +250,9 @@ def recover(bench: Bench, law: FrictionModel) -> dict[str, float]:
     with jax.enable_x64(True):
         rollout = make_rollout(make_engine("auto", bench, friction_of(law), law.constraint), Sampling(1e-3, 1, 0))
         start = np.zeros((len(force), 1))
-        states = rollout.compiled(values, start, start, force[..., None])
+        states = rollout.compiled(values, start, start, Signals(force[..., None]))
         qpos, qvel = (np.concatenate([start[:, None], np.asarray(part)], axis=1) for part in states)
-        segments = Segments(qpos, qvel, force[..., None], 1e-3)
+        segments = Segments(qpos, qvel, Signals(force[..., None]), 1e-3)
         objective = Objective(Space(bench, law, "float64"), rollout, segments, 1.0, 0.01, "none", 1.0, False)
         found = fit_reference(objective)
     shares = {name: float(np.ravel(found["friction"][name])[0]) / TRUTH[name] for name in truth(law)}

@@ -9,6 +9,7 @@ import pytest
 
 from frictionzoo.bench import Bench
 from frictionzoo.core.errors import BenchError
+from frictionzoo.core.state import Signals
 from frictionzoo.models import FrictionModel
 from frictionzoo.simulate import mjx, specialised
 from frictionzoo.simulate.proof import TOLERANCE, Proof, Recorded, initial_values, prove
@@ -18,7 +19,7 @@ LINK = """<mujoco><compiler angle="radian"/><option timestep="0.002" {option}>{f
   {world}</worldbody></mujoco>"""
 SPRING = 'stiffness="3" damping="0.2"'
 TIME = np.linspace(0, 8, 400)[:, None]
-RECORDED = Recorded(0.6 * np.sin(TIME), 0.6 * np.cos(TIME), 0.6 * np.sin(TIME + 0.1), np.zeros((400, 0)))
+RECORDED = Recorded(0.6 * np.sin(TIME), 0.6 * np.cos(TIME), Signals(0.6 * np.sin(TIME + 0.1)), np.zeros((400, 0)))
 
 
 @pytest.fixture
@@ -88,7 +89,7 @@ def test_a_fault_in_an_engine_is_caught(
     module = specialised if engine == "specialised" else mjx
     # Of MJX: the law sees a motor torque that is a millionth too large.
     wrong = fault or (
-        lambda data, channels: (state := right(data, channels))._replace(motor_torque=(1 + 1e-6) * state.motor_torque)
+        lambda data, signals: (state := right(data, signals))._replace(motor_torque=(1 + 1e-6) * state.motor_torque)
     )
     monkeypatch.setattr(module, place, wrong)
     monkeypatch.setattr("frictionzoo.simulate.proof._find_fault", lambda *_: None)

@@ -21,6 +21,7 @@ from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.output import write_atomically
 from frictionzoo.core.params import Param
 from frictionzoo.core.segments import Segments
+from frictionzoo.core.state import Signals
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.models.coulomb_stribeck import CoulombStribeck
 from frictionzoo.models.neural_friction import NeuralFriction
@@ -93,9 +94,9 @@ def evaluation(dataset):
     )
 
 
-def hold(values, qpos, qvel, ctrl, load):
+def hold(values, qpos, qvel, signals, load):
     """A drive that follows its command with an offset."""
-    return ctrl + values["offset"]["rad"], np.zeros_like(ctrl)
+    return signals.ctrl + values["offset"]["rad"], np.zeros_like(signals.ctrl)
 
 
 def judge(evaluation, offset):
@@ -391,7 +392,7 @@ def drawn(axes, color):
 def make_rollout(nv=1, length=200):
     time = np.arange(length + 1) * TIMESTEP
     states = np.repeat(np.sin(20 * time)[None, :, None], nv, axis=2)
-    segments = Segments(states, 2 * states, states[:, :-1], TIMESTEP)
+    segments = Segments(states, 2 * states, Signals(states[:, :-1]), TIMESTEP)
     growth = np.linspace(0, 1, length)[None, :, None]
     model, baseline = (
         Prediction(states[:, 1:] + error * growth, 2 * states[:, 1:] + error * growth) for error in (0.02, 0.1)
@@ -404,7 +405,7 @@ def curves_of(rollout, **values):
     segments, model, baseline = rollout
     nothing, torque = np.empty(0), np.empty((0, segments.qpos.shape[2]))
     return Curves(
-        **{"measured_qpos": segments.qpos, "measured_qvel": segments.qvel, "ctrl": segments.ctrl},
+        **{"measured_qpos": segments.qpos, "measured_qvel": segments.qvel, "signals": segments.signals},
         **{"load": np.empty((1, 0)), "qpos": model.qpos, "qvel": model.qvel},
         **{"baseline_qpos": baseline.qpos, "baseline_qvel": baseline.qvel, "train_mae": nothing, "test_mae": nothing},
         **dict.fromkeys(("local_mae", "local_speed", "local_load", "velocity"), nothing),

@@ -30,7 +30,7 @@ from frictionzoo.bench import Bench
 from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config
 from frictionzoo.core.errors import FrictionzooError
-from frictionzoo.core.state import DriveState
+from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.models import FrictionModel
 from frictionzoo.simulate import Engine, Values, proof
 from frictionzoo.simulate.choose import naming_what_mjx_lacks
@@ -177,7 +177,7 @@ def digest(model: mujoco.MjModel, floats: bool = True) -> bytes:
 
 def recorded(joints: int) -> Recorded:
     time = np.linspace(0, 8, 400)[:, None] + 0.3 * np.arange(joints)
-    return Recorded(0.6 * np.sin(time), 0.6 * np.cos(time), 0.6 * np.sin(time + 0.1), np.zeros((400, 0)))
+    return Recorded(0.6 * np.sin(time), 0.6 * np.cos(time), Signals(0.6 * np.sin(time + 0.1)), np.zeros((400, 0)))
 
 
 def compare_file(text: str, bench: Bench, model: FrictionModel) -> None:
@@ -230,11 +230,11 @@ def simulate(
     """qpos and qvel after plain steps of MuJoCo C, of shape (2, cases, steps, nv); NaN from an overflow on."""
     own = compiled.dof_damping.copy()
     friction = {name: torch.tensor(np.asarray(value, np.float64)) for name, value in values["friction"].items()}
-    found = np.full((2, *cases.channels.shape[:2], bench.nv), np.nan)
-    for case, (qpos, qvel, channels) in enumerate(zip(cases.qpos, cases.qvel, cases.channels, strict=True)):
+    found = np.full((2, *cases.signals.ctrl.shape), np.nan)
+    for case, (qpos, qvel, commands) in enumerate(zip(cases.qpos, cases.qvel, cases.signals.ctrl, strict=True)):
         data, memory = mujoco.MjData(compiled), None
         data.qpos[:], data.qvel[:] = qpos, qvel
-        for step, command in enumerate(channels):
+        for step, command in enumerate(commands):
             compiled.dof_damping[:], data.qfrc_applied[:] = own, 0
             applied, damped = drive(bench, values, data, command, by_actuator)
             for stage in (mujoco.mj_fwdPosition, mujoco.mj_fwdVelocity, mujoco.mj_fwdActuation):

@@ -26,7 +26,7 @@ def test_a_segment_starts_at_a_state_and_holds_the_commands_between_the_states()
     assert segments.timestep == pytest.approx(0.01, rel=1e-12)  # the mean of rounded sample times
     np.testing.assert_array_equal(segments.qpos[..., 0], [[0, 1, 2, 3, 4, 5], [5, 6, 7, 8, 9, 10]])
     np.testing.assert_array_equal(segments.qvel, -segments.qpos)
-    np.testing.assert_array_equal(segments.ctrl[..., 0], 1000 + segments.qpos[:, :-1, 0])
+    np.testing.assert_array_equal(segments.signals.ctrl[..., 0], 1000 + segments.qpos[:, :-1, 0])
 
 
 def test_no_segment_crosses_from_one_log_into_the_next():
@@ -38,8 +38,8 @@ def test_no_segment_crosses_from_one_log_into_the_next():
 def test_before_a_log_begins_its_own_first_command_counts():
     segments = cut_segments([make_log(9), make_log(9, "b.csv", base=100.0)], None, 4, history=2)
     before = [[1000, 1000], [1002, 1003], [1100, 1100], [1102, 1103]]
-    np.testing.assert_array_equal(segments.ctrl[:, :2, 0], before)
-    np.testing.assert_array_equal(segments.ctrl[:, 2:, 0], 1000 + segments.qpos[:, :-1, 0])
+    np.testing.assert_array_equal(segments.signals.ctrl[:, :2, 0], before)
+    np.testing.assert_array_equal(segments.acting.ctrl[..., 0], 1000 + segments.qpos[:, :-1, 0])
 
 
 @pytest.mark.parametrize("count", [1, 3, 7, 99])
@@ -57,7 +57,7 @@ def test_count_is_a_maximum():
 def test_several_joints_and_actuators_keep_their_columns():
     segments = cut_segments([make_log(11, nv=3, nu=2)], None, 5)
     assert segments.qpos.shape == (2, 6, 3)
-    assert segments.ctrl.shape == (2, 5, 2)
+    assert segments.signals.ctrl.shape == (2, 5, 2)
 
 
 def test_a_log_that_is_too_short_is_left_out_and_named(caplog):

@@ -1,5 +1,6 @@
 """The bench of a real servo: actuator laws with a controller, late commands, offsets, steps within a sample."""
 
+import operator
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -14,6 +15,7 @@ from frictionzoo.bench import Bench, DcMotorPD, VoltageServo
 from frictionzoo.core.errors import BenchError, ConfigError
 from frictionzoo.core.log import Log, Payload
 from frictionzoo.core.segments import Sampling, cut_segments
+from frictionzoo.core.state import Signals
 from frictionzoo.fit import Objective, Space, fit_reference
 from frictionzoo.result.evaluate import predict
 from frictionzoo.simulate import friction_of, make_engine
@@ -59,17 +61,21 @@ def held(command: np.ndarray, start: float, stop: float) -> float:
 def test_a_late_command_is_the_mean_of_what_was_held(substeps: int) -> None:
     command, history = wander(40, 0), 3
     before = np.concatenate([np.full(history, command[0]), command])
-    ctrl = jnp.asarray(np.stack([before, np.arange(len(before))], axis=1))[None]
+    column = jnp.arange(len(before), dtype=before.dtype)[None, :, None]
+    signals = Signals(jnp.asarray(before)[None, :, None], {"supply": column}, {"temperature": column})
     sampling = Sampling(INTERVAL, substeps, history)
     delays = np.array([0.0, 0.3, 0.8, 1.0, 2.0, 2.73, 3.0])  # in samples
-    act = jax.jit(jax.vmap(lambda late: applied({"bench": {"delay": late[None]}}, ctrl, sampling)))
-    for late, got in zip(delays, act(delays * INTERVAL), strict=True):
-        assert got.shape == (1, 40, substeps, 2)
+    act = jax.jit(jax.vmap(lambda late: applied({"bench": {"delay": late[None]}}, signals, sampling)))
+    acting = act(delays * INTERVAL)
+    for index, late in enumerate(delays):
+        got = acting.map(operator.itemgetter(index))
+        assert {signal.shape for signal in got.named().values()} == {(1, 40, substeps, 1)}
         starts = np.arange(40 * substeps) / substeps - late
         expected = [held(command, start, start + 1 / substeps) for start in starts]
-        np.testing.assert_allclose(got[0, :, :, 0].ravel(), expected, rtol=0, atol=1e-12, err_msg=f"{late}")
+        np.testing.assert_allclose(got.ctrl.ravel(), expected, rtol=0, atol=1e-12, err_msg=f"{late}")
         # What is not a command is not late.
-        np.testing.assert_array_equal(got[0, :, 0, 1], np.arange(history, history + 40))
+        for signal in (got.inputs["supply"], got.observed["temperature"]):
+            np.testing.assert_array_equal(signal[0, :, 0, 0], np.arange(history, history + 40))
 
 
 def test_every_delay_has_a_slope() -> None:
@@ -81,7 +87,8 @@ def test_every_delay_has_a_slope() -> None:
     @jax.vmap
     @jax.value_and_grad
     def acts(delay: Any) -> Any:
-        return jnp.sum(weights * applied({"bench": {"delay": delay[None]}}, ctrl, Sampling(INTERVAL, 5, 3)))
+        values, sampling = {"bench": {"delay": delay[None]}}, Sampling(INTERVAL, 5, 3)
+        return jnp.sum(weights * applied(values, Signals(ctrl), sampling).ctrl)
 
     delays = np.array([0.0113, 0.02, 0.022])
     slopes = acts(delays)[1]
@@ -118,12 +125,13 @@ def test_a_servo_moves_as_in_mujoco_c(servo: Callable[..., Bench], make: Callabl
     data.qpos[:] = 0
     fixed = {name: float(value[0]) for name, value in values["bench"].items()}
     qpos, qvel, memory, positions = np.zeros(1), np.zeros(1), np.zeros((1, 0)), []
-    for channels in log.channels[:59]:
+    for sample in range(59):
+        signals = log.signals.map(operator.itemgetter(sample))
         for _ in range(10):
-            duty = np.clip(32.0 * fixed["duty_gain"] * (channels[0] - data.qpos[0]), -1, 1)
+            duty = np.clip(32.0 * fixed["duty_gain"] * (signals.ctrl[0] - data.qpos[0]), -1, 1)
             data.ctrl[0] = 12.0 * duty
             mujoco.mj_step(model, data)
-            qpos, qvel, memory = step(values, qpos, qvel, channels, log.load, memory)
+            qpos, qvel, memory = step(values, qpos, qvel, signals, log.load, memory)
         # The microgram of the bench's own arm, which MuJoCo refuses to do without, is left out above.
         assert float(qpos[0]) == pytest.approx(data.qpos[0], abs=1e-7)
         positions.append(data.qpos[0])
@@ -137,7 +145,8 @@ def test_a_motor_that_is_not_enabled_has_no_torque(servo: Callable[..., Bench], 
     values, load = {"bench": bench.initial_values(), "friction": {}}, bench.load(PAYLOAD)
     see = jax.jit(engine.drive_state)
     for enable, torque in ((0.0, 0.0), (1.0, 0.4 * 12.0 * min(1, 16 * 0.16489 * 0.2) - 0.4 * 3.0)):
-        seen = see(values, np.array([0.3]), np.array([3.0]), np.array([0.5, 16.0, 12.0, enable]), load)
+        inputs = {name: np.array([value]) for name, value in (("gain", 16.0), ("supply", 12.0), ("enable", enable))}
+        seen = see(values, np.array([0.3]), np.array([3.0]), Signals(np.array([0.5]), inputs), load)
         assert seen.motor_torque[0] == pytest.approx(torque, abs=1e-12)
         assert seen.ctrl[0] == 0.5
 
@@ -170,7 +179,10 @@ def test_what_the_law_needs_has_to_be_recorded(servo: Callable[..., Bench]) -> N
         BenchError, match=r"servo: no supply, which VoltageServo needs; .*data\.inputs=\{supply: VALUE\}"
     ):
         servo().accept(without)
-    assert servo().accept(log).channels.shape == (10, 1 + len(VoltageServo.inputs))
+    accepted = servo().accept(log)
+    assert {name: signal.shape for name, signal in accepted.inputs.items()} == dict.fromkeys(
+        VoltageServo.inputs, (10, 1)
+    )
 
 
 def test_impossible_options_are_refused(servo: Callable[..., Bench]) -> None:

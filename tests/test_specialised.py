@@ -15,7 +15,7 @@ from mujoco import mjx
 from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.bench.compiled import can_collide, rigid_inertia
 from frictionzoo.core.errors import BenchError, ConfigError
-from frictionzoo.core.state import FrictionTerms
+from frictionzoo.core.state import FrictionTerms, Signals
 from frictionzoo.simulate import MjxEngine, SpecialisedEngine, make_engine, without_memory
 from frictionzoo.simulate.dry_friction import dry_friction
 from frictionzoo.simulate.fold import CannotSpecialiseError, specialise
@@ -96,7 +96,7 @@ def step_of(engine: Any, bench: Bench) -> Any:
     def step(case: dict[str, Any]) -> jax.Array:
         values = {"bench": known | {"armature": case["armature"]}, "friction": case}
         load, memory = case.get("load", jnp.zeros(0)), jnp.zeros((bench.nv, 0))
-        return jnp.stack(engine.step(values, case["qpos"], case["qvel"], case["ctrl"], load, memory)[:2])
+        return jnp.stack(engine.step(values, case["qpos"], case["qvel"], Signals(case["ctrl"]), load, memory)[:2])
 
     return step
 

@@ -20,7 +20,7 @@ from frictionzoo.comparison.runs import read_runs
 from frictionzoo.core.errors import BenchError, ConfigError
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.segments import cut_segments
-from frictionzoo.core.state import DriveState
+from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.export.module import load_module
 from frictionzoo.export.write import write_exports
 from frictionzoo.fit import LevenbergMarquardt, Objective, Space, estimate_uncertainty
@@ -122,11 +122,15 @@ def test_one_column_serves_all_joints_or_there_is_one_a_joint(arm: Bench) -> Non
     time = np.arange(40.0)[:, None]
     for columns in (time, np.concatenate([time, 2 * time], axis=1)):
         log = arm.accept(make_log(arm, columns))
-        seen = arm.split(log.channels).observed["temperature"]
+        seen = log.signals.observed["temperature"]
         np.testing.assert_array_equal(seen, np.broadcast_to(columns, (40, 2)))
-        assert log.channels.shape == (40, 4) and cut_segments([log], None, 10).driven.shape == (3, 10, 2)
-        assert log.between(10, 20, "part").observed.tolist() == log.observed[10:20].tolist()
-    assert arm.accept(make_log(arm, None)).observed.tolist() == 40 * [[25.0, 25.0]]
+        cut = cut_segments([log], None, 10).signals
+        assert (
+            cut.ctrl.shape == (3, 10, 2)
+            and cut.observed["temperature"].tolist() == seen[:30].reshape(3, 10, 2).tolist()
+        )
+        assert log.between(10, 20, "part").observed["temperature"].tolist() == seen[10:20].tolist()
+    assert arm.accept(make_log(arm, None)).observed["temperature"].tolist() == 40 * [[25.0, 25.0]]
     with pytest.raises(BenchError, match=r"a\.csv: temperature has 3 columns, expected 1 for all joints or 2, one a"):
         arm.accept(make_log(arm, np.zeros((40, 3))))
     with pytest.raises(BenchError, match=r"a\.csv: temperature is NaN or infinite in 40 of 40 samples"):
@@ -225,11 +229,11 @@ def test_each_joint_has_its_own_temperature_in_a_step(make: Callable[..., Any], 
     friction = {key: np.full(2, value) for key, value in known("temperature_linear").items()}
     values = {"bench": arm.initial_values(), "friction": friction}
     qpos, qvel, command, warm = (np.array(pair) for pair in ([0.1, 0.2], [0.5, -0.3], [0.3, -0.1], [20.0, 60.0]))
-    channels = np.concatenate([command, warm])
+    signals = Signals(command, observed={"temperature": warm})
     load, memory = np.zeros(0), np.zeros((2, 0))
-    state = jax.jit(engine.drive_state)(values, qpos, qvel, channels, load)
+    state = jax.jit(engine.drive_state)(values, qpos, qvel, signals, load)
     assert state.ctrl.tolist() == command.tolist() and state.temperature.tolist() == warm.tolist()
-    ours = jax.jit(engine.step)(values, qpos, qvel, channels, load, memory)[:2]
+    ours = jax.jit(engine.step)(values, qpos, qvel, signals, load, memory)[:2]
     dry, viscous = np.array([coefficients("temperature_linear", temperature) for temperature in warm]).T
     model = mujoco.MjModel.from_xml_string(arm.mjcf(arm.initial_values(), dry, viscous))
     data = mujoco.MjData(model)

@@ -16,7 +16,7 @@ from conftest import Finished
 from frictionzoo.bench import Bench
 from frictionzoo.core.errors import ConfigError, ExportError, ModelError
 from frictionzoo.core.segments import Sampling, Segments
-from frictionzoo.core.state import DriveState, FrictionTerms
+from frictionzoo.core.state import DriveState, FrictionTerms, Signals
 from frictionzoo.export.write import write_exports
 from frictionzoo.fit import Adam, Known, Objective, Space, loop, run_fit
 from frictionzoo.fit.chunk import search
@@ -110,7 +110,7 @@ def segments() -> Segments:
     """Random states, commands with a sample of history, of a drive that carries nothing."""
     rng = np.random.default_rng(0)
     qpos, qvel = rng.normal(size=(2, 40, 4, 1))
-    return Segments(qpos, qvel, qpos[:, :1] + rng.normal(scale=0.1, size=(40, 4, 1)), 0.002, None, 1)
+    return Segments(qpos, qvel, Signals(qpos[:, :1] + rng.normal(scale=0.1, size=(40, 4, 1))), 0.002)
 
 
 def pose(bench: Bench, law: FrictionModel, segments: Segments, engine: str, dtype: str = "float64") -> Objective:

@@ -9,13 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.stats
-from conftest import slow_but
+from conftest import slow_but, spoil
 from test_fit import KNOWN, LOSS, TRUTH, Problem, compose_drive, pose, record, x64  # noqa: F401 - x64 is a fixture for all tests
 from test_lm import noisy
 from test_servo import record as record_servo
 from test_servo import wander
 
 from frictionzoo.core.segments import Segments, cut_segments
+from frictionzoo.core.state import Signals
 from frictionzoo.fit import Objective, Space, estimate_uncertainty
 from frictionzoo.fit import blocks as blocks_module
 from frictionzoo.fit import objective as objective_module
@@ -43,7 +44,7 @@ def test_intervals_are_those_of_the_formula(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(objective_module, "MOST_STRETCHES", stretches)
     monkeypatch.setattr(blocks_module, "BLOCK_STATES", 35)  # blocks and stretches do not begin together
     data, plain = noisy(record(), 1e-3, 2e-2), pose("mujoco_default").objective
-    started = [jnp.asarray(signal) for signal in (data.qpos[:, 0], data.qvel[:, 0], data.ctrl)]
+    started = jax.tree.map(jnp.asarray, (data.qpos[:, 0], data.qvel[:, 0], data.signals))
 
     def residuals(vector: Any) -> Any:
         states = plain._rollout(plain.space.values(vector), *started)
@@ -103,10 +104,16 @@ def test_an_interval_reaches_from_where_a_fit_stopped_to_the_minimum() -> None:
         assert low < value * 1.005 and high > value * np.exp(0.05) * (1 - 1e-9), name
 
 
+def begin(qpos: np.ndarray, qvel: np.ndarray, ctrl: np.ndarray) -> Segments:
+    """Segments of which only the first states, of shape (batch, 1, nv), are known: they stay."""
+    states = (np.repeat(first, ctrl.shape[1] + 1, axis=1) for first in (qpos, qvel))
+    return Segments(*states, Signals(ctrl), 0.001)
+
+
 def simulate(space: Space, rollout: Rollout, started: Segments, position: float, velocity: float) -> Segments:
     """Segments as the drive's initial values make them, with noise of these sizes in all but the first state."""
     rng, states, first = np.random.default_rng(0), [], (started.qpos[:, :1], started.qvel[:, :1])
-    predicted = rollout.compiled(space.values(space.start), *(at[:, 0] for at in first), started.ctrl, started.loads)
+    predicted = rollout.compiled(space.values(space.start), *(at[:, 0] for at in first), started.signals, started.loads)
     for start, after, noise in zip(first, predicted, (position, velocity), strict=True):
         states.append(np.concatenate([start, after + noise * rng.normal(size=after.shape)], axis=1))
     return replace(started, qpos=states[0], qvel=states[1])
@@ -122,7 +129,7 @@ def judge(problem: Problem, started: Segments, position: float, velocity: float)
 def stribeck(qpos: np.ndarray, qvel: np.ndarray, push: np.ndarray) -> Uncertainty:
     """Uncertainty of a Coulomb-Stribeck drive from segments that start at these states with these commands."""
     ctrl = (qpos + push)[:, None, None] * np.ones((1, 5, 1))
-    started = Segments(qpos[:, None, None], qvel[:, None, None], ctrl, 0.001)
+    started = begin(qpos[:, None, None], qvel[:, None, None], ctrl)
     return judge(pose("coulomb_stribeck"), started, 1e-7, 1e-4)
 
 
@@ -159,7 +166,7 @@ def _intervals(found: Uncertainty) -> Mapping[str, np.ndarray]:
 def test_one_speed_in_one_direction_identifies_no_law(name: str) -> None:
     """Whatever friction is made of, such a record holds one number of it."""
     problem, alike = pose(name), np.ones((100, 1, 1))
-    started = Segments(0.0 * alike, 0.5 * alike, 0.1 * np.ones((100, 5, 1)), 0.001)
+    started = begin(0.0 * alike, 0.5 * alike, 0.1 * np.ones((100, 5, 1)))
     found = judge(problem, started, 1e-6, 1e-4)
     assert set(found.identifiable) == set(problem.objective.space.params) > {"bench.armature"}
     assert not any(found.identifiable.values())
@@ -191,7 +198,7 @@ def test_back_emf_and_damping_of_a_servo_are_one() -> None:
 def test_a_constant_force_and_a_law_that_differs_by_direction_are_one() -> None:
     rng = np.random.default_rng(2)
     start = rng.uniform(-0.1, 0.1, (200, 1, 1)), rng.normal(0, 0.1, (200, 1, 1))
-    started = Segments(*start, rng.normal(0, 1, (200, 5, 1)), 0.001)
+    started = begin(*start, rng.normal(0, 1, (200, 5, 1)))
     found = judge(pose("asymmetric", bench="emps", segments=started), started, 1e-8, 1e-6)
     group = ("bench.force_offset", "friction.frictionloss_forward", "friction.frictionloss_backward")
     assert found.indistinct == (group,)
@@ -268,6 +275,6 @@ def test_where_there_are_no_intervals_a_reason_is_given(model: str, options: Seq
 
 def test_a_derivative_that_is_not_finite_gives_no_intervals() -> None:
     objective = pose("mujoco_default").objective
-    objective.data = objective.data._replace(ctrl=objective.data.ctrl.at[0].set(np.nan))
+    spoil(objective)
     found = estimate_uncertainty(objective, np.asarray(objective.space.start))
     assert found.missing == "the derivative of the objective is not finite at the result"

@@ -2,9 +2,8 @@
 
 from frictionzoo.bench.actuators.base import REGISTRY, Actuator, Affine, register_actuator
 from frictionzoo.bench.base import Bench
-from frictionzoo.bench.channels import Channels
 
-__all__ = ["Actuator", "Affine", "Bench", "Channels", "register_actuator"]
+__all__ = ["Actuator", "Affine", "Bench", "register_actuator"]
 
 
 def __getattr__(name: str) -> type[Actuator]:

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from frictionzoo.bench.actuators import Actuator
-from frictionzoo.bench.channels import Channels, pick_inputs, pick_observed
 from frictionzoo.bench.compiled import INERTIAL, NO_PAYLOAD, combine, put_inertial
+from frictionzoo.bench.signals import pick_inputs, pick_observed
 from frictionzoo.bench.template import Template, in_full
 from frictionzoo.core.described import Described
 from frictionzoo.core.errors import BenchError, ConfigError, closest, refuse_unlike
@@ -169,22 +169,8 @@ class Bench(Described):
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """What both laws need in each sample besides the command, in the order of the channels."""
+        """What both laws need in each sample besides the command."""
         return (*self.actuator.inputs, *self.observed)
-
-    def split(self, channels: Any) -> Channels:
-        """The parts of what drives a simulation.
-
-        Args:
-            channels: An array of shape (..., channels), as `Log.channels` has it.
-        """
-        parts = [channels[..., at * self.nv : (at + 1) * self.nv] for at in range(1 + len(self.inputs))]
-        named = dict(zip(self.inputs, parts[1:], strict=True))
-        return Channels(
-            parts[0],
-            {name: named[name] for name in self.actuator.inputs},
-            {name: named[name] for name in self.observed},
-        )
 
     def mjcf(
         self,

@@ -296,11 +296,10 @@ def _work(log: Log, bench: Bench) -> Float[np.ndarray, "nv"]:
     negative, however late the drive follows, up to half a period.
     """
     values = {name: 0 * value if name in DAMPING else value for name, value in bench.initial_values().items()}
-    channels = bench.split(log.channels)
     still = np.zeros_like(log.qvel)
-    ctrl = bench.actuator.control(np, values, log.qpos, still, channels.command, channels.inputs)
+    ctrl = bench.actuator.control(np, values, log.qpos, still, log.ctrl, log.inputs)
     affine = bench.actuator.affine(values)
     torque = affine.gain * ctrl + affine.bias0 + affine.bias1 * log.qpos
-    enabled = channels.inputs.get("enable", 1.0)
+    enabled = log.inputs.get("enable", 1.0)
     power = enabled * torque * log.qvel
     return power.sum(axis=0) / np.maximum(np.abs(power).sum(axis=0), 1e-300)

@@ -69,7 +69,7 @@ def _identify(name: str, problem: Problem) -> dict[str, str]:
 
 def _digest(segments: Segments) -> str:
     """Hash of what a fit compares, as cleaning and payloads have it."""
-    return digest({name: getattr(segments, name) for name in ("qpos", "qvel", "ctrl", "loads")})
+    return digest({name: getattr(segments, name) for name in ("qpos", "qvel", "loads")} | segments.signals.named())
 
 
 def _list_hyperparameters(name: str, problem: Problem) -> dict[str, Any]:

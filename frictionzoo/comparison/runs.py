@@ -154,7 +154,7 @@ def _refuse_incomparable(run: Run, first: Run) -> None:
     for field in fields(Curves):
         came, expected = (getattr(curves, field.name) for curves in (run.curves, first.curves))
         # The history is each fit's own, and what drives a rollout reaches back as far as the bench's delay.
-        if field.name not in ("history", "ctrl") and came.shape != expected.shape:
+        if field.name not in ("history", "signals") and came.shape != expected.shape:
             raise RunError(
                 f"{run.folder}: {field.name} of shape {came.shape}, expected {expected.shape} as in {first.folder}; "
                 "run it again"

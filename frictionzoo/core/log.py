@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from frictionzoo.core.errors import LogError
+from frictionzoo.core.state import Signals
 
 ABSURD = 1e9  # of any signal in SI units; a drive's are far below
 JITTER = 0.05  # largest deviation of a sample interval from the median, as a share of it, that still counts as uniform
@@ -43,8 +44,8 @@ class Log:
         load: What that changes in the bench's model, of shape (load,); `Bench.accept` computes it.
         extras: Other signals that were recorded with it, by name: supply [V], enable (0 or 1), temperature [degC], each
             of shape (time, columns).
-        inputs: Those that the bench's actuator law needs besides the command; `Bench.accept` picks them.
-        observed: Those that the friction law looks at; `Bench.accept` picks them too.
+        inputs: Those that the bench's actuator law needs besides the command, by name; `Bench.accept` picks them.
+        observed: Those that the friction law looks at, by name; `Bench.accept` picks them too.
         repairs: What cleaning changed, a sentence each.
         metadata: What else the source says about it (gains, notes).
 
@@ -62,8 +63,8 @@ class Log:
     payload: Payload | None = None
     load: Float[np.ndarray, "load"] = field(default_factory=lambda: np.zeros(0))
     extras: Mapping[str, Float[np.ndarray, "time _"]] = field(default_factory=dict)
-    inputs: Float[np.ndarray, "time inputs"] | None = None
-    observed: Float[np.ndarray, "time observed"] | None = None
+    inputs: Mapping[str, Float[np.ndarray, "time nv"]] = field(default_factory=dict)
+    observed: Mapping[str, Float[np.ndarray, "time nv"]] = field(default_factory=dict)
     repairs: tuple[str, ...] = ()
     metadata: Mapping[str, Any] = field(default_factory=dict)
 
@@ -134,10 +135,9 @@ class Log:
         return len(self.time)
 
     @property
-    def channels(self) -> Float[np.ndarray, "time channels"]:
-        """What drives a simulation: the command, the actuator law's other inputs, what the friction law looks at."""
-        parts = (self.ctrl, self.inputs, self.observed)
-        return np.concatenate([part for part in parts if part is not None], axis=1)
+    def signals(self) -> Signals:
+        """What drives a simulation."""
+        return Signals(self.ctrl, dict(self.inputs), dict(self.observed))
 
     def between(self, start: int, stop: int, part: str) -> "Log":
         """The samples from start up to, not including, stop, under the name `NAME[part]`."""
@@ -149,9 +149,10 @@ class Log:
             qpos=self.qpos[cut],
             qvel=self.qvel[cut],
             ctrl=self.ctrl[cut],
-            extras={name: values[cut] for name, values in self.extras.items()},
-            inputs=None if self.inputs is None else self.inputs[cut],
-            observed=None if self.observed is None else self.observed[cut],
+            **{
+                part: {name: values[cut] for name, values in getattr(self, part).items()}
+                for part in ("extras", "inputs", "observed")
+            },
         )
 
 

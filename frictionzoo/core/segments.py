@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 
 from frictionzoo.core.errors import ConfigError, LogError, closest
 from frictionzoo.core.log import Log
+from frictionzoo.core.state import Signals
 
 _log = logging.getLogger(__name__)
 
@@ -26,31 +27,22 @@ class Segments:
     Attributes:
         qpos: Measured position [rad or m].
         qvel: Measured velocity [rad/s or m/s].
-        ctrl: Command, one column an actuator, then the other inputs of the actuator law, then what the friction law
-            looks at; `history` samples before the first state, and the samples from there on.
+        signals: What drives them, each of shape (batch, samples, nv): `history` samples before the first state, and the
+            samples from there on.
         timestep: Sample interval [s].
         load: What each one's payload changes in the bench's model; None where there is none.
-        history: Samples of `ctrl` before the first state.
-        observed: Columns at the end of `ctrl` that the friction law looks at.
     """
 
     qpos: Float[np.ndarray, "batch states nv"]
     qvel: Float[np.ndarray, "batch states nv"]
-    ctrl: Float[np.ndarray, "batch samples channels"]
+    signals: Signals
     timestep: float
     load: Float[np.ndarray, "batch load"] | None = None
-    history: int = 0
-    observed: int = 0
 
     @property
-    def commands(self) -> Float[np.ndarray, "batch time channels"]:
-        """The samples of `ctrl` from the first state on."""
-        return self.ctrl[:, self.history :]
-
-    @property
-    def driven(self) -> Float[np.ndarray, "batch time driving"]:
-        """`commands` without what only the friction law looks at: the same for all laws."""
-        return self.commands[:, :, : self.ctrl.shape[2] - self.observed]
+    def acting(self) -> Signals:
+        """`signals` from the first state on."""
+        return self.signals.map(lambda signal: signal[:, self.history :])
 
     @property
     def loads(self) -> Float[np.ndarray, "batch load"]:
@@ -60,18 +52,24 @@ class Segments:
     @property
     def count(self) -> int:
         """Number of segments."""
-        return len(self.ctrl)
+        return len(self.qpos)
 
     @property
     def length(self) -> int:
         """Sample intervals in each segment."""
-        return self.ctrl.shape[1] - self.history
+        return self.qpos.shape[1] - 1
+
+    @property
+    def history(self) -> int:
+        """Samples of `signals` before the first state."""
+        return self.signals.ctrl.shape[1] - self.length
 
     @property
     def first(self) -> "Segments":
         """The first of them alone."""
         load = None if self.load is None else self.load[:1]
-        return replace(self, qpos=self.qpos[:1], qvel=self.qvel[:1], ctrl=self.ctrl[:1], load=load)
+        signals = self.signals.map(lambda signal: signal[:1])
+        return replace(self, qpos=self.qpos[:1], qvel=self.qvel[:1], signals=signals, load=load)
 
 
 class Sampling(NamedTuple):
@@ -256,9 +254,9 @@ def _windows(logs: Sequence[Log], places: Int[np.ndarray, "segments 2"], length:
     start = offset[places[:, 0]]
     index = (start + places[:, 1])[:, None] + np.arange(length + 1)
     before = np.maximum(start[:, None], index[:, :1] + np.arange(-history, 0))
-    signals = ("qpos", "qvel", "channels")
-    qpos, qvel, channels = (np.concatenate([getattr(log, signal) for log in logs]) for signal in signals)
+    driven = np.concatenate([before, index[:, :-1]], axis=1)
+    qpos, qvel = (np.concatenate([getattr(log, name) for log in logs])[index] for name in ("qpos", "qvel"))
+    recorded = [log.signals.named() for log in logs]
+    signals = {name: np.concatenate([of_log[name] for of_log in recorded])[driven] for name in recorded[0]}
     load = np.stack([log.load for log in logs])[places[:, 0]]
-    ctrl = channels[np.concatenate([before, index[:, :-1]], axis=1)]
-    observed = 0 if logs[0].observed is None else logs[0].observed.shape[1]
-    return Segments(qpos[index], qvel[index], ctrl, logs[0].timestep, load, history, observed)
+    return Segments(qpos, qvel, Signals.from_named(signals), logs[0].timestep, load)

@@ -1,7 +1,44 @@
-"""The state that a friction law sees, and the terms it answers with."""
+"""What drives a simulation, the state that a friction law sees, and the terms it answers with."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
+
+
+class Signals(NamedTuple):
+    """What was recorded besides the state and drives a simulation, each of shape (..., nv), in any array library.
+
+    Attributes:
+        ctrl: Command of each joint's actuator.
+        inputs: What the actuator law needs besides it (gain, supply), by name.
+        observed: What the friction law looks at besides the state (temperature), by name.
+    """
+
+    ctrl: Any
+    inputs: dict[str, Any] = {}
+    observed: dict[str, Any] = {}
+
+    def map(self, change: Callable[[Any], Any]) -> "Signals":
+        """Each signal changed, under the same names.
+
+        Args:
+            change: From a signal to what takes its place.
+        """
+        named = ({name: change(signal) for name, signal in part.items()} for part in self[1:])
+        return Signals(change(self.ctrl), *named)
+
+    def named(self) -> dict[str, Any]:
+        """The signals by full name: `ctrl`, `inputs.NAME`, `observed.NAME`."""
+        parts = (("inputs", self.inputs), ("observed", self.observed))
+        return {"ctrl": self.ctrl} | {f"{part}.{name}": signal for part, of in parts for name, signal in of.items()}
+
+    @classmethod
+    def from_named(cls, arrays: Mapping[str, Any]) -> "Signals":
+        """The signals among arrays by full name."""
+        inputs, observed = (
+            {name.removeprefix(part): array for name, array in arrays.items() if name.startswith(part)}
+            for part in ("inputs.", "observed.")
+        )
+        return cls(arrays["ctrl"], inputs, observed)
 
 
 class DriveState(NamedTuple):

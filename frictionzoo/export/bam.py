@@ -9,12 +9,11 @@ from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
 from scipy.optimize import nnls
 
 from frictionzoo.bench.actuators.voltage_servo import VoltageServo
 from frictionzoo.core.errors import ConfigError, ExportError, closest
-from frictionzoo.core.state import DriveState, FrictionTerms
+from frictionzoo.core.state import DriveState, FrictionTerms, Signals
 from frictionzoo.export.base import Target, measure, register_target
 from frictionzoo.export.graph import compare
 from frictionzoo.export.nearest import evaluate_law
@@ -207,10 +206,10 @@ def _step(written: Identified, files: list[dict[str, Any]]) -> Step:
     """A step as BAM's MuJoCo controller takes it: friction from the state before it, by MuJoCo's own constraint."""
     advance = step_with_control(written)
 
-    def step(model: mujoco.MjModel, data: mujoco.MjData, channels: Float[np.ndarray, "channels"]) -> None:
+    def step(model: mujoco.MjModel, data: mujoco.MjData, signals: Signals) -> None:
         external = data.qfrc_passive + model.dof_damping * data.qvel - data.qfrc_bias
         terms = _budgets(files, DriveState(data.qpos, data.qvel, data.qpos, data.qfrc_actuator, external))
         model.dof_frictionloss[:], model.dof_damping[:] = terms.frictionloss, terms.damping
-        advance(model, data, channels)
+        advance(model, data, signals)
 
     return step

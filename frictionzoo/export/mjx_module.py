@@ -1,6 +1,7 @@
 """The target `mjx`: the law as a Python module over JAX, inside MJX's own step."""
 
 from collections.abc import Mapping
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -11,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from mujoco import mjx
 
+from frictionzoo.core.state import Signals
 from frictionzoo.export.base import Target, measure, register_target
 from frictionzoo.export.module import load_module, write_module
 from frictionzoo.export.mujoco_c import BENCH, MODULE, write_bare_bench
@@ -46,22 +48,21 @@ def _run(folder: Path, fitted: Identified) -> Float[np.ndarray, "batch time nv"]
 
     remembers = fitted.model.memory > 0
 
-    def act(before: Any, channels: Any) -> tuple[Any, Any, Mapping[str, Any]]:
-        command, inputs, observed = fitted.bench.split(channels)
-        before = jnp.concatenate([before[1:], command[None]])
-        return before, module.late(before, fitted.timestep), inputs | observed
+    def act(before: Any, signals: Signals) -> tuple[Any, Any, Mapping[str, Any]]:
+        before = jnp.concatenate([before[1:], signals.ctrl[None]])
+        return before, module.late(before, fitted.timestep), signals.inputs | signals.observed
 
     @jax.jit
-    def rollout(model: mjx.Model, data: mjx.Data, commands: Any) -> Any:
-        def step(state: tuple[Any, ...], channels: Any) -> tuple[Any, Any]:
+    def rollout(model: mjx.Model, data: mjx.Data, driven: tuple[Signals, Any]) -> Any:
+        def step(state: tuple[Any, ...], signals: Signals) -> tuple[Any, Any]:
             before, *drive = state
-            before, *acting = act(before, channels)
+            before, *acting = act(before, signals)
             drive = module.step(model, *drive, *acting)
             data, *memory = drive if remembers else (drive,)
             return (before, data, *memory), data.qpos
 
-        now, before = commands
-        memory = [module.reset(model, data, *act(before, now[0])[1:])] if remembers else []
+        now, before = driven
+        memory = [module.reset(model, data, *act(before, now.map(itemgetter(0)))[1:])] if remembers else []
         return jax.lax.scan(step, (before, data, *memory), now)[1]
 
     found = []
@@ -71,19 +72,17 @@ def _run(folder: Path, fitted: Identified) -> Float[np.ndarray, "batch time nv"]
         on_device = mjx.put_model(model)
         data = mjx.make_data(on_device)
         data = data.replace(qpos=jnp.asarray(segments.qpos[number, 0]), qvel=jnp.asarray(segments.qvel[number, 0]))
-        found.append(
-            np.asarray(rollout(on_device, data, _commands(fitted, number, module.steps_kept(fitted.timestep))))
-        )
+        found.append(np.asarray(rollout(on_device, data, _signals(fitted, number, module.steps_kept(fitted.timestep)))))
     substeps = fitted.sampling.substeps
     return np.stack(found)[:, substeps - 1 :: substeps]
 
 
-def _commands(fitted: Identified, number: int, kept: int) -> tuple[Any, Any]:
-    """What is held in each step of a rollout, and in so many steps before."""
-    now = fitted.commands(late=False)[number]
+def _signals(fitted: Identified, number: int, kept: int) -> tuple[Signals, Any]:
+    """What drives each step of a rollout, and the commands in so many steps before."""
+    now = fitted.acting(late=False).map(lambda signal: jnp.asarray(signal[number].reshape(-1, fitted.bench.nv)))
     before = commands_before(fitted, number)
     before = np.concatenate([np.repeat(before[:1], kept, axis=0), before])[-kept:]
-    return jnp.asarray(now.reshape(-1, now.shape[-1])), jnp.asarray(before)
+    return now, jnp.asarray(before)
 
 
 def _say_limits(fitted: Identified) -> tuple[str, ...]:

@@ -14,6 +14,7 @@ from frictionzoo.bench.actuators.position_pd import PositionPD
 from frictionzoo.bench.actuators.voltage_servo import VoltageServo
 from frictionzoo.core.errors import ExportError
 from frictionzoo.core.params import UNITS
+from frictionzoo.core.state import Signals
 from frictionzoo.export.base import read_number
 from frictionzoo.export.nearest import Nearest
 from frictionzoo.export.simulate import Step, simulate
@@ -77,8 +78,7 @@ class Joint(NamedTuple):
 def read_inputs(fitted: Identified, options: Mapping[str, str]) -> dict[str, float]:
     """Gain and supply of a drive that needs them, as given or as the median over the long test rollouts."""
     names = fitted.bench.actuator.inputs
-    signals = fitted.bench.split(fitted.segments.commands).inputs
-    medians = {name: float(np.median(signal)) for name, signal in signals.items()}
+    medians = {name: float(np.median(signal)) for name, signal in fitted.segments.acting.inputs.items()}
     given = {name: read_number(options, name) for name in INPUTS}
     return medians | {name: value for name, value in given.items() if value is not None and name in names}
 
@@ -165,9 +165,9 @@ def _compile(fitted: Identified, nearest: Nearest, joints: Sequence[Joint]) -> m
 
 
 def _step(joints: Sequence[Joint]) -> Step:
-    def step(model: mujoco.MjModel, data: mujoco.MjData, channels: Float[np.ndarray, "channels"]) -> None:
+    def step(model: mujoco.MjModel, data: mujoco.MjData, signals: Signals) -> None:
         for index, joint in enumerate(joints):
-            state = float(channels[index]), float(data.qpos[index]), float(data.qvel[index])
+            state = float(signals.ctrl[index]), float(data.qpos[index]), float(data.qvel[index])
             data.ctrl[index] = joint.motor.torque(*state)
         mujoco.mj_step(model, data)
 

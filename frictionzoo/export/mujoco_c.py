@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 
+from frictionzoo.core.state import Signals
 from frictionzoo.export.base import Target, measure, register_target
 from frictionzoo.export.module import controls, load_module, write_module
 from frictionzoo.export.simulate import commands_before, simulate
@@ -47,9 +48,8 @@ def _run(folder: Path, fitted: Identified) -> np.ndarray:
     def prepare(model: mujoco.MjModel, data: mujoco.MjData, rollout: int) -> None:
         drive.start_late(commands_before(fitted, rollout))
 
-    def step(model: mujoco.MjModel, data: mujoco.MjData, channels: np.ndarray) -> None:
-        command, inputs, observed = fitted.bench.split(channels)
-        drive.step(data, command, inputs | observed)
+    def step(model: mujoco.MjModel, data: mujoco.MjData, signals: Signals) -> None:
+        drive.step(data, signals.ctrl, signals.inputs | signals.observed)
 
     return simulate(model, fitted, step, prepare, late=False)
 

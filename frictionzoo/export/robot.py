@@ -96,8 +96,9 @@ def compare_torque(robot: Robot, fitted: Identified, nearest: Nearest, actuators
 def _pick_states(fitted: Identified) -> DriveState:
     """Some of the recorded states, with what MuJoCo's actuators get in them as `ctrl`."""
     bench, samples = fitted.bench, fitted.samples
-    command, inputs, _ = bench.split(fitted.commands()[:, :, 0].reshape(len(samples.qpos), -1))
-    ctrl = bench.actuator.control(np, fitted.values["bench"], samples.qpos, samples.qvel, command, inputs)
+    signals = fitted.acting().map(lambda signal: signal[:, :, 0].reshape(-1, bench.nv))
+    state = samples.qpos, samples.qvel
+    ctrl = bench.actuator.control(np, fitted.values["bench"], *state, signals.ctrl, signals.inputs)
     every = max(1, len(samples.qpos) // _STATES)
     return samples._replace(ctrl=ctrl).map(lambda signal: np.asarray(signal)[::every])
 

@@ -1,15 +1,17 @@
 """MuJoCo C under the commands of recordings: how written models are compared with the fitted drive."""
 
 from collections.abc import Callable
+from operator import itemgetter
 
 import mujoco
 import numpy as np
 from jaxtyping import Float
 
 from frictionzoo.core.segments import Segments
+from frictionzoo.core.state import Signals
 from frictionzoo.result.identified import Identified
 
-Step = Callable[[mujoco.MjModel, mujoco.MjData, Float[np.ndarray, "channels"]], None]
+Step = Callable[[mujoco.MjModel, mujoco.MjData, Signals], None]
 """Advances a model by one time step under one sample of the commands and both laws' other inputs."""
 
 
@@ -30,14 +32,14 @@ def simulate(
         late: Whether the commands that `step` gets are late by the bench's delay.
     """
     segments = fitted.segments
-    commands = fitted.commands(late=late)
+    signals = fitted.acting(late=late)
     qpos = np.empty((segments.count, segments.length, fitted.bench.nv))
     for rollout in range(segments.count):
         data = _begin(model, fitted, segments, rollout)
         prepare(model, data, rollout)
         for sample in range(segments.length):
-            for command in commands[rollout, sample]:
-                step(model, data, command)
+            for substep in range(fitted.sampling.substeps):
+                step(model, data, signals.map(itemgetter((rollout, sample, substep))))
             qpos[rollout, sample] = data.qpos
     return qpos
 
@@ -50,9 +52,9 @@ def step_with_control(fitted: Identified) -> Step:
     """
     bench = fitted.bench
 
-    def step(model: mujoco.MjModel, data: mujoco.MjData, channels: Float[np.ndarray, "channels"]) -> None:
-        command, inputs, _ = bench.split(channels)
-        data.ctrl[:] = bench.actuator.control(np, fitted.values["bench"], data.qpos, data.qvel, command, inputs)
+    def step(model: mujoco.MjModel, data: mujoco.MjData, signals: Signals) -> None:
+        state = data.qpos, data.qvel
+        data.ctrl[:] = bench.actuator.control(np, fitted.values["bench"], *state, signals.ctrl, signals.inputs)
         mujoco.mj_step(model, data)
 
     return step
@@ -66,7 +68,7 @@ def commands_before(fitted: Identified, rollout: int) -> Float[np.ndarray, "step
         rollout: Number of the rollout.
     """
     segments = fitted.segments
-    known = segments.ctrl[rollout, : max(segments.history, 1), : fitted.bench.nv]
+    known = segments.signals.ctrl[rollout, : max(segments.history, 1)]
     return np.repeat(known, fitted.sampling.substeps, axis=0)
 
 

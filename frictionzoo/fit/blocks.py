@@ -26,7 +26,7 @@ class Blocks(NamedTuple):
     Attributes:
         qpos: Measured position [rad or m], (blocks, segments, states, nv).
         qvel: Measured velocity [rad/s or m/s], of the same shape.
-        ctrl: Command, (blocks, segments, time, nu).
+        signals: What drives them, each (blocks, segments, samples, nv).
         load: What payloads change in the bench's model, (blocks, segments, load).
         weight: 1; 0 for a segment that only fills the last block.
         stretch: Number of the stretch of consecutive segments to which a segment belongs, from 0.
@@ -34,7 +34,7 @@ class Blocks(NamedTuple):
 
     qpos: Any
     qvel: Any
-    ctrl: Any
+    signals: Any
     load: Any
     weight: Any
     stretch: Any
@@ -66,7 +66,8 @@ def into_blocks(segments: Segments, stretches: int, dtype: Any, devices: list[An
 
     weight = (np.arange(blocks * size) < segments.count).astype(dtype).reshape(blocks, size)
     stretch = (index * stretches // segments.count).astype(np.int32).reshape(blocks, size)
-    host = Blocks(cut(segments.qpos), cut(segments.qvel), cut(segments.ctrl), cut(segments.loads), weight, stretch)
+    measured = cut(segments.qpos), cut(segments.qvel), segments.signals.map(cut), cut(segments.loads)
+    host = Blocks(*measured, weight, stretch)
     if len(devices) == 1:
         return jax.tree.map(jnp.asarray, host)
     sharding = NamedSharding(Mesh(np.array(devices), ("segments",)), PartitionSpec(None, "segments"))

@@ -195,7 +195,7 @@ class Objective:
 
         def of_block(vector: torch.Tensor, block: Blocks) -> torch.Tensor:
             start = block.qpos[:, 0], block.qvel[:, 0]
-            return loss_of(rollout.in_torch(values_of(vector), *start, block.ctrl, block.load), block)
+            return loss_of(rollout.in_torch(values_of(vector), *start, block.signals, block.load), block)
 
         def of_all(vector: Array, data: Blocks) -> tuple[Array, Array]:
             moving = to_tensors(vector).requires_grad_()
@@ -260,7 +260,7 @@ class Objective:
         return jnp.sum(self._robust(squares / square)) * square
 
     def _residuals(self, values: Values, qpos: Array, qvel: Array, block: Blocks) -> Float[Array, "segments terms 2"]:
-        return self._errors(qpos, qvel, self._rollout(values, qpos, qvel, block.ctrl, block.load), block)
+        return self._errors(qpos, qvel, self._rollout(values, qpos, qvel, block.signals, block.load), block)
 
     def _errors(
         self, qpos: Array, qvel: Array, predicted: tuple[Array, Array], block: Blocks

@@ -41,6 +41,7 @@ def _fingerprint(objective: Objective) -> str:
     """Of all that the minimum follows from: the compiled loss as text, its data, start and bounds."""
     space, data = objective.space, objective.data
     program = objective.compile(objective.loss).lower(space.start, data).as_text()
-    arrays = {"start": space.start, "low": space.low, "high": space.high, **data._asdict()}
+    arrays = {"start": space.start, "low": space.low, "high": space.high, **data._asdict(), **data.signals.named()}
+    del arrays["signals"]
     numbers = digest({name: np.asarray(array) for name, array in arrays.items()})
     return hashlib.sha256(f"{program}{numbers}".encode()).hexdigest()

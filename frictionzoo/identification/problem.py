@@ -142,6 +142,6 @@ def _training_samples(drive: Drive, bench: Bench, dataset: Dataset) -> DriveStat
     """What the friction law sees in every training sample, with the bench's initial values, as numpy arrays."""
     values = {"bench": bench.initial_values()}
     state = drive.rollout.compile(jax.vmap(drive.engine.drive_state, in_axes=(None, 0, 0, 0, None)))
-    signals = [(log.qpos, log.qvel, log.channels, log.load) for log in dataset.train]
+    signals = [(log.qpos, log.qvel, log.signals, log.load) for log in dataset.train]
     parts = [jax.tree.map(np.asarray, state(values, *of_log)) for of_log in signals]
     return jax.tree.map(lambda *signals: np.concatenate(signals), *parts)

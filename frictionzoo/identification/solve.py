@@ -130,7 +130,7 @@ def _collect_curves(problem: Problem, outcome: Outcome, judgement: Judgement, ba
     return Curves(
         measured_qpos=measured.qpos,
         measured_qvel=measured.qvel,
-        ctrl=measured.ctrl,
+        signals=measured.signals,
         load=measured.loads,
         qpos=judgement.prediction.qpos,
         qvel=judgement.prediction.qvel,
@@ -153,7 +153,7 @@ def _motor_torque(problem: Problem, segments: Segments) -> Float[np.ndarray, "ba
     """The actuators' torque at each measured state, with the bench's initial values: the same for all laws."""
     values = {"bench": problem.bench.initial_values()}
     seen = problem.drive.rollout.compile(make_observer(problem.drive.engine, problem.sampling))
-    state = seen(values, segments.qpos[:, :-1], segments.qvel[:, :-1], segments.ctrl, segments.loads)
+    state = seen(values, segments.qpos[:, :-1], segments.qvel[:, :-1], segments.signals, segments.loads)
     return np.asarray(state.motor_torque, np.float64)
 
 

@@ -13,7 +13,7 @@ from jaxtyping import Float, Shaped
 
 from frictionzoo.core.errors import RunError
 from frictionzoo.core.output import write_atomically
-from frictionzoo.core.state import DriveState
+from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.models.base import FrictionModel, sliding_torque
 
 FILE = "curves.safetensors"
@@ -31,7 +31,7 @@ class Curves:
     Attributes:
         measured_qpos: Position in the long test rollouts [rad or m].
         measured_qvel: Velocity in them [rad/s or m/s].
-        ctrl: What drives them, as `Segments` has it.
+        signals: What drives them, as `Segments` has it.
         load: What their payloads change in the bench's model.
         qpos: The same, simulated.
         qvel: The same, simulated.
@@ -51,7 +51,7 @@ class Curves:
 
     measured_qpos: Float[np.ndarray, "rollouts states nv"]
     measured_qvel: Float[np.ndarray, "rollouts states nv"]
-    ctrl: Float[np.ndarray, "rollouts samples channels"]
+    signals: Signals
     load: Float[np.ndarray, "rollouts load"]
     qpos: Float[np.ndarray, "rollouts steps nv"]
     qvel: Float[np.ndarray, "rollouts steps nv"]
@@ -69,6 +69,9 @@ class Curves:
     history: Mapping[str, Shaped[np.ndarray, "iterations ..."]]
 
 
+_ARRAYS = tuple(field.name for field in fields(Curves) if field.name not in ("signals", "history"))
+
+
 def write_curves(folder: Path, curves: Curves) -> None:
     """Write `curves.safetensors` into a run's folder.
 
@@ -79,7 +82,7 @@ def write_curves(folder: Path, curves: Curves) -> None:
     Raises:
         OutputError: It cannot be written.
     """
-    arrays = {field.name: getattr(curves, field.name) for field in fields(curves) if field.name != "history"}
+    arrays = {name: getattr(curves, name) for name in _ARRAYS} | curves.signals.named()
     arrays |= {f"{_HISTORY}{name}": values for name, values in curves.history.items()}
     whole = {name: np.ascontiguousarray(values, dtype=np.float64) for name, values in arrays.items()}
     write_atomically(folder / FILE, safetensors.numpy.save(whole))
@@ -97,9 +100,9 @@ def read_curves(folder: Path) -> Curves:
     path = folder / FILE
     try:
         arrays: dict[str, Any] = safetensors.numpy.load(path.read_bytes())
-        names = [field.name for field in fields(Curves) if field.name != "history"]
         history = {key.removeprefix(_HISTORY): value for key, value in arrays.items() if key.startswith(_HISTORY)}
-        return Curves(**{name: arrays[name] for name in names}, history=history)
+        signals = Signals.from_named(arrays)
+        return Curves(**{name: arrays[name] for name in _ARRAYS}, signals=signals, history=history)
     except OSError as error:
         raise RunError(f"{path}: {error.strerror}; expected the folder of a finished run; run it again") from None
     except (safetensors.SafetensorError, KeyError) as error:

@@ -79,7 +79,7 @@ def predict(rollout: Rollout, values: Values, segments: Segments) -> Prediction:
         values: Values of the bench's and the law's parameters.
         segments: What was measured.
     """
-    qpos, qvel = rollout(values, segments.qpos[:, 0], segments.qvel[:, 0], segments.ctrl, segments.load)
+    qpos, qvel = rollout(values, segments.qpos[:, 0], segments.qvel[:, 0], segments.signals, segments.load)
     return Prediction(np.asarray(qpos, dtype=np.float64), np.asarray(qvel, dtype=np.float64))
 
 
@@ -226,7 +226,9 @@ class Evaluation:
         digest = hashlib.sha256()
         for segments in (*cut, self.trajectories, self._places, self.local):
             loads = (segments.loads,) if segments.loads.size else ()
-            for signal in (segments.qpos, segments.qvel, segments.driven, *loads):
+            acting = segments.acting  # what only the friction law looks at is left out: it differs from law to law
+            driven = np.concatenate([acting.ctrl, *acting.inputs.values()], axis=2)
+            for signal in (segments.qpos, segments.qvel, driven, *loads):
                 digest.update(str(signal.shape).encode() + np.ascontiguousarray(signal, np.float64).tobytes())
         return digest.hexdigest()
 

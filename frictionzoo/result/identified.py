@@ -20,7 +20,7 @@ from frictionzoo.core.build import build
 from frictionzoo.core.errors import ConfigError, RunError
 from frictionzoo.core.output import RESULT
 from frictionzoo.core.segments import Sampling, Segments
-from frictionzoo.core.state import DriveState
+from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.export.written import Written
 from frictionzoo.models import FrictionModel
 from frictionzoo.result.curves import FILE as CURVES
@@ -237,7 +237,7 @@ class Identified:
         segments = drive.segments if segments is None else segments
         with jax.enable_x64(True):
             start = segments.qpos[:, 0], segments.qvel[:, 0]
-            found = drive._drive.rollout.compiled(drive.jax_values, *start, segments.ctrl, segments.load)
+            found = drive._drive.rollout.compiled(drive.jax_values, *start, segments.signals, segments.load)
             qpos, qvel = (np.array(part, np.float64) for part in found)
         return qpos, qvel
 
@@ -261,19 +261,16 @@ class Identified:
             )
         return replace(segments, qpos=qpos, qvel=qvel)
 
-    def commands(
-        self, segments: Segments | None = None, late: bool = True
-    ) -> Float[np.ndarray, "batch time substeps channels"]:
-        """What acts in each step of the simulation: the commands, and the other inputs of both laws.
+    def acting(self, late: bool = True) -> Signals:
+        """What drives each step of the long test rollouts, each of shape (batch, time, substeps, nv).
 
         Args:
-            segments: Whose; None for the run's long test rollouts.
             late: Whether the commands are late by the bench's delay.
         """
-        segments = self.segments if segments is None else segments
         with jax.enable_x64(True):
             bench = self.jax_values["bench"] if late else {}
-            return np.asarray(applied({"bench": bench}, jnp.asarray(segments.ctrl), self.sampling), np.float64)
+            signals = self.segments.signals.map(jnp.asarray)
+            return applied({"bench": bench}, signals, self.sampling).map(lambda signal: np.asarray(signal, np.float64))
 
     @cached_property
     def samples(self) -> DriveState:
@@ -282,7 +279,7 @@ class Identified:
         qpos, qvel = segments.qpos[:, :-1], segments.qvel[:, :-1]
         with jax.enable_x64(True):
             states = jax.jit(make_observer(self.engine, self.sampling))
-            seen = states(self.jax_values, qpos, qvel, segments.ctrl, segments.loads)
+            seen = states(self.jax_values, qpos, qvel, segments.signals, segments.loads)
             return seen.map(lambda signal: np.array(signal, np.float64).reshape(-1, self.bench.nv))
 
     @cached_property
@@ -293,9 +290,11 @@ class Identified:
             BenchError: It is not; see `frictionzoo.simulate.proof.prove`.
         """
         segments = self.segments
-        signals = segments.qpos[:, :-1], segments.qvel[:, :-1], segments.commands
-        qpos, qvel, channels = (signal.reshape(-1, signal.shape[-1]) for signal in signals)
-        recorded = Recorded(qpos, qvel, channels, np.repeat(segments.loads, segments.length, axis=0))
+        qpos, qvel, signals = jax.tree.map(
+            lambda signal: signal.reshape(-1, self.bench.nv),
+            (segments.qpos[:, :-1], segments.qvel[:, :-1], segments.acting),
+        )
+        recorded = Recorded(qpos, qvel, signals, np.repeat(segments.loads, segments.length, axis=0))
         return prove(self.bench, self.model, "auto", self.values, recorded)
 
     @property
@@ -344,16 +343,20 @@ def _read_bench(result: Result, bench: Bench) -> dict[str, Float[np.ndarray, "nv
 
 
 def _read_segments(path: Path, curves: Curves, interval: float, bench: Bench) -> Segments:
-    samples, states = curves.ctrl.shape[1], curves.measured_qpos.shape[1]
-    if curves.measured_qpos.shape[2] != bench.nv or samples < states - 1:
+    signals, states = curves.signals, curves.measured_qpos.shape[1]
+    (samples, joints), *others = (signal.shape[1:] for signal in signals.named().values())
+    if curves.measured_qpos.shape[2] != bench.nv or joints != bench.nv or samples < states - 1:
         raise RunError(
-            f"{path}: {curves.measured_qpos.shape[2]} joints and {samples} commands for {states} states,"
-            f" expected {bench.nv} joints and a command for each step; run it again"
+            f"{path}: {joints} joints and {samples} commands for {states} states, expected {bench.nv} joints and a "
+            "command for each step; run it again"
+        )
+    if {*signals.inputs, *signals.observed} != {*bench.inputs} or any(shape != (samples, joints) for shape in others):
+        raise RunError(
+            f"{path}: besides the command {', '.join([*signals.inputs, *signals.observed]) or 'nothing'}, expected "
+            f"{', '.join(bench.inputs) or 'nothing'}, {samples} samples each; run it again"
         )
     load = curves.load if curves.load.shape[1] else None
-    history = samples - (states - 1)
-    observed = len(bench.observed) * bench.nv
-    return Segments(curves.measured_qpos, curves.measured_qvel, curves.ctrl, interval, load, history, observed)
+    return Segments(curves.measured_qpos, curves.measured_qvel, signals, interval, load)
 
 
 def _thin(segments: Segments, every: int, history: int) -> Segments:
@@ -365,7 +368,6 @@ def _thin(segments: Segments, every: int, history: int) -> Segments:
         segments,
         qpos=segments.qpos[:, state],
         qvel=segments.qvel[:, state],
-        ctrl=segments.ctrl[:, command],
+        signals=segments.signals.map(lambda signal: signal[:, command]),
         timestep=every * segments.timestep,
-        history=history,
     )

@@ -9,8 +9,8 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from frictionzoo.bench import Bench, Channels
-from frictionzoo.core.state import DriveState, FrictionTerms
+from frictionzoo.bench import Bench
+from frictionzoo.core.state import DriveState, FrictionTerms, Signals
 
 Values = Mapping[str, Mapping[str, Any]]
 """Physical values by owner (`bench`, `friction`) and name."""
@@ -65,7 +65,7 @@ class Engine(ABC):
         values: Values,
         qpos: Float[Array, "nv"],
         qvel: Float[Array, "nv"],
-        ctrl: Float[Array, "channels"],
+        signals: Signals,
         load: Float[Array, "load"],
         memory: Float[Array, "nv memory"],
     ) -> tuple[Float[Array, "nv"], Float[Array, "nv"], Float[Array, "nv memory"]]:
@@ -75,9 +75,7 @@ class Engine(ABC):
             values: Values of the bench's parameters and of the friction law's.
             qpos: Position [rad or m].
             qvel: Velocity [rad/s or m/s].
-            ctrl: What was recorded besides the state, one number a joint each: the commands, then the other inputs of
-                the actuator law (supply, gain), then what the friction law looks at (temperature). `Bench.split` takes
-                them apart.
+            signals: What was recorded besides the state, each of shape (nv,).
             load: How the payload of the recording changes the model, from `Bench.load`.
             memory: The friction law's, from `start` or from the step before.
 
@@ -90,11 +88,11 @@ class Engine(ABC):
         values: Values,
         qpos: Float[Array, "nv"],
         qvel: Float[Array, "nv"],
-        ctrl: Float[Array, "channels"],
+        signals: Signals,
         load: Float[Array, "load"],
     ) -> Float[Array, "nv memory"]:
         """The friction law's memory where a rollout begins; arguments as in `step`."""
-        return self._friction.settle(values["friction"], self.drive_state(values, qpos, qvel, ctrl, load))
+        return self._friction.settle(values["friction"], self.drive_state(values, qpos, qvel, signals, load))
 
     @abstractmethod
     def drive_state(
@@ -102,17 +100,15 @@ class Engine(ABC):
         values: Values,
         qpos: Float[Array, "nv"],
         qvel: Float[Array, "nv"],
-        ctrl: Float[Array, "channels"],
+        signals: Signals,
         load: Float[Array, "load"],
     ) -> DriveState:
         """What the friction law sees in this state: velocity, torques and so on; arguments as in `step`."""
 
 
-def control(bench: Bench, values: Values, qpos: Array, qvel: Array, ctrl: Array) -> tuple[Channels, Array]:
-    """`ctrl` taken apart, and what the controller makes of the commands; arguments as in `Engine.step`."""
-    channels = bench.split(ctrl)
-    command, inputs, _ = channels
-    return channels, bench.actuator.control(jnp, values["bench"], qpos, qvel, command, inputs)
+def control(bench: Bench, values: Values, qpos: Array, qvel: Array, signals: Signals) -> Float[Array, "nv"]:
+    """What the controller makes of the commands; arguments as in `Engine.step`."""
+    return bench.actuator.control(jnp, values["bench"], qpos, qvel, signals.ctrl, signals.inputs)
 
 
 def friction_of(module: Any) -> Friction:

@@ -12,6 +12,7 @@ from frictionzoo.bench import Bench
 from frictionzoo.bench.compiled import NO_PAYLOAD
 from frictionzoo.core.errors import BenchError, ConfigError, closest
 from frictionzoo.core.log import Payload
+from frictionzoo.core.state import Signals
 from frictionzoo.models import FrictionModel
 from frictionzoo.simulate.bridge import as_torch_function
 from frictionzoo.simulate.drive import Drive
@@ -62,11 +63,11 @@ def rollout(
     """
     bench, function, reverse, history = _compile(bench, law, engine, interval)  # first: it may change the law's type
     values = _values(bench, law, parameters or {}, qpos)
-    channels = _join(bench, law, qpos, qvel, ctrl, dict(signals or {}))
+    driven = _name(bench, law, qpos, qvel, ctrl, dict(signals or {}))
     if history:
-        channels = torch.cat([channels[:, :1].expand(-1, history, -1), channels], dim=1)
+        driven = driven.map(lambda signal: torch.cat([signal[:, :1].expand(-1, history, -1), signal], dim=1))
     load = torch.as_tensor(bench.load(payload or NO_PAYLOAD)).to(qpos).expand(len(qpos), -1)
-    arguments = values, qpos, qvel, channels, load
+    arguments = values, qpos, qvel, driven, load
     if not reverse and torch.is_grad_enabled() and any(leaf.requires_grad for leaf in jax.tree.leaves(arguments)):
         raise ConfigError(
             f"{bench.source}: engine={engine} has no gradient of this bench, whose solver iterates; expected a rollout "
@@ -109,10 +110,10 @@ def _of_joints(bench: Bench, name: str, value: object, like: Tensor) -> Tensor:
     return tensor.expand(bench.nv)
 
 
-def _join(
+def _name(
     bench: Bench, law: FrictionModel, qpos: Tensor, qvel: Tensor, ctrl: Tensor, signals: dict[str, Tensor]
-) -> Float[Tensor, "batch time channels"]:
-    """The command and the other signals side by side, as a step takes them."""
+) -> Signals:
+    """The command and the other signals, as a rollout takes them."""
     if qpos.ndim != 2 or ctrl.ndim != 3:
         raise BenchError(
             f"qpos of shape {tuple(qpos.shape)} and ctrl of {tuple(ctrl.shape)}, expected (batch, {bench.nv}) and "
@@ -131,4 +132,5 @@ def _join(
     for name, tensor in {"qpos": qpos, "qvel": qvel, **parts}.items():
         if tuple(tensor.shape) != shapes[name]:
             raise BenchError(f"{name} has shape {tuple(tensor.shape)}, expected {shapes[name]}")
-    return torch.cat([part.to(qpos) for part in parts.values()], dim=2)
+    whole = Signals(parts["ctrl"], {n: parts[n] for n in bench.actuator.inputs}, {n: parts[n] for n in bench.observed})
+    return whole.map(lambda signal: signal.to(qpos))

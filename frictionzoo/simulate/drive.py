@@ -46,6 +46,6 @@ class Drive:
             )
         if isinstance(model, TorchFriction):
             simulated = make_engine(engine, bench, AS_GIVEN, model.constraint)
-            return cls(model, simulated, make_torch_rollout(bench, simulated, model, sampling))
+            return cls(model, simulated, make_torch_rollout(simulated, model, sampling))
         simulated = make_engine(engine, bench, friction_of(model), model.constraint)
         return cls(model, simulated, make_rollout(simulated, sampling))

@@ -10,9 +10,9 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
-from frictionzoo.bench import Bench, Channels
+from frictionzoo.bench import Bench
 from frictionzoo.bench.compiled import INERTIAL, can_collide, rigid_inertia
-from frictionzoo.core.state import DriveState, FrictionTerms
+from frictionzoo.core.state import DriveState, FrictionTerms, Signals
 from frictionzoo.simulate.base import UNFUSED, Engine, Friction, Values, control
 from frictionzoo.simulate.linear import solve_spd
 
@@ -109,14 +109,14 @@ class MjxEngine(Engine):
         values: Values,
         qpos: Float[Array, "nv"],
         qvel: Float[Array, "nv"],
-        ctrl: Float[Array, "channels"],
+        signals: Signals,
         load: Float[Array, "load"],
         memory: Float[Array, "nv memory"],
     ) -> tuple[Float[Array, "nv"], Float[Array, "nv"], Float[Array, "nv memory"]]:
         """See `Engine.step`."""
-        channels, effective = control(self._bench, values, qpos, qvel, ctrl)
-        model, data = self._drive(self.model_inputs(values, load), qpos, qvel, effective)
-        state = _drive_state(data, channels)
+        ctrl = control(self._bench, values, qpos, qvel, signals)
+        model, data = self._drive(self.model_inputs(values, load), qpos, qvel, ctrl)
+        state = _drive_state(data, signals)
         terms, memory = self._friction.advance(values["friction"], state, memory, self._timestep)
         model, data = self._apply(terms, model, data)
         data = mjx.fwd_acceleration(model, data)
@@ -130,12 +130,12 @@ class MjxEngine(Engine):
         values: Values,
         qpos: Float[Array, "nv"],
         qvel: Float[Array, "nv"],
-        ctrl: Float[Array, "channels"],
+        signals: Signals,
         load: Float[Array, "load"],
     ) -> DriveState:
         """See `Engine.drive_state`."""
-        channels, effective = control(self._bench, values, qpos, qvel, ctrl)
-        return _drive_state(self._drive(self.model_inputs(values, load), qpos, qvel, effective)[1], channels)
+        ctrl = control(self._bench, values, qpos, qvel, signals)
+        return _drive_state(self._drive(self.model_inputs(values, load), qpos, qvel, ctrl)[1], signals)
 
     def model_inputs(self, values: Values, load: Float[Array, "load"]) -> ModelInputs:
         """What these values and this load change in the model."""
@@ -243,9 +243,9 @@ def _jacobians(model: mujoco.MjModel) -> tuple[Float[np.ndarray, "bodies 2 3 nv"
     return bodies, tendons
 
 
-def _drive_state(data: mjx.Data, channels: Channels) -> DriveState:
+def _drive_state(data: mjx.Data, signals: Signals) -> DriveState:
     torques = data.qfrc_actuator, _external_torque(data)
-    return DriveState(data.qpos, data.qvel, channels.command, *torques, **channels.observed)
+    return DriveState(data.qpos, data.qvel, signals.ctrl, *torques, **signals.observed)
 
 
 def _external_torque(data: mjx.Data) -> Array:

@@ -3,6 +3,7 @@
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import jax
@@ -14,7 +15,7 @@ from jaxtyping import Float
 from frictionzoo.bench import Bench
 from frictionzoo.core.errors import BenchError, FrictionzooError
 from frictionzoo.core.log import Log
-from frictionzoo.core.state import DriveState
+from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.models import FrictionModel
 from frictionzoo.simulate import Values
 from frictionzoo.simulate.choose import naming_what_mjx_lacks
@@ -37,28 +38,28 @@ class Recorded(NamedTuple):
     Attributes:
         qpos: [rad or m].
         qvel: [rad/s or m/s].
-        channels: What drove it, as `Log.channels` has it.
+        signals: What drove it, each of shape (samples, nv).
         load: What the payload changes in the model, as `Bench.load` gives it.
     """
 
     qpos: Float[np.ndarray, "samples nv"]
     qvel: Float[np.ndarray, "samples nv"]
-    channels: Float[np.ndarray, "samples channels"]
+    signals: Signals
     load: Float[np.ndarray, "samples load"]
 
     @classmethod
     def of(cls, logs: Sequence[Log]) -> "Recorded":
         """All samples of logs that a bench accepted."""
-        rows = [(log.qpos, log.qvel, log.channels, np.tile(log.load, (log.samples, 1))) for log in logs]
-        return cls(*(np.concatenate(signals) for signals in zip(*rows, strict=True)))
+        rows = [cls(log.qpos, log.qvel, log.signals, np.tile(log.load, (log.samples, 1))) for log in logs]
+        return jax.tree.map(lambda *of_logs: np.concatenate(of_logs), *rows)
 
 
 class Cases(NamedTuple):
-    """Short rollouts to compare: initial states of shape (cases, nv), channels of shape (cases, steps, channels)."""
+    """Short rollouts to compare: initial states of shape (cases, nv), signals each of shape (cases, steps, nv)."""
 
     qpos: Float[np.ndarray, "cases nv"]
     qvel: Float[np.ndarray, "cases nv"]
-    channels: Float[np.ndarray, "cases steps channels"]
+    signals: Signals
     load: Float[np.ndarray, "cases load"]
 
 
@@ -131,7 +132,8 @@ def _draw(recorded: Recorded) -> Cases:
 
     others = rng.integers(len(recorded.qpos), size=(_CASES, _STEPS))
     driven = np.where(recorded_half, row[:, None], others)
-    return Cases(states(recorded.qpos), states(recorded.qvel), recorded.channels[driven], recorded.load[row])
+    signals = recorded.signals.map(itemgetter(driven))
+    return Cases(states(recorded.qpos), states(recorded.qvel), signals, recorded.load[row])
 
 
 def _moved(bench: Bench, model: FrictionModel, values: Values) -> Values:
@@ -180,13 +182,13 @@ def _in_c(bench: Bench, model: FrictionModel, values: Values, cases: Cases) -> F
     compiled = mujoco.MjModel.from_xml_string(text)
     own, law = compiled.dof_damping.copy(), _Law(model, values["friction"], float(compiled.opt.timestep))
     worlds = [_World(bench, compiled, *case) for case in zip(cases.qpos, cases.qvel, cases.load, strict=True)]
-    found = np.empty((2, *cases.channels.shape[:2], bench.nv))
-    for step in range(cases.channels.shape[1]):
+    found = np.empty((2, *cases.signals.ctrl.shape))
+    for step in range(cases.signals.ctrl.shape[1]):
         qpos, qvel = (np.array([getattr(world.data, name) for world in worlds]) for name in ("qpos", "qvel"))
-        channels = bench.split(cases.channels[:, step])
-        control = bench.actuator.control(np, values["bench"], qpos, qvel, channels.command, channels.inputs)
+        signals = cases.signals.map(itemgetter((slice(None), step)))
+        control = bench.actuator.control(np, values["bench"], qpos, qvel, signals.ctrl, signals.inputs)
         torques = zip(*(world.drive(ctrl, own) for world, ctrl in zip(worlds, control, strict=True)), strict=True)
-        terms = law(DriveState(qpos, qvel, channels.command, *map(np.array, torques), **channels.observed))
+        terms = law(DriveState(qpos, qvel, signals.ctrl, *map(np.array, torques), **signals.observed))
         for index, world in enumerate(worlds):
             world.step(own, *(None if term is None else term[index] for term in terms))
             found[:, index, step] = world.data.qpos, world.data.qvel

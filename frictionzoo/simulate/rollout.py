@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from operator import itemgetter
 from typing import Any
 
 import jax
@@ -10,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from frictionzoo.core.segments import Sampling
-from frictionzoo.core.state import DriveState
+from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.simulate import Engine, Values
 
 State = tuple[Array, Array, Array]
@@ -28,7 +29,7 @@ class Rollout:
     """Many open-loop rollouts at once: initial states and commands to predicted states.
 
     Call it, or `compiled` where nothing else around it is compiled, with the values, initial qpos and qvel of shape
-    (batch, nv), ctrl of shape (batch, samples, channels) as `Segments` has it and, for a bench with payloads, loads of
+    (batch, nv), signals of shape (batch, samples, nv) as `Segments` has them and, for a bench with payloads, loads of
     shape (batch, load). The answer is qpos and qvel after each sample interval, of shape (batch, time, nv). A rollout
     that diverges contains non-finite values.
 
@@ -44,9 +45,9 @@ class Rollout:
     forward_limit: int
     reverse: bool
 
-    def __call__(self, values: Values, qpos: Any, qvel: Any, ctrl: Any, load: Any = None) -> tuple[Any, Any]:
+    def __call__(self, values: Values, qpos: Any, qvel: Any, signals: Signals, load: Any = None) -> tuple[Any, Any]:
         """The predicted states."""
-        return self.function(values, qpos, qvel, ctrl, load)
+        return self.function(values, qpos, qvel, signals, load)
 
     @cached_property
     def compiled(self) -> Callable[..., tuple[Any, Any]]:
@@ -81,22 +82,23 @@ def make_rollout(engine: Engine, sampling: Sampling | None = None) -> Rollout:
         values: Values,
         qpos: Float[Array, "batch nv"],
         qvel: Float[Array, "batch nv"],
-        ctrl: Float[Array, "batch samples channels"],
+        signals: Signals,
         load: Float[Array, "batch load"] | None = None,
     ) -> tuple[Float[Array, "batch time nv"], Float[Array, "batch time nv"]]:
         load = jnp.zeros((len(qpos), 0), jnp.result_type(float)) if load is None else load
 
-        def step(state: State, command: Array) -> tuple[State, None]:
+        def step(state: State, now: Signals) -> tuple[State, None]:
             qpos, qvel, memory = state
-            return batched(values, qpos, qvel, command, load, memory), None
+            return batched(values, qpos, qvel, now, load, memory), None
 
-        def advance(state: State, commands: Array) -> tuple[State, tuple[Array, Array]]:
-            state = jax.lax.scan(step, state, commands)[0] if len(commands) > 1 else step(state, commands[0])[0]
+        def advance(state: State, steps: Signals) -> tuple[State, tuple[Array, Array]]:
+            several = sampling.substeps > 1
+            state = jax.lax.scan(step, state, steps)[0] if several else step(state, steps.map(itemgetter(0)))[0]
             return state, state[:2]
 
-        commands = jnp.moveaxis(applied(values, ctrl, sampling), 0, 2)
-        memory = started(values, qpos, qvel, commands[0, 0], load)
-        _, (positions, velocities) = jax.lax.scan(advance, (qpos, qvel, memory), commands)
+        acting = applied(values, signals, sampling).map(lambda signal: jnp.moveaxis(signal, 0, 2))
+        memory = started(values, qpos, qvel, acting.map(itemgetter((0, 0))), load)
+        _, (positions, velocities) = jax.lax.scan(advance, (qpos, qvel, memory), acting)
         return jnp.swapaxes(positions, 0, 1), jnp.swapaxes(velocities, 0, 1)
 
     return Rollout(rollout, engine.compiler_options, engine.forward_limit, engine.reverse)
@@ -110,21 +112,20 @@ def make_observer(engine: Engine, sampling: Sampling) -> Callable[..., DriveStat
         sampling: From samples to simulation steps.
 
     Returns:
-        From values, qpos and qvel of shape (batch, time, nv), ctrl as in `Segments` and loads of shape (batch, load) to
-        a state of shape (batch, time, nv).
+        From values, qpos and qvel of shape (batch, time, nv), signals as in `Segments` and loads of shape (batch, load)
+        to a state of shape (batch, time, nv).
     """
     over_time = jax.vmap(engine.drive_state, in_axes=(None, 0, 0, 0, None))
     over_batch = jax.vmap(over_time, in_axes=(None, 0, 0, 0, 0))
 
-    def observe(values: Values, qpos: Any, qvel: Any, ctrl: Any, load: Any) -> DriveState:
-        return over_batch(values, qpos, qvel, applied(values, ctrl, sampling)[:, :, 0], load)
+    def observe(values: Values, qpos: Any, qvel: Any, signals: Signals, load: Any) -> DriveState:
+        now = applied(values, signals, sampling).map(lambda signal: signal[:, :, 0])
+        return over_batch(values, qpos, qvel, now, load)
 
     return observe
 
 
-def applied(
-    values: Values, ctrl: Float[Array, "batch samples channels"], sampling: Sampling
-) -> Float[Array, "batch time substeps channels"]:
+def applied(values: Values, signals: Signals, sampling: Sampling) -> Signals:
     """What acts in each simulation step: the commands, late by the bench's delay, and the other inputs.
 
     A command is held until the next one. Within the step in which a late command takes over, the mean of both acts, so
@@ -132,12 +133,19 @@ def applied(
 
     Args:
         values: With `bench.delay` [s], of shape (nv,), where commands act late.
-        ctrl: Samples of the command and the other inputs, as `Segments` has them.
+        signals: Samples of shape (batch, samples, nv), as `Segments` has them.
         sampling: From samples to simulation steps.
+
+    Returns:
+        Each of shape (batch, time, substeps, nv).
     """
     interval, substeps, history = sampling
-    now = ctrl[:, history:]
-    held = jnp.broadcast_to(now[:, :, None], (*now.shape[:2], substeps, now.shape[2]))
+
+    def hold(signal: Float[Array, "batch samples nv"]) -> Float[Array, "batch time substeps nv"]:
+        now = signal[:, history:]
+        return jnp.broadcast_to(now[:, :, None], (*now.shape[:2], substeps, now.shape[2]))
+
+    held, ctrl = signals.map(hold), signals.ctrl
     delay = values["bench"].get("delay")
     if delay is None:
         return held
@@ -146,9 +154,9 @@ def applied(
     whole = jax.lax.stop_gradient(jnp.floor(early))
     later = early - whole
     step = jnp.arange(substeps)[:, None] + whole.astype(int)
-    sample = history + jnp.arange(now.shape[1])[:, None, None]
+    sample = history + jnp.arange(held.ctrl.shape[1])[:, None, None]
     joint = jnp.arange(len(delay))
     late = (1 - later) * ctrl[:, sample + step // substeps, joint]
     known = jnp.concatenate([ctrl, ctrl[:, -1:]], axis=1)  # without delay, the last step has no part in a later one
     late += later * known[:, sample + (step + 1) // substeps, joint]
-    return jnp.concatenate([late, held[..., len(delay) :]], axis=-1)
+    return held._replace(ctrl=late)

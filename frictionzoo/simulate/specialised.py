@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
-from frictionzoo.bench import Bench, Channels
+from frictionzoo.bench import Bench
 from frictionzoo.bench.compiled import NO_FRICTION_CONSTRAINT, NO_PAYLOAD, can_collide
-from frictionzoo.core.state import DriveState, FrictionTerms
+from frictionzoo.core.state import DriveState, FrictionTerms, Signals
 from frictionzoo.simulate.base import UNFUSED, Engine, Friction, Values, control, without_memory
 from frictionzoo.simulate.dry_friction import dry_friction
 from frictionzoo.simulate.fold import CannotSpecialiseError, Specialised, specialise
@@ -60,13 +60,13 @@ class SpecialisedEngine(Engine):
         values: Values,
         qpos: Float[Array, "nv"],
         qvel: Float[Array, "nv"],
-        ctrl: Float[Array, "channels"],
+        signals: Signals,
         load: Float[Array, "load"],
         memory: Float[Array, "nv memory"],
     ) -> tuple[Float[Array, "nv"], Float[Array, "nv"], Float[Array, "nv memory"]]:
         """See `Engine.step`."""
-        channels, here = self._at(values, qpos, qvel, ctrl, load)
-        state = _drive_state(qpos, qvel, channels, here)
+        here = self._at(values, qpos, qvel, signals, load)
+        state = _drive_state(qpos, qvel, signals, here)
         terms, memory = self._friction.advance(values["friction"], state, memory, self._timestep)
         force = here.motor_torque + here.external_torque
         implicit = here.inertia + here.implicit
@@ -89,20 +89,19 @@ class SpecialisedEngine(Engine):
         values: Values,
         qpos: Float[Array, "nv"],
         qvel: Float[Array, "nv"],
-        ctrl: Float[Array, "channels"],
+        signals: Signals,
         load: Float[Array, "load"],
     ) -> DriveState:
         """See `Engine.drive_state`."""
-        return _drive_state(qpos, qvel, *self._at(values, qpos, qvel, ctrl, load))
+        return _drive_state(qpos, qvel, signals, self._at(values, qpos, qvel, signals, load))
 
-    def _at(self, values: Values, qpos: Array, qvel: Array, ctrl: Array, load: Array) -> tuple[Channels, Dynamics]:
-        channels, effective = control(self._bench, values, qpos, qvel, ctrl)
-        return channels, self._dynamics(self._model_inputs(values, load), qpos, qvel, effective)
+    def _at(self, values: Values, qpos: Array, qvel: Array, signals: Signals, load: Array) -> Dynamics:
+        ctrl = control(self._bench, values, qpos, qvel, signals)
+        return self._dynamics(self._model_inputs(values, load), qpos, qvel, ctrl)
 
 
-def _drive_state(qpos: Array, qvel: Array, channels: Channels, here: Dynamics) -> DriveState:
-    torques = here.motor_torque, here.external_torque
-    return DriveState(qpos, qvel, channels.command, *torques, **channels.observed)
+def _drive_state(qpos: Array, qvel: Array, signals: Signals, here: Dynamics) -> DriveState:
+    return DriveState(qpos, qvel, signals.ctrl, here.motor_torque, here.external_torque, **signals.observed)
 
 
 _known: dict[str, tuple[Callable[[Values, Array], ModelInputs], Specialised]] = {}

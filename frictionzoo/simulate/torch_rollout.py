@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from operator import itemgetter
 from typing import Any
 
 import jax
@@ -10,10 +11,9 @@ import jax.numpy as jnp
 import torch
 from jaxtyping import Array, Float
 
-from frictionzoo.bench import Bench
 from frictionzoo.core.errors import ModelError
 from frictionzoo.core.segments import Sampling
-from frictionzoo.core.state import DriveState, FrictionTerms
+from frictionzoo.core.state import DriveState, FrictionTerms, Signals
 from frictionzoo.models import TorchFriction
 from frictionzoo.simulate import Engine, Friction, Values, without_memory
 from frictionzoo.simulate.bridge import as_torch_function, to_arrays, to_tensors
@@ -43,16 +43,13 @@ class TorchRollout(Rollout):
         return self.function
 
 
-def make_torch_rollout(
-    bench: Bench, engine: Engine, model: TorchFriction, sampling: Sampling | None = None
-) -> TorchRollout:
+def make_torch_rollout(engine: Engine, model: TorchFriction, sampling: Sampling | None = None) -> TorchRollout:
     """The rollouts of an engine with a law in torch.
 
     A step of all segments is compiled once. What the law sees, its terms and the next state cross between JAX and torch
     through DLPack; the gradient goes the same way back, through the vector-Jacobian product of the engine's step.
 
     Args:
-        bench: What the engine simulates.
         engine: With the friction `AS_GIVEN`.
         model: The law; it is made float64.
         sampling: As in `make_rollout`.
@@ -69,40 +66,38 @@ def make_torch_rollout(
     model.double()
     sampling = Sampling(0.0, 1, 0) if sampling is None else sampling
     operation = partial(as_torch_function, compiler_options=engine.compiler_options)
-    commands_of = operation(partial(_commands, sampling))
+    acting_of = operation(partial(_acting, sampling))
     observe = operation(jax.vmap(partial(_observe, engine), in_axes=(None, 0, 0, 0, 0)))
     step = operation(jax.vmap(partial(_step, engine), in_axes=(None, 0, 0, 0, 0, 0, 0)))
 
     def in_torch(
-        values: Any, qpos: torch.Tensor, qvel: torch.Tensor, ctrl: torch.Tensor, load: torch.Tensor | None = None
+        values: Any, qpos: torch.Tensor, qvel: torch.Tensor, signals: Signals, load: torch.Tensor | None = None
     ) -> tuple[torch.Tensor, torch.Tensor]:
         known = values["bench"]
         load = qpos.new_zeros((len(qpos), 0)) if load is None else load
-        commands = commands_of(known, ctrl).unbind()
-        torques = observe(known, qpos, qvel, commands[0], load)
+        acting = acting_of(known, signals).map(torch.unbind)  # one node for autograd, not one a step
+        steps = [acting.map(itemgetter(number)) for number in range(len(acting.ctrl))]
+        torques = observe(known, qpos, qvel, steps[0], load)
         states = []
-        for command, following in zip(commands, [*commands[1:], commands[-1]], strict=True):
-            channels = bench.split(command)
-            seen = DriveState(qpos, qvel, channels.command, *torques, **channels.observed)
+        for now, following in zip(steps, [*steps[1:], steps[-1]], strict=True):
+            seen = DriveState(qpos, qvel, now.ctrl, *torques, **now.observed)
             terms = _whole(model.terms(torch, values["friction"], seen), qvel)
-            qpos, qvel, *torques = step(known, terms, qpos, qvel, command, following, load)
+            qpos, qvel, *torques = step(known, terms, qpos, qvel, now, following, load)
             states.append((qpos, qvel))
         positions, velocities = zip(*states[sampling.substeps - 1 :: sampling.substeps], strict=True)
         return torch.stack(positions, dim=1), torch.stack(velocities, dim=1)
 
-    def in_arrays(values: Values, qpos: Any, qvel: Any, ctrl: Any, load: Any = None) -> tuple[Any, Any]:
+    def in_arrays(values: Values, qpos: Any, qvel: Any, signals: Signals, load: Any = None) -> tuple[Any, Any]:
         with torch.no_grad():
-            return to_arrays(in_torch(*to_tensors((values, qpos, qvel, ctrl, load))))
+            return to_arrays(in_torch(*to_tensors((values, qpos, qvel, signals, load))))
 
     return TorchRollout(in_arrays, engine.compiler_options, 0, engine.reverse, in_torch, label)
 
 
-def _commands(
-    sampling: Sampling, bench: Mapping[str, Any], ctrl: Float[Array, "batch samples channels"]
-) -> Float[Array, "steps batch channels"]:
-    """What acts in each step of the simulation."""
-    acting = applied({"bench": bench}, ctrl, sampling)
-    return jnp.moveaxis(acting.reshape(len(ctrl), -1, ctrl.shape[2]), 0, 1)
+def _acting(sampling: Sampling, bench: Mapping[str, Any], signals: Signals) -> Signals:
+    """What acts in each step of the simulation, each of shape (steps, batch, nv)."""
+    acting = applied({"bench": bench}, signals, sampling)
+    return acting.map(lambda signal: jnp.moveaxis(signal.reshape(len(signal), -1, signal.shape[3]), 0, 1))
 
 
 def _observe(
@@ -110,11 +105,11 @@ def _observe(
     bench: Mapping[str, Any],
     qpos: Float[Array, "nv"],
     qvel: Float[Array, "nv"],
-    ctrl: Float[Array, "channels"],
+    signals: Signals,
     load: Float[Array, "load"],
 ) -> tuple[Float[Array, "nv"], Float[Array, "nv"]]:
     """Those signals that the law sees and torch does not have yet."""
-    state = engine.drive_state({"bench": bench}, qpos, qvel, ctrl, load)
+    state = engine.drive_state({"bench": bench}, qpos, qvel, signals, load)
     return state.motor_torque, state.external_torque
 
 
@@ -124,8 +119,8 @@ def _step(
     terms: Mapping[str, Float[Array, "nv"]],
     qpos: Float[Array, "nv"],
     qvel: Float[Array, "nv"],
-    ctrl: Float[Array, "channels"],
-    following: Float[Array, "channels"],
+    now: Signals,
+    following: Signals,
     load: Float[Array, "load"],
 ) -> tuple[Float[Array, "nv"], ...]:
     """The state after a step with these friction terms, and the torques that the law sees there.
@@ -133,7 +128,7 @@ def _step(
     One operation for both, because what crosses between JAX and torch costs more than a small bench's physics.
     """
     memory = jnp.zeros((*qvel.shape, 0), qvel.dtype)
-    qpos, qvel, _ = engine.step({"bench": bench, "friction": terms}, qpos, qvel, ctrl, load, memory)
+    qpos, qvel, _ = engine.step({"bench": bench, "friction": terms}, qpos, qvel, now, load, memory)
     return qpos, qvel, *_observe(engine, bench, qpos, qvel, following, load)
 
 

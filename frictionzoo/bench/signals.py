@@ -1,7 +1,6 @@
-"""What drives a simulation besides the state: the signals of a recording that both laws need, side by side."""
+"""The signals of a recording that the actuator law and the friction law need besides state and command."""
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -12,27 +11,12 @@ from frictionzoo.core.log import Log
 from frictionzoo.logs.clean import EXTRAS
 
 
-class Channels(NamedTuple):
-    """What drives a simulation, by its parts, each of shape (..., nv).
-
-    Attributes:
-        command: Of each joint's actuator.
-        inputs: Each other input of the actuator law, by name.
-        observed: What the friction law looks at, by name.
-    """
-
-    command: Any
-    inputs: dict[str, Any]
-    observed: dict[str, Any]
-
-
-def pick_inputs(log: Log, actuator: Actuator, nv: int) -> Float[np.ndarray, "time inputs"] | None:
-    """What the actuator law of so many joints needs besides the command; None where that is nothing.
+def pick_inputs(log: Log, actuator: Actuator, nv: int) -> dict[str, Float[np.ndarray, "time nv"]]:
+    """What the actuator law of so many joints needs besides the command, by name.
 
     Raises:
         BenchError: The recording lacks one, or has another number of columns of it, or values that are not finite.
     """
-    columns = []
     for name in actuator.inputs:
         if name not in log.extras:
             column = f"map a column (data.columns.{name}), or " if name in EXTRAS else ""
@@ -40,21 +24,19 @@ def pick_inputs(log: Log, actuator: Actuator, nv: int) -> Float[np.ndarray, "tim
                 f"{log.name}: no {name}, which {type(actuator).__name__} needs; {column}give a field or a number "
                 f"('data.inputs={{{name}: VALUE}}')"
             )
-        columns.append(_for_each_joint(log, name, nv))
-    return np.concatenate(columns, axis=1) if columns else None
+    return {name: _for_each_joint(log, name, nv) for name in actuator.inputs}
 
 
-def pick_observed(log: Log, observed: Mapping[str, float], nv: int) -> Float[np.ndarray, "time observed"] | None:
-    """What the friction law looks at besides the state, as `Bench.observed` says; None where that is nothing.
+def pick_observed(log: Log, observed: Mapping[str, float], nv: int) -> dict[str, Float[np.ndarray, "time nv"]]:
+    """What the friction law looks at besides the state, as `Bench.observed` says, by name.
 
     Raises:
         BenchError: The recording has another number of columns of one, or values that are not finite.
     """
-    columns = [
-        _for_each_joint(log, name, nv) if name in log.extras else np.full(log.qpos.shape, value)
+    return {
+        name: _for_each_joint(log, name, nv) if name in log.extras else np.full(log.qpos.shape, value)
         for name, value in observed.items()
-    ]
-    return np.concatenate(columns, axis=1) if columns else None
+    }
 
 
 def _for_each_joint(log: Log, name: str, nv: int) -> Float[np.ndarray, "time nv"]:
