@@ -136,9 +136,6 @@ class Bench(Described):
         """The same test stand for another law in place of one that was fitted: the armature alone is free.
 
         What else was identified stays: another law's rollouts would move it to make up for what the law cannot.
-
-        Args:
-            values: Fitted value of each of `params`, with which it starts.
         """
         armature = np.asarray(values["armature"])
         bounds = {"low": float(armature.min()) / _HEAVIER, "high": float(armature.max()) * _HEAVIER}
@@ -151,10 +148,7 @@ class Bench(Described):
         return other
 
     def observing(self, inputs: Mapping[str, float]) -> "Bench":
-        """The same test stand, for a friction law that looks at more of a recording than the state.
-
-        Args:
-            inputs: The law's `inputs`.
+        """The same test stand, for a friction law with these `inputs`: it looks at more of a recording than the state.
 
         Raises:
             ConfigError: `DriveState` has no such signal.
@@ -262,9 +256,6 @@ class Bench(Described):
     def load(self, payload: Payload) -> Float[np.ndarray, "load"]:
         """What a payload changes in the model; empty for a bench that carries none.
 
-        Args:
-            payload: The body that is fixed to the bench's.
-
         Returns:
             Of the body together with its payload: mass [kg], centre of mass [m] (3), orientation of the principal axes
             (quaternion, 4), principal inertia [kg m^2] (3); then the joint-space inertia at the reference position
@@ -277,12 +268,7 @@ class Bench(Described):
         return self._loads[payload]
 
     def put_load(self, model: mujoco.MjModel, load: Float[np.ndarray, "load"]) -> None:
-        """Let the body that carries payloads be what a recording's payload makes of it.
-
-        Args:
-            model: A compiled model of this bench.
-            load: As `load` gives it; empty to change nothing.
-        """
+        """Let the body that carries payloads be what this `load` makes of it; where that is empty, as it is."""
         if self.payload is not None and len(load):
             put_inertial(model, self.payload, load[:INERTIAL])
 
@@ -309,10 +295,6 @@ class Bench(Described):
 
     def check_interval(self, interval: float, whose: str) -> None:
         """Refuse samples that are no whole number of simulation steps apart.
-
-        Args:
-            interval: Of the samples [s].
-            whose: What is sampled, for the message.
 
         Raises:
             BenchError: They are not, or too many steps.

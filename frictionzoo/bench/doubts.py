@@ -40,10 +40,6 @@ STATES = 2000  # recorded states at which contacts and limits are looked for
 def doubt_recordings(dataset: Dataset, bench: Bench) -> list[str]:
     """What is likely to be wrong with recordings, a sentence each with what mends it.
 
-    Args:
-        dataset: Recordings that the bench accepted.
-        bench: The test stand.
-
     Raises:
         LogError: Something is certainly wrong.
     """
@@ -56,12 +52,7 @@ def doubt_recordings(dataset: Dataset, bench: Bench) -> list[str]:
 
 
 def doubt_motion(dataset: Dataset, bench: Bench) -> list[str]:
-    """What MuJoCo C does at the recorded positions and the drive may not have done: touch a limit, make contact.
-
-    Args:
-        dataset: Recordings that the bench accepted.
-        bench: The test stand.
-    """
+    """What MuJoCo C does at the recorded positions and the drive may not have done: touch a limit, make contact."""
     model = bench.compile(constraint=False)
     limited = model.jnt_limited.any() or model.tendon_limited.any()
     if not (limited or model.npair or can_collide(model)):

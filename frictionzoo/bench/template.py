@@ -54,13 +54,7 @@ class Template:
     def write(
         self, joints: Sequence[Mapping[str, str]], actuators: Sequence[Mapping[str, str]], comments: Sequence[str] = ()
     ) -> str:
-        """The MJCF with these attributes.
-
-        Args:
-            joints: Of each identified joint.
-            actuators: Of one actuator each.
-            comments: Lines for the top of the file.
-        """
+        """The MJCF with these attributes, of each identified joint and of one actuator each, and comments on top."""
         root = copy.deepcopy(self._root)
         found = {element.get("name"): element for element in root.findall("./worldbody//joint")}
         for name, attributes in zip(self.joints, joints, strict=True):

@@ -104,14 +104,7 @@ register_method = REGISTRY.register
 
 
 def refuse_nothing(objective: Objective) -> None:
-    """Refuse to search where nothing is to be found.
-
-    Args:
-        objective: With the space to be searched.
-
-    Raises:
-        ConfigError: Nothing is to be identified.
-    """
+    """ConfigError where nothing is to be identified."""
     if not objective.space.names:
         raise ConfigError(
             "no parameter is to be identified, expected at least one; set identify: true for one, or fit=known"
@@ -119,15 +112,7 @@ def refuse_nothing(objective: Objective) -> None:
 
 
 def refuse_torch(objective: Objective, name: str) -> None:
-    """Refuse a law that exists only in torch, of which there is a gradient and nothing else.
-
-    Args:
-        objective: With the law.
-        name: Of the method.
-
-    Raises:
-        ConfigError: It is such a law.
-    """
+    """ConfigError for a law that exists only in torch, of which there is a gradient and nothing else."""
     if objective.torch_law:
         raise ConfigError(
             f"fit={name}: {objective.torch_law} exists only in torch, expected a formula over xp; use fit=adam"

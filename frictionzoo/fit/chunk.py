@@ -62,12 +62,7 @@ Chunk = Callable[[Progress, int], tuple[Progress, Trace]]
 
 
 def begin(fit: Fit, objective: Objective) -> Progress:
-    """Progress before the first iteration.
-
-    Args:
-        fit: The method.
-        objective: What it minimises.
-    """
+    """Progress before the first iteration."""
     vector, method = fit.init(objective)
     vector = jnp.asarray(vector, objective.space.start.dtype)
     return Progress(
@@ -86,10 +81,6 @@ def begin(fit: Fit, objective: Objective) -> Progress:
 def search(fit: Fit, objective: Objective) -> tuple[Progress, Trace]:
     """A whole fit in one chunk, without a record of it.
 
-    Args:
-        fit: The method.
-        objective: What it minimises.
-
     Raises:
         ConfigError: The method cannot search this space.
     """
@@ -102,11 +93,6 @@ def make_chunk(fit: Fit, objective: Objective, size: int) -> Chunk:
     """The function that does up to `size` iterations, compiled as far as the method and the law can be.
 
     How iterations are cut into chunks does not change a bit of the result: an interrupted fit goes on in others.
-
-    Args:
-        fit: The method.
-        objective: What it minimises.
-        size: Most iterations of a call.
 
     Raises:
         ConfigError: So many vectors are not tried at once.

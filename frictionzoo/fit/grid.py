@@ -34,10 +34,7 @@ class Grid(Search):
         self._points = points
 
     def total(self, objective: Objective) -> int:
-        """See `Fit.total`; raises ConfigError for a network, which has no bounds, and for nothing at all.
-
-        And for a law that exists only in torch.
-        """
+        """See `Fit.total`; not for a network, which has no bounds, nor a law that exists only in torch."""
         refuse_nothing(objective)
         refuse_torch(objective, self.name)
         if objective.space.weights:

@@ -65,10 +65,7 @@ class LevenbergMarquardt(Fit):
         self._tolerance = tolerance
 
     def total(self, objective: Objective) -> int:
-        """See `Fit.total`; raises ConfigError for a network, whose Jacobian has too many columns, and for nothing.
-
-        And for a law that exists only in torch.
-        """
+        """See `Fit.total`; not for a network, whose Jacobian has too many columns, nor a law only in torch."""
         refuse_nothing(objective)
         refuse_torch(objective, self.name)
         coordinates = len(objective.space.start)

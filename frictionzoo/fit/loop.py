@@ -12,7 +12,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import lightning.pytorch as pl
-import numpy as np
 import torch
 from lightning.pytorch.plugins import TorchCheckpointIO
 from lightning.pytorch.plugins.environments import LightningEnvironment
@@ -131,7 +130,9 @@ class _ProgressBar(pl.Callback):
         self._bar.update(pl_module.iteration - self._bar.n)
         trace = pl_module.history[-1]
         if len(trace.loss):
-            last = {name.partition(".")[2]: _short(values[-1]) for name, values in trace.params.items()}
+            last = {
+                name.partition(".")[2]: " ".join(f"{v:.4g}" for v in rows[-1]) for name, rows in trace.params.items()
+            }
             self._bar.set_postfix({"loss": f"{trace.loss[-1]:.3e}", **last})
 
     def on_train_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
@@ -191,7 +192,3 @@ def _checked_checkpoint(folder: Path, identity: Mapping[str, str]) -> Path | Non
             )
     _log.info("resuming from %s", path)
     return path
-
-
-def _short(values: np.ndarray) -> str:
-    return " ".join(f"{value:.4g}" for value in values)

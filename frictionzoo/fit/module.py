@@ -174,11 +174,8 @@ class FitModule(pl.LightningModule):
     def _explain_divergence(self) -> str | None:
         if not bool(self.progress.broken):
             return None
-        kept = (
-            "the best of the iterations before it is kept"
-            if int(self.progress.best_iteration) >= 0
-            else "none before it"
-        )
+        some = int(self.progress.best_iteration) >= 0
+        kept = "the best of the iterations before it is kept" if some else "none before it"
         return (
             f"fit diverged at iteration {self.iteration}: {self._name_divergence()}; {kept}; "
             f"{'lower fit.learning_rate, or ' if self._fit.name == 'adam' else ''}start from other initial values or "
@@ -203,12 +200,13 @@ class FitModule(pl.LightningModule):
         return Trace(empty, empty, {name: np.zeros((0, *value.shape), value.dtype) for name, value in params.items()})
 
     def _log_rows(self, before: int, trace: Trace) -> None:
+        columns = {"loss": trace.loss, "grad_norm": trace.grad_norm}
+        for name, values in trace.params.items():
+            joints = values.shape[1]
+            columns |= {name if joints == 1 else f"{name}/{joint}": values[:, joint] for joint in range(joints)}
         for row in range(len(trace.loss)):
-            scalars = {"loss": trace.loss[row], "grad_norm": trace.grad_norm[row]}
-            for name, values in trace.params.items():
-                scalars |= _by_joint(name, values[row])
             for logger in self.loggers:
-                logger.log_metrics({name: float(value) for name, value in scalars.items()}, step=before + row)
+                logger.log_metrics({name: float(column[row]) for name, column in columns.items()}, step=before + row)
 
 
 def _to_tensors(tree: Any) -> list[torch.Tensor]:
@@ -222,9 +220,3 @@ def _from_tensors(tensors: list[torch.Tensor], like: Any) -> Any:
         for tensor, leaf in zip(tensors, jax.tree.leaves(like), strict=True)
     ]
     return jax.tree.unflatten(jax.tree.structure(like), leaves)
-
-
-def _by_joint(name: str, values: np.ndarray) -> dict[str, float]:
-    if len(values) == 1:
-        return {name: float(values[0])}
-    return {f"{name}/{joint}": float(value) for joint, value in enumerate(values)}

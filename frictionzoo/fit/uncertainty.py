@@ -78,10 +78,6 @@ def estimate_uncertainty(objective: Objective, vector: Float[np.ndarray, "coordi
     Liang, S. Zeger, "Longitudinal data analysis using generalized linear models", 1986, for clusters; C. Bester, T.
     Conley, C. Hansen, "Inference with dependent data using cluster covariance estimators", 2011, for few stretches of
     time as clusters.
-
-    Args:
-        objective: What was minimised.
-        vector: Its best vector.
     """
     space = objective.space
     if not space.names:

@@ -62,9 +62,6 @@ class Problem:
     def from_settings(cls, settings: Mapping[str, Any]) -> "Problem":
         """The problem that the settings describe.
 
-        Args:
-            settings: A resolved configuration.
-
         Raises:
             FrictionzooError: The input is at fault.
         """
@@ -112,9 +109,6 @@ class Problem:
         """The same problem with a fitted drive's rollouts in place of the measured segments, judged as before.
 
         The bench starts with the fitted values; its armature alone is free.
-
-        Args:
-            teacher: The drive, from a run with the same bench, data and evaluation.
 
         Raises:
             RunError: The recordings are not those of the teacher's run any more, or the teacher diverges.

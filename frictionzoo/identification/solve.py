@@ -29,12 +29,7 @@ _log = logging.getLogger(__name__)
 
 
 def solve(
-    problem: Problem,
-    name: str,
-    device: str,
-    *,
-    record: Record | None = None,
-    measured: Problem | None = None,
+    problem: Problem, name: str, device: str, *, record: Record | None = None, measured: Problem | None = None
 ) -> Identified:
     """Identify a drive, in the same `computing` in which the problem was posed.
 
@@ -98,11 +93,7 @@ def _hand_over(problem: Problem, outcome: Outcome, result: Result, curves: Curve
 
 
 def judge_baseline(problem: Problem) -> tuple[Judgement, Values]:
-    """The best that the bench does without friction, on the same segments and the same rollouts, and its values.
-
-    Args:
-        problem: With the measured segments.
-    """
+    """The best that the bench does without friction, on the same segments and the same rollouts, and its values."""
     settings = problem.settings
     drive = Drive.assemble(problem.bench, Baseline(problem.bench.nv), problem.drive.engine.name, problem.sampling)
     space = Space(problem.bench, drive.model, settings["dtype"])

@@ -84,25 +84,13 @@ class Engine(ABC):
         """
 
     def start(
-        self,
-        values: Values,
-        qpos: Float[Array, "nv"],
-        qvel: Float[Array, "nv"],
-        signals: Signals,
-        load: Float[Array, "load"],
+        self, values: Values, qpos: Array, qvel: Array, signals: Signals, load: Array
     ) -> Float[Array, "nv memory"]:
         """The friction law's memory where a rollout begins; arguments as in `step`."""
         return self._friction.settle(values["friction"], self.drive_state(values, qpos, qvel, signals, load))
 
     @abstractmethod
-    def drive_state(
-        self,
-        values: Values,
-        qpos: Float[Array, "nv"],
-        qvel: Float[Array, "nv"],
-        signals: Signals,
-        load: Float[Array, "load"],
-    ) -> DriveState:
+    def drive_state(self, values: Values, qpos: Array, qvel: Array, signals: Signals, load: Array) -> DriveState:
         """What the friction law sees in this state: velocity, torques and so on; arguments as in `step`."""
 
 
@@ -117,11 +105,7 @@ def friction_of(module: Any) -> Friction:
 
 
 def without_memory(terms: Callable[[Mapping[str, Any], DriveState], FrictionTerms]) -> Friction:
-    """A law that depends on the present state alone, from its one function.
-
-    Args:
-        terms: Gets the law's values and the state; returns the friction terms.
-    """
+    """A law that depends on the present state alone, from its one function of the law's values and the state."""
     return Friction(
         settle=lambda values, state: jnp.zeros((*state.qvel.shape, 0)),
         advance=lambda values, state, memory, timestep: (terms(values, state), memory),

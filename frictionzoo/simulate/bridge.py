@@ -33,10 +33,6 @@ def to_jax(source: torch.nn.Module | Mapping[str, torch.Tensor], dtype: Any) -> 
 def load_from_jax(module: torch.nn.Module, arrays: Mapping[str, jax.Array]) -> None:
     """Write arrays into the module's state in place; names not given, dtypes and devices stay as they are.
 
-    Args:
-        module: The module.
-        arrays: Values under the names of its `state_dict`.
-
     Raises:
         ModelError: A name or a shape does not fit; then nothing is written.
     """
@@ -58,9 +54,6 @@ def to_tensors(tree: Any) -> Any:
     """Copies of a pytree's arrays, numpy or JAX, as torch tensors in the precision in which JAX computes.
 
     They lie on the GPU if JAX computes there and torch has one, and in the processor's memory otherwise.
-
-    Args:
-        tree: Arrays.
     """
     on_gpu = _default_device().platform == "gpu" and torch.cuda.is_available()
     device = torch.device("cuda" if on_gpu else "cpu")
@@ -68,11 +61,7 @@ def to_tensors(tree: Any) -> Any:
 
 
 def to_arrays(tree: Any) -> Any:
-    """Copies of a pytree's tensors on JAX's default device.
-
-    Args:
-        tree: Torch tensors.
-    """
+    """Copies of a pytree's tensors on JAX's default device."""
     return jax.tree.map(_to_array, tree)
 
 
@@ -83,10 +72,6 @@ def as_torch_function(
 
     It computes in x64 if one of the tensors is float64, and as JAX is configured otherwise. Second derivatives are not
     available.
-
-    Args:
-        function: From pytrees of arrays to a pytree of arrays.
-        compiler_options: For `jax.jit` of it.
 
     Returns:
         The same function over pytrees of torch tensors. Its outputs lie on the device of the first tensor; integer and

@@ -39,9 +39,6 @@ def make_engine(choice: str, bench: Bench, friction: Friction, constraint: bool)
 def naming_what_mjx_lacks(bench: Bench) -> Iterator[None]:
     """One line in place of what MJX raises where it takes a model over or steps it.
 
-    Args:
-        bench: Whose model it is.
-
     Raises:
         BenchError: MJX has raised something.
     """

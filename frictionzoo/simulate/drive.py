@@ -29,12 +29,6 @@ class Drive:
     def assemble(cls, bench: Bench, model: FrictionModel, engine: str, sampling: Sampling | None = None) -> "Drive":
         """The drive of this bench and this law, simulated by the engine of this name.
 
-        Args:
-            bench: The test stand.
-            model: The law; one that exists only in torch is made float64.
-            engine: As `make_engine` takes it.
-            sampling: As `make_rollout` takes it.
-
         Raises:
             BenchError: The law has another number of joints.
             ConfigError: No such engine, or it does not apply.

@@ -105,14 +105,8 @@ class MjxEngine(Engine):
         self.reverse: bool = not self._constraint or model.opt.iterations == 1
 
     def step(
-        self,
-        values: Values,
-        qpos: Float[Array, "nv"],
-        qvel: Float[Array, "nv"],
-        signals: Signals,
-        load: Float[Array, "load"],
-        memory: Float[Array, "nv memory"],
-    ) -> tuple[Float[Array, "nv"], Float[Array, "nv"], Float[Array, "nv memory"]]:
+        self, values: Values, qpos: Array, qvel: Array, signals: Signals, load: Array, memory: Array
+    ) -> tuple[Array, Array, Array]:
         """See `Engine.step`."""
         ctrl = control(self._bench, values, qpos, qvel, signals)
         model, data = self._drive(self.model_inputs(values, load), qpos, qvel, ctrl)
@@ -125,14 +119,7 @@ class MjxEngine(Engine):
         data = mjx.euler(model, data) if euler else mjx.implicit(model, data)
         return data.qpos, data.qvel, memory
 
-    def drive_state(
-        self,
-        values: Values,
-        qpos: Float[Array, "nv"],
-        qvel: Float[Array, "nv"],
-        signals: Signals,
-        load: Float[Array, "load"],
-    ) -> DriveState:
+    def drive_state(self, values: Values, qpos: Array, qvel: Array, signals: Signals, load: Array) -> DriveState:
         """See `Engine.drive_state`."""
         ctrl = control(self._bench, values, qpos, qvel, signals)
         return _drive_state(self._drive(self.model_inputs(values, load), qpos, qvel, ctrl)[1], signals)

@@ -94,13 +94,6 @@ def prove(bench: Bench, model: FrictionModel, engine: str, values: Values, recor
     the law's terms are computed in torch from what `mujoco` gives, and enter as joint damping, as the limit of the
     friction constraint, and as an applied force.
 
-    Args:
-        bench: The test stand.
-        model: The law.
-        engine: As `make_engine` takes it.
-        values: Of all parameters, by owner and name.
-        recorded: What the bench was recorded doing.
-
     Raises:
         BenchError: They differ by more than `TOLERANCE`; the message names the element of the MJCF that is at fault if
             leaving out a single one mends it.

@@ -107,10 +107,6 @@ def make_rollout(engine: Engine, sampling: Sampling | None = None) -> Rollout:
 def make_observer(engine: Engine, sampling: Sampling) -> Callable[..., DriveState]:
     """A function, not compiled, that tells what a friction law sees at measured states.
 
-    Args:
-        engine: The simulated drive.
-        sampling: From samples to simulation steps.
-
     Returns:
         From values, qpos and qvel of shape (batch, time, nv), signals as in `Segments` and loads of shape (batch, load)
         to a state of shape (batch, time, nv).

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from frictionzoo.bench import Bench
 from frictionzoo.bench.compiled import NO_FRICTION_CONSTRAINT, NO_PAYLOAD, can_collide
@@ -56,14 +56,8 @@ class SpecialisedEngine(Engine):
         self.compiler_options: Mapping[str, Any] = {} if bench.nv == 1 else UNFUSED
 
     def step(
-        self,
-        values: Values,
-        qpos: Float[Array, "nv"],
-        qvel: Float[Array, "nv"],
-        signals: Signals,
-        load: Float[Array, "load"],
-        memory: Float[Array, "nv memory"],
-    ) -> tuple[Float[Array, "nv"], Float[Array, "nv"], Float[Array, "nv memory"]]:
+        self, values: Values, qpos: Array, qvel: Array, signals: Signals, load: Array, memory: Array
+    ) -> tuple[Array, Array, Array]:
         """See `Engine.step`."""
         here = self._at(values, qpos, qvel, signals, load)
         state = _drive_state(qpos, qvel, signals, here)
@@ -84,14 +78,7 @@ class SpecialisedEngine(Engine):
         qvel = qvel + self._timestep * solve_spd(implicit, force)
         return qpos + self._timestep * qvel, qvel, memory
 
-    def drive_state(
-        self,
-        values: Values,
-        qpos: Float[Array, "nv"],
-        qvel: Float[Array, "nv"],
-        signals: Signals,
-        load: Float[Array, "load"],
-    ) -> DriveState:
+    def drive_state(self, values: Values, qpos: Array, qvel: Array, signals: Signals, load: Array) -> DriveState:
         """See `Engine.drive_state`."""
         return _drive_state(qpos, qvel, signals, self._at(values, qpos, qvel, signals, load))
 

@@ -49,11 +49,6 @@ def make_torch_rollout(engine: Engine, model: TorchFriction, sampling: Sampling 
     A step of all segments is compiled once. What the law sees, its terms and the next state cross between JAX and torch
     through DLPack; the gradient goes the same way back, through the vector-Jacobian product of the engine's step.
 
-    Args:
-        engine: With the friction `AS_GIVEN`.
-        model: The law; it is made float64.
-        sampling: As in `make_rollout`.
-
     Raises:
         ModelError: The law has a memory.
     """
@@ -101,12 +96,7 @@ def _acting(sampling: Sampling, bench: Mapping[str, Any], signals: Signals) -> S
 
 
 def _observe(
-    engine: Engine,
-    bench: Mapping[str, Any],
-    qpos: Float[Array, "nv"],
-    qvel: Float[Array, "nv"],
-    signals: Signals,
-    load: Float[Array, "load"],
+    engine: Engine, bench: Mapping[str, Any], qpos: Array, qvel: Array, signals: Signals, load: Array
 ) -> tuple[Float[Array, "nv"], Float[Array, "nv"]]:
     """Those signals that the law sees and torch does not have yet."""
     state = engine.drive_state({"bench": bench}, qpos, qvel, signals, load)

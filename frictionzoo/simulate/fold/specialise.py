@@ -59,10 +59,6 @@ class Specialised:
 def specialise(function: Callable[..., Any], *examples: Any) -> Specialised:
     """Trace a function and fold everything that does not depend on its arguments.
 
-    Args:
-        function: Pure, from pytrees of arrays to a pytree of arrays.
-        examples: Arguments whose shapes are taken.
-
     Raises:
         CannotSpecialiseError: The function uses an operation without a rule (a loop, a sort, random numbers).
     """
