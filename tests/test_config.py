@@ -160,7 +160,7 @@ def _choices(path: Path) -> list[str]:
         "frictionzoo.nowhere.Adam",
         "frictionzoo_evil.Adam",
         "frictionzoo.fit.loggers.TensorBoardLogger",  # a class of another package
-        "frictionzoo.logs.paths.Path",
+        "frictionzoo.logs.formats.Path",
     ],
 )
 def test_build_refuses_foreign_targets(target: str) -> None:

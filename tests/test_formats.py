@@ -36,7 +36,7 @@ from write_logs import (
 from frictionzoo.core.errors import ConfigError, LogError
 from frictionzoo.logs.columns import propose, to_recording
 from frictionzoo.logs.diagnose import refuse_incomplete
-from frictionzoo.logs.formats import format_names, read_tables, register_format, registry
+from frictionzoo.logs.formats import base, format_names, read_tables, register_format
 from frictionzoo.logs.formats.csv import Csv
 from frictionzoo.logs.recording import Table
 
@@ -106,7 +106,7 @@ def test_an_unknown_format_and_an_unknown_file(tmp_path):
 
 
 def test_another_package_brings_a_format(tmp_path, monkeypatch):
-    monkeypatch.setattr(registry.REGISTRY, "entries", dict(registry.REGISTRY.entries))
+    monkeypatch.setattr(base.REGISTRY, "entries", dict(base.REGISTRY.entries))
     register_format("semicolons")(
         type(
             "Semicolons",

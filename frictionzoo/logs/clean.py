@@ -6,9 +6,10 @@ delay of the command stays: it is a parameter of the fit.
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import scipy.interpolate
@@ -19,8 +20,16 @@ from frictionzoo.core.errors import ConfigError, LogError, closest
 from frictionzoo.core.log import JITTER, Log
 from frictionzoo.logs.diagnose import refuse_incomplete
 from frictionzoo.logs.recording import HELD, Recording
-from frictionzoo.logs.signals import count_spikes, find_breaks, find_outliers, find_velocity_lag, repair_spikes
-from frictionzoo.logs.velocity import check_filter, estimate_velocity
+from frictionzoo.logs.signals import (
+    Signal,
+    check_filter,
+    count_spikes,
+    estimate_velocity,
+    find_breaks,
+    find_outliers,
+    find_velocity_lag,
+    repair_spikes,
+)
 
 CHOICES: dict[str, tuple[str, ...]] = {
     "resample": ("linear", "cubic"),
@@ -114,14 +123,7 @@ class Piece:
 
 
 def clean(recording: Recording, cleaning: Cleaning) -> list[Log]:
-    """The logs in a recording, one for each stretch without a gap.
-
-    Args:
-        recording: As it comes.
-        cleaning: What to do with it.
-
-    Returns:
-        In the order of time; none where all of it is left out.
+    """The logs in a recording, one for each stretch without a gap, in their order; none where all of it is left out.
 
     Raises:
         LogError: It lacks a signal or cannot be repaired, or its velocity has another unit than its position.
@@ -141,11 +143,7 @@ def clean(recording: Recording, cleaning: Cleaning) -> list[Log]:
 
 
 def summarise_repairs(logs: Sequence[Log]) -> list[str]:
-    """What cleaning changed in many logs, a line for each kind of repair, the most frequent first.
-
-    Args:
-        logs: Cleaned logs.
-    """
+    """What cleaning changed in many logs, a line for each kind of repair, the most frequent first."""
     kinds = Counter(NUMBER.sub("#", sentence) for log in logs for sentence in log.repairs)
     examples = {NUMBER.sub("#", sentence): sentence for log in reversed(logs) for sentence in log.repairs}
     return [f"{count} of {len(logs)} logs: {examples[kind]}" for kind, count in kinds.most_common()]
@@ -206,20 +204,15 @@ def _split_at(piece: Piece, breaks: Sequence[int] | np.ndarray, sentence: str) -
 def _split_at_nan(piece: Piece, gap: float) -> list[Piece]:
     """The stretches between runs of NaN that are longer than a gap, or touch an end, where nothing is on one side."""
     lost = ~np.all([np.isfinite(values).all(axis=1) for values in piece.signals.values()], axis=0)
-    if not lost.any():
-        return [piece]
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], lost, [False]]).astype(int)))
-    for first, last in zip(edges[::2], edges[1::2], strict=True):
+    for first, last in np.flatnonzero(np.diff(lost, prepend=False, append=False)).reshape(-1, 2):
         ends = first == 0 or last == len(lost)
         # So many samples missing make an interval of one more.
         lost[first:last] = ends or last - first + 1 > gap
     if not lost.any():
         return [piece]
-    breaks = np.flatnonzero(np.diff(lost.astype(int))) + 1
-    sentence = f"cut where a signal is NaN for over {gap:g} intervals or at an end"
-    parts = _split_at(piece, breaks, sentence)
-    kept = [not lost[start] for start in (0, *breaks)]
-    return [part for part, keep in zip(parts, kept, strict=True) if keep]
+    breaks = np.flatnonzero(np.diff(lost)) + 1
+    parts = _split_at(piece, breaks, f"cut where a signal is NaN for over {gap:g} intervals or at an end")
+    return [part for part, start in zip(parts, (0, *breaks), strict=True) if not lost[start]]
 
 
 def _fill_nan(piece: Piece) -> Piece:
@@ -228,11 +221,9 @@ def _fill_nan(piece: Piece) -> Piece:
     for name, values in piece.signals.items():
         bad = ~np.isfinite(values)
         if bad.any():
-            known = [~column for column in bad.T]
-            columns = [
-                _sample(piece.time[k], column[k], piece.time, "held" if name in HELD else "linear")
-                for k, column in zip(known, values.T, strict=True)
-            ]
+            method = "held" if name in HELD else "linear"
+            pairs = zip(~bad.T, values.T, strict=True)
+            columns = [_sample(column[known], piece.time[known], piece.time, method) for known, column in pairs]
             filled[name] = np.where(bad, np.stack(columns, axis=1), values)
             sentences.append(f"samples of {name} that are NaN interpolated: {bad.any(axis=1).sum()}")
     return replace(piece, signals=filled).say(*sentences) if sentences else piece
@@ -243,30 +234,28 @@ def _repair_spikes(piece: Piece) -> Piece:
     repaired, sentences = dict(piece.signals), []
     for name, values in piece.signals.items():
         if name == "ctrl":
-            far = np.stack([find_outliers(column) for column in values.T], axis=1)
+            far = _each(find_outliers, values)
             before = np.maximum.accumulate(np.where(far, 0, np.arange(len(values))[:, None]), axis=0)
             if far.any():
                 repaired[name] = np.take_along_axis(values, before, axis=0)
                 sentences.append(f"outliers of {name} replaced by the value before: {far.any(axis=1).sum()}")
         count = 0 if name in HELD else sum(map(count_spikes, values.T))
         if count:
-            repaired[name] = np.stack([repair_spikes(column) for column in values.T], axis=1)
+            repaired[name] = _each(repair_spikes, values)
             sentences.append(f"spikes of {name} interpolated: {count}")
     return replace(piece, signals=repaired).say(*sentences) if sentences else piece
 
 
 def _shift_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
     """The measured velocity moved to where it was measured; the end, where there is none then, is cut."""
-    uses_measured = cleaning.velocity != "estimated" and "qvel" in piece.signals
-    if cleaning.velocity_lag is None or not uses_measured:
+    if cleaning.velocity_lag is None or cleaning.velocity == "estimated" or "qvel" not in piece.signals:
         return piece
     lag = _find_lag(piece, name) if isinstance(cleaning.velocity_lag, str) else float(cleaning.velocity_lag)
     later = piece.time + lag
     kept = (later >= piece.time[0]) & (later <= piece.time[-1])
     if kept.sum() < 2:
         raise LogError(f"{name}: shorter than data.clean.velocity_lag={lag:g} s; set a smaller one")
-    velocity = piece.signals["qvel"]
-    moved = np.stack([_sample(piece.time, column, later[kept], cleaning.resample) for column in velocity.T], axis=1)
+    moved = _each(_sample, piece.signals["qvel"], piece.time, later[kept], cleaning.resample)
     cut = piece.keep(kept)
     sentence = f"qvel moved {lag:.4g} s earlier, {cleaning.resample} between samples"
     return replace(cut, signals={**cut.signals, "qvel": moved}).say(sentence)
@@ -304,9 +293,7 @@ def _resample(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
         raise LogError(f"{name}: shorter than data.clean.step={step:g} s; set a smaller one, or leave it out")
     grid = piece.time[0] + step * np.arange(samples)
     signals = {
-        name: np.stack(
-            [_sample(piece.time, column, grid, RESAMPLED.get(name, cleaning.resample)) for column in values.T], axis=1
-        )
+        name: _each(_sample, values, piece.time, grid, RESAMPLED.get(name, cleaning.resample))
         for name, values in piece.signals.items()
     }
     missing = int((np.round(steps[steps > 1.5 * interval] / interval) - 1).sum())
@@ -317,35 +304,31 @@ def _resample(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
     return Piece(grid, signals, (*piece.repairs, sentence))
 
 
-def _sample(
-    time: Float[np.ndarray, "time"], values: Float[np.ndarray, "time"], at: Float[np.ndarray, "grid"], method: str
-) -> Float[np.ndarray, "grid"]:
+def _each(change: Callable[..., np.ndarray], values: Float[np.ndarray, "time columns"], *more: Any) -> np.ndarray:
+    """What a function makes of each column."""
+    return np.stack([change(column, *more) for column in values.T], axis=1)
+
+
+def _sample(values: Signal, time: Signal, at: Float[np.ndarray, "grid"], method: str) -> Float[np.ndarray, "grid"]:
     """A signal at other times."""
     if method == "held":
         close = FOLLOWED * float(np.median(np.diff(time))) if len(time) > 1 else 0.0
         return values[np.maximum(np.searchsorted(time, at + close, side="right") - 1, 0)]
     if method == "cubic" and len(time) > 3:
         return scipy.interpolate.CubicSpline(time, values)(np.clip(at, time[0], time[-1]))
-    if method == "mean":
-        return _mean_until_next(time, values, at)
+    if method == "mean":  # of a held signal from each instant of a uniform grid to the next
+        step = float(at[-1] - at[0]) / (len(at) - 1) if len(at) > 1 else float(np.median(np.diff(time)))
+        ends = np.append(time, time[-1] + step)
+        integral = np.append(0.0, np.cumsum(values * np.diff(ends)))
+        return np.diff(np.interp(np.append(at, at[-1] + step), ends, integral)) / step
     return np.interp(at, time, values)
-
-
-def _mean_until_next(
-    time: Float[np.ndarray, "time"], values: Float[np.ndarray, "time"], at: Float[np.ndarray, "grid"]
-) -> Float[np.ndarray, "grid"]:
-    """Mean of a held signal from each instant of a uniform grid to the next."""
-    step = float(at[-1] - at[0]) / (len(at) - 1) if len(at) > 1 else float(np.median(np.diff(time)))
-    ends = np.append(time, time[-1] + step)
-    integral = np.append(0.0, np.cumsum(values * np.diff(ends)))
-    return np.diff(np.interp(np.append(at, at[-1] + step), ends, integral)) / step
 
 
 def _compare_velocity(piece: Piece, name: str) -> Piece:
     """The same if the measured velocity goes with the position; LogError where its unit is another."""
+    if len(piece.time) < COMPARED:
+        return piece
     for position, velocity in zip(piece.signals["qpos"].T, piece.signals["qvel"].T, strict=True):
-        if len(piece.time) < COMPARED:
-            continue
         found = find_velocity_lag(piece.time, repair_spikes(position), velocity)
         if found is None:
             return piece.say(
@@ -367,13 +350,7 @@ def _choose_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
     if measured and cleaning.velocity != "estimated":
         return piece if cleaning.velocity == "measured" else _compare_velocity(piece, name)
     timestep = float(piece.time[-1] - piece.time[0]) / (len(piece.time) - 1)
-    qvel = np.stack(
-        [
-            estimate_velocity(column, timestep, cleaning.cutoff, cleaning.order, name, "data.clean.cutoff")
-            for column in piece.signals["qpos"].T
-        ],
-        axis=1,
-    )
-    sentence = f"qvel estimated from qpos: zero-phase Butterworth low-pass of order {cleaning.order} at "
-    sentence += f"{cleaning.cutoff:g} Hz, central differences"
-    return replace(piece, signals={**piece.signals, "qvel": qvel}).say(sentence)
+    cutoff, order = cleaning.cutoff, cleaning.order
+    qvel = _each(estimate_velocity, piece.signals["qpos"], timestep, cutoff, order, name, "data.clean.cutoff")
+    how = f"zero-phase Butterworth low-pass of order {order} at {cutoff:g} Hz, central differences"
+    return replace(piece, signals={**piece.signals, "qvel": qvel}).say(f"qvel estimated from qpos: {how}")

@@ -11,7 +11,7 @@ from frictionzoo.logs.propose import BAM, Proposal, propose
 from frictionzoo.logs.recording import HELD, SIGNALS, Recording, Table
 from frictionzoo.logs.units import ratio, to_si
 
-__all__ = ["Proposal", "name_headers", "pick", "propose", "to_recording"]
+__all__ = ["Proposal", "list_names", "pick", "propose", "to_recording"]
 
 NEEDED = ("time", "qpos", "ctrl")
 LARGEST = 1e9  # in any unit: what no signal of a drive reaches, and a damaged number most likely does
@@ -77,11 +77,7 @@ def _refuse_absurd(
 
 
 def pick(table: Table, header: str) -> Real[np.ndarray, "rows"]:
-    """A column.
-
-    Raises:
-        LogError: It is missing or holds no numbers.
-    """
+    """A column; LogError where it is missing or holds no numbers."""
     if header in table.refused:
         raise LogError(table.refused[header])
     if header not in table.columns:
@@ -94,22 +90,18 @@ def _check(columns: Mapping[str, Any]) -> Headers:
     """Headers of the signals that are named."""
     for key in set(columns) - set(SIGNALS):
         raise ConfigError(f"data.columns.{key}: unknown signal; {closest(str(key), SIGNALS)}")
-    headers = {key: name_headers(key, given) for key, given in columns.items() if given is not None}
+    headers = {key: list_names(f"columns.{key}", given) for key, given in columns.items() if given is not None}
     if len(headers.get("time", ())) > 1:
         raise ConfigError(f"data.columns.time={list(headers['time'])}: expected one header")
     return {key: names for key, names in headers.items() if names}
 
 
-def name_headers(signal: str, given: Any) -> tuple[str, ...]:
-    """What `data.columns` says of a signal, a header or a list of headers, as a tuple.
-
-    Raises:
-        ConfigError: It is neither.
-    """
+def list_names(option: str, given: Any) -> tuple[str, ...]:
+    """What an option of `data` says, a name or a list of names, as a tuple; ConfigError where it is neither."""
     if isinstance(given, str):
         return (given,)
     if not isinstance(given, Sequence):
-        raise ConfigError(f"data.columns.{signal}={given}: expected a list of names, as in [a, b]")
+        raise ConfigError(f"data.{option}={given}: expected a list of names, as in [a, b]")
     return tuple(str(name) for name in given)
 
 
@@ -134,20 +126,13 @@ def _complete(table: Table, headers: Headers) -> Headers:
 
 
 class _Clock:
-    """The times of `qpos`, and the way there from those of other signals.
-
-    Args:
-        table: What a file holds.
-        header: Header of the time of `qpos`.
-        units: Unit of each signal.
-    """
+    """The times of `qpos`, which have that header, and the way there from those of other signals."""
 
     def __init__(self, table: Table, header: str, units: Mapping[str, str]) -> None:
         self.table, self.header, self.units = table, header, units
         self.notes: list[str] = []
         ticks = pick(table, header)
-        known = ticks[np.isfinite(ticks)]
-        self.start = known[0] if len(known) else 0.0
+        self.start = next(iter(ticks[np.isfinite(ticks)]), 0.0)
         self.time = self._seconds(header)
         _check_clock(table.name, header, ticks, self.time)
 
@@ -156,18 +141,17 @@ class _Clock:
         values = to_si(pick(self.table, header), self._ratio(signal, header))
         own = self.table.times.get(header, self.header)
         times = self._seconds(own)
+        name = self.table.name
         if len(values) != len(times):
-            raise LogError(
-                f"{self.table.name}: {header} has {len(values)} samples and {own} {len(times)}, expected as many"
-            )
+            raise LogError(f"{name}: {header} has {len(values)} samples and {own} {len(times)}, expected as many")
         if own == self.header or np.array_equal(times, self.time):
             return values
         if not len(times):
-            raise LogError(f"{self.table.name}: {header} has no samples; record it, or name another column")
+            raise LogError(f"{name}: {header} has no samples; record it, or name another column")
         back = np.flatnonzero(np.diff(times) < 0)
         if len(back):
             raise LogError(
-                f"{self.table.name}: {own} runs backwards at sample {back[0] + 1} ({times[back[0]]:.6g} s, then "
+                f"{name}: {own} runs backwards at sample {back[0] + 1} ({times[back[0]]:.6g} s, then "
                 f"{times[back[0] + 1]:.6g} s); expected times of {header} that increase, so that it can be brought to "
                 "those of qpos; cut the recording there, or write its messages in order"
             )
@@ -176,7 +160,9 @@ class _Clock:
             f"{signal} {'held' if held else 'interpolated linearly'} from {len(times)} samples of its own on the "
             f"{len(self.time)} times of qpos"
         )
-        return (_hold if held else _interpolate)(self.time, times, values)
+        if held:  # the last value at or before each time; the first one before all of them
+            return values[np.maximum(np.searchsorted(times, self.time, side="right") - 1, 0)]
+        return np.interp(self.time, times, values)
 
     def _seconds(self, header: str) -> Float[np.ndarray, "rows"]:
         """A time column in seconds since the first sample of `qpos`; whole numbers are subtracted exactly."""
@@ -212,17 +198,3 @@ def _check_clock(name: str, header: str, ticks: Real[np.ndarray, "time"], time: 
             f"{name}: {header} advances by {step:.3g} s from sample to sample, expected {STEPS[0]:g} to "
             f"{STEPS[1]:g} s; set data.units.time, such as ns, or 86400 where it counts days"
         )
-
-
-def _hold(
-    at: Float[np.ndarray, "time"], times: Float[np.ndarray, "rows"], values: Float[np.ndarray, "rows"]
-) -> Float[np.ndarray, "time"]:
-    """The last value at or before each time; the first one before all of them."""
-    return values[np.maximum(np.searchsorted(times, at, side="right") - 1, 0)]
-
-
-def _interpolate(
-    at: Float[np.ndarray, "time"], times: Float[np.ndarray, "rows"], values: Float[np.ndarray, "rows"]
-) -> Float[np.ndarray, "time"]:
-    """Values between their neighbours in time; the outermost beyond them."""
-    return np.interp(at, times, values)

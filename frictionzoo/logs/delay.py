@@ -23,8 +23,7 @@ import scipy.signal
 from jaxtyping import Float, Int
 
 from frictionzoo.logs.recording import Recording
-from frictionzoo.logs.signals import GAP, find_breaks, regular_stretch, repair_spikes
-from frictionzoo.logs.velocity import estimate_velocity
+from frictionzoo.logs.signals import GAP, Signal, estimate_velocity, find_breaks, regular_stretch, repair_spikes
 
 FOLLOWS = 0.5  # correlation with the position from which on a command is one of position
 EARLIEST, LATEST = -0.03, 0.17  # s, searched
@@ -87,14 +86,12 @@ def estimate_delay(recordings: Sequence[Recording], joint: int = 0) -> Delay | N
     """Time from a command to its effect, over recordings of one drive.
 
     The command is held between samples; the delay counts from the sample on. Recordings under a position command whose
-    fields hold the same numbers (gains, payload) share one simple drive.
+    fields hold the same numbers (gains, payload) share one simple drive. None where they cannot tell: too short, too
+    little motion, or delays that scatter too much.
 
     Args:
         recordings: As they come; every one has qpos and ctrl.
         joint: Column of qpos and of ctrl.
-
-    Returns:
-        None where the recordings cannot tell: too short, too little motion, or delays that scatter too much.
     """
     usable = [recording for recording in recordings if recording.signals["ctrl"].shape[1] > joint]
     follows = [_correlate(recording, joint) for recording in usable]
@@ -127,10 +124,8 @@ def _delays_of_torque(recordings: Sequence[Recording], joint: int) -> Float[np.n
 
 def _regress(recording: Recording, joint: int) -> float:
     """The delay of a torque command that explains the acceleration best [s], NaN where none does."""
-    signals = recording.signals
-    time, qpos, ctrl = regular_stretch(
-        recording.time, repair_spikes(signals["qpos"][:, joint]), signals["ctrl"][:, joint]
-    )
+    qpos, ctrl = (recording.signals[name][:, joint] for name in ("qpos", "ctrl"))
+    time, qpos, ctrl = regular_stretch(recording.time, repair_spikes(qpos), ctrl)
     if len(time) < 100:
         return np.nan
     timestep = float(time[1] - time[0])
@@ -150,9 +145,7 @@ def _regress(recording: Recording, joint: int) -> float:
     return float(delays[at] + 0.5 * (before - after) / (before - 2 * least + after) * (delays[1] - delays[0]))
 
 
-def _unexplained(
-    acceleration: Float[np.ndarray, "time"], command: Float[np.ndarray, "time"], others: Float[np.ndarray, "time terms"]
-) -> float:
+def _unexplained(acceleration: Signal, command: Signal, others: Float[np.ndarray, "time terms"]) -> float:
     """Share of the acceleration's variance that a regression leaves."""
     terms = np.column_stack([command, others])
     factors = np.linalg.lstsq(terms, acceleration, rcond=None)[0]
@@ -162,9 +155,7 @@ def _unexplained(
 def _delays_of_position(recordings: Sequence[Recording], joint: int) -> Float[np.ndarray, "groups"]:
     """Delay of each group of recordings under a position command [s], NaN where the simple drive does not fit."""
     windows = _choose_windows(recordings, joint)
-    if windows is None:
-        return np.zeros(0)
-    delays, errors = _fit(windows)
+    delays, errors = _fit(windows) if windows else np.zeros((2, 0))
     return np.where(errors < FIT, delays, np.nan)
 
 
@@ -190,7 +181,7 @@ def _choose_windows(recordings: Sequence[Recording], joint: int) -> Windows | No
     return Windows(np.array(qpos), np.array(qvel), np.array(ctrl), group)
 
 
-Cut = tuple[Float[np.ndarray, "time"], float, Float[np.ndarray, "longer"]]
+Cut = tuple[Signal, float, Float[np.ndarray, "longer"]]
 
 
 def _cut_farthest(recordings: Sequence[Recording], joint: int, length: int) -> list[Cut]:
@@ -207,9 +198,8 @@ def _cut(recording: Recording, joint: int, length: int) -> list[Cut]:
     qpos, ctrl = repair_spikes(recording.signals["qpos"][:, joint]), recording.signals["ctrl"][:, joint]
     enable = recording.signals.get("enable", np.ones((len(time), 1))).min(axis=1)
     finite = np.isfinite(qpos) & np.isfinite(ctrl) & np.isfinite(enable)
-    edges = [0, *find_breaks(time, GAP), len(time)]
     windows = []
-    for first, last in pairwise(edges):
+    for first, last in pairwise([0, *find_breaks(time, GAP), len(time)]):
         new = first + np.flatnonzero((np.diff(time[first:last], prepend=-np.inf) > 0) & finite[first:last])
         grid = np.arange(float(time[first]), float(time[last - 1]), STEP)
         if len(new) < 2 or len(grid) < before + length:

@@ -11,8 +11,8 @@ from jaxtyping import Float
 
 from frictionzoo.core.errors import ConfigError, LogError, closest
 from frictionzoo.core.log import Dataset, Log
+from frictionzoo.logs.signals import check_filter, estimate_velocity
 from frictionzoo.logs.source import Source, register_source
-from frictionzoo.logs.velocity import check_filter, estimate_velocity
 
 CITATION = (
     'A. Janot, M. Gautier, M. Brunot, "Data Set and Reference Models of EMPS", Workshop on Nonlinear System '

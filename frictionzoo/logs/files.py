@@ -11,10 +11,9 @@ from frictionzoo.core.described import describe
 from frictionzoo.core.errors import ConfigError, LogError, closest
 from frictionzoo.core.log import Dataset, Log, Payload
 from frictionzoo.logs.clean import Cleaning, clean, summarise_repairs
-from frictionzoo.logs.columns import Proposal, name_headers, propose, to_recording
-from frictionzoo.logs.formats import format_names, read_tables
+from frictionzoo.logs.columns import Proposal, list_names, propose, to_recording
+from frictionzoo.logs.formats import find_files, format_names, read_tables
 from frictionzoo.logs.logs import Logs
-from frictionzoo.logs.paths import find_files
 from frictionzoo.logs.payloads import choose_payloads
 from frictionzoo.logs.recording import SIGNALS, Recording, Table
 from frictionzoo.logs.select import Selection
@@ -80,26 +79,23 @@ class Files(Source):
     ) -> None:
         if format not in ("auto", *format_names()):
             raise ConfigError(f"data.format={format}: no such format; {closest(format, ('auto', *format_names()))}")
-        self.name: str = name
-        self.folder: str | None = folder
-        self.source: str | None = source
-        self.format: str = format
-        self.train: list[str] = _names("train", train)
-        self.test: list[str] = _names("test", test)
-        self.columns: dict[str, Any] = {s: name_headers(s, given) for s, given in _signals("columns", columns).items()}
-        self.units: dict[str, str] = {signal: str(unit) for signal, unit in _signals("units", units).items()}
-        self.sign: dict[str, int] = _signs(sign)
+        self.name, self.folder, self.source, self.format = name, folder, source, format
+        self.train, self.test = (
+            [] if given in (None, "") else list(list_names(option, given))
+            for option, given in (("train", train), ("test", test))
+        )
+        self.columns = {s: list_names(f"columns.{s}", given) for s, given in _signals("columns", columns).items()}
+        self.units = {signal: str(unit) for signal, unit in _signals("units", units).items()}
+        self.sign = _signs(sign)
         for signal, unit in self.units.items():
             ratio(signal, unit)  # refuses what is none, also of a signal that no file has
         fields, where, exclude = (
             _mapping(option, given) for option, given in (("fields", fields), ("where", where), ("exclude", exclude))
         )
-        self.selection: Selection = Selection(fields, fields_from_name, where, exclude)
-        self.inputs: dict[str, Any] = _mapping("inputs", inputs)
-        self.clean: Cleaning = clean
-        self.payload: Sequence[Any] = payload
-        self.simulated: bool = simulated
-        self.split: Split = Split(**(split or {}))
+        self.selection = Selection(fields, fields_from_name, where, exclude)
+        self.inputs = _mapping("inputs", inputs)
+        self.clean, self.payload, self.simulated = clean, payload, simulated
+        self.split = Split(**(split or {}))
         if self.test and self.split.by != "time":
             raise ConfigError(f"data.split.by={self.split.by} and data.test={self.test}; expected one of them")
 
@@ -134,10 +130,9 @@ class Files(Source):
         train, test = self._interpret_all(tables)
         recordings = train + test
         payloads = choose_payloads(self.payload, recordings)
-        logs = [self._clean(*pair) for pair in zip(recordings, payloads, strict=True)]
-        self._report(recordings, logs)
+        cleaned = tuple(tuple(self._clean(*pair)) for pair in zip(recordings, payloads, strict=True))
+        self._report(recordings, cleaned)
         section = describe(self) | {"train": [*self.train, *(table.name for table in tables)]}
-        cleaned = tuple(tuple(pieces) for pieces in logs)
         return Logs(self.name, tuple(recordings), cleaned, len(test), self.split, section)
 
     def _interpret_all(self, tables: Sequence[Table] = ()) -> tuple[list[Recording], list[Recording]]:
@@ -153,9 +148,8 @@ class Files(Source):
         first = [recording for recording in recordings if recording.name not in held_out]
         last = [recording for recording in recordings if recording.name in held_out]
         if not first or (held_out and not last):
-            raise LogError(
-                f"{self.name}: data.where and data.exclude leave no recording to {'test' if first else 'train'}"
-            )
+            part = "test" if first else "train"
+            raise LogError(f"{self.name}: data.where and data.exclude leave no recording to {part}")
         return first, last
 
     def _tables(self, names: Sequence[str]) -> list[Table]:
@@ -184,13 +178,12 @@ class Files(Source):
         # A unit is that of the headers that were looked at, also where the options name the same ones.
         seen = {signal for signal, headers in proposal.columns.items() if self.columns.get(signal, headers) == headers}
         units = {signal: unit for signal, unit in proposal.units.items() if signal in seen - set(self.units)}
-        proposed = Proposal(columns, units)
         own = all(headers == (signal,) for signal, headers in columns.items())
-        if not own or proposed.units:
+        if not own or units:
             level = logging.INFO if proposal.certain else logging.WARNING
-            taken = " ".join(proposed.overrides())
+            taken = " ".join(Proposal(columns, units).overrides())
             _log.log(level, "%s: taken from names and numbers in %s: %s", self.name, table.name, taken)
-        return {**columns, **self.columns}, {**proposed.units, **self.units}
+        return {**columns, **self.columns}, {**units, **self.units}
 
     def _clean(self, recording: Recording, payload: Payload | None) -> list[Log]:
         """The logs of a recording, with its payload and the inputs of the actuator law."""
@@ -232,15 +225,6 @@ def _constant(recording: Recording, name: str, given: str | float) -> float:
     if isinstance(value, str) or not np.isfinite(value):
         raise LogError(f"{recording.name}: data.inputs.{name}: its field {given} is {value}, expected a number")
     return float(value)
-
-
-def _names(option: str, given: Any) -> list[str]:
-    """A name or a list of names as a list."""
-    if given is None or isinstance(given, str):
-        return [given] if given else []
-    if not isinstance(given, Sequence):
-        raise ConfigError(f"data.{option}={given}: expected a list of names, as in [a, b]")
-    return [str(name) for name in given]
 
 
 def _mapping(option: str, given: Any) -> dict[str, Any]:

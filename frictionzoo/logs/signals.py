@@ -1,9 +1,10 @@
-"""What a signal tells by itself or beside another: breaks, spikes, outliers, quantum, lag and derivative."""
+"""What a signal tells by itself or beside another: breaks, spikes, outliers, quantum, lag and velocity."""
 
 import numpy as np
+import scipy.signal
 from jaxtyping import Bool, Float, Int
 
-from frictionzoo.logs.velocity import estimate_velocity
+from frictionzoo.core.errors import ConfigError, LogError, refuse_outside
 
 GAP = 5.0  # median intervals; a longer one is a gap, not a few missing samples
 SPIKE = 20.0  # a spike leaves both neighbours by this many times the usual second difference
@@ -15,29 +16,23 @@ TOP = 0.001  # share of the samples on either side that may lie beyond what coun
 LONGEST_LAG = 0.1  # s, searched on either side
 ALIKE = 0.9  # correlation from which on two signals are delayed copies of each other
 ORDER = 2  # of the velocity estimate's filter; its cut-off is a tenth of the sample rate, at most 50 Hz
+MOST_ORDER = 20  # of a filter; above, its coefficients are rounding
+
+Signal = Float[np.ndarray, "time"]
+"""Samples of one signal, or their times [s]."""
 
 
-def find_breaks(time: Float[np.ndarray, "time"], gap: float) -> Int[np.ndarray, "breaks"]:
-    """Samples with which another stretch begins: after a gap, or where the clock runs backwards.
-
-    Args:
-        time: Sample times [s].
-        gap: Longest interval within a stretch, in median intervals.
-    """
+def find_breaks(time: Signal, gap: float) -> Int[np.ndarray, "breaks"]:
+    """Samples with which another stretch begins: the clock runs backwards, or on by over `gap` median intervals."""
     steps = np.diff(time)
     return np.flatnonzero((steps < 0) | (steps > gap * np.median(steps[steps > 0]))) + 1
 
 
-def find_spikes(signal: Float[np.ndarray, "time"]) -> Int[np.ndarray, "spikes"]:
+def find_spikes(signal: Signal) -> Int[np.ndarray, "spikes"]:
     """Samples that leave their neighbours on both sides the same way, while these are close to each other.
 
     The usual second difference and the signal's own step say what is usual, so a fast but smooth motion is no spike.
-
-    Args:
-        signal: Position, or another signal that cannot jump and come back.
-
-    Returns:
-        Every sample of every spike; a spike has one sample or two.
+    The signal is a position, or another that cannot jump and come back; a spike has one sample or two.
     """
     second = np.abs(np.diff(signal, 2))
     steps = np.abs(np.diff(signal))
@@ -48,7 +43,7 @@ def find_spikes(signal: Float[np.ndarray, "time"]) -> Int[np.ndarray, "spikes"]:
     return np.unique(np.concatenate(found))
 
 
-def _find_spikes_of(signal: Float[np.ndarray, "time"], usual: float, width: int) -> Int[np.ndarray, "spikes"]:
+def _find_spikes_of(signal: Signal, usual: float, width: int) -> Int[np.ndarray, "spikes"]:
     before, after = signal[: -width - 1], signal[width + 1 :]
     leaves, returns = signal[1:-width] - before, signal[width:-1] - after
     size = np.where(leaves * returns > 0, np.minimum(np.abs(leaves), np.abs(returns)), 0.0)
@@ -56,51 +51,34 @@ def _find_spikes_of(signal: Float[np.ndarray, "time"], usual: float, width: int)
     return np.concatenate([first + i for i in range(width)])
 
 
-def count_spikes(signal: Float[np.ndarray, "time"]) -> int:
-    """Spikes of a signal, one for neighbouring samples.
-
-    Args:
-        signal: As `find_spikes` takes it.
-    """
+def count_spikes(signal: Signal) -> int:
+    """Spikes of a signal as `find_spikes` takes it, one for neighbouring samples."""
     found = find_spikes(signal)
     return len(found) and 1 + int((np.diff(found) > 1).sum())
 
 
-def repair_spikes(signal: Float[np.ndarray, "time"]) -> Float[np.ndarray, "time"]:
-    """The signal with a straight line in place of each spike.
-
-    Args:
-        signal: As `find_spikes` takes it.
-    """
+def repair_spikes(signal: Signal) -> Signal:
+    """A signal as `find_spikes` takes it, with a straight line in place of each spike."""
     repaired, found = signal.copy(), find_spikes(signal)
     others = np.delete(np.arange(len(signal)), found)
     repaired[found] = np.interp(found, others, signal[others])
     return repaired
 
 
-def find_outliers(signal: Float[np.ndarray, "time"]) -> Bool[np.ndarray, "time"]:
-    """Samples far beyond the range of the others, one or two in a row.
-
-    Args:
-        signal: Any, a held command too.
-    """
+def find_outliers(signal: Signal) -> Bool[np.ndarray, "time"]:
+    """Samples far beyond the range of the others, one or two in a row, of any signal, a held command too."""
     few = min(max(3, round(TOP * len(signal))), (len(signal) - 1) // 4)
     low, high = np.partition(signal, (few, len(signal) - 1 - few))[[few, -1 - few]]
     far = np.maximum(signal - high, low - signal) > FAR * (high - low)
     if not high > low:
         return np.zeros(len(signal), bool)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], far, [False]]).astype(int)))
-    for first, last in zip(edges[::2], edges[1::2], strict=True):
+    for first, last in np.flatnonzero(np.diff(far, prepend=False, append=False)).reshape(-1, 2):
         far[first:last] = last - first <= WIDEST
     return far
 
 
-def find_quantum(signal: Float[np.ndarray, "time"]) -> float | None:
-    """Step of a quantised signal, None where it is not quantised.
-
-    Args:
-        signal: Samples; NaN are left out.
-    """
+def find_quantum(signal: Signal) -> float | None:
+    """Step of a quantised signal, NaN left out; None where it is not quantised."""
     steps = np.abs(np.diff(signal))
     # What is left by arithmetic on the way from counts to radians is no step.
     steps = steps[np.isfinite(steps) & (steps > 1e-9 * np.nanmax(np.abs(signal), initial=1e-300))]
@@ -114,18 +92,10 @@ def find_quantum(signal: Float[np.ndarray, "time"]) -> float | None:
     return quantum if whole.mean() >= QUANTISED else None
 
 
-def find_lag(
-    signal: Float[np.ndarray, "time"], reference: Float[np.ndarray, "time"], timestep: float
-) -> tuple[float, float] | None:
-    """Time by which a signal lags another, and its scale, by cross-correlation; None where they are not alike.
+def find_lag(signal: Signal, reference: Signal, timestep: float) -> tuple[float, float] | None:
+    """Lag of a signal behind what it may be a copy of [s], and its scale against it; None where they are not alike.
 
-    Args:
-        signal: Uniform samples.
-        reference: What it may be a delayed copy of.
-        timestep: Sample interval [s].
-
-    Returns:
-        Lag [s], to a fraction of a sample by a parabola through the peak; and signal over reference.
+    By cross-correlation of uniform samples, `timestep` [s] apart, and a parabola through the peak between them.
     """
     most = min(round(LONGEST_LAG / timestep), len(signal) // 4)
     if most < 1 or not (np.ptp(signal) > 0 and np.ptp(reference) > 0):
@@ -142,18 +112,15 @@ def find_lag(
     return float(peak - most + fraction) * timestep, float(products[peak] / (inner @ inner))
 
 
-def find_velocity_lag(
-    time: Float[np.ndarray, "time"], position: Float[np.ndarray, "time"], velocity: Float[np.ndarray, "time"]
-) -> tuple[float, float] | None:
+def find_velocity_lag(time: Signal, position: Signal, velocity: Signal) -> tuple[float, float] | None:
     """Time by which a measured velocity lags the position's zero-phase derivative [s], and its scale against it.
 
+    None where the longest stretch without a gap is too short, or the two are no copies of each other there.
+
     Args:
-        time: Sample times [s]; jitter is taken out, the longest stretch without a gap counts.
+        time: Sample times [s], with jitter and gaps.
         position: Measured position [rad or m].
         velocity: Measured velocity [rad/s or m/s].
-
-    Returns:
-        None where the recording is too short, or the two are no copies of each other.
     """
     grid, positions, velocities = regular_stretch(time, position, velocity)
     if len(grid) < 50:
@@ -161,14 +128,10 @@ def find_velocity_lag(
     return find_lag(velocities, _derive(positions, float(grid[1] - grid[0])), float(grid[1] - grid[0]))
 
 
-def regular_stretch(
-    time: Float[np.ndarray, "time"], *signals: Float[np.ndarray, "time"]
-) -> tuple[Float[np.ndarray, "grid"], ...]:
-    """The longest stretch without a gap on a uniform grid of the median interval, the grid first.
+def regular_stretch(time: Signal, *signals: Signal) -> tuple[Float[np.ndarray, "grid"], ...]:
+    """The longest stretch without a gap on a uniform grid of the median interval, the grid first [s].
 
-    Args:
-        time: Sample times [s].
-        signals: Samples; those that are not finite are left out.
+    Samples of which one signal is not finite are left out.
     """
     known = np.all([np.isfinite(signal) for signal in signals], axis=0)
     time, signals = time[known], tuple(signal[known] for signal in signals)
@@ -184,19 +147,57 @@ def regular_stretch(
     return grid, *(np.interp(grid, time, signal[cut]) for signal in signals)
 
 
-def derive_velocity(time: Float[np.ndarray, "time"], position: Float[np.ndarray, "time"]) -> Float[np.ndarray, "grid"]:
-    """Velocity over the longest stretch without a gap, estimated from the position, on a uniform grid [rad/s or m/s].
-
-    Args:
-        time: Sample times [s].
-        position: Measured position without spikes [rad or m].
-
-    Returns:
-        One zero for a recording that is too short.
-    """
+def derive_velocity(time: Signal, position: Signal) -> Float[np.ndarray, "grid"]:
+    """Velocity of `regular_stretch`, from the position without spikes [rad/s or m/s]; one 0 where that is too short."""
     grid, positions = regular_stretch(time, position)
     return _derive(positions, float(grid[1] - grid[0])) if len(grid) > 20 else np.zeros(1)
 
 
-def _derive(position: Float[np.ndarray, "time"], timestep: float) -> Float[np.ndarray, "time"]:
+def _derive(position: Signal, timestep: float) -> Signal:
     return estimate_velocity(position, timestep, min(0.1 / timestep, 50.0), ORDER, "")
+
+
+def check_filter(section: str, cutoff: float, order: int) -> None:
+    """Refuse a cut-off [Hz] and an order that make no filter, the options of the section of that dotted key.
+
+    Raises:
+        ConfigError: The cut-off is not positive, or the order is below 1 or above `MOST_ORDER`.
+    """
+    if not cutoff > 0:
+        raise ConfigError(f"{section}.cutoff={cutoff}: expected a positive frequency in Hz")
+    refuse_outside(f"{section}.order", order, 1, MOST_ORDER)
+
+
+def estimate_velocity(
+    position: Signal, timestep: float, cutoff: float, order: int, name: str, option: str = "data.cutoff"
+) -> Signal:
+    """Velocity without phase lag: a zero-phase Butterworth low-pass, then central differences.
+
+    Args:
+        position: Measured position [rad or m].
+        timestep: Sample interval [s].
+        cutoff: Cut-off frequency [Hz]; the filter runs forwards and backwards, so the gain there is 1/2.
+        order: Order of the filter, which running it twice doubles.
+        name: The log's name, for messages.
+        option: Where a user sets the cut-off, for messages.
+
+    Raises:
+        LogError: The log is too short to filter.
+        ConfigError: The cut-off is not below half the sample rate, or so low that nothing would be left.
+    """
+    if not cutoff < 0.5 / timestep:
+        raise ConfigError(
+            f"{option}={cutoff:g}: expected less than half the sample rate, {0.5 / timestep:g} Hz; lower it, or set "
+            "data.units.time"
+        )
+    sections = np.asarray(scipy.signal.butter(order, cutoff, fs=1 / timestep, output="sos"))
+    padding = 3 * (2 * len(sections) + 1)  # scipy's default, which it refuses to use on a log that is not longer
+    if len(position) <= padding:
+        raise LogError(f"{name}: {len(position)} samples, expected more than {padding} to estimate the velocity")
+    try:
+        smooth = scipy.signal.sosfiltfilt(sections, position, padlen=padding)
+    except np.linalg.LinAlgError:  # its coefficients are 0 but for rounding
+        raise ConfigError(
+            f"{option}={cutoff:g}: too low for a filter of order {order} at {1 / timestep:g} samples/s; raise it"
+        ) from None
+    return np.gradient(smooth, timestep)

@@ -9,8 +9,16 @@ from typing import Any, ClassVar
 import numpy as np
 
 from frictionzoo.core.errors import LogError
-from frictionzoo.logs.formats.base import EXACT, Format, parse_json, parsing, read_bytes, tabulate, unzip
-from frictionzoo.logs.formats.registry import register_format
+from frictionzoo.logs.formats.base import (
+    EXACT,
+    Format,
+    parse_json,
+    parsing,
+    read_bytes,
+    register_format,
+    tabulate,
+    unzip,
+)
 from frictionzoo.logs.recording import Table
 
 

@@ -7,7 +7,7 @@ import json
 import zipfile
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +17,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from frictionzoo.core.errors import FrictionzooError, LogError
+from frictionzoo.core.registry import KINDS, Registry
 from frictionzoo.logs.recording import Table
 
 LIMIT = 4 << 30  # bytes of one file
@@ -67,6 +68,20 @@ class Format(ABC):
         Raises:
             LogError: They are not of this format, or damaged.
         """
+
+
+REGISTRY = Registry(KINDS["formats"], Format, "parse")
+
+register_format = REGISTRY.register
+"""Class decorator that makes a format available as `data.format=NAME`, as `Registry.register`."""
+
+format_names: Callable[[], list[str]] = REGISTRY.names
+"""Names of all formats, sorted."""
+
+
+def get_format(name: str) -> Format:
+    """The format of that name; ConfigError where there is none, two packages bring it, or it is broken."""
+    return REGISTRY.get(name)()
 
 
 def read_bytes(path: Path) -> bytes:

@@ -10,8 +10,7 @@ import numpy as np
 from jaxtyping import Real
 
 from frictionzoo.core.errors import LogError
-from frictionzoo.logs.formats.base import EXACT, Format, to_numbers
-from frictionzoo.logs.formats.registry import register_format
+from frictionzoo.logs.formats.base import EXACT, Format, register_format, to_numbers
 from frictionzoo.logs.recording import Table
 
 DIGITS = re.compile(r"\s*[+-]?\d{1,40}\s*")  # a whole number

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from frictionzoo.core.errors import LogError
-from frictionzoo.logs.formats.base import Format, parse_json, parsing, read_bytes, tabulate
+from frictionzoo.logs.formats.base import Format, parse_json, parsing, read_bytes, register_format, tabulate
 from frictionzoo.logs.formats.parquet import read_columns
-from frictionzoo.logs.formats.registry import register_format
 from frictionzoo.logs.recording import Table
 
 INFO = Path("meta") / "info.json"

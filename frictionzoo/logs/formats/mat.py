@@ -8,8 +8,7 @@ from typing import ClassVar
 import scipy.io
 
 from frictionzoo.core.errors import LogError
-from frictionzoo.logs.formats.base import Format, check_unpacked, parsing, tabulate
-from frictionzoo.logs.formats.registry import register_format
+from frictionzoo.logs.formats.base import Format, check_unpacked, parsing, register_format, tabulate
 from frictionzoo.logs.recording import Table
 
 HDF5 = b"\x89HDF\r\n\x1a\n"

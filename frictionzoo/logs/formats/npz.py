@@ -6,8 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from frictionzoo.core.errors import LogError
-from frictionzoo.logs.formats.base import Format, parsing, tabulate, unzip
-from frictionzoo.logs.formats.registry import register_format
+from frictionzoo.logs.formats.base import Format, parsing, register_format, tabulate, unzip
 from frictionzoo.logs.recording import Table
 
 HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}

@@ -6,8 +6,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from frictionzoo.core.errors import LogError
-from frictionzoo.logs.formats.base import Format, check_unpacked, optional, parsing, tabulate
-from frictionzoo.logs.formats.registry import register_format
+from frictionzoo.logs.formats.base import Format, check_unpacked, optional, parsing, register_format, tabulate
 from frictionzoo.logs.recording import Table
 
 

@@ -19,8 +19,16 @@ from typing import Any, BinaryIO, ClassVar
 import numpy as np
 
 from frictionzoo.core.errors import LogError
-from frictionzoo.logs.formats.base import WIDE, Format, check_size, check_unpacked, optional, parsing, to_numbers
-from frictionzoo.logs.formats.registry import register_format
+from frictionzoo.logs.formats.base import (
+    WIDE,
+    Format,
+    check_size,
+    check_unpacked,
+    optional,
+    parsing,
+    register_format,
+    to_numbers,
+)
 from frictionzoo.logs.recording import Table
 
 MAGIC = b"\x89MCAP0\r\n"
