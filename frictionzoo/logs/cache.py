@@ -19,11 +19,7 @@ _log = logging.getLogger(__name__)
 
 
 def cache_folder(setting: str | None) -> Path | None:
-    """Folder that a `cache_dir` setting means.
-
-    Args:
-        setting: `user` for the operating system's cache folder of this user, a path, or None for no cache.
-    """
+    """Folder that `cache_dir` means: `user` the operating system's cache of this user, a path itself, None no cache."""
     if setting is None:
         return None
     return Path(platformdirs.user_cache_dir("frictionzoo") if setting == "user" else setting).expanduser()
@@ -38,10 +34,10 @@ def digest(arrays: Mapping[str, np.ndarray]) -> str:
 
 
 def cached(path: Path | None, names: Sequence[str], make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """The arrays in a file, which is made if it is missing or damaged.
+    """The arrays in an .npz file, which is made if it is missing or damaged; None as its path keeps nothing.
 
     Args:
-        path: An .npz file; None makes the arrays and keeps nothing.
+        path: Of the file.
         names: Names of the arrays.
         make: Makes the arrays, under these names in this order.
     """
@@ -59,16 +55,14 @@ def _read(path: Path, names: Sequence[str]) -> dict[str, np.ndarray] | None:
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in names}
-            intact = digest(arrays) == str(stored["sha256"])
+            if digest(arrays) == str(stored["sha256"]):
+                return arrays
+            _log.warning("%s: its contents do not match their hash; made anew", path)
     except FileNotFoundError:
-        return None
+        pass
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         _log.warning("%s: cannot be read (%s); made anew", path, error)
-        return None
-    if not intact:
-        _log.warning("%s: its contents do not match their hash; made anew", path)
-        return None
-    return arrays
+    return None
 
 
 def _write(path: Path, arrays: Mapping[str, np.ndarray]) -> None:

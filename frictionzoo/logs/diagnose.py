@@ -13,6 +13,7 @@ from frictionzoo.logs.recording import Recording
 from frictionzoo.logs.signals import (
     GAP,
     TOP,
+    Signal,
     count_spikes,
     derive_velocity,
     find_quantum,
@@ -118,11 +119,8 @@ class Diagnosis:
     """What is in one recording.
 
     Attributes:
-        name: The recording's.
-        timing: Its clock.
         lost: Samples in which a signal is not finite.
-        joints: Each joint.
-        commands: Each actuator.
+        commands: One for each actuator.
         supply: None where none was measured.
         enabled: Share of the samples with the drive on; None where that was not recorded.
     """
@@ -137,29 +135,20 @@ class Diagnosis:
 
 
 def diagnose(recording: Recording) -> Diagnosis:
-    """What is in a recording.
-
-    Args:
-        recording: As it comes; it may have jitter, gaps, NaN and spikes.
+    """What is in a recording as it comes: it may have jitter, gaps, NaN and spikes.
 
     Raises:
         LogError: It lacks a signal that every recording has, or holds next to nothing.
     """
     refuse_incomplete(recording)
-    signals = recording.signals
-    finite = np.all([np.isfinite(signals[name]).all(axis=1) for name in signals], axis=0)
-    timing = measure_timing(recording.time)
-    velocity = signals.get("qvel")
-    joints = tuple(
-        _diagnose_joint(recording, position, None if velocity is None else velocity[:, column])
-        for column, position in enumerate(signals["qpos"].T)
-    )
-    enable = signals.get("enable")
+    signals, enable = recording.signals, recording.signals.get("enable")
+    finite = np.all([np.isfinite(values).all(axis=1) for values in signals.values()], axis=0)
+    measured = signals["qvel"].T if "qvel" in signals else [None] * signals["qpos"].shape[1]
     return Diagnosis(
         name=recording.name,
-        timing=timing,
+        timing=measure_timing(recording.time),
         lost=int((~finite).sum()),
-        joints=joints,
+        joints=tuple(_diagnose_joint(recording, *pair) for pair in zip(signals["qpos"].T, measured, strict=True)),
         commands=tuple(_diagnose_command(recording.name, command) for command in signals["ctrl"].T),
         supply=_diagnose_supply(signals.get("supply"), recording.fields),
         enabled=None if enable is None else float((enable > 0.5).mean()),
@@ -168,9 +157,6 @@ def diagnose(recording: Recording) -> Diagnosis:
 
 def refuse_incomplete(recording: Recording) -> None:
     """Refuse what no part of the program can use.
-
-    Args:
-        recording: As it comes.
 
     Raises:
         LogError: qpos or ctrl is missing, shapes disagree, a time is not finite, or there are too few samples.
@@ -197,12 +183,8 @@ def refuse_incomplete(recording: Recording) -> None:
         raise LogError(f"{name}: {samples} samples at one time, expected at least 2 in a row; check data.columns.time")
 
 
-def measure_timing(time: Float[np.ndarray, "time"]) -> Timing:
-    """A recording's clock.
-
-    Args:
-        time: Sample times [s], at least two of which follow each other.
-    """
+def measure_timing(time: Signal) -> Timing:
+    """The clock of a recording with these sample times [s], at least two of which follow each other."""
     steps = np.diff(time)
     forward = steps[steps > 0]
     interval = float(np.median(forward))
@@ -221,15 +203,14 @@ def measure_timing(time: Float[np.ndarray, "time"]) -> Timing:
     )
 
 
-def _diagnose_joint(
-    recording: Recording, position: Float[np.ndarray, "time"], measured: Float[np.ndarray, "time"] | None
-) -> Joint:
+def _diagnose_joint(recording: Recording, position: Signal, measured: Signal | None) -> Joint:
     finite = position[np.isfinite(position)]
     if len(finite) < 2:
         raise LogError(f"{recording.name}: qpos holds {len(finite)} finite samples; check data.columns.qpos")
     smooth = repair_spikes(position)
     velocity = derive_velocity(recording.time, smooth)
-    lag = None if measured is None else find_velocity_lag(recording.time, smooth, measured)
+    found = None if measured is None else find_velocity_lag(recording.time, smooth, measured)
+    lag, scale = found or (None, None)
     low, high = _range(velocity)
     top = max(-low, high)
     return Joint(
@@ -238,15 +219,15 @@ def _diagnose_joint(
         spikes=count_spikes(position),
         velocity=(low, high),
         velocity_quantum=None if measured is None else find_quantum(measured),
-        velocity_lag=None if lag is None else lag[0],
-        velocity_scale=None if lag is None else lag[1],
+        velocity_lag=lag,
+        velocity_scale=scale,
         top_speed=top,
         slow=float((np.abs(velocity) <= SLOWEST * top).mean()),
         rest=float((np.abs(velocity) <= RESTING * top).mean()),
     )
 
 
-def _diagnose_command(name: str, command: Float[np.ndarray, "time"]) -> Command:
+def _diagnose_command(name: str, command: Signal) -> Command:
     finite = command[np.isfinite(command)]
     if not len(finite):
         raise LogError(f"{name}: ctrl holds no finite sample; check data.columns.ctrl")

@@ -5,13 +5,11 @@ import io
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import scipy.io
-from jaxtyping import Float
 
 from frictionzoo.core.errors import ConfigError, LogError, closest
 from frictionzoo.core.log import Dataset, Log
-from frictionzoo.logs.signals import check_filter, estimate_velocity
+from frictionzoo.logs.signals import Signal, check_filter, estimate_velocity
 from frictionzoo.logs.source import Source, register_source
 
 CITATION = (
@@ -48,12 +46,8 @@ class Emps(Source):
         for option, file_name in (("train", train), ("test", test)):
             if not isinstance(file_name, str):
                 raise ConfigError(f"data.{option}={file_name}: expected the name of one file in the folder emps/")
-        self.name: str = name
-        self.folder: str | None = folder
-        self.train: str = train
-        self.test: str = test
-        self.cutoff: float = cutoff
-        self.order: int = order
+        self.name, self.folder, self.cutoff, self.order = name, folder, cutoff, order
+        self.train, self.test = train, test
 
     def load(self) -> Dataset:
         """Both recordings.
@@ -71,8 +65,7 @@ class Emps(Source):
     def _log(self, file_name: str) -> Log:
         path = Path(str(self.folder)).expanduser() / "emps" / file_name
         content = _read(path)
-        variables = _columns(path, content)
-        time, position, voltage = (variables[name] for name in VARIABLES)
+        time, position, voltage = _columns(path, content)
         # The check of the samples comes before the filter, which would smear one NaN over all of them.
         raw = Log(str(path), time, position[:, None], position[:, None], voltage[:, None], "", False)
         velocity = estimate_velocity(position, raw.timestep, self.cutoff, self.order, raw.name)
@@ -100,7 +93,7 @@ def _read(path: Path) -> bytes:
         raise LogError(f"{path}: cannot be read ({error.strerror}); expected a .mat file") from None
 
 
-def _columns(path: Path, content: bytes) -> dict[str, Float[np.ndarray, "time"]]:
+def _columns(path: Path, content: bytes) -> list[Signal]:
     """The variables of a MATLAB file that a log needs, each as one column of the same length."""
     try:
         stored = scipy.io.loadmat(io.BytesIO(content))
@@ -115,13 +108,10 @@ def _columns(path: Path, content: bytes) -> dict[str, Float[np.ndarray, "time"]]
             f"{path}: no variable {', '.join(missing)}, it holds {', '.join(came) or 'none'}; "
             f"{closest(missing[0], came)}; expected t [s], qm [m] and vir [V]"
         )
-    return {name: _column(path, name, stored[name], stored["t"]) for name in VARIABLES}
-
-
-def _column(path: Path, name: str, values: Any, time: Any) -> Float[np.ndarray, "time"]:
-    """One signal as a column as long as time."""
-    if values.dtype.kind not in "fiu":
-        raise LogError(f"{path}: {name} is of type {values.dtype}, expected real numbers")
-    if values.size != max(values.shape) or values.size != time.size:
-        raise LogError(f"{path}: {name} has shape {values.shape} and t {time.shape}, expected one column as long as t")
-    return values.ravel().astype(float)
+    for name in VARIABLES:
+        kind, shape, times = stored[name].dtype, stored[name].shape, stored["t"].shape
+        if kind.kind not in "fiu":
+            raise LogError(f"{path}: {name} is of type {kind}, expected real numbers")
+        if stored[name].size != max(shape) or stored[name].size != stored["t"].size:
+            raise LogError(f"{path}: {name} has shape {shape} and t {times}, expected one column as long as t")
+    return [stored[name].ravel().astype(float) for name in VARIABLES]

@@ -33,10 +33,7 @@ class Logs:
 
     @classmethod
     def of(cls, logs: Iterable[Log]) -> "Logs":
-        """Logs that are in memory already.
-
-        Args:
-            logs: Each a recording of its own.
+        """Logs that are in memory already, each a recording of its own.
 
         Raises:
             LogError: There is none.
@@ -76,10 +73,8 @@ class Logs:
         if not isinstance(test, Split) and not 0 < test < 1:
             raise ConfigError(f"test={test:g}; expected a share between 0 and 1, or a Split")
         if self.held_out:
-            raise ConfigError(
-                f"test={test}: expected None, for {self.held_out} of the recordings were read to test; leave one of "
-                "the two out"
-            )
+            why = f"for {self.held_out} of the recordings were read to test"
+            raise ConfigError(f"test={test}: expected None, {why}; leave one of the two out")
         split = test if isinstance(test, Split) else Split(test_share=test)
         return replace(self, split=split, section={**self.section, "split": describe(asdict(split))})
 

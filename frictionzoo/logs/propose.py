@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float
 
 from frictionzoo.logs.recording import SIGNALS, Table
+from frictionzoo.logs.signals import Signal
 from frictionzoo.logs.units import UNITS, ratio
 
 BAM = {
@@ -18,34 +18,20 @@ BAM = {
 }
 # Words of a header, the most telling first: a goal_position is a command, and torque_enable no torque.
 WORDS = (
-    ("enable", {"enable", "enabled"}),
-    ("temperature", {"temp", "temperature"}),
-    ("supply", {"volts", "vin", "vbus", "supply", "battery"}),
-    (
-        "ctrl",
-        {
-            *("goal", "cmd", "target", "ctrl", "command", "commands", "commanded", "reference", "ref", "setpoint"),
-            *("desired", "des", "action", "u"),
-        },
-    ),
-    ("time", {"t", "time", "timestamp", "timestamps", "stamp", "clock", "seconds"}),
-    ("qvel", {"dq", "qd", "qvel", "vel", "velocity", "speed", "omega", "qdot"}),
-    ("qpos", {"q", "qpos", "pos", "position", "angle", "theta", "state", "qm"}),
-    ("ctrl", {"torque", "tau", "effort", "current", "voltage", "pwm", "duty", "vir", "force"}),
+    ("enable", "enable enabled"),
+    ("temperature", "temp temperature"),
+    ("supply", "volts vin vbus supply battery"),
+    ("ctrl", "goal cmd target ctrl command commands commanded reference ref setpoint desired des action u"),
+    ("time", "t time timestamp timestamps stamp clock seconds"),
+    ("qvel", "dq qd qvel vel velocity speed omega qdot"),
+    ("qpos", "q qpos pos position angle theta state qm"),
+    ("ctrl", "torque tau effort current voltage pwm duty vir force"),
 )
 SPELLINGS = {
     **{"sec": "s", "secs": "s", "seconds": "s", "degree": "deg", "degrees": "deg", "radians": "rad", "nm": "N m"},
     **{"dps": "deg/s", "deg_s": "deg/s", "rad_s": "rad/s", "radps": "rad/s", "mm_s": "mm/s", "m_s": "m/s"},
-    **{
-        "volts": "V",
-        "volt": "V",
-        "amps": "A",
-        "percent": "%",
-        "pct": "%",
-        "turns": "rev",
-        "c": "degC",
-        "celsius": "degC",
-    },
+    **{"volts": "V", "volt": "V", "amps": "A", "percent": "%", "pct": "%", "turns": "rev"},
+    **{"c": "degC", "celsius": "degC"},
 }
 STEPS = ((0.5, "s"), (200.0, "ms"), (2e5, "us"), (math.inf, "ns"))  # below which median step, of logs at 5 Hz to 5 kHz
 NEAR = 0.12  # of the logarithm of a ratio of two signals that still shows its units
@@ -80,11 +66,7 @@ class Proposal:
 
 
 def propose(table: Table) -> Proposal:
-    """A guess at the signals of a table, from names and from numbers.
-
-    Args:
-        table: What a file holds.
-    """
+    """A guess at the signals of a table, from names and from numbers."""
     for known in ({signal: signal for signal in SIGNALS}, BAM):
         if all(known[signal] in table.columns for signal in ("time", "qpos", "ctrl")):
             columns = {signal: (header,) for signal, header in known.items() if header in table.columns}
@@ -99,9 +81,8 @@ def propose(table: Table) -> Proposal:
 def _find(table: Table) -> tuple[dict[str, tuple[str, ...]], list[str]]:
     """For each signal the headers that speak for it, and a sentence on them."""
     families: dict[str, dict[tuple[int, str], list[str]]] = {}
-    for header in (name for name in table.columns if name not in table.times.values()):
-        role = _role(header)
-        if role is not None:
+    for header in table.columns:
+        if header not in table.times.values() and (role := _role(header)):
             signal, rank = role
             # Joints of one signal differ in what stands in brackets, or in a number.
             stem = re.sub(r"\[[^]]*\]|\d+", "#", header)
@@ -121,17 +102,11 @@ def _find(table: Table) -> tuple[dict[str, tuple[str, ...]], list[str]]:
 
 def _role(header: str) -> tuple[str, int] | None:
     """The signal of which a header speaks, and how plainly: the lower the number, the plainer."""
-    words = _words(header)
+    words = re.findall(r"[a-z]+", re.sub(r"([a-z])([A-Z])", r"\1_\2", header).lower())
     for place, (signal, telling) in enumerate(WORDS):
-        if telling & set(words):
+        if not set(words).isdisjoint(telling.split()):
             return signal, 10 * place + len(words)
     return None
-
-
-def _words(header: str) -> list[str]:
-    """A header's words in lower case, without units and numbers."""
-    split = re.sub(r"([a-z])([A-Z])", r"\1_\2", header)
-    return [word for word in re.split(r"[^a-z]+", split.lower()) if word]
 
 
 @np.errstate(all="ignore")  # numbers as they come: what overflows or is infinite leaves no guess
@@ -193,12 +168,11 @@ def _guess_rate(table: Table, columns: Columns, units: Mapping[str, str]) -> Gue
     size = _ratio(np.gradient(position[moved], seconds[moved]), velocity[moved])
     if size is None:
         return []
-    fits = [
+    distance, a, b = min(
         (abs(math.log(size / (_si("qvel", b) / _si("qpos", a)))), a, b)
         for a in ([units["qpos"]] if "qpos" in units else ["rad", "deg", "rev", "mm"])
         for b in ([units["qvel"]] if "qvel" in units else ["rad/s", "deg/s", "rpm", "mm/s"])
-    ]
-    distance, a, b = min(fits)
+    )
     alike = abs(math.log(size)) < NEAR and not units.keys() & {"qpos", "qvel"}
     if distance > NEAR or alike:
         return []
@@ -214,9 +188,8 @@ def _guess_turns(table: Table, columns: Columns, units: Mapping[str, str]) -> Gu
     largest = float(np.nanmax(np.abs(table.columns[columns["qpos"][0]]), initial=0.0))
     if not TURNS < largest < math.inf:
         return []
-    reason = f"it reaches {largest:.4g}, nine turns in radians"
     rate = [("qvel", "deg/s", "as its position")] if "qvel" in columns and "qvel" not in units else []
-    return [("qpos", "deg", reason), *rate]
+    return [("qpos", "deg", f"it reaches {largest:.4g}, nine turns in radians"), *rate]
 
 
 def _guess_command(table: Table, columns: Columns, units: Mapping[str, str]) -> Guess:
@@ -231,15 +204,14 @@ def _guess_command(table: Table, columns: Columns, units: Mapping[str, str]) -> 
     size = _ratio(position, command, of_same=True)
     if size is None:
         return []
-    fits = [(abs(math.log(size * _si("qpos", known) / _si("qpos", unit))), unit) for unit in ("rad", "deg")]
-    distance, unit = min(fits)
+    distance, unit = min((abs(math.log(size * _si("qpos", known) / _si("qpos", u))), u) for u in ("rad", "deg"))
     # A position that falls short of its command is no other unit, as one of 57 times less is.
     if distance > 10 * NEAR or _si("qpos", unit) == 1:
         return []
     return [("ctrl", unit, f"{columns['qpos'][0]} follows it at {size:.3g} times its size")]
 
 
-def _values(table: Table, columns: Columns, signals: tuple[str, ...]) -> list[Float[np.ndarray, "rows"]] | None:
+def _values(table: Table, columns: Columns, signals: tuple[str, ...]) -> list[Signal] | None:
     """The first column of each signal, where all of them are there at the same times."""
     if not all(signal in columns for signal in signals):
         return None
@@ -247,7 +219,7 @@ def _values(table: Table, columns: Columns, signals: tuple[str, ...]) -> list[Fl
     return values if len({len(each) for each in values}) == 1 else None
 
 
-def _ratio(first: Float[np.ndarray, "rows"], second: Float[np.ndarray, "rows"], of_same: bool = False) -> float | None:
+def _ratio(first: Signal, second: Signal, of_same: bool = False) -> float | None:
     """By how much the first is larger than the second; None where they are not the same quantity."""
     fine = np.isfinite(first) & np.isfinite(second) & (np.abs(first) < 1e100) & (np.abs(second) < 1e100)
     if fine.sum() < 3 or not np.ptp(first[fine]) > 0 or not np.ptp(second[fine]) > 0:

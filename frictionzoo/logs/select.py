@@ -38,9 +38,8 @@ class Selection:
             if not isinstance(value, str | int | float):
                 raise ConfigError(f"data.fields.{name}={value}: expected a number or text")
         if self.from_name is not None and not _compile(self.from_name).groupindex:
-            raise ConfigError(
-                f"data.fields_from_name={self.from_name}: no named group, expected one, as in (?P<kp>\\d+)"
-            )
+            came = f"data.fields_from_name={self.from_name}"
+            raise ConfigError(f"{came}: no named group, expected one, as in (?P<kp>\\d+)")
 
     def keep(self, tables: Sequence[Table]) -> list[Table]:
         """The tables that are kept, with all their fields.
@@ -51,8 +50,7 @@ class Selection:
         tables = [replace(table, fields=self._all_fields(table)) for table in tables]
         for option, asked in (("where", self.where), ("exclude", self.exclude)):
             for name, values in asked.items():
-                present = field_values(tables, name, f"data.{option}")
-                refuse_absent(f"data.{option}.{name}", values, present)
+                refuse_absent(tables, name, values, f"data.{option}", f"data.{option}.{name}")
         kept = [table for table in tables if self._is_kept(table.fields)]
         if not kept:
             raise LogError(f"data.where and data.exclude leave none of {len(tables)} recordings; ask for less")
@@ -90,24 +88,16 @@ def describe(fields: Mapping[str, Any]) -> str:
     return ", ".join(f"{name}={value}" for name, value in fields.items())
 
 
-def field_values(carriers: Sequence[Any], name: str, option: str) -> list[Any]:
-    """The values of a field, each once, of what has `fields`.
-
-    Raises:
-        LogError: None has the field.
-    """
-    values = list(dict.fromkeys(carrier.fields[name] for carrier in carriers if name in carrier.fields))
-    if not values:
+def refuse_absent(carriers: Sequence[Any], name: str, values: Iterable[Any], option: str, asked: str) -> None:
+    """LogError where nothing of what has `fields` has this one, as `option` asks, or one of these values of it."""
+    present = list(dict.fromkeys(carrier.fields[name] for carrier in carriers if name in carrier.fields))
+    if not present:
         known = {known for carrier in carriers for known in carrier.fields}
         raise LogError(f"{option}: no recording has a field {name}; {closest(name, known)}")
-    return sorted(values, key=lambda value: (isinstance(value, str), value))
-
-
-def refuse_absent(option: str, values: Iterable[Any], present: Sequence[Any]) -> None:
-    """LogError for the first value that no recording has."""
+    present.sort(key=lambda value: (isinstance(value, str), value))
     for value in values:
         if not is_among(value, present):
-            raise LogError(f"{option}={value}: no recording has it; expected one of {', '.join(map(str, present))}")
+            raise LogError(f"{asked}={value}: no recording has it; expected one of {', '.join(map(str, present))}")
 
 
 def _compile(pattern: str) -> re.Pattern[str]:

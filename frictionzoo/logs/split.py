@@ -12,7 +12,7 @@ from frictionzoo.core.errors import ConfigError, LogError
 from frictionzoo.core.log import Log
 from frictionzoo.core.segments import split_by_time
 from frictionzoo.logs.recording import Recording
-from frictionzoo.logs.select import field_values, is_among, refuse_absent
+from frictionzoo.logs.select import is_among, refuse_absent
 
 
 @dataclass(frozen=True)
@@ -48,11 +48,7 @@ class Split:
         return list(self.test) if isinstance(self.test, Sequence) and not isinstance(self.test, str) else [self.test]
 
     def divide(self, recordings: Sequence[Recording], logs: Sequence[Sequence[Log]]) -> tuple[list[Log], list[Log]]:
-        """The logs that train and those that test.
-
-        Args:
-            recordings: What was read.
-            logs: The logs of each recording.
+        """The logs that train and those that test, out of those of each recording.
 
         Raises:
             LogError: No recording has what is to test, or nothing is left to train.
@@ -64,25 +60,19 @@ class Split:
             return [first for first, _ in parts], [last for _, last in parts]
         tests = self._choose_files(recordings) if self.by == "file" else self._choose_by_field(recordings)
         if tests.all():
-            raise LogError(
-                f"data.split.by={self.by} test={self.test}: all {len(tests)} recordings test, none is left to train; "
-                "let fewer test"
-            )
-        train, test = (
-            [log for chosen, cleaned in zip(tests, logs, strict=True) if chosen == part for log in cleaned]
-            for part in (False, True)
-        )
+            all_of_them = f"data.split.by={self.by} test={self.test}: all {len(tests)} recordings test"
+            raise LogError(f"{all_of_them}, none is left to train; let fewer test")
+        train, test = [], []
+        for chosen, cleaned in zip(tests, logs, strict=True):
+            (test if chosen else train).extend(cleaned)
         return train, test
 
     def _choose_by_field(self, recordings: Sequence[Recording]) -> Bool[np.ndarray, "recordings"]:
-        present = field_values(recordings, self.by, "data.split.by")
-        refuse_absent(f"data.split.by={self.by} test", self._tested, present)
+        refuse_absent(recordings, self.by, self._tested, "data.split.by", f"data.split.by={self.by} test")
         for recording in recordings:
             if self.by not in recording.fields:
-                raise LogError(
-                    f"{recording.name}: no field {self.by}, by which data.split divides; add it with data.fields or "
-                    "leave the recording out"
-                )
+                what = f"{recording.name}: no field {self.by}, by which data.split divides"
+                raise LogError(f"{what}; add it with data.fields or leave the recording out")
         return np.array([is_among(recording.fields[self.by], self._tested) for recording in recordings])
 
     def _choose_files(self, recordings: Sequence[Recording]) -> Bool[np.ndarray, "recordings"]:

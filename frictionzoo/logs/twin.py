@@ -17,10 +17,13 @@ from frictionzoo.core.errors import ConfigError, LogError, closest, refuse_outsi
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.segments import split_by_time
 from frictionzoo.logs.cache import cache_folder, cached, digest
+from frictionzoo.logs.signals import Signal
 from frictionzoo.logs.source import Source, register_source
 
 FORMAT = 1  # raise it with every change of the simulation, so that no cache of an older one is taken
 MOST_STEPS = 100_000_000  # of a simulation: some ten minutes
+States = Float[np.ndarray, "time nv"]
+Part = TypeVar("Part", bound=Any)  # any dataclass
 DIVERGED = 1e6  # torque [N m] that no sane drive reaches; above 1e10 MuJoCo itself would reset the state and go on
 SIGNALS = ("time", "qpos", "qvel", "ctrl")
 MOST_HARMONICS = 1000
@@ -49,23 +52,20 @@ class Excitation:
         for name in ("amplitude", "frequency", "phase"):
             low, high = getattr(self, name)
             if not low <= high:
-                raise ConfigError(
-                    f"data.excitation.{name}=[{low:g}, {high:g}]: expected two numbers, the smaller first"
-                )
-        if not self.velocity_limit > 0:
-            raise ConfigError(
-                f"data.excitation.velocity_limit={self.velocity_limit:g}: expected a positive speed in rad/s"
-            )
+                came = f"data.excitation.{name}=[{low:g}, {high:g}]"
+                raise ConfigError(f"{came}: expected two numbers, the smaller first")
+        limit = self.velocity_limit
+        if not limit > 0:
+            raise ConfigError(f"data.excitation.velocity_limit={limit:g}: expected a positive speed in rad/s")
 
-    def command(self, time: Float[np.ndarray, "time"], rng: np.random.Generator) -> Float[np.ndarray, "time"]:
+    def command(self, time: Signal, rng: np.random.Generator) -> Signal:
         """Desired position [rad] at these times [s].
 
         The clipped sum has a small mean, which would carry the integral away over minutes: its straight line is
         removed.
         """
-        amplitude, frequency, phase = (
-            rng.uniform(*bounds, self.harmonics) for bounds in (self.amplitude, self.frequency, self.phase)
-        )
+        bounds = self.amplitude, self.frequency, self.phase
+        amplitude, frequency, phase = (rng.uniform(low, high, self.harmonics) for low, high in bounds)
         terms = amplitude * np.sin(time[:, None] * frequency + phase)
         velocity = np.clip(terms.sum(axis=1), -self.velocity_limit, self.velocity_limit)
         position = np.concatenate([[0.0], np.cumsum((velocity[1:] + velocity[:-1]) / 2 * np.diff(time))])
@@ -113,13 +113,7 @@ class HiddenDrive:
                 raise ConfigError(f"data.drive.{name}={getattr(self, name):g}: expected 0 or more")
 
     def friction(self, qpos: float, qvel: float, motor_torque: float) -> float:
-        """Friction torque [N m], positive against positive qvel.
-
-        Args:
-            qpos: Joint position [rad].
-            qvel: Joint velocity [rad/s].
-            motor_torque: Torque of the motor on the output side [N m].
-        """
+        """Friction torque [N m], positive against positive qvel [rad/s]; the motor's is that on the output side."""
         dry = (
             self.coulomb_torque
             + (self.static_torque - self.coulomb_torque) * math.exp(-((qvel / self.stribeck_velocity) ** 2))
@@ -131,12 +125,7 @@ class HiddenDrive:
 
 @dataclass(frozen=True)
 class Controller:
-    """The drive's embedded position controller, tau = kp (q_des - q) - kd v.
-
-    Attributes:
-        kp: Proportional gain [N m/rad].
-        kd: Derivative gain [N m s/rad].
-    """
+    """The drive's embedded position controller, tau = kp (q_des - q) - kd v, kp [N m/rad] and kd [N m s/rad]."""
 
     kp: float
     kd: float
@@ -159,9 +148,7 @@ class Sensor:
             if not getattr(self, name) >= 0:
                 raise ConfigError(f"data.sensor.{name}={getattr(self, name):g}: expected 0 or more")
 
-    def measure(
-        self, qpos: Float[np.ndarray, "time nv"], qvel: Float[np.ndarray, "time nv"], rng: np.random.Generator
-    ) -> tuple[Float[np.ndarray, "time nv"], Float[np.ndarray, "time nv"]]:
+    def measure(self, qpos: States, qvel: States, rng: np.random.Generator) -> tuple[States, States]:
         """Measured position [rad] and velocity [rad/s]."""
         if self.position_quantum:
             qpos = np.round(qpos / self.position_quantum) * self.position_quantum
@@ -221,18 +208,13 @@ class Twin(Source):
             )
         if not timestep > 0:
             raise ConfigError(f"data.timestep={timestep}: expected a positive number of seconds")
-        self.name: str = name
-        self.seed: int = seed
-        self.samples: int = samples
-        self.timestep: float = timestep
-        self.substeps: int = substeps
-        self.mjcf: str = _packaged_bench(mjcf)
-        self.excitation: Excitation = _section(Excitation, "excitation", excitation)
-        self.controller: Controller = _section(Controller, "controller", controller)
+        self.name, self.seed, self.split = name, seed, dict(split)
+        self.samples, self.timestep, self.substeps = samples, timestep, substeps
+        self.mjcf, self.cache_dir = _packaged_bench(mjcf), cache_folder(cache_dir)
+        self.excitation = _section(Excitation, "excitation", excitation)
+        self.controller = _section(Controller, "controller", controller)
         self.drive = _section(self.hidden, "drive", drive)
-        self.sensor: Sensor = _section(Sensor, "sensor", sensor)
-        self.split: dict[str, Any] = dict(split)
-        self.cache_dir: Path | None = cache_folder(cache_dir)
+        self.sensor = _section(Sensor, "sensor", sensor)
 
     def load(self) -> Dataset:
         """The recording, made or from the cache, split by time.
@@ -271,9 +253,7 @@ class Twin(Source):
         qpos, qvel = self.sensor.measure(qpos, qvel, rng)
         return {"time": time, "qpos": qpos, "qvel": qvel, "ctrl": ctrl[:, None]}
 
-    def simulate(
-        self, ctrl: Float[np.ndarray, "time"]
-    ) -> tuple[Float[np.ndarray, "time 1"], Float[np.ndarray, "time 1"]]:
+    def simulate(self, ctrl: Signal) -> tuple[States, States]:
         """True position [rad] and velocity [rad/s] at the samples, from rest at the first command.
 
         Args:
@@ -316,9 +296,6 @@ class Twin(Source):
         return spec
 
 
-Part = TypeVar("Part", bound=Any)  # any dataclass
-
-
 def _section(part: type[Part], name: str, given: Mapping[str, Any]) -> Part:
     """A part from its section of the configuration; ConfigError where the two do not fit."""
     types = {field.name: field.type for field in fields(part)}
@@ -328,17 +305,17 @@ def _section(part: type[Part], name: str, given: Mapping[str, Any]) -> Part:
         raise ConfigError(f"data.{name}.{key}: missing; give {', '.join(types)}")
     values = {}
     for key, kind in types.items():
+        number = kind in (int, float)
         try:
-            values[key] = kind(given[key]) if kind in (int, float) else _range(given[key])
+            if number:
+                values[key] = kind(given[key])
+            else:
+                low, high = given[key]
+                values[key] = float(low), float(high)
         except (TypeError, ValueError):
-            expected = "a number" if kind in (int, float) else "two numbers, [low, high]"
+            expected = "a number" if number else "two numbers, [low, high]"
             raise ConfigError(f"data.{name}.{key}={given[key]}: expected {expected}") from None
     return part(**values)
-
-
-def _range(given: Any) -> tuple[float, float]:
-    low, high = given
-    return float(low), float(high)
 
 
 def _packaged_bench(file_name: str) -> str:

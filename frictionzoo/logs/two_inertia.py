@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
 
 from frictionzoo.core.errors import ConfigError
+from frictionzoo.logs.signals import Signal
 from frictionzoo.logs.source import register_source
-from frictionzoo.logs.twin import Twin
+from frictionzoo.logs.twin import States, Twin
 
 LIGHT = 1e-3  # kg m^2: what turns a lighter rotor counts by its acceleration, at which MuJoCo too resets the state
 
@@ -51,12 +51,7 @@ class HiddenCoupling:
                 raise ConfigError(f"data.drive.{name}={getattr(self, name):g}: expected 0 or more")
 
     def coupling(self, ahead: float, faster: float) -> float:
-        """Torque from the rotor to the load [N m].
-
-        Args:
-            ahead: Angle of the rotor ahead of the load [rad].
-            faster: Velocity of the rotor less that of the load [rad/s].
-        """
+        """Torque from the rotor, so far ahead of the load [rad] and so much faster [rad/s], to the load [N m]."""
         bend = ahead - math.copysign(min(abs(ahead), self.gap / 2), ahead)
         return self.stiffness * bend + self.coupling_damping * faster if bend else 0.0
 
@@ -77,12 +72,9 @@ class TwoInertia(Twin):
     """
 
     hidden = HiddenCoupling
-
     drive: HiddenCoupling
 
-    def simulate(
-        self, ctrl: Float[np.ndarray, "time"]
-    ) -> tuple[Float[np.ndarray, "time 1"], Float[np.ndarray, "time 1"]]:
+    def simulate(self, ctrl: Signal) -> tuple[States, States]:
         """See `Twin.simulate`: true position [rad] and velocity [rad/s] of the load."""
         model = self._spec().compile()
         data = mujoco.MjData(model)
@@ -96,9 +88,8 @@ class TwoInertia(Twin):
                 motor = self.controller.kp * (command - qpos[load]) - self.controller.kd * qvel[load]
                 passed = self.drive.coupling(qpos[rotor] - qpos[load], qvel[rotor] - qvel[load])
                 turning = motor - passed - self.drive.friction(qvel[rotor])
-                self._refuse_divergence(
-                    max(abs(passed), abs(turning) * max(1.0, LIGHT / self.drive.rotor_inertia)), sample
-                )
+                felt = abs(turning) * max(1.0, LIGHT / self.drive.rotor_inertia)
+                self._refuse_divergence(max(abs(passed), felt), sample)
                 data.qfrc_applied[load], data.qfrc_applied[rotor] = passed, turning
                 mujoco.mj_step(model, data)
         return states[:, :1], states[:, 1:]

@@ -9,16 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from frictionzoo.core.errors import LogError
-from frictionzoo.logs.formats.base import (
-    EXACT,
-    Format,
-    parse_json,
-    parsing,
-    read_bytes,
-    register_format,
-    tabulate,
-    unzip,
-)
+from frictionzoo.logs.formats.base import Format, parse_json, parsing, read_bytes, register_format, tabulate, unzip
 from frictionzoo.logs.recording import Table
 
 
@@ -57,9 +48,8 @@ class Bam(Format):
             log = parse_json(content)
             entries = log.get("entries") if isinstance(log, dict) else None
             if not entries or not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-                raise LogError(
-                    f"{name}: no samples under `entries`, expected JSON with a list of them, as BAM writes it"
-                )
+                wanted = "expected JSON with a list of them, as BAM writes it"
+                raise LogError(f"{name}: no samples under `entries`, {wanted}")
             columns, refused = {}, {}
             for header in dict.fromkeys(header for entry in entries for header in entry):
                 try:
@@ -77,8 +67,7 @@ def _array(values: Sequence[Any]) -> np.ndarray:
         place, value = next((i, v) for i, v in enumerate(values) if v is not None and type(v) not in (int, float))
         raise ValueError(f"is {str(value)[:40]!r} ({type(value).__name__}) in entry {place}, expected a number")
     numbers = np.array(values, dtype=np.float64)
-    whole = (np.abs(numbers) > EXACT).any() and kinds == {int} and None not in values
-    return np.array(values) if whole else numbers
+    return np.array(values) if kinds == {int} and None not in values else numbers
 
 
 def _fields(log: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str | float]]:

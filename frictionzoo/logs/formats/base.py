@@ -96,34 +96,22 @@ def read_bytes(path: Path) -> bytes:
 
 
 def check_size(name: str, size: int) -> None:
-    """See that a file's size can be that of a recording.
-
-    Args:
-        name: The file's name, for messages.
-        size: [bytes].
-
-    Raises:
-        LogError: It cannot.
-    """
+    """LogError where a file's size cannot be that of a recording [bytes]."""
     if size > LIMIT:
         raise LogError(f"{name}: {size / 1e9:.1f} GB, expected at most {LIMIT / 1e9:.1f} GB; cut it into shorter logs")
 
 
 def check_unpacked(name: str, size: int, packed: int | None = None) -> None:
-    """See that the size to which a file unpacks can be that of a recording.
+    """LogError where the size to which a file unpacks [bytes] cannot be that of a recording.
 
     Args:
         name: The file's name, for messages.
-        size: [bytes].
-        packed: Bytes from which it unpacks; None where many may come from few.
-
-    Raises:
-        LogError: It cannot.
+        size: What it unpacks to.
+        packed: From how much; None where many may come from few.
     """
     if size > UNPACKED:
-        raise LogError(
-            f"{name}: {size / 1e9:.1f} GB unpacked, expected at most {UNPACKED / 1e9:.1f} GB; cut it into shorter logs"
-        )
+        most = f"{UNPACKED / 1e9:.1f} GB"
+        raise LogError(f"{name}: {size / 1e9:.1f} GB unpacked, expected at most {most}; cut it into shorter logs")
     if packed is not None and size > SMALL and size > RATIO * packed:
         raise LogError(
             f"{name}: {packed} bytes would unpack to {size / 1e6:.0f} MB, expected at most {RATIO} times as many; "
@@ -147,14 +135,9 @@ def parsing(name: str, what: str) -> Iterator[None]:
 
 
 def unzip(name: str, content: bytes, suffix: str) -> Iterator[tuple[str, bytes]]:
-    """The members of a zip archive whose names end in a suffix, in its order: their names and bytes.
+    """The members of a zip archive whose names end in a suffix, such as `.npy`, in its order: their names and bytes.
 
     No more is unpacked than the archive says, and its checksums are checked.
-
-    Args:
-        name: The archive's name, for messages.
-        content: Its bytes.
-        suffix: Such as `.npy`.
 
     Raises:
         LogError: Two members have one name or share bytes, or it is or unpacks to too much.
@@ -210,11 +193,7 @@ def _unique(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def optional(module: str, package: str, name: str) -> ModuleType:
-    """A module of a package that not every user needs.
-
-    Raises:
-        LogError: It is not installed; the line says how to install it.
-    """
+    """A module of a package that not every user needs; LogError where it is not installed, which says how to do it."""
     try:
         return importlib.import_module(module)
     except ImportError:
@@ -227,11 +206,11 @@ def tabulate(
     fields: Mapping[str, str | float] | None = None,
     refused: Mapping[str, str] | None = None,
 ) -> Table:
-    """A table from named arrays: columns from vectors and matrices, fields from single values.
+    """A table from named arrays, numbers and texts: columns from vectors and matrices, fields from single values.
 
     Args:
         name: Where they came from, for messages.
-        variables: Arrays, numbers or texts.
+        variables: What is told apart.
         fields: More fields.
         refused: Why others are none of the columns.
 
@@ -277,10 +256,7 @@ def _columns(header: str, values: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def to_numbers(values: np.ndarray) -> np.ndarray:
-    """Numbers as float64, or as int64 where that would round them: nanoseconds since 1970 do not fit.
-
-    Args:
-        values: Numbers, or Python's whole numbers as objects.
+    """Numbers, or objects of Python's that are whole numbers, as float64, or as int64 where that would round them.
 
     Raises:
         ValueError: A whole number is too large for either; the text goes on from a column's name.

@@ -23,36 +23,23 @@ class Csv(Format):
     suffixes: ClassVar[tuple[str, ...]] = (".csv",)
 
     def parse(self, name: str, content: bytes) -> Table:
-        """The columns in a file's text."""
-        return read_table(name, _decode(name, content))
-
-
-def read_table(name: str, text: str) -> Table:
-    """Columns of numbers from the text of a CSV file.
-
-    Args:
-        name: The file's name, for messages.
-        text: Its text; the first row is the header.
-
-    Raises:
-        LogError: It is no CSV table.
-    """
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-    lines, rows = [], []
-    try:
-        headers = [header.strip() for header in next(reader, [])]
-        for row in reader:
-            if row:
-                _check_width(name, reader.line_num, row, headers)
+        """The columns in a file's text, whose first row is the header."""
+        reader = csv.reader(io.StringIO(_decode(name, content), newline=""), strict=True)
+        lines, rows = [], []
+        try:
+            headers = [header.strip() for header in next(reader, [])]
+            for row in filter(None, reader):
+                if len(row) != len(headers):
+                    came = f"{name}, line {reader.line_num}: {len(row)} cells"
+                    raise LogError(f"{came}, expected {len(headers)} as in the header")
                 lines.append(reader.line_num)
                 rows.append(row)
-    except csv.Error as error:
-        raise LogError(
-            f"{name}, line {reader.line_num}: not a CSV table ({error}); expected comma-separated rows"
-        ) from None
-    if headers and not rows:
-        raise LogError(f"{name}: a header and no samples, expected at least 2; record a longer log")
-    return _sort_out(name, headers, lines, list(zip(*rows, strict=True)))
+        except csv.Error as error:
+            came = f"{name}, line {reader.line_num}: not a CSV table ({error})"
+            raise LogError(f"{came}; expected comma-separated rows") from None
+        if headers and not rows:
+            raise LogError(f"{name}: a header and no samples, expected at least 2; record a longer log")
+        return _sort_out(name, headers, lines, list(zip(*rows, strict=True)))
 
 
 def _sort_out(name: str, headers: Sequence[str], lines: Sequence[int], cells: Sequence[Sequence[str]]) -> Table:
@@ -80,17 +67,11 @@ def _decode(name: str, content: bytes) -> str:
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise LogError(
-            f"{name}: byte {error.start} is not UTF-8 text; expected a CSV file, export it as UTF-8"
-        ) from None
+        came = f"{name}: byte {error.start} is not UTF-8 text"
+        raise LogError(f"{came}; expected a CSV file, export it as UTF-8") from None
     if "\0" in text:
         raise LogError(f"{name}: holds a zero byte; expected a CSV file as UTF-8 text")
     return text
-
-
-def _check_width(name: str, line: int, row: Sequence[str], headers: Sequence[str]) -> None:
-    if len(row) != len(headers):
-        raise LogError(f"{name}, line {line}: {len(row)} cells, expected {len(headers)} as in the header")
 
 
 def _numbers(cells: Sequence[str]) -> Real[np.ndarray, "rows"]:

@@ -9,6 +9,8 @@ from frictionzoo.core.errors import LogError
 from frictionzoo.logs.formats.base import Format, check_unpacked, optional, parsing, register_format, tabulate
 from frictionzoo.logs.recording import Table
 
+LISTS = ("list", "large_list", "fixed_size_list")
+
 
 @register_format("parquet")
 class Parquet(Format):
@@ -44,32 +46,28 @@ def read_columns(name: str, content: bytes) -> tuple[dict[str, np.ndarray], dict
             for field in file.schema_arrow
             if not _is_numeric(field.type)
         }
-        columns = _read(file, wanted)
-        for header, column in columns:
+        table = file.read(columns=wanted)
+        columns = {header: table.column(header).combine_chunks() for header in table.column_names}
+        for header, column in columns.items():
             if len(column) != rows:
                 raise LogError(f"{name}: {header} has {len(column)} rows, expected {rows}; export it again")
-        return {header: _array(column) for header, column in columns}, refused
+        return {header: _array(column) for header, column in columns.items()}, refused
 
 
-def _read(file: Any, wanted: list[str]) -> list[tuple[str, Any]]:
-    table = file.read(columns=wanted)
-    return [(header, table.column(header).combine_chunks()) for header in table.column_names]
+def _is(kind: Any, *names: str) -> bool:
+    """Whether an Arrow type is one of these."""
+    types = optional("pyarrow.types", "pyarrow", "parquet")
+    return any(getattr(types, f"is_{name}")(kind) for name in names)
 
 
 def _is_numeric(kind: Any) -> bool:
     """Whether an Arrow type is a number, a time, or a list of numbers."""
-    types = optional("pyarrow.types", "pyarrow", "parquet")
-    if types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind):
-        kind = kind.value_type
-    tests = (types.is_integer, types.is_floating, types.is_boolean, types.is_timestamp)
-    return any(test(kind) for test in tests)
+    return _is(kind.value_type if _is(kind, *LISTS) else kind, "integer", "floating", "boolean", "timestamp")
 
 
 def _array(column: Any) -> np.ndarray:
     """A column as a vector, or lists of one length as a matrix; missing numbers as NaN."""
-    types = optional("pyarrow.types", "pyarrow", "parquet")
-    kind = column.type
-    if not (types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind)):
+    if not _is(column.type, *LISTS):
         return _vector(column)
     entries = _vector(column.flatten())
     width, rest = divmod(len(entries), max(len(column), 1))
@@ -78,9 +76,8 @@ def _array(column: Any) -> np.ndarray:
 
 
 def _vector(column: Any) -> np.ndarray:
-    types = optional("pyarrow.types", "pyarrow", "parquet")
-    if column.null_count and not types.is_timestamp(column.type):
+    if column.null_count and not _is(column.type, "timestamp"):
         column = column.cast("float64")
-    elif types.is_boolean(column.type):
+    elif _is(column.type, "boolean"):
         column = column.cast("uint8")
     return column.to_numpy(zero_copy_only=False)

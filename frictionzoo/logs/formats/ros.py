@@ -56,7 +56,7 @@ class Ros(Format):
             if path.is_file() and path.suffix not in STORAGES:
                 raise LogError(f"{path}: suffix {path.suffix or 'none'}, expected {' or '.join(STORAGES)}; rename it")
             digests = []
-            for file in _files(path):
+            for file in sorted(f for f in path.iterdir() if f.suffix in STORAGES) if path.is_dir() else [path]:
                 _check(file)
                 with file.open("rb") as stream:
                     digests.append(hashlib.file_digest(stream, "sha256"))
@@ -65,10 +65,8 @@ class Ros(Format):
             store.max_sequence_length = LONGEST
             with reader.Reader(path) as bag:
                 if bag.compression_mode:
-                    raise LogError(
-                        f"{path}: compressed by {bag.compression_mode}, expected a bag that is not or whose storage "
-                        "is; unpack it with `ros2 bag convert`"
-                    )
+                    wanted = "expected a bag that is not or whose storage is; unpack it with `ros2 bag convert`"
+                    raise LogError(f"{path}: compressed by {bag.compression_mode}, {wanted}")
                 return [replace(_read(str(path), bag, store), sha256=sha256.hexdigest())]
 
     def parse(self, name: str, content: bytes) -> Table:
@@ -143,26 +141,23 @@ class Topic:
 
 def _read(name: str, bag: Any, store: Any) -> Table:
     """The numbers of all messages whose type is known."""
-    topics, refused, units = defaultdict(Topic), {}, {}
-    for connection in bag.connections:
-        topic, kind = connection.topic, connection.msgtype
-        if kind not in store.types:
-            refused[topic] = (
-                f"{name}: {topic} is of type {kind}, expected one of ROS's own packages; record it as JointState or "
-                "Float64MultiArray, or export it as CSV"
-            )
     known = [connection for connection in bag.connections if connection.msgtype in store.types]
-    counts = Counter()
+    wanted = "expected one of ROS's own packages; record it as JointState or Float64MultiArray, or export it as CSV"
+    refused = {
+        connection.topic: f"{name}: {connection.topic} is of type {connection.msgtype}, {wanted}"
+        for connection in bag.connections
+        if connection.msgtype not in store.types
+    }
+    topics, counts, expected = defaultdict(Topic), Counter(), Counter()
     for connection, received, content in bag.messages(known) if known else ():
         topics[connection.topic].add(store.deserialize_cdr(content, connection.msgtype), received)
         counts[connection.topic] += 1
-    expected = Counter()
     for connection in known:
         expected[connection.topic] += connection.msgcount
     for topic, count in expected.items():
         if count and count != counts[topic]:
             raise LogError(f"{name}: {topic} has {counts[topic]} messages, expected {count}; copy or record it again")
-    columns, times = {}, {}
+    columns, times, units = {}, {}, {}
     joints = {connection.topic for connection in known if connection.msgtype == "sensor_msgs/msg/JointState"}
     for topic, kept in topics.items():
         for header, time_header, time, values in kept.columns(topic):
@@ -200,28 +195,23 @@ def _numbers(value: Any, path: str, names: list[str]) -> Iterator[tuple[str, flo
                 yield from _numbers(getattr(value, inner), f"{path}/{inner}", names)
 
 
-def _files(path: Path) -> list[Path]:
-    """The files with messages of a recording."""
-    if not path.is_dir():
-        return [path]
-    return sorted(file for file in path.iterdir() if file.suffix in STORAGES)
-
-
 def _check(file: Path) -> None:
     """See that reading a file stays within bounds and that the messages of each topic are in the order of their times.
 
     rosbags sorts them, which leaves no trace of a clock that was set back.
     """
-    check_size(str(file), file.stat().st_size)
+    name, size = str(file), file.stat().st_size
+    check_size(name, size)
     if file.suffix == ".mcap":
         with file.open("rb") as stream:
-            _check_mcap(str(file), stream, file.stat().st_size)
+            _check_summary(name, stream, size)
+            _refuse_backwards(name, _scan(name, stream, size))
     else:
         with closing(sqlite3.connect(f"{file.absolute().as_uri()}?immutable=1", uri=True)) as database:
             # A view may take forever to read, and no recorder makes one.
             if database.execute("SELECT count(*) FROM sqlite_master WHERE type = 'view'").fetchone()[0]:
                 raise LogError(f"{file}: a database with views, expected the tables of rosbag2; record it again")
-            _refuse_backwards(str(file), database.execute("SELECT topic_id, timestamp FROM messages ORDER BY id"))
+            _refuse_backwards(name, database.execute("SELECT topic_id, timestamp FROM messages ORDER BY id"))
 
 
 def _refuse_backwards(name: str, messages: Iterable[tuple[int, int]]) -> None:
@@ -235,12 +225,6 @@ def _refuse_backwards(name: str, messages: Iterable[tuple[int, int]]) -> None:
                 "times that do not run backwards; cut it there, or order it by `mcap sort` or `ros2 bag convert`"
             )
         last[topic] = received
-
-
-def _check_mcap(name: str, stream: BinaryIO, size: int) -> None:
-    """See that an MCAP file is whole, and its messages in order."""
-    _check_summary(name, stream, size)
-    _refuse_backwards(name, _scan(name, stream, size))
 
 
 def _check_summary(name: str, stream: BinaryIO, size: int) -> None:
@@ -259,11 +243,7 @@ def _check_summary(name: str, stream: BinaryIO, size: int) -> None:
 
 
 def _scan(name: str, stream: BinaryIO, size: int) -> Iterator[tuple[int, int]]:
-    """Channel and time of each message of an MCAP file [ns], in its order.
-
-    Raises:
-        LogError: It has not the bytes that its records declare, or not the chunks that its index names.
-    """
+    """Channel and time of each message of an MCAP file [ns]; LogError where bytes or chunks that it names lack."""
     place, total, indices = len(MAGIC), 0, 0
     while place < size - len(MAGIC):
         stream.seek(place)
