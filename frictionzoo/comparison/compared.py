@@ -28,11 +28,7 @@ class Compared:
 
     @classmethod
     def of(cls, drives: Sequence[Identified], failures: Sequence[Failure] = ()) -> "Compared":
-        """Compare drives.
-
-        Args:
-            drives: At least one.
-            failures: What has no drive, to be listed.
+        """Compare drives, and list what has none.
 
         Raises:
             RunError: There is none, or they were not judged on the same rollouts of the same recordings.
@@ -62,9 +58,6 @@ class Compared:
 
     def save(self, folder: str | Path) -> None:
         """Write what `python -m frictionzoo.compare` writes: record, page, figures, and a table for a paper.
-
-        Args:
-            folder: Where to.
 
         Raises:
             OutputError: It cannot be written.

@@ -12,11 +12,7 @@ from frictionzoo.core.output import write_atomically
 
 
 def write_comparison(folders: Sequence[Path], output: Path) -> Comparison:
-    """Compare runs and write all that a comparison leaves behind, `comparison.json` last.
-
-    Args:
-        folders: Folders of runs or of sweeps.
-        output: Where to write.
+    """Compare the runs in these folders, of runs or of sweeps, and write all that a comparison leaves behind.
 
     Raises:
         RunError: A folder holds no run, runs are not comparable, or no run has a result.
@@ -32,16 +28,7 @@ def write_comparison(folders: Sequence[Path], output: Path) -> Comparison:
 
 
 def save_comparison(comparison: Comparison, runs: Sequence[Run], output: Path) -> None:
-    """Write all that a comparison leaves behind, `comparison.json` last.
-
-    Args:
-        comparison: What it holds.
-        runs: The runs that were compared.
-        output: Where to write.
-
-    Raises:
-        OutputError: A file cannot be written.
-    """
+    """Write all that a comparison of these runs leaves behind, `comparison.json` last; OutputError if that fails."""
     # Imported here, so that what compares does not wait for what draws.
     from frictionzoo.show.comparison_figures import write_figures
     from frictionzoo.show.comparison_page import write_page

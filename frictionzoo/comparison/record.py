@@ -10,6 +10,7 @@ from typing import Any, Final, Literal, cast
 import numpy as np
 from jaxtyping import Float
 
+from frictionzoo.comparison import types as rows
 from frictionzoo.comparison.runs import NAMED, Failure, Run, differing
 from frictionzoo.comparison.statistics import (
     MATTERS,
@@ -20,19 +21,6 @@ from frictionzoo.comparison.statistics import (
     error_by_horizon,
     mean_of_finite,
     resample,
-)
-from frictionzoo.comparison.types import (
-    AutocorrelationRow,
-    BinnedRow,
-    Comparison,
-    DifferenceRow,
-    FailureRow,
-    FrictionRow,
-    GrowthRow,
-    Numbers,
-    PairRow,
-    RecommendationRow,
-    RunRow,
 )
 from frictionzoo.core.output import to_json
 from frictionzoo.result.verdict import doubt_reference
@@ -47,40 +35,33 @@ def read_schema() -> dict[str, Any]:
     return json.loads(resources.files("frictionzoo.comparison").joinpath("comparison.schema.json").read_text("utf-8"))
 
 
-def compare_runs(runs: Sequence[Run], failures: Sequence[Failure]) -> Comparison:
-    """Runs on the same data and rollouts side by side, best first.
-
-    Args:
-        runs: Runs that `read_runs` found comparable, at least one.
-        failures: Jobs without a result, to be listed.
-    """
+def compare_runs(runs: Sequence[Run], failures: Sequence[Failure]) -> rows.Comparison:
+    """Runs that `read_runs` found comparable side by side, best first, at least one; and jobs without a result."""
     ranked = sorted(runs, key=_rank)
     pairs = _compare_pairs(ranked)
-    first = ranked[0].result
+    first, test = ranked[0].result, ranked[0].result["metrics"]["test"]
     reference = next((run for run in ranked if run.result["model"] == "baseline"), None)
-    comparison: Comparison = {
+    comparison: rows.Comparison = {
         "schema_version": SCHEMA_VERSION,
         "data": first["data"],
         "joints": first["joints"],
-        "unit": first["metrics"]["test"]["unit"],
-        "velocity_unit": first["metrics"]["test"]["velocity_unit"],
-        "torque_unit": "N m" if first["metrics"]["test"]["unit"] == "rad" else "N",
+        "unit": test["unit"],
+        "velocity_unit": test["velocity_unit"],
+        "torque_unit": "N m" if test["unit"] == "rad" else "N",
         "evaluation": {
             "sha256": first["evaluation"]["sha256"],
-            "horizon": first["metrics"]["test"]["horizon"],
-            "rollouts": first["metrics"]["test"]["rollouts"],
+            "horizon": test["horizon"],
+            "rollouts": test["rollouts"],
             "long_rollouts": len(ranked[0].curves.qpos),
             "long_horizon": first["paper"]["a"]["model"]["horizon"],
         },
         "recommendation": _recommend(ranked, pairs),
         "reference": reference.label if reference else None,
-        "reference_doubt": doubt_reference(
-            reference.result["parameters"] if reference else ranked[0].result["reference"]
-        ),
+        "reference_doubt": doubt_reference(reference.result["parameters"] if reference else first["reference"]),
         "runs": [_describe(run, reference) for run in ranked],
-        "failures": [cast(FailureRow, asdict(failure)) for failure in failures],
+        "failures": [cast(rows.FailureRow, asdict(failure)) for failure in failures],
         "differences": _list_differences(ranked),
-        "pairs": [cast(PairRow, {"run": a, "other": b, **asdict(pair)}) for (a, b), pair in pairs.items()],
+        "pairs": [cast(rows.PairRow, {"run": a, "other": b, **asdict(pair)}) for (a, b), pair in pairs.items()],
         "by_horizon": _by_horizon(ranked),
         "by_speed": _by_local(ranked, "local_speed"),
         "by_load": _by_local(ranked, "local_load"),
@@ -90,16 +71,8 @@ def compare_runs(runs: Sequence[Run], failures: Sequence[Failure]) -> Comparison
     return to_json(comparison)
 
 
-def position_error(run: Run) -> Float[np.ndarray, "rollouts steps"]:
-    """Absolute position error in the long test rollouts, mean over joints [rad or m].
-
-    Args:
-        run: The run.
-    """
-    return np.abs(_residual(run)).mean(axis=2)
-
-
 def _residual(run: Run) -> Float[np.ndarray, "rollouts steps nv"]:
+    """Position error in the long test rollouts [rad or m]."""
     return run.curves.qpos - run.curves.measured_qpos[:, 1:]
 
 
@@ -125,7 +98,7 @@ def _compare_pairs(runs: Sequence[Run]) -> dict[tuple[str, str], Difference]:
     }
 
 
-def _recommend(ranked: Sequence[Run], pairs: Mapping[tuple[str, str], Difference]) -> RecommendationRow | None:
+def _recommend(ranked: Sequence[Run], pairs: Mapping[tuple[str, str], Difference]) -> rows.RecommendationRow | None:
     """The simplest run within noise of the best, why, and what it leaves open; None where all lost all rollouts."""
     best = ranked[0]
     if best.result["metrics"]["test"]["position_mae"] is None:
@@ -160,25 +133,21 @@ def _explain(chosen: Run, best: Run, close: Sequence[Run], pairs: Mapping[tuple[
             f"{rollouts} paired rollouts; {100 * MATTERS:g} % of the error would matter), and no simpler one is"
         )
     elif len(close) > 1:
-        text = (
-            f"{error}, the lowest; {' and '.join(run.label for run in close[1:])} are within noise of it but no simpler"
-        )
+        others = " and ".join(run.label for run in close[1:])
+        text = f"{error}, the lowest; {others} are within noise of it but no simpler"
     else:
         text = f"{error}, the lowest, and all others are worse by more than noise over {rollouts} paired rollouts"
-    network = (
-        " It is a network: it predicts, and its physical parameters need not be the drive's."
-        if chosen.result["network"]
-        else ""
-    )
+    if chosen.result["network"]:
+        text += ". It is a network: it predicts, and its physical parameters need not be the drive's"
     doubtful = _list_unidentifiable(chosen)
     doubt = f" Not identifiable on these data, and no property of the drive: {', '.join(doubtful)}." if doubtful else ""
     failed = chosen.result["not_identified"]
     doubt += f" It did not identify the drive: {failed[0]}." if failed else ""
     caution = f" {rollouts} rollouts are few: raise evaluation.rollouts to be sure." if rollouts < FEW else ""
-    return f"{text}.{network}{doubt}{caution}"
+    return f"{text}.{doubt}{caution}"
 
 
-def _describe(run: Run, reference: Run | None) -> RunRow:
+def _describe(run: Run, reference: Run | None) -> rows.RunRow:
     result = run.result
     return {
         "label": run.label,
@@ -190,8 +159,7 @@ def _describe(run: Run, reference: Run | None) -> RunRow:
         "change": {"train": _change(run, reference, "train"), "test": _change(run, reference, "test")},
         "rollout_mae": run.curves.test_mae.tolist(),
         "by_horizon": [
-            {"horizon": entry["horizon"], "train": entry["train"], "test": entry["test"]}
-            for entry in result["by_horizon"]
+            {"horizon": one["horizon"], "train": one["train"], "test": one["test"]} for one in result["by_horizon"]
         ],
         "paper": {"a": result["paper"]["a"]["model"], "b": result["paper"]["b"]["model"]},
         "parameters": result["parameters"],
@@ -213,16 +181,16 @@ def _change(run: Run, reference: Run | None, part: Literal["train", "test"]) -> 
     return value / without - 1 if value is not None and without else None
 
 
-def _list_differences(runs: Sequence[Run]) -> list[DifferenceRow]:
+def _list_differences(runs: Sequence[Run]) -> list[rows.DifferenceRow]:
     """Options besides the law's own in which the runs differ."""
     options = differing([run.result["settings"] | {"engine": run.result["engine"]} for run in runs], NAMED)
     labels = [run.label for run in runs]
     return [{"option": name, "values": dict(zip(labels, values, strict=True))} for name, values in options.items()]
 
 
-def _by_horizon(runs: Sequence[Run]) -> GrowthRow:
+def _by_horizon(runs: Sequence[Run]) -> rows.GrowthRow:
     timestep = runs[0].result["data"]["timestep"]
-    curves = {run.label: error_by_horizon(position_error(run), timestep) for run in runs}
+    curves = {run.label: error_by_horizon(np.abs(_residual(run)).mean(axis=2), timestep) for run in runs}
     horizon = next(iter(curves.values()))[0]
     return {
         "horizon": horizon.tolist(),
@@ -230,12 +198,7 @@ def _by_horizon(runs: Sequence[Run]) -> GrowthRow:
     }
 
 
-def _seconds(times: Float[np.ndarray, "times"]) -> Numbers:
-    """Times without the rounding that multiplying brings."""
-    return times.round(9).tolist()
-
-
-def _by_local(runs: Sequence[Run], signal: str) -> BinnedRow:
+def _by_local(runs: Sequence[Run], signal: str) -> rows.BinnedRow:
     """Error of the short rollouts in bins of what was measured in them."""
     measured = getattr(runs[0].curves, signal)
     members = bin_evenly(measured)
@@ -250,7 +213,7 @@ def _by_local(runs: Sequence[Run], signal: str) -> BinnedRow:
     }
 
 
-def _describe_friction(run: Run) -> FrictionRow:
+def _describe_friction(run: Run) -> rows.FrictionRow:
     curves = run.curves
     return {
         "velocity": curves.velocity.tolist(),
@@ -260,7 +223,7 @@ def _describe_friction(run: Run) -> FrictionRow:
     }
 
 
-def _describe_autocorrelation(runs: Sequence[Run]) -> AutocorrelationRow:
+def _describe_autocorrelation(runs: Sequence[Run]) -> rows.AutocorrelationRow:
     timestep = runs[0].result["data"]["timestep"]
     rollouts, steps, joints = runs[0].curves.qpos.shape
     curves = {}
@@ -268,7 +231,7 @@ def _describe_autocorrelation(runs: Sequence[Run]) -> AutocorrelationRow:
         residual = np.moveaxis(_residual(run), 2, 1).reshape(rollouts * joints, steps)
         lag, curves[run.label] = autocorrelation(residual, timestep, LONGEST_LAG)
     return {
-        "lag": _seconds(lag),
+        "lag": lag.round(9).tolist(),  # without the rounding that multiplying brings
         "band": 1.96 / np.sqrt(rollouts * joints * steps),
         "coefficient": {label: curve.tolist() for label, curve in curves.items()},
     }

@@ -10,6 +10,7 @@ import yaml
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from frictionzoo.core.config import list_options
 from frictionzoo.core.errors import RunError
 from frictionzoo.core.output import FAILURE, RESULT, RUNNING
 from frictionzoo.result.curves import Curves
@@ -65,14 +66,12 @@ def read_runs(folders: Sequence[Path]) -> tuple[list[Run], list[Failure]]:
     """
     found = list(dict.fromkeys(run.resolve() for folder in folders for run in find_runs(folder)))
     failures = [failure for folder in found if (failure := read_failure(folder))]
-    return gather([_read(folder) for folder in found if (folder / RESULT).exists()]), failures
+    read = [(folder, *read_run(folder)) for folder in found if (folder / RESULT).exists()]
+    return gather([Run(result["model"], folder, result, curves) for folder, result, curves in read]), failures
 
 
 def gather(runs: Sequence[Run]) -> list[Run]:
-    """Runs that can be compared, each with a label of its own: its model, and what else they differ in.
-
-    Args:
-        runs: Each with its model as its label.
+    """Runs that can be compared, each with a label of its own: its model, as before, and what else they differ in.
 
     Raises:
         RunError: Two are not comparable.
@@ -83,37 +82,19 @@ def gather(runs: Sequence[Run]) -> list[Run]:
 
 
 def find_runs(folder: Path) -> list[Path]:
-    """Folders of the jobs in a folder, in their order, or that folder itself if it is a job's.
-
-    Args:
-        folder: Of a run or of a sweep.
-
-    Raises:
-        RunError: There is none.
-    """
+    """Folders of the jobs in a folder, in their order, or that folder itself if it is a job's; RunError for none."""
     names = (RESULT, FAILURE, RUNNING, ".hydra")
     if any((folder / name).exists() for name in names):
         return [folder]
     found = {path.parent for name in names for path in folder.rglob(name)}
     if not found:
         raise RunError(f"{folder}: no run in it, expected the folder of a run or of a sweep; name one")
-    return sorted(found, key=_natural)
-
-
-def _natural(folder: Path) -> list[Any]:
-    """Paths in the order of the numbers in them: 2_coulomb before 10_neural."""
-    return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", str(folder))]
+    # In the order of the numbers in them: 2_coulomb before 10_neural.
+    return sorted(found, key=lambda path: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", str(path))])
 
 
 def read_failure(folder: Path) -> Failure | None:
-    """Why a job has no result; None if it has one.
-
-    Args:
-        folder: The job's.
-
-    Raises:
-        RunError: What it left cannot be read.
-    """
+    """Why the job in a folder has no result, None if it has one; RunError where what it left cannot be read."""
     if (folder / RESULT).exists():
         return None
     if not (folder / FAILURE).exists():
@@ -132,58 +113,31 @@ def _read_model(folder: Path) -> str:
         return ""
 
 
-def _read(folder: Path) -> Run:
-    result, curves = read_run(folder)
-    return Run(result["model"], folder, result, curves)
-
-
 def _refuse_incomparable(run: Run, first: Run) -> None:
     came, expected = run.result, first.result
     if came["data"]["sha256"] != expected["data"]["sha256"]:
-        raise RunError(
-            f"{run.folder}: data {_name_data(came)}, expected {_name_data(expected)} as in {first.folder}; "
-            "compare runs on the same data"
-        )
+        names = [f"{data['name']} (SHA-256 {data['sha256'][:12]})" for data in (came["data"], expected["data"])]
+        both = f"data {names[0]}, expected {names[1]} as in {first.folder}"
+        raise RunError(f"{run.folder}: {both}; compare runs on the same data")
     if came["evaluation"]["sha256"] != expected["evaluation"]["sha256"]:
         options = differing([came["settings"], expected["settings"]], ("evaluation", "data"))
         named = [f"{name}={came}, expected {expected}" for name, (came, expected) in options.items()]
-        raise RunError(
-            f"{run.folder}: {'; '.join(named) or 'other rollouts'} as in {first.folder}; compare runs judged "
-            "on the same rollouts"
-        )
+        both = f"{'; '.join(named) or 'other rollouts'} as in {first.folder}"
+        raise RunError(f"{run.folder}: {both}; compare runs judged on the same rollouts")
     for field in fields(Curves):
         came, expected = (getattr(curves, field.name) for curves in (run.curves, first.curves))
         # The history is each fit's own, and what drives a rollout reaches back as far as the bench's delay.
         if field.name not in ("history", "signals") and came.shape != expected.shape:
-            raise RunError(
-                f"{run.folder}: {field.name} of shape {came.shape}, expected {expected.shape} as in {first.folder}; "
-                "run it again"
-            )
-
-
-def _name_data(result: Result) -> str:
-    return f"{result['data']['name']} (SHA-256 {result['data']['sha256'][:12]})"
+            both = f"{field.name} of shape {came.shape}, expected {expected.shape} as in {first.folder}"
+            raise RunError(f"{run.folder}: {both}; run it again")
 
 
 def differing(settings: Sequence[Mapping[str, Any]], sections: Sequence[str]) -> dict[str, list[Any]]:
-    """Options in which runs differ: dotted name to the value of each run, None where a run does not have it.
-
-    Args:
-        settings: Options of each run.
-        sections: Keys to look at.
-    """
-    leaves = [dict(_leaves({name: options.get(name) for name in sections})) for options in settings]
+    """Options of these sections in which runs differ: dotted name to each run's value, None where it has none."""
+    leaves = [dict(list_options({name: options.get(name) for name in sections})) for options in settings]
     names = dict.fromkeys(name for options in leaves for name in options)
     table = {name: [options.get(name) for options in leaves] for name in names}
     return {name: values for name, values in table.items() if any(value != values[0] for value in values)}
-
-
-def _leaves(section: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for name, value in section.items():
-        if isinstance(value, Mapping):
-            yield from _leaves(value, f"{prefix}{name}.")
-        else:
-            yield f"{prefix}{name}", value
 
 
 def _label_among(run: Run, same: Sequence[Run]) -> str:

@@ -13,6 +13,9 @@ BINS = 8  # of speed and of load, each with as many windows
 FEWEST = 5  # windows in a bin
 LAGS = 101  # of an autocorrelation
 
+Errors = Float[np.ndarray, "rollouts"]
+Curve = tuple[Float[np.ndarray, "points"], Float[np.ndarray, "points"]]
+
 
 @dataclass(frozen=True)
 class Difference:
@@ -34,19 +37,11 @@ class Difference:
 
 
 def resample(rollouts: int) -> Int[np.ndarray, "resamples rollouts"]:
-    """How often each rollout is drawn in each bootstrap resample, the same in every call.
-
-    Args:
-        rollouts: How many there are.
-    """
+    """How often each of so many rollouts is drawn in each bootstrap resample, the same in every call."""
     return np.random.default_rng(0).multinomial(rollouts, np.full(rollouts, 1 / rollouts), size=RESAMPLES)
 
 
-def difference(
-    first: Float[np.ndarray, "rollouts"],
-    second: Float[np.ndarray, "rollouts"],
-    counts: Int[np.ndarray, "resamples rollouts"],
-) -> Difference:
+def difference(first: Errors, second: Errors, counts: Int[np.ndarray, "resamples rollouts"]) -> Difference:
     """Paired bootstrap over rollouts: percentile interval of the mean difference of two drives' errors.
 
     Source: B. Efron, R. J. Tibshirani, "An Introduction to the Bootstrap", Chapman and Hall 1993, section 13.3.
@@ -67,9 +62,7 @@ def difference(
 
 
 def _interval(
-    gap: Float[np.ndarray, "rollouts"],
-    counted: Bool[np.ndarray, "rollouts"],
-    counts: Int[np.ndarray, "resamples rollouts"],
+    gap: Errors, counted: Bool[np.ndarray, "rollouts"], counts: Int[np.ndarray, "resamples rollouts"]
 ) -> tuple[float, float, float]:
     drawn = counts @ counted
     if not drawn.any():
@@ -79,9 +72,7 @@ def _interval(
     return float(gap.sum() / counted.sum()), float(low), float(high)
 
 
-def error_by_horizon(
-    error: Float[np.ndarray, "rollouts steps"], timestep: float
-) -> tuple[Float[np.ndarray, "horizons"], Float[np.ndarray, "horizons"]]:
+def error_by_horizon(error: Float[np.ndarray, "rollouts steps"], timestep: float) -> Curve:
     """Mean absolute error over the first h seconds of the rollouts, for evenly spaced h.
 
     Args:
@@ -101,11 +92,7 @@ def error_by_horizon(
 
 
 def bin_evenly(values: Float[np.ndarray, "windows"]) -> list[Int[np.ndarray, "members"]]:
-    """Windows in bins of rising value, each with as many of them.
-
-    Args:
-        values: What to sort by, one value a window.
-    """
+    """Windows in bins of rising value, each with as many of them."""
     order = np.argsort(values, kind="stable")
     return np.array_split(order, max(1, min(BINS, len(values) // FEWEST)))
 
@@ -116,9 +103,7 @@ def mean_of_finite(values: Float[np.ndarray, "values"]) -> float:
     return float(kept.mean()) if len(kept) else np.nan
 
 
-def autocorrelation(
-    residual: Float[np.ndarray, "rollouts steps"], timestep: float, longest: float
-) -> tuple[Float[np.ndarray, "lags"], Float[np.ndarray, "lags"]]:
+def autocorrelation(residual: Float[np.ndarray, "rollouts steps"], timestep: float, longest: float) -> Curve:
     """Autocorrelation of the simulation errors, mean over rollouts: what is left in them that a law could explain.
 
     Errors without structure have none but at lag 0, within +- 1.96 / sqrt(samples).
