@@ -15,12 +15,7 @@ from frictionzoo.core.errors import FrictionzooError, closest
 
 
 def explain(error: Exception, overrides: Sequence[str] = ()) -> str | None:
-    """One line for an error that a user can cause, None for any other.
-
-    Args:
-        error: What was raised.
-        overrides: Those of the command, by which an unknown option is told.
-    """
+    """One line for an error that a user can cause, None for any other; overrides tell of an unknown option."""
     if isinstance(error, FrictionzooError):
         return str(error)
     if isinstance(error, HydraException | OmegaConfBaseException):
@@ -58,8 +53,8 @@ def _explain_refusal(text: str, overrides: Sequence[str]) -> str:
 
 def _explain_unknown(option: str, overrides: Sequence[str]) -> str:
     """One line for an option that does not exist, in a sweep for the first job that lacks it."""
-    chosen = [override for override in read_arguments(overrides) if is_group(override.key_or_group)]
-    chosen = [override for override in chosen if override.key_or_group != option]
+    groups = [each for each in read_arguments(overrides) if is_group(each.key_or_group)]
+    chosen = [each for each in groups if each.key_or_group != option]
     for names in itertools.product(*map(choices_named, chosen)):
         choices = [f"{override.key_or_group}={name}" for override, name in zip(chosen, names, strict=True)]
         try:

@@ -14,13 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 from frictionzoo.cli.mistakes import mistakes_in_one_line
 from frictionzoo.cli.overrides import choices_of, given_to_hydra, refuse_no_choice
 from frictionzoo.core.build import build
-from frictionzoo.core.config import (
-    CONF_DIR,
-    check_overrides,
-    compose_config,
-    forget_plugin_schemas,
-    register_resolvers,
-)
+from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, forget_plugin_schemas, register_resolvers
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.output import write_atomically
 
@@ -39,14 +33,7 @@ def _inspect(config: DictConfig) -> None:
 
 
 def inspect_data(config: DictConfig, folder: Path) -> str:
-    """Look at the data set of a configuration; write `inspect.html` and `inspect.json`.
-
-    Args:
-        config: The composed configuration, of which `data` counts.
-        folder: Where to write.
-
-    Returns:
-        The summary for the terminal.
+    """Look at the data set of a configuration, write `inspect.html` and `inspect.json`, and return words on it.
 
     Raises:
         FrictionzooError: The input is at fault, or a file cannot be written.

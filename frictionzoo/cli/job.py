@@ -9,7 +9,6 @@ from omegaconf import DictConfig, OmegaConf
 from frictionzoo import __version__
 from frictionzoo.core.build import build
 from frictionzoo.core.config import list_options
-from frictionzoo.core.segments import Segments
 from frictionzoo.fit.loop import Record
 from frictionzoo.identification import Problem, solve
 from frictionzoo.logs.cache import digest
@@ -53,7 +52,7 @@ def run_job(
 
 def _identify(name: str, problem: Problem) -> dict[str, str]:
     """What a checkpoint must share with this run."""
-    settings = problem.settings
+    settings, segments = problem.settings, problem.segments
     sections = {key: settings[key] for key in ("bench", "model", "fit", "segments", "loss", "seed", "dtype")}
     return {
         "frictionzoo": __version__,
@@ -63,13 +62,11 @@ def _identify(name: str, problem: Problem) -> dict[str, str]:
         **{section: json.dumps(value, sort_keys=True) for section, value in sections.items() if section != "model"},
         "model settings": json.dumps(sections["model"], sort_keys=True),
         "chunk": str(settings["loop"]["chunk"]),
-        "training samples": _digest(problem.segments),
+        # What a fit compares, as cleaning and payloads have it.
+        "training samples": digest(
+            {n: getattr(segments, n) for n in ("qpos", "qvel", "loads")} | segments.signals.named()
+        ),
     }
-
-
-def _digest(segments: Segments) -> str:
-    """Hash of what a fit compares, as cleaning and payloads have it."""
-    return digest({name: getattr(segments, name) for name in ("qpos", "qvel", "loads")} | segments.signals.named())
 
 
 def _list_hyperparameters(name: str, problem: Problem) -> dict[str, Any]:

@@ -28,9 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def list_kind(kind: Kind) -> str:
     """A kind's plug-ins, one a line: name, package, how it is chosen, first line of its docstring."""
-    rows = [
-        (found.name, found.package, kind.choice.format(**found._asdict()), found.summary) for found in kind.list_all()
-    ]
+    rows = [(one.name, one.package, kind.choice.format(**one._asdict()), one.summary) for one in kind.list_all()]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)] if rows else []
     lines = ("  ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows)
     return "\n  ".join([f"{kind.plural} (entry-point group {kind.group})", *lines])

@@ -88,12 +88,7 @@ def stoppable() -> Iterator[None]:
 
 
 def fail(*lines: str, status: int = REFUSED) -> NoReturn:
-    """End the program with these lines on the standard error.
-
-    Args:
-        lines: What a user is to know, one line each.
-        status: Exit status.
-    """
+    """End the program with these lines on the standard error, and this exit status."""
     for line in lines:
         print(f"frictionzoo: {line}", file=sys.stderr)
     sys.exit(status)

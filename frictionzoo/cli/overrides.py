@@ -25,9 +25,6 @@ def given_to_hydra(arguments: Sequence[str]) -> Iterator[None]:
     """Let Hydra read these arguments, and raise what it refuses instead of printing a page of its own.
 
     It takes both from the process, which is afterwards as it was.
-
-    Args:
-        arguments: In place of those of the command line.
     """
     given, full = sys.argv, os.environ.get(_RAISE)
     # It refuses overrides on both sides of a flag.
@@ -46,9 +43,6 @@ def given_to_hydra(arguments: Sequence[str]) -> Iterator[None]:
 def refuse_no_choice(arguments: Sequence[str]) -> None:
     """Refuse what is no override, and what does not choose one file of a group.
 
-    Args:
-        arguments: Those of the command line.
-
     Raises:
         ConfigError: One cannot be read, or chooses none, several, or something that is no name.
     """
@@ -62,10 +56,9 @@ def refuse_no_choice(arguments: Sequence[str]) -> None:
         if group in _OPTIONAL_GROUPS and (override.is_delete() or (known and set(names) <= set(list_choices(group)))):
             continue
         if override.is_delete() or not known or group == "variant":
-            asked = str(override.input_line)
-            needed = (
-                "expected one name, or to leave it out" if group in _OPTIONAL_GROUPS else f"a job needs one {group}"
-            )
+            asked, needed = str(override.input_line), f"a job needs one {group}"
+            if group in _OPTIONAL_GROUPS:
+                needed = "expected one name, or to leave it out"
             raise ConfigError(f"{asked}: {needed}; {closest(asked.partition('=')[2], list_choices(group))}")
 
 
@@ -78,10 +71,8 @@ def _refuse_no_setting(override: Override) -> None:
         raise ConfigError(f"{override.input_line}: expected true, false, or names of loggers")
     # Hydra would write them all down before the first one begins.
     if isinstance(value, RangeSweep) and not 0 < _count(value) <= MOST_JOBS:
-        raise ConfigError(
-            f"{override.input_line}: {_count(value):.3g} jobs, expected 1 to {MOST_JOBS}; range(start,stop,step) ends "
-            "before stop"
-        )
+        came = f"{override.input_line}: {_count(value):.3g} jobs"
+        raise ConfigError(f"{came}, expected 1 to {MOST_JOBS}; range(start,stop,step) ends before stop")
 
 
 def _count(values: RangeSweep) -> float:
@@ -92,14 +83,7 @@ def _count(values: RangeSweep) -> float:
 
 
 def read_arguments(arguments: Sequence[str]) -> Iterator[Override]:
-    """The arguments that are overrides.
-
-    Args:
-        arguments: Those of the command line.
-
-    Raises:
-        ConfigError: Hydra cannot read one, and would not name it.
-    """
+    """The arguments that are overrides; ConfigError where Hydra cannot read one, and would not name it."""
     parser = OverridesParser.create()
     for argument in arguments:
         if argument.startswith("-") or not ("=" in argument or argument.startswith("~")):
@@ -110,9 +94,8 @@ def read_arguments(arguments: Sequence[str]) -> Iterator[Override]:
             yield parser.parse_override(argument)
         except HydraException as error:
             reason = " ".join(str(error).partition("\nSee ")[0].split())
-            raise ConfigError(
-                f"{argument}: cannot be read ({reason}); expected KEY=VALUE, quoted for the shell"
-            ) from None
+            came = f"{argument}: cannot be read ({reason})"
+            raise ConfigError(f"{came}; expected KEY=VALUE, quoted for the shell") from None
 
 
 def choices_named(override: Override) -> list[Any]:
@@ -131,11 +114,7 @@ def last_value(option: str, arguments: Sequence[str]) -> str | None:
 
 
 def choices_of(chosen: Mapping[str, str | None]) -> Iterator[str]:
-    """Overrides that choose the same files of the configuration groups, and nothing else.
-
-    Args:
-        chosen: File by group, as Hydra tells it.
-    """
+    """Overrides that choose the same files of the configuration groups, which Hydra tells, and nothing else."""
     for group, name in chosen.items():
         if name is not None and group != "experiment" and not group.startswith("hydra/"):
             yield f"{group}={name}"

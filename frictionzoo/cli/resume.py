@@ -21,9 +21,6 @@ _OVERRIDE = re.compile(r"(\+\+?|~)?\w[\w/.-]*(=|$)")
 def restore_overrides(arguments: Sequence[str]) -> list[str]:
     """For `resume=FOLDER`, the overrides with which that run began, before those of today.
 
-    Args:
-        arguments: Those of the command line.
-
     Raises:
         ConfigError: There is no such run, or no such sweep, to go on with.
     """
@@ -46,9 +43,8 @@ def _read_overrides(folder: Path) -> list[str]:
         overrides = OmegaConf.to_container(OmegaConf.load(saved))
     except (OSError, OmegaConfBaseException, ValueError, yaml.YAMLError):
         hint = f"; a sweep goes on with -m hydra.sweep.dir={folder} resume=true" if _holds_jobs(folder) else ""
-        raise ConfigError(
-            f"resume={folder}: no {saved} that can be read, expected a run folder; name one{hint}"
-        ) from None
+        came = f"resume={folder}: no {saved} that can be read"
+        raise ConfigError(f"{came}, expected a run folder; name one{hint}") from None
     if not isinstance(overrides, list) or not all(isinstance(item, str) for item in overrides):
         raise ConfigError(f"{saved}: expected a list of overrides; name a run folder that this program made")
     kept = [item for item in overrides if not re.match(r"[+~]*(resume|hydra)\b", item)]
@@ -79,11 +75,7 @@ def _holds_jobs(sweep: Path) -> bool:
 
 @contextlib.contextmanager
 def keep_record(folder: str | None) -> Iterator[None]:
-    """Put a folder's record of how its run began back if today's command is refused: Hydra replaces it before that.
-
-    Args:
-        folder: The run's folder, if the command names one.
-    """
+    """Put a folder's record of how its run began back if today's command is refused: Hydra replaces it before that."""
     record = {} if folder is None else {path: path.read_bytes() for path in Path(folder, ".hydra").glob("*.yaml")}
     try:
         yield
@@ -95,11 +87,7 @@ def keep_record(folder: str | None) -> Iterator[None]:
 
 
 def say_how_a_run_goes_on(folder: Path) -> str:
-    """What an unfinished run keeps, and how it goes on.
-
-    Args:
-        folder: The run's folder.
-    """
+    """What an unfinished run keeps in its folder, and how it goes on."""
     try:
         _read_overrides(folder)
     except ConfigError:  # it had not come so far
@@ -109,11 +97,7 @@ def say_how_a_run_goes_on(folder: Path) -> str:
 
 
 def say_how_a_sweep_goes_on(folder: Path | None = None) -> str:
-    """The same for a sweep.
-
-    Args:
-        folder: The sweep's folder; None before it has begun, when nothing is kept.
-    """
+    """The same for a sweep; None before it has begun, when nothing is kept."""
     if folder is None or not _holds_jobs(folder):
         return NOTHING_KEPT
     done = len(list(folder.rglob(RESULT)))

@@ -101,16 +101,10 @@ def _read_finished(folder: Path, settings: Mapping[str, Any]) -> Result | None:
 
 
 def objective_of(result: Result) -> float:
-    """What a sweeper may minimise: the position error of open-loop rollouts of the training part [rad or m].
+    """What a sweeper may minimise: the mean position error of open-loop rollouts of the training part [rad or m].
 
     Unlike the loss, it does not depend on how segments are cut or errors are weighted, so that jobs compare; and the
-    test part stays unseen by what is chosen by it.
-
-    Args:
-        result: What `result.json` holds.
-
-    Returns:
-        The mean absolute error; infinite if a rollout diverged, because the mean leaves that one out.
+    test part stays unseen by what is chosen by it. Infinite if a rollout diverged, which the mean leaves out.
     """
     train = result["metrics"]["train"]
     return math.inf if train["diverged"] or train["position_mae"] is None else float(train["position_mae"])
