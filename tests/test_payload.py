@@ -20,8 +20,8 @@ from frictionzoo.core.errors import BenchError, ConfigError
 from frictionzoo.core.log import Log, Payload
 from frictionzoo.fit.chunk import search
 from frictionzoo.identification import Problem
-from frictionzoo.logs.payloads import choose_payloads
 from frictionzoo.logs.recording import Recording
+from frictionzoo.logs.select import choose_payloads
 from frictionzoo.result.evaluate import Evaluation, predict
 from frictionzoo.result.record import describe_data
 from frictionzoo.simulate import Engine, MjxEngine, SpecialisedEngine

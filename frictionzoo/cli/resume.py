@@ -57,14 +57,12 @@ def _read_overrides(folder: Path) -> list[str]:
 def _refuse_no_sweep(resume: str, arguments: Sequence[str]) -> None:
     """Refuse to go on with a sweep that is not there."""
     if resume.lower() != "true":
-        raise ConfigError(
-            f"resume={resume}: expected true, as a run goes on without -m; name a sweep's folder in hydra.sweep.dir"
-        )
+        expected = "expected true, as a run goes on without -m; name a sweep's folder in hydra.sweep.dir"
+        raise ConfigError(f"resume={resume}: {expected}")
     folder = last_value("hydra.sweep.dir", arguments)
     if not {"-m", "--multirun"} & set(arguments) or folder is None:
-        raise ConfigError(
-            "resume=true: expected the command of a sweep, -m and hydra.sweep.dir=FOLDER; or name the folder of a run"
-        )
+        expected = "expected the command of a sweep, -m and hydra.sweep.dir=FOLDER; or name the folder of a run"
+        raise ConfigError(f"resume=true: {expected}")
     if not _holds_jobs(Path(folder)):
         raise ConfigError(f"hydra.sweep.dir={folder}: no job in it, expected a sweep's folder; leave resume=true out")
 

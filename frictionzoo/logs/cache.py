@@ -42,12 +42,11 @@ def cached(path: Path | None, names: Sequence[str], make: Callable[[], dict[str,
         make: Makes the arrays, under these names in this order.
     """
     kept = None if path is None else _read(path, names)
-    if kept is not None:
-        return kept
-    arrays = make()
-    if path is not None:
-        _write(path, arrays)
-    return arrays
+    if kept is None:
+        kept = make()
+        if path is not None:
+            _write(path, kept)
+    return kept
 
 
 def _read(path: Path, names: Sequence[str]) -> dict[str, np.ndarray] | None:

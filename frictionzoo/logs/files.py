@@ -14,9 +14,8 @@ from frictionzoo.logs.clean import Cleaning, clean, summarise_repairs
 from frictionzoo.logs.columns import Proposal, list_names, propose, to_recording
 from frictionzoo.logs.formats import find_files, format_names, read_tables
 from frictionzoo.logs.logs import Logs
-from frictionzoo.logs.payloads import choose_payloads
 from frictionzoo.logs.recording import SIGNALS, Recording, Table
-from frictionzoo.logs.select import Selection
+from frictionzoo.logs.select import Selection, choose_payloads
 from frictionzoo.logs.source import Source, register_source
 from frictionzoo.logs.split import Split
 from frictionzoo.logs.units import ratio
@@ -32,25 +31,7 @@ _log = logging.getLogger(__name__)
 class Files(Source):
     """Files as a data set: train and test named apart, or divided by time, by file or by a field.
 
-    Args:
-        name: The data set's name.
-        train: Paths of recordings: files, globs, folders, archives; one or several.
-        test: Paths of recordings that only test; empty to divide those of `train` by `split`.
-        folder: What relative paths begin at; None for the working directory.
-        source: Where a user obtains files that the package does not bring; None for a user's own.
-        format: Name of the files' format, `auto` to go by the file.
-        columns: Header or headers of each signal; None for those that the headers suggest.
-        sign: 1 or -1 for qpos, qvel and ctrl: the factor that they get.
-        units: Unit of each signal in the files; None for what headers and numbers suggest.
-        fields: Fields of all recordings, over the files' own.
-        fields_from_name: Regular expression with named groups, which become fields, for the files' names.
-        where: Values of fields that are kept, by field.
-        exclude: Values of fields that are left out, by field.
-        clean: How recordings become logs.
-        payload: What the drive carried, as in `choose_payloads`; empty for none.
-        inputs: Signals that the actuator law needs besides the command, by name: a number, or the field that holds it.
-        split: Options of `Split`, for an empty `test`.
-        simulated: Whether a simulator made the files; results and the terminal say so.
+    Each argument is the option of that name in `conf/data/files.yaml`, which describes it.
 
     Raises:
         ConfigError: An option is unknown or impossible.

@@ -1,4 +1,4 @@
-"""What files say of whole recordings (gains, payload, trajectory), and the choice of recordings by it."""
+"""What files say of whole recordings (gains, trajectory), and by it the choice of recordings and of their payloads."""
 
 import math
 import re
@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from frictionzoo.core.errors import ConfigError, LogError, closest
-from frictionzoo.logs.recording import Table
+from frictionzoo.core.log import Payload
+from frictionzoo.logs.recording import Recording, Table
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ class Selection:
         return wanted and not any(is_among(fields.get(name), values) for name, values in self.exclude.items())
 
 
-def equal(one: Any, other: Any) -> bool:
+def _equal(one: Any, other: Any) -> bool:
     """Whether two values of a field are the same, numbers up to rounding."""
     if isinstance(one, int | float) and isinstance(other, int | float):
         return math.isclose(one, other, rel_tol=1e-9)
@@ -80,12 +81,7 @@ def equal(one: Any, other: Any) -> bool:
 
 def is_among(value: Any, values: Iterable[Any]) -> bool:
     """Whether a field's value is one of these."""
-    return any(equal(value, other) for other in values)
-
-
-def describe(fields: Mapping[str, Any]) -> str:
-    """Fields in words."""
-    return ", ".join(f"{name}={value}" for name, value in fields.items())
+    return any(_equal(value, other) for other in values)
 
 
 def refuse_absent(carriers: Sequence[Any], name: str, values: Iterable[Any], option: str, asked: str) -> None:
@@ -112,3 +108,67 @@ def _number_or_text(text: str) -> str | float:
         return float(text)
     except ValueError:
         return text
+
+
+def choose_payloads(given: Sequence[Any], recordings: Sequence[Recording]) -> list[Payload | None]:
+    """The payload that the drive carried in each recording.
+
+    Args:
+        given: Empty for none; or seven numbers a recording; or entries of `when`, values of fields, and `payload`, the
+            seven numbers: mass [kg], centre of mass x, y, z [m], inertia ixx, iyy, izz [kg m^2].
+        recordings: As they come.
+
+    Raises:
+        ConfigError: The numbers make no payload, there are more or fewer than recordings, or no entry or two fit one.
+    """
+    if not given:
+        return [None] * len(recordings)
+    if isinstance(given[0], Mapping):
+        table = [_read_entry(place, entry) for place, entry in enumerate(given)]
+        return [_look_up(table, recording) for recording in recordings]
+    if len(given) != len(recordings):
+        expected = f"expected {len(recordings)}, one a recording, train first"
+        raise ConfigError(f"data.payload has {len(given)} entries, {expected}")
+    return [_read_numbers(recording.name, numbers) for recording, numbers in zip(recordings, given, strict=True)]
+
+
+def _read_entry(place: int, entry: Any) -> tuple[Mapping[str, Any], Payload]:
+    """Condition and payload of an entry of the table."""
+    if not isinstance(entry, Mapping) or set(entry) != {"when", "payload"} or not isinstance(entry["when"], Mapping):
+        raise ConfigError(f"data.payload[{place}] is {entry}; expected when: {{field: value}} and payload: [7 numbers]")
+    return entry["when"], _read_numbers(_describe(entry["when"]), entry["payload"])
+
+
+def _look_up(table: Sequence[tuple[Mapping[str, Any], Payload]], recording: Recording) -> Payload:
+    """The payload of the one entry that fits."""
+    fields = recording.fields
+    fitting = [
+        payload
+        for when, payload in table
+        if all(name in fields and _equal(fields[name], value) for name, value in when.items())
+    ]
+    if len(fitting) == 1:
+        return fitting[0]
+    asked = {name: fields.get(name, "missing") for when, _ in table for name in when}
+    came = f"{recording.name}: {len(fitting) or 'no'} entries of data.payload fit {_describe(asked)}"
+    raise ConfigError(f"{came}, expected one; mend the table or leave the recording out with data.exclude")
+
+
+def _read_numbers(owner: str, numbers: Any) -> Payload:
+    """A payload from its seven numbers."""
+    came = f"data.payload of {owner} is {numbers}"
+    if not isinstance(numbers, Sequence) or len(numbers) != 7 or not all(_is_finite(x) for x in numbers):
+        raise ConfigError(f"{came}; expected 7 numbers: mass, centre x, y, z, inertia ixx, iyy, izz")
+    mass, x, y, z, ixx, iyy, izz = map(float, numbers)
+    if min(mass, ixx, iyy, izz) < 0 or 2 * max(ixx, iyy, izz) > (ixx + iyy + izz) * (1 + 1e-9):
+        expected = "mass and inertia of at least 0, and no inertia above the sum of the other two, which no body has"
+        raise ConfigError(f"{came}; expected {expected}")
+    return Payload(mass, (x, y, z), (ixx, iyy, izz))
+
+
+def _describe(fields: Mapping[str, Any]) -> str:
+    return ", ".join(f"{name}={value}" for name, value in fields.items())
+
+
+def _is_finite(number: Any) -> bool:
+    return isinstance(number, int | float) and not isinstance(number, bool) and math.isfinite(number)

@@ -159,6 +159,9 @@ class Sensor:
 class Twin(Source):
     """The paper's bench with a hidden drive, simulated by MuJoCo C; train and test are two blocks of one recording.
 
+    The sections `excitation`, `controller`, `drive` and `sensor` have the attributes of `Excitation`, `Controller`,
+    `HiddenDrive` and `Sensor`.
+
     Source: V. Kovalev et al., Proceedings of MIPT 18(2), 2026: bench, controller, excitation, length of the recording.
 
     Args:
@@ -169,10 +172,6 @@ class Twin(Source):
         substeps: Simulation steps in a sample interval. More than one, so that a fit at the sample interval does not
             meet its own integrator.
         mjcf: File name of one of the package's benches, with one hinge.
-        excitation: Section of `Excitation`.
-        controller: Section of `Controller`.
-        drive: Section of `HiddenDrive`.
-        sensor: Section of `Sensor`.
         split: `test_share` and `gap` of `split_by_time`.
         cache_dir: See `cache_folder`.
 

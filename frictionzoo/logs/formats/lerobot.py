@@ -68,12 +68,8 @@ def _episodes(
         columns = _named(str(file), stored, names)
         episode = columns.pop("episode_index", np.zeros(len(next(iter(columns.values()), ()))))
         for number in np.unique(episode):
-            table = tabulate(
-                f"{path}!episode_{int(number):06d}",
-                {k: v[episode == number] for k, v in columns.items()},
-                fields,
-                refused,
-            )
+            own = {header: values[episode == number] for header, values in columns.items()}
+            table = tabulate(f"{path}!episode_{int(number):06d}", own, fields, refused)
             yield replace(table, sha256=hashlib.sha256(content).hexdigest())
 
 

@@ -23,9 +23,8 @@ class Npz(Format):
         """The arrays in an archive's bytes."""
         with parsing(name, "an .npz archive"):
             members = unzip(name, content, ".npy")
-            return tabulate(
-                name, {member[: -len(".npy")]: _array(f"{name}!{member}", held) for member, held in members}
-            )
+            arrays = {member[: -len(".npy")]: _array(f"{name}!{member}", held) for member, held in members}
+            return tabulate(name, arrays)
 
 
 def _array(name: str, content: bytes) -> np.ndarray:
@@ -36,13 +35,10 @@ def _array(name: str, content: bytes) -> np.ndarray:
         raise LogError(f"{name}: .npy version {version}, expected 1.0 or 2.0; save it again")
     shape, _, dtype = HEADERS[version](file)
     if dtype.hasobject:
-        raise LogError(
-            f"{name}: holds Python objects, which reading could let run any program; expected arrays of numbers"
-        )
-    declared = int(np.prod([int(n) for n in shape], dtype=object)) * dtype.itemsize
-    if declared != len(content) - file.tell():
-        raise LogError(
-            f"{name}: {len(content) - file.tell()} bytes, expected {declared} for shape {shape}; copy or save it again"
-        )
+        why = "which reading could let run any program"
+        raise LogError(f"{name}: holds Python objects, {why}; expected arrays of numbers")
+    declared, came = int(np.prod([int(n) for n in shape], dtype=object)) * dtype.itemsize, len(content) - file.tell()
+    if declared != came:
+        raise LogError(f"{name}: {came} bytes, expected {declared} for shape {shape}; copy or save it again")
     file.seek(0)
     return np.lib.format.read_array(file, allow_pickle=False)

@@ -19,16 +19,8 @@ from typing import Any, BinaryIO, ClassVar
 import numpy as np
 
 from frictionzoo.core.errors import LogError
-from frictionzoo.logs.formats.base import (
-    WIDE,
-    Format,
-    check_size,
-    check_unpacked,
-    optional,
-    parsing,
-    register_format,
-    to_numbers,
-)
+from frictionzoo.logs.formats import base
+from frictionzoo.logs.formats.base import Format, optional, parsing, register_format
 from frictionzoo.logs.recording import Table
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -162,7 +154,7 @@ def _read(name: str, bag: Any, store: Any) -> Table:
     for topic, kept in topics.items():
         for header, time_header, time, values in kept.columns(topic):
             try:
-                columns |= {time_header: to_numbers(time), header: to_numbers(np.array(values))}
+                columns |= {time_header: base.to_numbers(time), header: base.to_numbers(np.array(values))}
             except ValueError as error:
                 refused[header] = f"{name}: {header} {error}"
                 continue
@@ -186,7 +178,7 @@ def _numbers(value: Any, path: str, names: list[str]) -> Iterator[tuple[str, flo
     """The numbers in a message, with the path of their fields; texts, headers and what is too wide are left out."""
     if isinstance(value, int | float | np.number):
         yield path, value.item() if isinstance(value, np.number) else value
-    elif isinstance(value, np.ndarray) and value.ndim == 1 and len(value) <= WIDE:
+    elif isinstance(value, np.ndarray) and value.ndim == 1 and len(value) <= base.WIDE:
         labels = names if len(names) == len(value) else range(len(value))
         yield from ((f"{path}[{label}]", number) for label, number in zip(labels, value.tolist(), strict=True))
     elif hasattr(value, "__msgtype__"):
@@ -201,7 +193,7 @@ def _check(file: Path) -> None:
     rosbags sorts them, which leaves no trace of a clock that was set back.
     """
     name, size = str(file), file.stat().st_size
-    check_size(name, size)
+    base.check_size(name, size)
     if file.suffix == ".mcap":
         with file.open("rb") as stream:
             _check_summary(name, stream, size)
@@ -253,7 +245,7 @@ def _scan(name: str, stream: BinaryIO, size: int) -> Iterator[tuple[int, int]]:
         if kind == CHUNK:
             records = _unpack(name, stream.read(length))
             total += len(records)
-            check_size(name, total)
+            base.check_size(name, total)
             yield from _messages(records)
         elif kind == MESSAGE:
             yield struct.unpack("<H4xQ", stream.read(14))
@@ -278,7 +270,7 @@ def _unpack(name: str, chunk: bytes) -> bytes:
     size, _, letters = struct.unpack_from("<QII", chunk, 16)
     compression = chunk[32 : 32 + letters].decode()
     packed = chunk[40 + letters :]
-    check_unpacked(name, size, len(packed))
+    base.check_unpacked(name, size, len(packed))
     if compression == "zstd":
         decompressor = optional(ZSTD, "rosbags", name).ZstdDecompressor()
     elif compression == "lz4":
