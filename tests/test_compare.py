@@ -290,14 +290,14 @@ def test_the_command_writes_into_the_folder_and_prints_the_table(zoo, capsys, mo
     drawn = []
     figures = "frictionzoo.show.comparison_figures.write_figures"
     monkeypatch.setattr(figures, lambda folder, *_: drawn.append(str(folder)))
-    assert main(["sweep"]) == 0
+    main(["sweep"])
     written = json.loads(Path("sweep/comparison/comparison.json").read_text())
     jsonschema.Draft202012Validator(read_schema()).validate(written)
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines[3:7]] == ["rich", "simple", "clumsy", "baseline"]
     assert "recommended: simple." in "\n".join(lines) and lines[-1] == "files: sweep/comparison"
     # Again, with the comparison already there, and elsewhere.
-    assert main(["sweep", "sweep/1_simple", "--output", "there"]) == 0
+    main(["sweep", "sweep/1_simple", "--output", "there"])
     assert (Path("there/comparison.json").read_bytes()) == Path("sweep/comparison/comparison.json").read_bytes()
     assert drawn == ["sweep/comparison/figures", "there/figures"]
 
@@ -305,7 +305,8 @@ def test_the_command_writes_into_the_folder_and_prints_the_table(zoo, capsys, mo
 @pytest.mark.parametrize("folder", ["nowhere", "."], ids=["missing", "empty"])
 def test_a_folder_without_a_run_is_one_line_and_leaves_nothing(folder, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert main([folder]) == 2
+    with pytest.raises(SystemExit, match="2"):
+        main([folder])
     captured = capsys.readouterr()
     assert captured.out == "" and captured.err.startswith(f"frictionzoo: {folder}: no run in it")
     assert len(captured.err.splitlines()) == 1 and not list(tmp_path.iterdir())

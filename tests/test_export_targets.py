@@ -383,7 +383,11 @@ def run_folder(finished_run):
 
 
 def export(capsys, *arguments):
-    status = main([str(argument) for argument in arguments])
+    status = 0
+    try:
+        main([str(argument) for argument in arguments])
+    except SystemExit as end:
+        status = end.code
     written = capsys.readouterr()
     return status, written.out, written.err
 

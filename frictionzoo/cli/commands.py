@@ -90,23 +90,15 @@ _FLAGS = {"-h", "--help"}
 
 
 def main(*command: str) -> None:
-    """Entry point of the console script `frictionzoo`, and of `python -m frictionzoo.COMMAND`.
-
-    Args:
-        command: What goes before the arguments of the command line.
-    """
+    """Entry point of the console script, and of `python -m frictionzoo.COMMAND`, whose name goes before arguments."""
     # While modules are imported, before a command answers it: Ctrl-C ends the program without a traceback.
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    sys.exit(dispatch([*command, *sys.argv[1:]]))
+    dispatch([*command, *sys.argv[1:]])
 
 
-def dispatch(arguments: Sequence[str]) -> int | None:
-    """Do a command, or show its help; returns its exit status, None for 0.
-
-    Args:
-        arguments: The command's name and its arguments, or those of a run.
-    """
+def dispatch(arguments: Sequence[str]) -> None:
+    """Do a command, which its name and its arguments tell, or those of a run; or show its help."""
     name, rest = arguments[0] if arguments else "", arguments[1:]
     if name not in COMMANDS:
         if re.fullmatch(r"[\w./]+", name):  # neither a flag nor an override
@@ -119,5 +111,4 @@ def dispatch(arguments: Sequence[str]) -> int | None:
     elif "--version" in rest:
         print(f"frictionzoo {__version__}")
     else:
-        return importlib.import_module(f"frictionzoo.cli.{name}").main(rest)
-    return None
+        importlib.import_module(f"frictionzoo.cli.{name}").main(rest)

@@ -1,19 +1,15 @@
 """Command line: `python -m frictionzoo.compare FOLDER...` compares runs that exist."""
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from frictionzoo.cli.mistakes import fail
 from frictionzoo.core.errors import FrictionzooError
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status, 2 for a user's mistake.
-
-    Args:
-        arguments: Those of the command line where None.
-    """
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Entry point; without arguments, for those of the command line. A user's mistake is one line and exit status 2."""
     options = _parse(arguments)
     output = options.output or (options.folders[0] if len(options.folders) == 1 else Path()) / "comparison"
     # Imported here, so that --help does not wait for it.
@@ -23,9 +19,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         print(summarise_comparison(write_comparison(options.folders, output), output))
     except FrictionzooError as error:
-        print(f"frictionzoo: {error}", file=sys.stderr)
-        return 2
-    return 0
+        fail(str(error))
 
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:

@@ -15,11 +15,7 @@ fit=auto and segments as long as the rollouts that judge."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Entry point; a user's mistake is one line on the standard error and exit status 2.
-
-    Args:
-        arguments: Those of the command line where None.
-    """
+    """Entry point; without arguments, for those of the command line. A user's mistake is one line and exit status 2."""
     parsed = _parse(arguments)
     with mistakes_in_one_line():
         options = read_options(parsed.options, "model=stribeck")

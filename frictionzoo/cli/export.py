@@ -1,10 +1,10 @@
 """Command line: `python -m frictionzoo.export RUN target=NAME` writes a run's drive for another program."""
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from frictionzoo.cli.mistakes import fail
 from frictionzoo.core.errors import FrictionzooError
 from frictionzoo.core.options import read_options
 
@@ -12,12 +12,8 @@ _OPTIONS = """options: target=NAME or target=all; timestep=SECONDS of the simula
 out; output=FOLDER, export/NAME in the run's where it is left out; and those of the target."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status, 2 for a user's mistake.
-
-    Args:
-        arguments: Those of the command line where None.
-    """
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Entry point; without arguments, for those of the command line. A user's mistake is one line and exit status 2."""
     parsed = _parse(arguments)
     # Imported here, so that --help does not wait for it.
     from frictionzoo.export.table import summarise_exports
@@ -26,9 +22,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         print(summarise_exports(write_exports(parsed.folder, read_options(parsed.options, "target=mjcf"))))
     except FrictionzooError as error:
-        print(f"frictionzoo: {error}", file=sys.stderr)
-        return 2
-    return 0
+        fail(str(error))
 
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:

@@ -52,11 +52,7 @@ def inspect_data(config: DictConfig, folder: Path) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Entry point; a user's mistake is one line on the standard error and exit status 2.
-
-    Args:
-        arguments: Those of the command line where None; names of files and folders, and overrides.
-    """
+    """Entry point, as that of a run; before overrides, the arguments may name files and folders."""
     register_resolvers()
     forget_plugin_schemas()
     # Of two overrides of an option the later one, the user's, wins.

@@ -1,29 +1,24 @@
 """Command line: `python -m frictionzoo.list [KIND...]` lists what can be chosen, other packages' plug-ins among it."""
 
 import argparse
-import sys
 from collections.abc import Sequence
 
+from frictionzoo.cli.mistakes import fail
 from frictionzoo.core.errors import ConfigError, FrictionzooError, closest
 from frictionzoo.core.registry import KINDS, Kind
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status, 2 for a user's mistake. No plug-in is imported.
-
-    Args:
-        arguments: Those of the command line where None.
-    """
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Entry point; without arguments, for those of the command line. A user's mistake is one line and exit status 2."""
     asked = _parse(arguments).kinds
     try:
         for name in asked:
             if name not in KINDS:
                 raise ConfigError(f"{name}: no such kind of plug-ins; {closest(name, KINDS)}")
+        # By the files that register them: no plug-in is imported.
         print("\n\n".join(list_kind(KINDS[name]) for name in asked or KINDS))
     except FrictionzooError as error:
-        print(f"frictionzoo: {error}", file=sys.stderr)
-        return 2
-    return 0
+        fail(str(error))
 
 
 def list_kind(kind: Kind) -> str:

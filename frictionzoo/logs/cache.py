@@ -34,13 +34,7 @@ def digest(arrays: Mapping[str, np.ndarray]) -> str:
 
 
 def cached(path: Path | None, names: Sequence[str], make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """The arrays in an .npz file, which is made if it is missing or damaged; None as its path keeps nothing.
-
-    Args:
-        path: Of the file.
-        names: Names of the arrays.
-        make: Makes the arrays, under these names in this order.
-    """
+    """The arrays of these names in an .npz file, made in this order where it is missing or damaged. None: not kept."""
     kept = None if path is None else _read(path, names)
     if kept is None:
         kept = make()

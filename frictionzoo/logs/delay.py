@@ -83,15 +83,11 @@ class Windows(NamedTuple):
 
 
 def estimate_delay(recordings: Sequence[Recording], joint: int = 0) -> Delay | None:
-    """Time from a command to its effect, over recordings of one drive.
+    """Time from a command to its effect, over recordings of one drive as they come, for this column of qpos and ctrl.
 
     The command is held between samples; the delay counts from the sample on. Recordings under a position command whose
     fields hold the same numbers (gains, payload) share one simple drive. None where they cannot tell: too short, too
     little motion, or delays that scatter too much.
-
-    Args:
-        recordings: As they come; every one has qpos and ctrl.
-        joint: Column of qpos and of ctrl.
     """
     usable = [recording for recording in recordings if recording.signals["ctrl"].shape[1] > joint]
     follows = [_correlate(recording, joint) for recording in usable]

@@ -90,12 +90,7 @@ class Files(Source):
         return train + test
 
     def load(self) -> Dataset:
-        """The cleaned recordings, in the order in which they are named.
-
-        Raises:
-            LogError: A file cannot be read, does not hold what `columns` names, or a part has no recording.
-            ConfigError: A payload is none, or no one fits a recording.
-        """
+        """The cleaned recordings, in the order in which they are named; see `read` and `Logs.divide` for errors."""
         return self.read().divide()
 
     def read(self, tables: Sequence[Table] = ()) -> Logs:

@@ -116,11 +116,6 @@ def find_velocity_lag(time: Signal, position: Signal, velocity: Signal) -> tuple
     """Time by which a measured velocity lags the position's zero-phase derivative [s], and its scale against it.
 
     None where the longest stretch without a gap is too short, or the two are no copies of each other there.
-
-    Args:
-        time: Sample times [s], with jitter and gaps.
-        position: Measured position [rad or m].
-        velocity: Measured velocity [rad/s or m/s].
     """
     grid, positions, velocities = regular_stretch(time, position, velocity)
     if len(grid) < 50:

@@ -11,7 +11,6 @@ from frictionzoo.core.errors import ConfigError, closest
 Ratio = tuple[float, float]
 """SI units in one unit, as a fraction: a division by 1000 is exact to the last bit, a factor of 0.001 is not."""
 
-TIME: Mapping[str, Ratio] = {"s": (1.0, 1.0), "ms": (1.0, 1e3), "us": (1.0, 1e6), "ns": (1.0, 1e9)}
 POSITION: Mapping[str, Ratio] = {
     **{"rad": (1.0, 1.0), "mrad": (1.0, 1e3), "deg": (math.pi, 180.0), "rev": (math.tau, 1.0)},
     **{"m": (1.0, 1.0), "mm": (1.0, 1e3), "um": (1.0, 1e6)},
@@ -25,7 +24,7 @@ EFFORT: Mapping[str, Ratio] = {
     **{"V": (1.0, 1.0), "mV": (1.0, 1e3), "%": (1.0, 100.0), "1": (1.0, 1.0)},
 }
 UNITS: Mapping[str, Mapping[str, Ratio]] = {
-    "time": TIME,
+    "time": {"s": (1.0, 1.0), "ms": (1.0, 1e3), "us": (1.0, 1e6), "ns": (1.0, 1e9)},
     "qpos": POSITION,
     "qvel": VELOCITY,
     "ctrl": {**POSITION, **VELOCITY, **EFFORT},

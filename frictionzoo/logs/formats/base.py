@@ -49,21 +49,13 @@ class Format(ABC):
         return path.is_file() and path.suffix.lower() in self.suffixes
 
     def read(self, path: Path) -> list[Table]:
-        """The tables of a path.
-
-        Raises:
-            LogError: It cannot be read or is not of this format.
-        """
+        """The tables of a path; LogError where it cannot be read or is not of this format."""
         content = read_bytes(path)
         return [replace(self.parse(str(path), content), sha256=hashlib.sha256(content).hexdigest())]
 
     @abstractmethod
     def parse(self, name: str, content: bytes) -> Table:
-        """The table in a file's bytes.
-
-        Args:
-            name: Where they came from, for messages.
-            content: All of them.
+        """The table in a file's bytes, which have this name in messages.
 
         Raises:
             LogError: They are not of this format, or damaged.
@@ -102,13 +94,7 @@ def check_size(name: str, size: int) -> None:
 
 
 def check_unpacked(name: str, size: int, packed: int | None = None) -> None:
-    """LogError where the size to which a file unpacks [bytes] cannot be that of a recording.
-
-    Args:
-        name: The file's name, for messages.
-        size: What it unpacks to.
-        packed: From how much; None where many may come from few.
-    """
+    """LogError where what a file unpacks to [bytes] cannot be a recording; packed is None where many may be of few."""
     if size > UNPACKED:
         most = f"{UNPACKED / 1e9:.1f} GB"
         raise LogError(f"{name}: {size / 1e9:.1f} GB unpacked, expected at most {most}; cut it into shorter logs")
@@ -208,14 +194,7 @@ def tabulate(
 ) -> Table:
     """A table from named arrays, numbers and texts: columns from vectors and matrices, fields from single values.
 
-    Args:
-        name: Where they came from, for messages.
-        variables: What is told apart.
-        fields: More fields.
-        refused: Why others are none of the columns.
-
-    Raises:
-        LogError: Two columns have one name.
+    It has the given fields besides, and refuses what is refused already. LogError where two columns have one name.
     """
     columns, refused, units, kept = {}, dict(refused or {}), {}, dict(fields or {})
     for header, given in variables.items():
