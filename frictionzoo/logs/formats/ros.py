@@ -47,8 +47,9 @@ class Ros(Format):
         with parsing(str(path), "a ROS 2 recording"):
             if path.is_file() and path.suffix not in STORAGES:
                 raise LogError(f"{path}: suffix {path.suffix or 'none'}, expected {' or '.join(STORAGES)}; rename it")
+            files = sorted(file for file in path.iterdir() if file.suffix in STORAGES) if path.is_dir() else [path]
             digests = []
-            for file in sorted(f for f in path.iterdir() if f.suffix in STORAGES) if path.is_dir() else [path]:
+            for file in files:
                 _check(file)
                 with file.open("rb") as stream:
                     digests.append(hashlib.file_digest(stream, "sha256"))
