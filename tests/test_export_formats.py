@@ -23,8 +23,8 @@ from frictionzoo.core.log import Payload
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.export.base import get_target
-from frictionzoo.export.isaaclab import read_isaaclab
-from frictionzoo.export.mjlab import read_mjlab
+from frictionzoo.export.isaaclab import IsaacLab
+from frictionzoo.export.mjlab import Mjlab
 from frictionzoo.export.motor import lag, motors, read_inputs
 from frictionzoo.export.nearest import Nearest
 from frictionzoo.export.read_bam import LAWS, read_bam
@@ -231,7 +231,7 @@ DC_MOTOR = (
     ),
 )
 LATE = "+bench.params.delay={init:0.012,low:0,high:0.05,scale:1.0,identify:false}"
-READERS = {"mjlab": read_mjlab, "isaaclab": read_isaaclab}
+READERS = {"mjlab": Mjlab().read, "isaaclab": IsaacLab().read}
 CONFIGURED = [
     ("mjlab", "BuiltinPositionActuatorCfg", (LATE,)),
     ("isaaclab", "DelayedPDActuatorCfg", (LATE,)),
@@ -270,7 +270,7 @@ def test_a_configuration_holds_the_nearest_friction_of_another_law(
     nearest = Nearest(fitted.values["bench"] | {"armature": armature}, loss, damping, exact=False, remark="so far off")
     for target, read_joints in READERS.items():
         (tmp_path / target).mkdir()
-        monkeypatch.setattr(f"frictionzoo.export.{target}.find_nearest", lambda _: nearest)
+        monkeypatch.setattr("frictionzoo.export.configclass.find_nearest", lambda _: nearest)
         export = write(target, fitted, tmp_path / target)
         text = (tmp_path / target / export.files[0]).read_text()
         (joint,) = read_joints(text)

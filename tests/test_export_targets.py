@@ -30,8 +30,7 @@ from frictionzoo.export.mjx_module import Mjx
 from frictionzoo.export.module import load_module, write_module
 from frictionzoo.export.mujoco_c import MujocoC
 from frictionzoo.export.nearest import find_nearest
-from frictionzoo.export.table import summarise_exports
-from frictionzoo.export.write import write_exports
+from frictionzoo.export.write import summarise_exports, write_exports
 from frictionzoo.export.written import Written
 from frictionzoo.models import FrictionModel, MujocoDefault, model_names
 from frictionzoo.models.base import sliding_torque

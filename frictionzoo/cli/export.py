@@ -16,8 +16,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point; without arguments, for those of the command line. A user's mistake is one line and exit status 2."""
     parsed = _parse(arguments)
     # Imported here, so that --help does not wait for it.
-    from frictionzoo.export.table import summarise_exports
-    from frictionzoo.export.write import write_exports
+    from frictionzoo.export.write import summarise_exports, write_exports
 
     try:
         print(summarise_exports(write_exports(parsed.folder, read_options(parsed.options, "target=mjcf"))))

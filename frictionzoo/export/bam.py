@@ -43,13 +43,12 @@ class Bam(Target):
     def write(self, fitted: Identified, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
         if not isinstance(fitted.bench.actuator, VoltageServo):
-            law = type(fitted.bench.actuator).__name__
-            raise ExportError(
-                f"target=bam: the bench's actuator is a {law}, expected a VoltageServo; write target=mjcf"
-            )
+            came = f"the bench's actuator is a {type(fitted.bench.actuator).__name__}"
+            raise ExportError(f"target=bam: {came}, expected a VoltageServo; write target=mjcf")
         actuator, remark = _choose_actuator(fitted, options)
         laws, remarks = _to_bam(fitted)
-        files = tuple(f"{name}{law['model']}.json" for name, law in zip(_prefixes(fitted), laws, strict=True))
+        prefixes = [f"{name}_" for name in fitted.bench.joints] if fitted.bench.nv > 1 else [""]
+        files = tuple(f"{prefix}{law['model']}.json" for prefix, law in zip(prefixes, laws, strict=True))
         for joint, (file, law) in enumerate(zip(files, laws, strict=True)):
             # BAM's controllers replace the robot's damping.
             law["friction_viscous"] += float(fitted.bench.own_damping[joint])
@@ -60,12 +59,7 @@ class Bam(Target):
 
 
 def friction_budget(parameters: Mapping[str, Any], state: DriveState) -> FrictionTerms:
-    """Dry friction and damping of BAM's m1 to m6, in numpy.
-
-    Args:
-        parameters: What the file holds.
-        state: Numpy arrays of one shape.
-    """
+    """Dry friction and damping of BAM's m1 to m6 with a file's parameters, at states in numpy arrays of one shape."""
     _, names = LAWS[parameters["model"]]
     has = defaultdict(float, {bam: parameters[bam] for bam in names})
     motor, external = state.motor_torque, state.external_torque
@@ -96,16 +90,11 @@ def _to_bam(fitted: Identified) -> tuple[list[dict[str, Any]], list[str]]:
         names = {"friction_base": "static_torque", "friction_viscous": "viscous_coefficient"}
         return _rename(fitted, "m1", names), [_STICKS]
     if fitted.model.name == "coulomb_stribeck" and (values["static_torque"] >= values["kinetic_torque"]).all():
-        names = {
-            "friction_base": "kinetic_torque",
-            "dtheta_stribeck": "stribeck_velocity",
-            "friction_viscous": "viscous_coefficient",
-        }
-        excess = values["static_torque"] - values["kinetic_torque"]
-        laws = _rename(fitted, "m2", names)
-        return [law | {"friction_stribeck": float(e), "alpha": 2.0} for law, e in zip(laws, excess, strict=True)], [
-            _STICKS
-        ]
+        names = {"friction_base": "kinetic_torque", "dtheta_stribeck": "stribeck_velocity"}
+        laws = _rename(fitted, "m2", names | {"friction_viscous": "viscous_coefficient"})
+        for law, excess in zip(laws, values["static_torque"] - values["kinetic_torque"], strict=True):
+            law |= {"friction_stribeck": float(excess), "alpha": 2.0}
+        return laws, [_STICKS]
     return _nearest(fitted)
 
 
@@ -167,17 +156,15 @@ def _choose_actuator(fitted: Identified, options: Mapping[str, str]) -> tuple[st
     return chosen, said
 
 
-def _prefixes(fitted: Identified) -> list[str]:
-    return [""] if fitted.bench.nv == 1 else [f"{name}_" for name in fitted.bench.joints]
-
-
 def _compare(fitted: Identified, paths: list[Path]) -> tuple[Difference, ...]:
     """The files against the drive: friction at the recorded states, and the rollouts in MuJoCo C."""
     files = [load_parameters(path) for path in paths]
     bench = [read_bench(path, data) for path, data in zip(paths, files, strict=True)]
     stacked = {name: np.array([values[name] for values in bench]) for name in bench[0]}
     written = replace(fitted, values={"bench": stacked, "friction": fitted.values["friction"]})
-    came = simulate(_compile(written), written, _step(written, files))
+    values, ones = {name: value for name, value in stacked.items() if name != "delay"}, np.ones(written.bench.nv)
+    model = mujoco.MjModel.from_xml_string(written.bench.mjcf(values, ones, ones))  # each step sets the friction
+    came = simulate(model, written, _step(written, files))
     terms = _budgets(files, fitted.samples)
     return (
         compare(fitted, terms._replace(damping=terms.damping - fitted.bench.own_damping), "BAM's formula"),
@@ -187,19 +174,10 @@ def _compare(fitted: Identified, paths: list[Path]) -> tuple[Difference, ...]:
 
 def _budgets(files: list[dict[str, Any]], state: DriveState) -> FrictionTerms:
     """Friction of all joints, along the last axis."""
-    terms = [friction_budget(data, _state_of(state, joint)) for joint, data in enumerate(files)]
+    states = [state.map(lambda signal, joint=joint: signal[..., joint]) for joint in range(len(files))]
+    terms = [friction_budget(data, seen) for data, seen in zip(files, states, strict=True)]
     loss, damping = (np.stack([getattr(term, name) for term in terms], -1) for name in ("frictionloss", "damping"))
     return FrictionTerms(frictionloss=loss, damping=damping)
-
-
-def _state_of(state: DriveState, joint: int) -> DriveState:
-    return state.map(lambda signal: signal[..., joint])
-
-
-def _compile(written: Identified) -> mujoco.MjModel:
-    values = {name: value for name, value in written.values["bench"].items() if name != "delay"}
-    ones = np.ones(written.bench.nv)  # set in each step
-    return mujoco.MjModel.from_xml_string(written.bench.mjcf(values, ones, ones))
 
 
 def _step(written: Identified, files: list[dict[str, Any]]) -> Step:

@@ -63,13 +63,13 @@ def measure(
     expected: Float[np.ndarray, "*shape"],
     over: str | None = None,
 ) -> Difference:
-    """The difference between what the written files did and what the fitted drive does.
+    """The difference between what came from the written files and what was expected from the fitted drive.
 
     Args:
         quantity: `qpos` or `torque`.
         fitted: The drive, for units.
-        came: From the files.
-        expected: From the drive.
+        came: In the quantity's unit.
+        expected: The same.
         over: What was compared, in words; None for the run's long test rollouts.
     """
     distance = np.abs(came - expected)

@@ -14,7 +14,7 @@ from frictionzoo.core.params import UNITS
 from frictionzoo.export.base import Target, measure, register_target
 from frictionzoo.export.nearest import Nearest, find_nearest, say_exact
 from frictionzoo.export.robot import ACTUATORS, Robot, compare_torque, put_into
-from frictionzoo.export.simulate import commands_before, simulate, step_with_control
+from frictionzoo.export.simulate import PAYLOADS, commands_before, simulate, step_with_control
 from frictionzoo.export.written import Export
 from frictionzoo.result.identified import Identified
 
@@ -63,21 +63,20 @@ def _add_robot(
 def _say_robot(robot: Robot, fitted: Identified, nearest: Nearest, actuators: str) -> list[str]:
     """What the robot's file leaves out."""
     units, armature = UNITS[fitted.bench.joint_type], ", ".join(f"{value:.6g}" for value in nearest.bench["armature"])
-    limits = []
+    limits, timestep = [], robot.model.opt.timestep
     if robot.urdf:
         limits.append(f"URDF has no armature: set {armature} {units['inertia']} where the robot is loaded.")
         limits.append("URDF has no actuators and no solreffriction; both are in bench.xml.")
-    if not robot.urdf and actuators == "keep":
-        limits.append(
-            "The robot's own actuators are kept; armature and friction were identified with that in bench.xml."
-        )
+    elif actuators == "keep":
+        said = "The robot's own actuators are kept; armature and friction were identified with that in bench.xml."
+        limits.append(said)
     if "position_offset" in fitted.bench.params:
         offset = _list(fitted, "position_offset")
         limits.append(f"The recorded positions lack {offset} {units['position']}, which the robot's joints do not.")
-    if not robot.urdf and not np.isclose(robot.model.opt.timestep, fitted.timestep, rtol=1e-6):
+    if not robot.urdf and not np.isclose(timestep, fitted.timestep, rtol=1e-6):
         limits.append(
-            f"The robot's time step is {robot.model.opt.timestep:g} s, that of the differences {fitted.timestep:g} s; "
-            f"export with timestep={robot.model.opt.timestep:g} to see what it changes."
+            f"The robot's time step is {timestep:g} s, that of the differences {fitted.timestep:g} s; export with "
+            f"timestep={timestep:g} to see what it changes."
         )
     if "file=" in robot.text or "filename=" in robot.text:
         limits.append("It refers to files (meshes) as the original does: put it where that lies.")
@@ -94,27 +93,19 @@ def write_bench(fitted: Identified, nearest: Nearest) -> str:
 def run_bench(model: mujoco.MjModel, fitted: Identified) -> Float[np.ndarray, "batch time nv"]:
     """Positions of the long test rollouts in MuJoCo C, the actuator law's controller computed by the caller.
 
-    Args:
-        model: The bench, compiled. Where it delays the commands itself, it gets them as recorded.
-        fitted: The drive.
+    Where the compiled bench delays the commands itself, it gets them as recorded.
     """
-    late = not model.nhistory
 
-    def prepare(model: mujoco.MjModel, data: mujoco.MjData, rollout: int) -> None:
-        if not late:
-            _fill_history(model, data, fitted, rollout)
+    def fill_history(model: mujoco.MjModel, data: mujoco.MjData, rollout: int) -> None:
+        """Put the commands before the first state where MuJoCo's late actuators look for them."""
+        held = commands_before(fitted, rollout)
+        for actuator in range(model.nu):
+            if count := int(model.actuator_history[actuator, 0]):
+                steps = np.arange(-count, 0)
+                known = held[np.maximum(len(held) + steps, 0), actuator]
+                mujoco.mj_initCtrlHistory(model, data, actuator, model.opt.timestep * steps, known)
 
-    return simulate(model, fitted, step_with_control(fitted), prepare, late)
-
-
-def _fill_history(model: mujoco.MjModel, data: mujoco.MjData, fitted: Identified, rollout: int) -> None:
-    """Put the commands before a rollout's first state where MuJoCo's late actuators look for them."""
-    held = commands_before(fitted, rollout)
-    for actuator in range(model.nu):
-        if count := int(model.actuator_history[actuator, 0]):
-            steps = np.arange(-count, 0)
-            known = held[np.maximum(len(held) + steps, 0), actuator]
-            mujoco.mj_initCtrlHistory(model, data, actuator, model.opt.timestep * steps, known)
+    return simulate(model, fitted, step_with_control(fitted), fill_history, late=not model.nhistory)
 
 
 def say_limits(fitted: Identified, nearest: Nearest) -> tuple[str, ...]:
@@ -127,7 +118,7 @@ def say_limits(fitted: Identified, nearest: Nearest) -> tuple[str, ...]:
             f"the caller computes it in each step{late}, as for the difference above; target=mujoco writes it."
         )
     if fitted.bench.payload is not None:
-        limits.append("Payloads of recordings are left out; for the difference above they were put into the model.")
+        limits.append(PAYLOADS)
     return tuple(limits)
 
 

@@ -1,45 +1,112 @@
-"""Python files that hold configuration classes of other programs: written as text, and read without running them."""
+"""Targets that write a Python file of another program's configuration classes: as text, and read without running it."""
 
 import ast
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from abc import abstractmethod
+from collections.abc import Mapping
+from pathlib import Path
+from textwrap import indent
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from frictionzoo.core.params import UNITS
+from frictionzoo.export.base import Target, measure
+from frictionzoo.export.motor import INPUTS, Joint, Motor, lag, motors, read_inputs, run_joints, say_common
+from frictionzoo.export.nearest import Nearest, find_nearest
+from frictionzoo.export.written import Export
+from frictionzoo.result.identified import Identified
+
+_LIMITS = ("saturation_effort", "velocity_limit", "effort_limit")
 
 
 class Field(NamedTuple):
-    """A keyword of a configuration class.
-
-    Attributes:
-        name: Its name.
-        value: As Python writes it.
-        unit: For a comment; empty for none.
-    """
+    """A keyword of a configuration class, its value as Python writes it, and for a comment its unit."""
 
     name: str
-    value: str
+    value: object
     unit: str = ""
 
 
-def write_module(docstring: str, imports: str, name: str, entries: Sequence[str]) -> str:
-    """A Python module that holds one constant, a tuple or dict of these entries."""
-    body = "\n".join(f"    {line}" if line else "" for entry in entries for line in entry.splitlines())
-    opening, closing = ("{", "}") if entries and entries[0].startswith('"') else ("(", ")")
-    return f'"""{docstring}"""\n\n{imports}\n\n{name} = {opening}\n{body}\n{closing}\n'
+class ConfigFile(Target):
+    """A Python file with `ACTUATORS`, the configuration of one actuator a joint.
 
-
-def write_call(cls: str, fields: Sequence[Field], key: str = "") -> str:
-    """A call with one keyword a line, its unit beside it, as an entry of a tuple or of a dict under a key."""
-    lines = [f"    {f.name}={f.value}," + (f"  # {f.unit}" if f.unit else "") for f in fields]
-    head = f"{key}: {cls}(" if key else f"{cls}("
-    return "\n".join([head, *lines, "),"])
-
-
-def read_calls(text: str) -> list[tuple[str, dict[str, Any]]]:
-    """Class and keywords of each outermost call in a module, without running it.
-
-    Args:
-        text: The module.
+    Attributes:
+        program: Name of the simulator.
+        file: Name of the file.
+        head: Docstring of the file.
+        module: Which the classes are imported from.
+        keyed: Whether `ACTUATORS` is a dict by joint instead of a tuple.
+        keywords: What armature, dry friction, viscous friction and delay [steps] are called there.
     """
-    assigned = [node.value for node in ast.parse(text).body if isinstance(node, ast.Assign)]
-    holders = [node.values if isinstance(node, ast.Dict) else getattr(node, "elts", []) for node in assigned]
-    calls = [node for nodes in holders for node in nodes if isinstance(node, ast.Call)]
-    return [(ast.unparse(call.func), {str(k.arg): ast.literal_eval(k.value) for k in call.keywords}) for call in calls]
+
+    options: ClassVar[Mapping[str, str]] = INPUTS
+    packages: ClassVar[tuple[str, ...]] = ("mujoco",)
+    program: ClassVar[str]
+    file: ClassVar[str]
+    head: ClassVar[str]
+    module: ClassVar[str]
+    keyed: ClassVar[bool]
+    keywords: ClassVar[tuple[str, str, str, str]]
+
+    @abstractmethod
+    def configure(self, fitted: Identified, nearest: Nearest, joint: int, motor: Motor) -> tuple[str, list[Field]]:
+        """Class and keywords of a joint's actuator."""
+
+    @abstractmethod
+    def say_more(self, fitted: Identified, drives: list[Motor]) -> tuple[str, ...]:
+        """What this program lacks besides what all of them do."""
+
+    def write(self, fitted: Identified, folder: Path, options: Mapping[str, str]) -> Export:
+        """See `Target.write`."""
+        inputs = read_inputs(fitted, options)
+        drives, nearest = motors(fitted, inputs), find_nearest(fitted)
+        calls = [self.configure(fitted, nearest, joint, drive) for joint, drive in enumerate(drives)]
+        imports = f"from {self.module} import {', '.join(sorted({cls for cls, _ in calls}))}"
+        keys = [f'"{name}": ' if self.keyed else "" for name in fitted.bench.joints]
+        body = "".join(key + _write_call(*call) for key, call in zip(keys, calls, strict=True))
+        opening, closing = "{}" if self.keyed else "()"
+        text = f'"""{self.head}"""\n\n{imports}\n\nACTUATORS = {opening}\n{indent(body, "    ")}{closing}\n'
+        (folder / self.file).write_text(text)
+        # What has no delay in the file gets it from its caller.
+        joints = [joint._replace(lag=joint.lag or lag(fitted, i)) for i, joint in enumerate(self.read(text))]
+        difference = measure("qpos", fitted, run_joints(fitted, nearest, joints), fitted.rollout()[0])
+        said = (*say_common(fitted, nearest, inputs, self.program), *self.say_more(fitted, drives))
+        return Export((self.file,), (difference,), said)
+
+    def read(self, text: str) -> list[Joint]:
+        """What a written file says of each joint, without running it."""
+        (value,) = (node.value for node in ast.parse(text).body if isinstance(node, ast.Assign))
+        calls = value.values if isinstance(value, ast.Dict) else getattr(value, "elts", [])
+        return [self._read_call(call) for call in calls if isinstance(call, ast.Call)]
+
+    def _read_call(self, call: ast.Call) -> Joint:
+        fields: dict[str, Any] = {str(k.arg): ast.literal_eval(k.value) for k in call.keywords}
+        *friction, delay = self.keywords
+        armature, loss, damping = (float(fields[name]) for name in friction)
+        motor = Motor(fields["stiffness"], fields["damping"], **{k: fields[k] for k in _LIMITS if k in fields})
+        return Joint(motor, armature, loss, damping, fields.get(delay, 0))
+
+
+def list_motor(fitted: Identified, motor: Motor) -> list[Field]:
+    """Keywords of gains and, where there are any, of torque limits, as all programs call them."""
+    units = UNITS[fitted.bench.joint_type]
+    gains = [
+        Field("stiffness", motor.stiffness, units["stiffness"]),
+        Field("damping", motor.damping, f"{units['damping']}, of the controller"),
+    ]
+    if not np.isfinite(motor.saturation_effort):
+        return gains
+    said = (f"{units['torque']}, at standstill", f"{units['velocity']}, without load", units["torque"])
+    return gains + [Field(name, getattr(motor, name), unit) for name, unit in zip(_LIMITS, said, strict=True)]
+
+
+def list_delay(fitted: Identified, joint: int, *names: str) -> list[Field]:
+    """Keywords of the least and the largest delay [steps]; none where there is no delay."""
+    steps = lag(fitted, joint)
+    return [Field(name, steps, "steps") for name in names] if steps else []
+
+
+def _write_call(cls: str, fields: list[Field]) -> str:
+    """A call with one keyword a line, its unit beside it."""
+    lines = [f"    {f.name}={f.value}," + (f"  # {f.unit}" if f.unit else "") for f in fields]
+    return "\n".join([f"{cls}(", *lines, "),\n"])

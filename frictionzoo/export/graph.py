@@ -1,16 +1,20 @@
 """A friction law as a function of plain tensors, which runtimes without frictionzoo can hold."""
 
 import copy
+from abc import abstractmethod
 from collections.abc import Mapping
+from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import torch
 
 from frictionzoo.core.errors import ConfigError, closest
+from frictionzoo.core.output import write_atomically
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.export.base import measure
+from frictionzoo.export.base import Target, measure
 from frictionzoo.export.nearest import evaluate_law
-from frictionzoo.export.written import Difference
+from frictionzoo.export.written import Difference, Export
 from frictionzoo.models.base import FrictionModel, sliding_torque
 from frictionzoo.result.identified import Identified
 
@@ -57,28 +61,10 @@ def signals(model: FrictionModel) -> tuple[str, ...]:
     return tuple(name for name in DriveState._fields if name in model.inputs or name not in DriveState._field_defaults)
 
 
-def limits(model: FrictionModel) -> tuple[str, ...]:
-    """What a user of the law alone has to know."""
-    return (*LIMITS, _OBSERVED.format(names=", ".join(model.inputs))) if model.inputs else LIMITS
-
-
-def example(model: FrictionModel, dtype: torch.dtype) -> tuple[torch.Tensor, ...]:
-    """Inputs to record a graph with: two rows, since one would be taken for a constant."""
-    return tuple(torch.ones(2, model.nv, dtype=dtype) for _ in signals(model))
-
-
-def inputs(samples: DriveState, dtype: torch.dtype) -> dict[str, torch.Tensor]:
-    """The samples by name."""
-    return samples.map(lambda signal: torch.tensor(np.asarray(signal, np.float64), dtype=dtype)).given()
-
-
 def compare(fitted: Identified, came: FrictionTerms, how: str) -> Difference:
-    """How far answers at the recorded states are from the law in float64, in friction torque while the joint moves.
+    """How far terms of shape (samples, nv), computed by `how` at the recorded states, are from the law in float64.
 
-    Args:
-        fitted: The drive.
-        came: Arrays of shape (samples, nv).
-        how: By what they were computed.
+    Friction torque is compared, while the joint moves.
     """
     samples = fitted.samples
     expected = sliding_torque(np, evaluate_law(fitted.model, samples), samples.qvel)
@@ -86,13 +72,39 @@ def compare(fitted: Identified, came: FrictionTerms, how: str) -> Difference:
     return measure("torque", fitted, sliding_torque(np, came, samples.qvel), expected, over)
 
 
-def read_dtype(options: Mapping[str, str]) -> str:
-    """The option `dtype`; float64 where it was not given.
+class GraphFile(Target):
+    """The law alone in one file.
 
-    Raises:
-        ConfigError: Another one.
+    Attributes:
+        file: Its name.
+        runtime: What runs it.
+        remarks: What its user has to know besides `LIMITS`.
     """
-    dtype = options.get("dtype", "float64")
-    if dtype not in DTYPES:
-        raise ConfigError(f"dtype={dtype}: unknown; {closest(dtype, DTYPES)}")
-    return dtype
+
+    options: ClassVar[Mapping[str, str]] = {"dtype": "float64 or float32, of inputs and outputs"}
+    instant: ClassVar[bool] = True
+    file: ClassVar[str]
+    runtime: ClassVar[str]
+    remarks: ClassVar[tuple[str, ...]] = ()
+
+    @abstractmethod
+    def serialise(self, graph: Graph, inputs: tuple[torch.Tensor, ...], names: tuple[str, ...]) -> bytes:
+        """The file's content, recorded with these inputs of these names."""
+
+    @abstractmethod
+    def run(self, path: Path, inputs: Mapping[str, torch.Tensor]) -> tuple[np.ndarray, ...]:
+        """What the file answers on the CPU."""
+
+    def write(self, fitted: Identified, folder: Path, options: Mapping[str, str]) -> Export:
+        """See `Target.write`."""
+        name, model, samples, path = options.get("dtype", "float64"), fitted.model, fitted.samples, folder / self.file
+        if name not in DTYPES:
+            raise ConfigError(f"dtype={name}: unknown; {closest(name, DTYPES)}")
+        dtype, seen = DTYPES[name], signals(model)
+        # Two rows, since one would be taken for a constant.
+        rows = tuple(torch.ones(2, model.nv, dtype=dtype) for _ in seen)
+        write_atomically(path, self.serialise(Graph(model, dtype), rows, seen))
+        inputs = samples.map(lambda signal: torch.tensor(np.asarray(signal, np.float64), dtype=dtype)).given()
+        came = FrictionTerms(*(np.asarray(term, np.float64) for term in self.run(path, inputs)))
+        observed = (_OBSERVED.format(names=", ".join(model.inputs)),) if model.inputs else ()
+        return Export((self.file,), (compare(fitted, came, self.runtime),), (*LIMITS, *observed, *self.remarks))

@@ -16,7 +16,7 @@ from frictionzoo.core.state import Signals
 from frictionzoo.export.base import Target, measure, register_target
 from frictionzoo.export.module import load_module, write_module
 from frictionzoo.export.mujoco_c import BENCH, MODULE, write_bare_bench
-from frictionzoo.export.simulate import commands_before
+from frictionzoo.export.simulate import PAYLOADS, commands_before
 from frictionzoo.export.written import Export
 from frictionzoo.result.identified import Identified
 
@@ -37,16 +37,16 @@ class Mjx(Target):
             late_remark="commands act late." if "delay" in fitted.values["bench"] else "they act at once.",
         )
         with jax.enable_x64(True):
-            qpos = _run(folder, fitted)
-        return Export((*written, BENCH), (measure("qpos", fitted, qpos, fitted.rollout()[0]),), _say_limits(fitted))
+            difference = measure("qpos", fitted, _run(folder, fitted), fitted.rollout()[0])
+        limits = ["The difference is in 64 bits (jax_enable_x64); JAX's usual 32 bits round more."]
+        limits += [PAYLOADS] if fitted.bench.payload is not None else []
+        return Export((*written, BENCH), (difference,), tuple(limits))
 
 
 def _run(folder: Path, fitted: Identified) -> Float[np.ndarray, "batch time nv"]:
     module: Any = load_module(folder / MODULE)
     model = mujoco.MjModel.from_xml_path(str(folder / BENCH))
-    segments = fitted.segments
-
-    remembers = fitted.model.memory > 0
+    segments, remembers = fitted.segments, fitted.model.memory > 0
 
     def act(before: Any, signals: Signals) -> tuple[Any, Any, Mapping[str, Any]]:
         before = jnp.concatenate([before[1:], signals.ctrl[None]])
@@ -83,10 +83,3 @@ def _signals(fitted: Identified, number: int, kept: int) -> tuple[Signals, Any]:
     before = commands_before(fitted, number)
     before = np.concatenate([np.repeat(before[:1], kept, axis=0), before])[-kept:]
     return now, jnp.asarray(before)
-
-
-def _say_limits(fitted: Identified) -> tuple[str, ...]:
-    limits = ["The difference is in 64 bits (jax_enable_x64); JAX's usual 32 bits round more."]
-    if fitted.bench.payload is not None:
-        limits.append("Payloads of recordings are left out; for the difference above they were put into the model.")
-    return tuple(limits)

@@ -1,7 +1,6 @@
 """Python modules that hold a drive's law and values, and stand alone."""
 
 import importlib.util
-import io
 from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
@@ -23,7 +22,7 @@ WEIGHTS = "weights.npz"
 
 
 def write_module(fitted: Identified, folder: Path, template: str, name: str, **more: Any) -> tuple[str, ...]:
-    """Write a module and, for a network, its weights beside it.
+    """Write a module and, for a network, its weights beside it; the names of the files.
 
     Args:
         fitted: The drive.
@@ -31,9 +30,6 @@ def write_module(fitted: Identified, folder: Path, template: str, name: str, **m
         template: Of this package.
         name: Of the file.
         more: What else the template asks for.
-
-    Returns:
-        Names of the files.
 
     Raises:
         ExportError: The law cannot be written down.
@@ -55,9 +51,7 @@ def write_module(fitted: Identified, folder: Path, template: str, name: str, **m
     (folder / name).write_text(text.lstrip())
     if not large:
         return (name,)
-    buffer = io.BytesIO()
-    np.savez(buffer, **large)  # pyright: ignore[reportArgumentType] - a keyword is a name here
-    (folder / WEIGHTS).write_bytes(buffer.getvalue())
+    np.savez(folder / WEIGHTS, **large)  # pyright: ignore[reportArgumentType] - a keyword is a name here
     return (name, WEIGHTS)
 
 
@@ -96,11 +90,7 @@ def controls(fitted: Identified) -> bool:
 
 
 def load_module(path: Path) -> ModuleType:
-    """Import a module that was just written.
-
-    Args:
-        path: The file.
-    """
+    """Import the file of a module that was just written."""
     spec = importlib.util.spec_from_file_location(f"frictionzoo_export_{path.stem}", path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)

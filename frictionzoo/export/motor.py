@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -84,11 +84,7 @@ def read_inputs(fitted: Identified, options: Mapping[str, str]) -> dict[str, flo
 
 
 def motors(fitted: Identified, inputs: Mapping[str, float]) -> list[Motor]:
-    """The drive of each joint.
-
-    Args:
-        fitted: The drive.
-        inputs: From `read_inputs`.
+    """The drive of each joint, with these inputs of a servo.
 
     Raises:
         ExportError: The actuator law is none of a position-controlled motor.
@@ -113,24 +109,6 @@ def _motor(law: Actuator, values: Mapping[str, float], inputs: Mapping[str, floa
     raise ExportError(f"the bench's actuator is a {name}, expected a position-controlled one; write target=mjcf")
 
 
-def viscous_friction(fitted: Identified, nearest: Nearest, joint: int) -> float:
-    """Damping of a joint altogether, the template's own included: a configuration replaces the robot's."""
-    return float(nearest.damping[joint] + fitted.bench.own_damping[joint])
-
-
-def read_joint(fields: Mapping[str, Any], friction: Sequence[str], delay: str) -> Joint:
-    """A joint from the keywords of its configuration.
-
-    Args:
-        fields: Keywords and values.
-        friction: What armature, dry and viscous friction are called there.
-        delay: What the delay is called.
-    """
-    limits = {name: fields[name] for name in ("saturation_effort", "velocity_limit", "effort_limit") if name in fields}
-    armature, loss, damping = (float(fields[name]) for name in friction)
-    return Joint(Motor(fields["stiffness"], fields["damping"], **limits), armature, loss, damping, fields.get(delay, 0))
-
-
 def lag(fitted: Identified, joint: int) -> int:
     """Whole steps of the simulation by which commands act late."""
     if "delay" not in fitted.values["bench"]:
@@ -140,13 +118,7 @@ def lag(fitted: Identified, joint: int) -> int:
 
 
 def run_joints(fitted: Identified, nearest: Nearest, joints: Sequence[Joint]) -> Float[np.ndarray, "batch time nv"]:
-    """Positions of the long test rollouts in MuJoCo C with the numbers of a configuration file.
-
-    Args:
-        fitted: The drive.
-        nearest: For what configuration files do not hold: the position offset.
-        joints: From the file.
-    """
+    """Positions of the long test rollouts in MuJoCo C with what a configuration file says, and `nearest`'s offset."""
     delay = np.array([joint.lag * fitted.timestep for joint in joints])
     late = {"delay": delay} if "delay" in fitted.values["bench"] else {}
     written = replace(fitted, values={**fitted.values, "bench": {**nearest.bench, **late}})
@@ -155,11 +127,10 @@ def run_joints(fitted: Identified, nearest: Nearest, joints: Sequence[Joint]) ->
 
 def _compile(fitted: Identified, nearest: Nearest, joints: Sequence[Joint]) -> mujoco.MjModel:
     """The bench with this friction, and actuators whose `ctrl` is the torque."""
-    bench = {name: value for name, value in nearest.bench.items() if name != "delay"}
-    bench["armature"] = np.array([joint.armature for joint in joints])
-    loss = np.array([joint.frictionloss for joint in joints])
-    damping = np.array([joint.damping for joint in joints]) - fitted.bench.own_damping
-    model = mujoco.MjModel.from_xml_string(fitted.bench.mjcf(bench, loss if loss.any() else None, damping))
+    _, armature, loss, damping, _ = map(np.array, zip(*joints, strict=True))
+    bench = {name: value for name, value in nearest.bench.items() if name != "delay"} | {"armature": armature}
+    text = fitted.bench.mjcf(bench, loss if loss.any() else None, damping - fitted.bench.own_damping)
+    model = mujoco.MjModel.from_xml_string(text)
     model.actuator_gainprm[:, 0], model.actuator_biasprm[:] = 1, 0
     return model
 
@@ -175,21 +146,13 @@ def _step(joints: Sequence[Joint]) -> Step:
 
 
 def say_common(fitted: Identified, nearest: Nearest, inputs: Mapping[str, float], program: str) -> list[str]:
-    """What every configuration file lacks.
-
-    Args:
-        fitted: The drive.
-        nearest: Its friction in MuJoCo's terms.
-        inputs: From `read_inputs`.
-        program: The simulator's name.
-    """
+    """What the configuration files of every simulator lack; `program` is its name."""
     values, units = fitted.values["bench"], UNITS[fitted.bench.joint_type]
     said = [
         f"{program} itself was not run: the difference is that of the numbers in the file, read back, with the formula "
-        "of their class in MuJoCo C."
+        "of their class in MuJoCo C.",
+        *([nearest.remark] if nearest.remark else []),
     ]
-    if nearest.remark:
-        said.append(nearest.remark)
     if inputs:
         listed = ", ".join(f"{name} {value:g}" for name, value in inputs.items() if name in INPUTS)
         said.append(
@@ -197,8 +160,7 @@ def say_common(fitted: Identified, nearest: Nearest, inputs: Mapping[str, float]
             "back-EMF to the torque at standstill: effort_limit lies above saturation_effort for that reason."
         )
     if "delay" in values:
-        exact = values["delay"]
-        rounded = ", ".join(f"{lag(fitted, j)} for {exact[j]:.4g} s" for j in range(fitted.bench.nv))
+        rounded = ", ".join(f"{lag(fitted, j)} for {exact:.4g} s" for j, exact in enumerate(values["delay"]))
         said.append(f"Delays are whole steps of {fitted.timestep:g} s: {rounded}.")
     if "position_offset" in values:
         listed = ", ".join(f"{value:.4g}" for value in values["position_offset"])

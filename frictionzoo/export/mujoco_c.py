@@ -10,7 +10,7 @@ import numpy as np
 from frictionzoo.core.state import Signals
 from frictionzoo.export.base import Target, measure, register_target
 from frictionzoo.export.module import controls, load_module, write_module
-from frictionzoo.export.simulate import commands_before, simulate
+from frictionzoo.export.simulate import PAYLOADS, commands_before, simulate
 from frictionzoo.export.written import Export
 from frictionzoo.result.identified import Identified
 
@@ -30,8 +30,10 @@ class MujocoC(Target):
             *(fitted, folder, "mujoco_drive.py.jinja", MODULE),
             example_install="drive.command[:] = ..." if controls(fitted) else "data.ctrl[...] = ...",
         )
-        qpos = _run(folder, fitted)
-        return Export((*written, BENCH), (measure("qpos", fitted, qpos, fitted.rollout()[0]),), _say_limits(fitted))
+        limits = ["It runs as MuJoCo's control callback, in Python: a step takes longer than without."]
+        limits += [PAYLOADS] if fitted.bench.payload is not None else []
+        difference = measure("qpos", fitted, _run(folder, fitted), fitted.rollout()[0])
+        return Export((*written, BENCH), (difference,), tuple(limits))
 
 
 def write_bare_bench(fitted: Identified, frictionloss: np.ndarray | None = None) -> str:
@@ -52,10 +54,3 @@ def _run(folder: Path, fitted: Identified) -> np.ndarray:
         drive.step(data, signals.ctrl, signals.inputs | signals.observed)
 
     return simulate(model, fitted, step, prepare, late=False)
-
-
-def _say_limits(fitted: Identified) -> tuple[str, ...]:
-    limits = ["It runs as MuJoCo's control callback, in Python: a step takes longer than without."]
-    if fitted.bench.payload is not None:
-        limits.append("Payloads of recordings are left out; for the difference above they were put into the model.")
-    return tuple(limits)

@@ -52,17 +52,15 @@ def find_nearest(fitted: Identified) -> Nearest:
     The start is the least-squares friction over the measured states. From there armature, frictionloss and damping
     follow the fitted drive's own long rollouts, so that they make up for each other. Where those diverge, it stays at
     the start, and says so.
-
-    Args:
-        fitted: The drive.
     """
+    model, samples, bench = fitted.model, fitted.samples, dict(fitted.values["bench"])
+    velocity = samples.qvel
     # What a law looks at besides the state, MuJoCo's joints do not know.
-    terms = evaluate_law(fitted.model, without_inputs(fitted.model, fitted.samples))
-    velocity = fitted.samples.qvel
-    _, loss, viscous = (np.zeros(velocity.shape) if term is None else term for term in terms)
-    bench = dict(fitted.values["bench"])
-    if terms.torque is None and is_constant(loss) and is_constant(viscous):
-        remark = say_exact(fitted.model) if fitted.model.inputs else ""
+    unknown = {name: np.full(velocity.shape, value) for name, value in model.inputs.items()}
+    terms = evaluate_law(model, samples._replace(**unknown))
+    loss, viscous = (np.zeros(velocity.shape) if term is None else term for term in terms[1:])
+    if terms.torque is None and (loss == loss[0]).all() and (viscous == viscous[0]).all():
+        remark = say_exact(model) if model.inputs else ""
         return Nearest(bench, loss[0], viscous[0], exact=not remark, remark=remark)
     torque = sliding_torque(np, terms, velocity)
     start = nearest_frictionloss_and_damping(torque, velocity)
@@ -74,7 +72,7 @@ def find_nearest(fitted: Identified) -> Nearest:
         return Nearest(
             *(bench, *start),
             exact=False,
-            remark=f"A frictionloss and a damping are no {fitted.model.name}, and the fitted drive diverges in its own "
+            remark=f"A frictionloss and a damping are no {model.name}, and the fitted drive diverges in its own "
             f"{fitted.over}, so that they could not be refitted to those: they are the nearest to the law's torque at "
             f"the measured states, from which they differ by {rms} {unit} RMS.",
         )
@@ -86,8 +84,7 @@ def _refit(
 ) -> Nearest:
     with jax.enable_x64(True):
         objective = _pose(fitted, followed, loss, damping)
-        fit = LevenbergMarquardt(_ITERATIONS, 1e-8)
-        progress, _ = search(fit, objective)
+        progress, _ = search(LevenbergMarquardt(_ITERATIONS, 1e-8), objective)
         found = jax.tree.map(lambda value: np.asarray(value, np.float64), objective.space.values(progress.best))
     bench, friction = dict(found["bench"]), found["friction"]
     before, after = (float(np.sqrt(loss)) for loss in (progress.method.loss[0], progress.best_loss))
@@ -102,17 +99,16 @@ def _pose(
     bench = fitted.bench.restarted(fitted.values["bench"])
     torque = float(np.std(fitted.samples.motor_torque)) or 1.0
     sizes = {"frictionloss": torque, "damping": torque / (float(np.std(fitted.samples.qvel)) or 1.0)}
-    model = MujocoDefault(bench.nv, {name: _free(size) for name, size in sizes.items()})
+    params = {
+        name: {"init": size, "low": _SMALLEST * size, "high": _LARGEST * size, "scale": size, "identify": True}
+        for name, size in sizes.items()
+    }
+    model = MujocoDefault(bench.nv, params)
     for name, value in (("frictionloss", loss), ("damping", damping)):
         start = np.clip(value, 2 * _SMALLEST * sizes[name], _LARGEST * sizes[name])
         model.get_parameter(name).data.copy_(torch.from_numpy(start))
     rollout = make_rollout(make_engine("auto", bench, friction_of(model), model.constraint), fitted.sampling)
     return Objective(Space(bench, model, "float64"), rollout, followed, 1.0, 0.0, "none", 1.0, False)
-
-
-def _free(size: float) -> dict[str, float | bool]:
-    """Bounds and scale of a friction parameter of about this size."""
-    return {"init": size, "low": _SMALLEST * size, "high": _LARGEST * size, "scale": size, "identify": True}
 
 
 def _say(fitted: Identified, armature: Float[np.ndarray, "nv"], before: float, after: float) -> str:
@@ -148,34 +144,14 @@ def nearest_frictionloss_and_damping(
 
 
 def evaluate_law(model: FrictionModel, samples: DriveState) -> FrictionTerms:
-    """The law's terms on samples as float64 numpy arrays of shape (samples, nv), or None.
-
-    Args:
-        model: The law with its values.
-        samples: Numpy arrays of shape (samples, nv).
-    """
+    """The law's terms on numpy samples of shape (samples, nv), as float64 arrays of this shape, or None."""
     double = copy.deepcopy(model).double()
     terms = double(samples.map(lambda signal: torch.as_tensor(np.asarray(signal, dtype=np.float64))))
     shape = np.shape(samples.qvel)
     return FrictionTerms(*(None if term is None else np.broadcast_to(term.detach().numpy(), shape) for term in terms))
 
 
-def without_inputs(model: FrictionModel, samples: DriveState) -> DriveState:
-    """The samples as if the recordings lacked what the law looks at besides the state.
-
-    Args:
-        model: The law.
-        samples: Numpy arrays of shape (samples, nv).
-    """
-    return samples._replace(**{name: np.full(np.shape(samples.qvel), value) for name, value in model.inputs.items()})
-
-
 def say_exact(model: FrictionModel) -> str:
     """In words, that a frictionloss and a damping are the law, and where."""
     where = "".join(f", at {name} {value:g} and at no other" for name, value in model.inputs.items())
     return f"{model.name}: represented exactly by the frictionloss and damping below{where}."
-
-
-def is_constant(values: Float[np.ndarray, "samples nv"]) -> bool:
-    """Whether a term is the same in all samples."""
-    return bool((values == values[0]).all())

@@ -9,76 +9,46 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 
-from frictionzoo.core.output import write_atomically
-from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.export.base import Target, register_target
-from frictionzoo.export.graph import DTYPES, Graph, compare, example, inputs, limits, read_dtype, signals
-from frictionzoo.export.written import Export
-from frictionzoo.models.base import FrictionModel
-from frictionzoo.result.identified import Identified
-
-FILE = "friction.onnx"
+from frictionzoo.core.state import FrictionTerms
+from frictionzoo.export.base import register_target
+from frictionzoo.export.graph import Graph, GraphFile
 
 
 @register_target("onnx")
-class Onnx(Target):
+class Onnx(GraphFile):
     """The law alone, of any batch size, in one file with its weights, run in ONNX Runtime."""
 
-    options: ClassVar[Mapping[str, str]] = {"dtype": "float64 or float32, of inputs and outputs"}
     packages: ClassVar[tuple[str, ...]] = ("onnx", "onnxscript", "onnxruntime")
-    instant: ClassVar[bool] = True
+    file, runtime = "friction.onnx", "ONNX Runtime"
 
-    def write(self, fitted: Identified, folder: Path, options: Mapping[str, str]) -> Export:
-        """See `Target.write`."""
-        dtype = read_dtype(options)
-        write_atomically(folder / FILE, export_onnx(fitted.model, dtype))
-        difference = compare(fitted, run_onnx(folder / FILE, fitted.samples, dtype), "ONNX Runtime")
-        return Export((FILE,), (difference,), limits(fitted.model))
+    def serialise(self, graph: Graph, inputs: tuple[torch.Tensor, ...], names: tuple[str, ...]) -> bytes:
+        """See `GraphFile.serialise`."""
+        batch = torch.export.Dim("batch")
+        logger = logging.getLogger("torch.onnx")
+        level = logger.level
+        with warnings.catch_warnings():
+            # About the exporter's own internals, and about packages that no law needs.
+            warnings.simplefilter("ignore")
+            logger.setLevel(logging.ERROR)
+            try:
+                program: Any = torch.onnx.export(
+                    *(graph, inputs),
+                    input_names=names,
+                    output_names=FrictionTerms._fields,
+                    dynamic_shapes=tuple({0: batch} for _ in names),
+                    dynamo=True,
+                    verbose=False,
+                )
+            finally:
+                logger.setLevel(level)
+        return _without_traces(program.model_proto).SerializeToString()
 
+    def run(self, path: Path, inputs: Mapping[str, torch.Tensor]) -> tuple[np.ndarray, ...]:
+        """See `GraphFile.run`."""
+        import onnxruntime
 
-def export_onnx(model: FrictionModel, dtype: str) -> bytes:
-    """The law as a serialised ONNX model.
-
-    Args:
-        model: The law, holding its identified values.
-        dtype: `float64` or `float32`.
-    """
-    chosen = DTYPES[dtype]
-    batch = torch.export.Dim("batch")
-    logger = logging.getLogger("torch.onnx")
-    level = logger.level
-    with warnings.catch_warnings():
-        # About the exporter's own internals, and about packages that no law needs.
-        warnings.simplefilter("ignore")
-        logger.setLevel(logging.ERROR)
-        try:
-            program: Any = torch.onnx.export(
-                Graph(model, chosen),
-                example(model, chosen),
-                input_names=signals(model),
-                output_names=FrictionTerms._fields,
-                dynamic_shapes=tuple({0: batch} for _ in signals(model)),
-                dynamo=True,
-                verbose=False,
-            )
-        finally:
-            logger.setLevel(level)
-    return _without_traces(program.model_proto).SerializeToString()
-
-
-def run_onnx(path: Path, samples: DriveState, dtype: str) -> FrictionTerms:
-    """What the file answers in ONNX Runtime on the CPU.
-
-    Args:
-        path: The file.
-        samples: Arrays of shape (samples, nv).
-        dtype: Of the file.
-    """
-    import onnxruntime
-
-    session = onnxruntime.InferenceSession(path.read_bytes(), providers=["CPUExecutionProvider"])
-    given = {name: tensor.numpy() for name, tensor in inputs(samples, DTYPES[dtype]).items()}
-    return FrictionTerms(*(np.asarray(output, np.float64) for output in session.run(None, given)))
+        session = onnxruntime.InferenceSession(path.read_bytes(), providers=["CPUExecutionProvider"])
+        return tuple(map(np.asarray, session.run(None, {name: tensor.numpy() for name, tensor in inputs.items()})))
 
 
 def _without_traces(proto: Any) -> Any:

@@ -75,28 +75,24 @@ class BamDrive:
 
     def overrides(self) -> list[str]:
         """The values as known ones in a run's options, for a bench with a `VoltageServo`."""
-        actuator = {name: value for name, value in self.bench.items() if name not in _OWN}
-        bench = {name: value for name, value in self.bench.items() if name in _OWN}
-        sections = (("bench.params", bench), ("bench.actuator.params", actuator), ("model.params", self.friction))
-        known = [f"{owner}.{name}={_known(value)}" for owner, values in sections for name, value in values.items()]
-        return [f"model={self.model}", "fit=known", *known]
-
-
-_OWN = ("armature", "delay", "position_offset")
+        own = {f"bench.params.{name}": self.bench[name] for name in ("armature", "delay", "position_offset")}
+        actuator = {f"bench.actuator.params.{k}": v for k, v in self.bench.items() if f"bench.params.{k}" not in own}
+        known = own | actuator | {f"model.params.{name}": value for name, value in self.friction.items()}
+        return [f"model={self.model}", "fit=known", *(f"{name}={_known(value)}" for name, value in known.items())]
 
 
 def read_bam(path: Path) -> BamDrive:
-    """The drive of a parameter file.
-
-    Args:
-        path: JSON, as BAM's `fit` writes it.
+    """The drive of a parameter file, JSON as BAM's `fit` writes it.
 
     Raises:
         ConfigError: It is no such file, or its servo is not driven by voltage.
     """
     data = load_parameters(path)
     bench = read_bench(path, data)
-    model, friction = _read_law(path, data)
+    model, names = LAWS[data["model"]]
+    read = {"dtheta_stribeck": _positive, "alpha": _positive}
+    friction = {own: read.get(bam, _number)(path, data, bam) for bam, own in names.items()}
+    friction["frictionloss"] = max(friction["frictionloss"], _NEGLIGIBLE)
     remarks = ()
     if "max_velocity" in data:
         speed = _positive(path, data, "max_velocity")
@@ -107,29 +103,21 @@ def read_bam(path: Path) -> BamDrive:
 def load_parameters(path: Path) -> dict[str, Any]:
     """What a parameter file holds.
 
-    Args:
-        path: The file.
-
     Raises:
         ConfigError: It is none.
     """
     try:
         data = json.loads(path.read_text())
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}; expected a parameter file of BAM; name one") from None
-    except ValueError as error:
-        raise ConfigError(f"{path}: not JSON ({error}); expected a parameter file of BAM; name one") from None
+    except (OSError, ValueError) as error:
+        why = error.strerror if isinstance(error, OSError) else f"not JSON ({error})"
+        raise ConfigError(f"{path}: {why}; expected a parameter file of BAM; name one") from None
     if not isinstance(data, dict) or data.get("model") not in list(LAWS) or not isinstance(data.get("actuator"), str):
         raise ConfigError(f"{path}: no model ({', '.join(LAWS)}) and actuator in it; expected a parameter file of BAM")
     return data
 
 
 def read_bench(path: Path, data: Mapping[str, Any]) -> dict[str, float]:
-    """Values of the bench's parameters and of `VoltageServo`'s.
-
-    Args:
-        path: For messages.
-        data: What the file holds.
+    """Values of the bench's parameters and of `VoltageServo`'s in what the file of this path holds.
 
     Raises:
         ConfigError: The servo is not driven by voltage, or a value makes no sense.
@@ -148,14 +136,6 @@ def read_bench(path: Path, data: Mapping[str, Any]) -> dict[str, float]:
         "duty_gain": gain * _number(path, data, "error_gain_ratio", 1.0),
         "duty_limit": limit,
     }
-
-
-def _read_law(path: Path, data: Mapping[str, Any]) -> tuple[str, dict[str, float]]:
-    """Law and values."""
-    model, names = LAWS[data["model"]]
-    read = {"dtheta_stribeck": _positive, "alpha": _positive}
-    friction = {own: read.get(bam, _number)(path, data, bam) for bam, own in names.items()}
-    return model, friction | {"frictionloss": max(friction["frictionloss"], _NEGLIGIBLE)}
 
 
 def _number(path: Path, data: Mapping[str, Any], name: str, default: float | None = None) -> float:
@@ -181,11 +161,7 @@ def _known(value: float) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status, 2 for a user's mistake.
-
-    Args:
-        arguments: Those of the command line where None.
-    """
+    """Entry point; returns the exit status, 2 for a user's mistake."""
     parser = argparse.ArgumentParser(
         prog="python -m frictionzoo.export.read_bam",
         description="Print a BAM parameter file as options of python -m frictionzoo.run.",

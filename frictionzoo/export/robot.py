@@ -65,7 +65,7 @@ def put_into(
     found = {str(element.get("name")): element for element in root.iter("joint") if element.get("name")}
     columns = _match(path, joints, found, fitted)
     before = _compile(ET.tostring(root, encoding="unicode"), path)
-    _refuse_other_types(before, path, joints, fitted)
+    _refuse_other_types(before, path, joints, fitted.bench.joint_type)
     for name, column in zip(joints, columns, strict=True):
         if urdf:
             _write_dynamics(found[name], nearest, fitted.bench.own_damping, column)
@@ -82,12 +82,13 @@ def compare_torque(robot: Robot, fitted: Identified, nearest: Nearest, actuators
         robot: With the drive in it.
         fitted: The drive.
         nearest: What was put into the joints.
-        actuators: Whether it has the identified actuators.
+        actuators: Whether the robot has the identified actuators.
     """
     states = _pick_states(fitted)
     data, column = mujoco.MjData(robot.model), list(robot.column)
     expected = -(nearest.damping + fitted.bench.own_damping) * states.qvel + (states.motor_torque if actuators else 0.0)
-    came = [_torque_in(robot, data, _state_of(states, row, column), actuators) for row in range(len(expected))]
+    rows = [states.map(lambda signal, row=row: signal[row, column]) for row in range(len(expected))]
+    came = [_torque_in(robot, data, state, actuators) for state in rows]
     what = "actuator and damping" if actuators else "damping"
     over = f"{what} of {', '.join(robot.joints)} in {len(expected)} recorded states"
     return measure("torque", fitted, np.array(came), expected[:, column], over)
@@ -103,10 +104,6 @@ def _pick_states(fitted: Identified) -> DriveState:
     return samples._replace(ctrl=ctrl).map(lambda signal: np.asarray(signal)[::every])
 
 
-def _state_of(states: DriveState, row: int, column: Sequence[int]) -> DriveState:
-    return states.map(lambda signal: signal[row, column])
-
-
 def _torque_in(robot: Robot, data: mujoco.MjData, state: DriveState, actuators: bool) -> Float[np.ndarray, "joints"]:
     """Of the identified joints' actuators and dampers in one state."""
     model = robot.model
@@ -115,7 +112,8 @@ def _torque_in(robot: Robot, data: mujoco.MjData, state: DriveState, actuators: 
     mujoco.mj_resetData(model, data)
     data.qpos[model.jnt_qposadr[ids]], data.qvel[dof] = state.qpos, state.qvel
     for joint, ctrl in zip(ids, state.ctrl, strict=True):
-        for actuator in _actuators_of(model, joint) if actuators else ():
+        of_joint = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_trnid[:, 0] == joint)
+        for actuator in np.flatnonzero(of_joint) if actuators else ():
             data.ctrl[actuator] = ctrl
             if count := int(model.actuator_history[actuator, 0]):
                 times = model.opt.timestep * np.arange(-count, 0)
@@ -126,18 +124,12 @@ def _torque_in(robot: Robot, data: mujoco.MjData, state: DriveState, actuators: 
     return data.qfrc_damper[dof] + (data.qfrc_actuator[dof] if actuators else 0.0)
 
 
-def _actuators_of(model: mujoco.MjModel, joint: int) -> np.ndarray:
-    of_joint = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_trnid[:, 0] == joint)
-    return np.flatnonzero(of_joint)
-
-
 def _read(path: Path) -> tuple[ET.Element, bool]:
     try:
         root = ET.fromstring(path.read_bytes(), ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))
-    except OSError as error:
-        raise ConfigError(f"into={path}: {error.strerror}; expected an MJCF or URDF file; name one") from None
-    except ET.ParseError as error:
-        raise ConfigError(f"into={path}: not XML ({error}); expected an MJCF or URDF file; name one") from None
+    except (OSError, ET.ParseError) as error:
+        why = error.strerror if isinstance(error, OSError) else f"not XML ({error})"
+        raise ConfigError(f"into={path}: {why}; expected an MJCF or URDF file; name one") from None
     if root.tag not in ("mujoco", "robot"):
         raise ConfigError(f"into={path}: <{root.tag}>, expected <mujoco> (MJCF) or <robot> (URDF); name such a file")
     if root.find(".//include") is not None:
@@ -169,18 +161,15 @@ def _compile(text: str, path: Path) -> mujoco.MjModel:
         spec.modelfiledir = str(path.resolve().parent)
         return spec.compile()
     except ValueError as error:
-        raise ExportError(
-            f"into={path}: MuJoCo does not compile it ({' '.join(str(error).split())}); mend it"
-        ) from None
+        said = " ".join(str(error).split())
+        raise ExportError(f"into={path}: MuJoCo does not compile it ({said}); mend it") from None
 
 
-def _refuse_other_types(model: mujoco.MjModel, path: Path, joints: Sequence[str], fitted: Identified) -> None:
-    wanted = {"hinge": mujoco.mjtJoint.mjJNT_HINGE, "slide": mujoco.mjtJoint.mjJNT_SLIDE}[fitted.bench.joint_type]
+def _refuse_other_types(model: mujoco.MjModel, path: Path, joints: Sequence[str], kind: str) -> None:
     for name in joints:
-        if model.joint(name).type[0] != wanted:
+        if model.joint(name).type[0] != getattr(mujoco.mjtJoint, f"mjJNT_{kind.upper()}"):
             raise ExportError(
-                f"joint={name}: another type of joint in {path}, expected a {fitted.bench.joint_type} as the drive's; "
-                "name another"
+                f"joint={name}: another type of joint in {path}, expected a {kind} as the drive's; name another"
             )
 
 
@@ -214,9 +203,7 @@ def _write_actuator(root: ET.Element, joint: str, general: ET.Element, timestep:
     attributes = {key: value for key, value in general.attrib.items() if key not in ("name", "joint")}
     if "delay" in attributes:
         attributes["nsample"] = str(int(np.ceil(float(attributes["delay"]) / timestep)) + 2)
-    new = ET.Element("general", {**kept, "joint": joint, **_PLAIN, **attributes})
-    if old:
-        new.tail = old[0].tail
-        section[list(section).index(old[0])] = new
-    else:
-        section.append(new)
+    new = old[0] if old else ET.SubElement(section, "general")
+    tail = new.tail
+    new.clear()
+    new.tag, new.tail, new.attrib = "general", tail, {**kept, "joint": joint, **_PLAIN, **attributes}

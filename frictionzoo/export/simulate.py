@@ -7,9 +7,10 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import Signals
 from frictionzoo.result.identified import Identified
+
+PAYLOADS = "Payloads of recordings are left out; for the difference above they were put into the model."
 
 Step = Callable[[mujoco.MjModel, mujoco.MjData, Signals], None]
 """Advances a model by one time step under one sample of the commands and both laws' other inputs."""
@@ -35,7 +36,10 @@ def simulate(
     signals = fitted.acting(late=late)
     qpos = np.empty((segments.count, segments.length, fitted.bench.nv))
     for rollout in range(segments.count):
-        data = _begin(model, fitted, segments, rollout)
+        if segments.load is not None:
+            fitted.bench.put_load(model, segments.load[rollout])
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:] = segments.qpos[rollout, 0], segments.qvel[rollout, 0]
         prepare(model, data, rollout)
         for sample in range(segments.length):
             for substep in range(fitted.sampling.substeps):
@@ -45,11 +49,7 @@ def simulate(
 
 
 def step_with_control(fitted: Identified) -> Step:
-    """A step in which the caller computes the actuator law's controller, and MuJoCo does the rest.
-
-    Args:
-        fitted: The drive.
-    """
+    """A step in which the caller computes the actuator law's controller, and MuJoCo does the rest."""
     bench = fitted.bench
 
     def step(model: mujoco.MjModel, data: mujoco.MjData, signals: Signals) -> None:
@@ -61,20 +61,7 @@ def step_with_control(fitted: Identified) -> Step:
 
 
 def commands_before(fitted: Identified, rollout: int) -> Float[np.ndarray, "steps nv"]:
-    """The commands in the steps before a rollout's first state, the newest last; at least one.
-
-    Args:
-        fitted: The drive.
-        rollout: Number of the rollout.
-    """
+    """The commands in the steps before the first state of a rollout of this number, the newest last; at least one."""
     segments = fitted.segments
     known = segments.signals.ctrl[rollout, : max(segments.history, 1)]
     return np.repeat(known, fitted.sampling.substeps, axis=0)
-
-
-def _begin(model: mujoco.MjModel, fitted: Identified, segments: Segments, rollout: int) -> mujoco.MjData:
-    if segments.load is not None:
-        fitted.bench.put_load(model, segments.load[rollout])
-    data = mujoco.MjData(model)
-    data.qpos[:], data.qvel[:] = segments.qpos[rollout, 0], segments.qvel[rollout, 0]
-    return data

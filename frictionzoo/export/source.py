@@ -5,7 +5,7 @@ import inspect
 import math
 import numbers
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import FunctionType, ModuleType
 from typing import Any
@@ -39,23 +39,14 @@ class Source:
     attributes: dict[str, str] = field(default_factory=dict)
 
     def as_class(self, name: str, docstring: str) -> str:
-        """A class with these methods and attributes.
-
-        Args:
-            name: Of the class.
-            docstring: Its first line.
-        """
+        """A class of this name with these methods and attributes."""
         lines = [f"{key} = {value}" for key, value in self.attributes.items()]
         body = [f'"""{docstring}"""', *(["\n".join(lines)] if lines else []), *self.methods.values()]
         return f"class {name}:\n" + textwrap.indent("\n\n".join(body), 4 * " ") + "\n"
 
 
 def read_source(owner: Any, *methods: str) -> Source:
-    """What stands behind methods of an object, in numbers and Python over an array namespace.
-
-    Args:
-        owner: A friction law or an actuator law.
-        methods: Their names.
+    """What stands behind methods of a friction or an actuator law, in numbers and Python over an array namespace.
 
     Raises:
         ExportError: A method needs something that cannot be written down: another package, a closure, an object.
@@ -82,17 +73,10 @@ def merge(*sources: Source) -> Source:
 
 
 def write_values(values: Mapping[str, Float[np.ndarray, "..."]]) -> tuple[str, dict[str, np.ndarray]]:
-    """Values as the text of a dictionary over `np`, and those that are too large for it.
-
-    Args:
-        values: By name.
-    """
-    large = {name: np.asarray(value) for name, value in values.items() if np.size(value) > INLINE}
-    lines = [
-        f"    {name!r}: np.array({np.asarray(value).tolist()!r}),"
-        for name, value in values.items()
-        if name not in large
-    ]
+    """Values by name as the text of a dictionary over `np`, and those that are too large for it."""
+    arrays = {name: np.asarray(value) for name, value in values.items()}
+    large = {name: array for name, array in arrays.items() if array.size > INLINE}
+    lines = [f"    {name!r}: np.array({array.tolist()!r})," for name, array in arrays.items() if name not in large]
     return "\n".join(["{", *lines, "}"]), large
 
 
@@ -134,14 +118,9 @@ def _own_attributes(tree: ast.FunctionDef) -> set[str]:
     }
 
 
-def _names(tree: ast.FunctionDef) -> Iterator[str]:
-    """Names in a function's body; annotations are not evaluated."""
-    for statement in tree.body:
-        yield from (node.id for node in ast.walk(statement) if isinstance(node, ast.Name))
-
-
 def _add_globals(source: Source, function: FunctionType, tree: ast.FunctionDef) -> None:
-    for name in dict.fromkeys(_names(tree)):
+    body = (node for statement in tree.body for node in ast.walk(statement))  # annotations are not evaluated
+    for name in dict.fromkeys(node.id for node in body if isinstance(node, ast.Name)):
         if name not in function.__globals__ or name in source.functions or name in source.imports:
             continue
         value = function.__globals__[name]

@@ -9,61 +9,31 @@ from typing import ClassVar
 import numpy as np
 import torch
 
-from frictionzoo.core.output import write_atomically
-from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.export.base import Target, register_target
-from frictionzoo.export.graph import DTYPES, Graph, compare, example, inputs, limits, read_dtype
-from frictionzoo.export.written import Export
-from frictionzoo.models.base import FrictionModel
-from frictionzoo.result.identified import Identified
-
-FILE = "friction.pt"
-_DEPRECATED = (
-    "PyTorch calls TorchScript deprecated; simulators still load it. It is not Isaac Lab's actuator network, whose "
-    "inputs are a history of position errors and velocities and whose output is the motor's torque."
-)
+from frictionzoo.export.base import register_target
+from frictionzoo.export.graph import Graph, GraphFile
 
 
 @register_target("torchscript")
-class TorchScript(Target):
+class TorchScript(GraphFile):
     """The law alone, of any batch size and on any device, in one file with its weights."""
 
-    options: ClassVar[Mapping[str, str]] = {"dtype": "float64 or float32, of inputs and outputs"}
     packages: ClassVar[tuple[str, ...]] = ("torch",)
-    instant: ClassVar[bool] = True
+    file, runtime = "friction.pt", "torch.jit.load"
+    remarks = (
+        "PyTorch calls TorchScript deprecated; simulators still load it. It is not Isaac Lab's actuator network, whose "
+        "inputs are a history of position errors and velocities and whose output is the motor's torque.",
+    )
 
-    def write(self, fitted: Identified, folder: Path, options: Mapping[str, str]) -> Export:
-        """See `Target.write`."""
-        dtype = read_dtype(options)
-        write_atomically(folder / FILE, export_torchscript(fitted.model, dtype))
-        difference = compare(fitted, run_torchscript(folder / FILE, fitted.samples, dtype), "torch.jit.load")
-        return Export((FILE,), (difference,), (*limits(fitted.model), _DEPRECATED))
+    def serialise(self, graph: Graph, inputs: tuple[torch.Tensor, ...], names: tuple[str, ...]) -> bytes:
+        """See `GraphFile.serialise`."""
+        buffer = io.BytesIO()
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", r"`torch\.jit", DeprecationWarning)
+            torch.jit.save(torch.jit.trace(graph, inputs), buffer)
+        return buffer.getvalue()
 
-
-def export_torchscript(model: FrictionModel, dtype: str) -> bytes:
-    """The law as a serialised script module.
-
-    Args:
-        model: The law, holding its identified values.
-        dtype: `float64` or `float32`.
-    """
-    buffer = io.BytesIO()
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", r"`torch\.jit", DeprecationWarning)
-        traced = torch.jit.trace(Graph(model, DTYPES[dtype]), example(model, DTYPES[dtype]))
-        torch.jit.save(traced, buffer)
-    return buffer.getvalue()
-
-
-def run_torchscript(path: Path, samples: DriveState, dtype: str) -> FrictionTerms:
-    """What the file answers when it is loaded again.
-
-    Args:
-        path: The file.
-        samples: Arrays of shape (samples, nv).
-        dtype: Of the file.
-    """
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", r"`torch\.jit", DeprecationWarning)
-        loaded = torch.jit.load(path)
-    return FrictionTerms(*(np.asarray(term, np.float64) for term in loaded(**inputs(samples, DTYPES[dtype]))))
+    def run(self, path: Path, inputs: Mapping[str, torch.Tensor]) -> tuple[np.ndarray, ...]:
+        """See `GraphFile.run`."""
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", r"`torch\.jit", DeprecationWarning)
+            return tuple(map(np.asarray, torch.jit.load(path)(**inputs)))

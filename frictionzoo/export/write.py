@@ -4,7 +4,8 @@ import json
 import platform
 import shutil
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, replace
 from importlib import metadata
 from importlib.util import find_spec
@@ -19,6 +20,7 @@ from frictionzoo.core.params import UNITS
 from frictionzoo.export.base import get_target, read_number, target_names
 from frictionzoo.export.written import Export, Written
 from frictionzoo.result.identified import Identified
+from frictionzoo.show.terminal import align
 
 NOTE = "export.json"
 ALL = "all"
@@ -40,12 +42,41 @@ def write_exports(folder: Path, options: Mapping[str, str]) -> list[Written]:
     """
     names = _choose(options)
     fitted = Identified.load(folder)
-    output = Path(options["output"]) if "output" in options else folder / "export"
+    output = Path(options.get("output", folder / "export"))
     timestep = read_number(options, "timestep")
     if options["target"] != ALL:
         place = output if "output" in options else output / names[0]
         return [_write(fitted, names[0], place, timestep, options)]
-    return [_try(fitted, name, output / name, timestep, options) for name in names]
+    written = []
+    for name in names:
+        try:
+            written.append(_write(fitted, name, output / name, timestep, options))
+        except OutputError:
+            raise
+        except FrictionzooError as error:
+            written.append(Written(name, reason=str(error)))
+    return written
+
+
+def summarise_exports(written: Sequence[Written]) -> str:
+    """A table with one row a comparison, then what each target cannot represent, and where the files are."""
+    rows = [("target", "compared", "over", "largest difference", "mean", "limits", "")]
+    rows += [row for one in written for row in _list_rows(one)]
+    limits = [f"{one.target}: {limit}" for one in written if one.export for limit in one.export.limits]
+    reasons = [f"{one.target}: nothing written: {one.reason}" for one in written if one.export is None]
+    files = [f"files: {one.folder}" for one in written if one.folder]
+    return "\n\n".join("\n".join(block) for block in ([align(rows)], limits, reasons, files) if block)
+
+
+def _list_rows(one: Written) -> Iterator[tuple[str, ...]]:
+    if one.export is None:
+        yield one.target, "", "", "", "", "not written", ""
+        return
+    limits = str(len(one.export.limits) or "none")
+    for difference in one.export.differences:
+        compared, sizes = f"{difference.quantity} [{difference.unit}]", (difference.largest, difference.mean)
+        far = "far from the drive: by over a tenth of its own error" if one.is_far(difference) else ""
+        yield one.target, compared, difference.over, *(f"{size:.2g}" for size in sizes), limits, far
 
 
 def export_to(drive: Identified, target: str, path: Path, options: Mapping[str, str]) -> Written:
@@ -92,15 +123,6 @@ def _choose(options: Mapping[str, str]) -> list[str]:
     return names
 
 
-def _try(fitted: Identified, name: str, place: Path, timestep: float | None, options: Mapping[str, str]) -> Written:
-    try:
-        return _write(fitted, name, place, timestep, options)
-    except OutputError:
-        raise
-    except FrictionzooError as error:
-        return Written(name, reason=str(error))
-
-
 def _write(fitted: Identified, name: str, place: Path, timestep: float | None, options: Mapping[str, str]) -> Written:
     target = get_target(name)()
     for package in target.packages:
@@ -115,8 +137,10 @@ def _write(fitted: Identified, name: str, place: Path, timestep: float | None, o
     if "mujoco" in target.packages:
         moved.proof  # noqa: B018 - raises where MuJoCo would simulate something else than what was fitted
     own = {option: value for option, value in options.items() if option in target.options}
-    _refuse_foreign(place)
-    with _Folder(place) as fresh:
+    # An older export is replaced; anything else stays.
+    if place.exists() and (not place.is_dir() or (any(place.iterdir()) and not (place / NOTE).exists())):
+        raise OutputError(f"{place}: it holds something else than an export; set output to another folder")
+    with _take_place(place) as fresh:
         export = target.write(moved, fresh, own)
         export = Export(export.files, export.differences, (*export.limits, *_say_timestep(fitted, moved)))
         note = _note(moved, name, target.packages, export)
@@ -124,37 +148,29 @@ def _write(fitted: Identified, name: str, place: Path, timestep: float | None, o
     return Written(name, place, export, error=fitted.result["metrics"]["test"]["position_mae"])
 
 
-class _Folder:
+@contextmanager
+def _take_place(place: Path) -> Iterator[Path]:
     """An empty folder that takes its place, with all that is in it, only if nothing went wrong."""
-
-    def __init__(self, place: Path) -> None:
-        self._place = place
-
-    def __enter__(self) -> Path:
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        fresh = Path(tempfile.mkdtemp(prefix=f".{place.name}.", dir=place.parent))
+        fresh.chmod(0o755)
+    except OSError as error:
+        raise _no_folder(place, error) from error
+    try:
+        yield fresh
         try:
-            self._place.parent.mkdir(parents=True, exist_ok=True)
-            self._fresh = Path(tempfile.mkdtemp(prefix=f".{self._place.name}.", dir=self._place.parent))
-            self._fresh.chmod(0o755)
+            if place.exists():
+                shutil.rmtree(place)
+            fresh.rename(place)
         except OSError as error:
-            raise OutputError(f"{self._place}: {error.strerror}; set output to a folder that can be written") from error
-        return self._fresh
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        try:
-            if kind is None:
-                if self._place.exists():
-                    shutil.rmtree(self._place)
-                self._fresh.rename(self._place)
-        except OSError as error:
-            raise OutputError(f"{self._place}: {error.strerror}; set output to a folder that can be written") from error
-        finally:
-            shutil.rmtree(self._fresh, ignore_errors=True)
+            raise _no_folder(place, error) from error
+    finally:
+        shutil.rmtree(fresh, ignore_errors=True)
 
 
-def _refuse_foreign(place: Path) -> None:
-    """An older export is replaced; anything else stays."""
-    if place.exists() and (not place.is_dir() or (any(place.iterdir()) and not (place / NOTE).exists())):
-        raise OutputError(f"{place}: it holds something else than an export; set output to another folder")
+def _no_folder(place: Path, error: OSError) -> OutputError:
+    return OutputError(f"{place}: {error.strerror}; set output to a folder that can be written")
 
 
 def _say_timestep(fitted: Identified, moved: Identified) -> list[str]:
