@@ -18,11 +18,6 @@ def write_figures(folder: Path, comparison: Comparison, runs: Sequence[Run]) -> 
 
     A figure with nothing to show, such as parameters where no run has any, is not written, and an older one removed.
 
-    Args:
-        folder: Where to write them.
-        comparison: The runs side by side.
-        runs: The same runs with their curves.
-
     Raises:
         OutputError: They cannot be written.
     """
@@ -33,12 +28,7 @@ def write_figures(folder: Path, comparison: Comparison, runs: Sequence[Run]) -> 
 
 
 def arrange(comparison: Comparison, runs: Sequence[Run]) -> dict[str, Sheet]:
-    """What is drawn on which file; a sheet without figures has nothing to show.
-
-    Args:
-        comparison: The runs side by side.
-        runs: The same runs with their curves.
-    """
+    """What is drawn on which file; a sheet without figures has nothing to show."""
     drawn, evaluation, joints = plot_comparison(comparison, runs), comparison["evaluation"], len(comparison["joints"])
     data = f"{comparison['data']['name']} ({'simulated' if comparison['data']['simulated'] else 'real'} data)"
     fits = f"Fits to the training part of {data}\nred: the best iteration and what it identified"
@@ -46,9 +36,8 @@ def arrange(comparison: Comparison, runs: Sequence[Run]) -> dict[str, Sheet]:
     window = f"moving mean and standard deviation over {runs[0].result['evaluation']['window']:g} s"
     short = f"{evaluation['rollouts']} rollouts of {evaluation['horizon']:g} s, {data}"
     long = f"Mean over {evaluation['long_rollouts']} rollouts of the test part of {data}"
-    local = (
-        f"{sum(comparison['by_speed']['windows'])} short rollouts over the test part of {data}, in bins of equal number"
-    )
+    windows = sum(comparison["by_speed"]["windows"])
+    local = f"{windows} short rollouts over the test part of {data}, in bins of equal number"
     friction = f"Friction identified from {data}\nband: 10 % to 90 % of recorded states, where friction depends on more"
     names = max((len(figure.panels[0].marks) // 2 for figure in drawn["parameters"]), default=0)
     rows = (drawn["mae"][0].height or 0) / PIXELS

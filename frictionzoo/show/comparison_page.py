@@ -33,40 +33,33 @@ VERDICTS = {"better": "better", "noise": "within noise", "worse": "worse"}
 
 
 def write_page(path: Path, comparison: Comparison, runs: Sequence[Run]) -> None:
-    """Write the page of a comparison.
-
-    Args:
-        path: The file; it links to what lies beside it and to the reports of the runs.
-        comparison: The runs side by side.
-        runs: The same runs with their curves.
+    """Write the page of a comparison into this file; it links to what lies beside it and to the runs' reports.
 
     Raises:
         OutputError: It cannot be written.
     """
-    labels = [entry["label"] for entry in comparison["runs"]]
+    looks = choose_looks(entry["label"] for entry in comparison["runs"])
     named = {run.label: run for run in runs}
-    ranked = [named[label] for label in labels]
-    looks = choose_looks(labels)
+    ranked = [named[label] for label in looks]
     rows = [_describe(i, run, comparison, looks[run.label], path.parent) for i, run in enumerate(ranked)]
-    checks = list(check_comparison(comparison, ranked))
+    best = next((row for row in rows if row["recommended"]), None)
     # In the order of the page; the parameters of each run by themselves, under its place in the ranking.
     sections = {str(i): plot_run(run.result, run.curves)["history"] for i, run in enumerate(ranked)}
     sections |= {name: drawn for name, drawn in plot_comparison(comparison, runs).items() if name != "parameters"}
     page = render_page(
         "show/comparison.html.jinja",
         sections,
+        list(check_comparison(comparison, ranked)),
         POINTS,
         comparison=comparison,
         rows=rows,
         joints=tuple(comparison["joints"]),
         matters=MATTERS,
-        recommended=next((row for row in rows if row["recommended"]), None),
-        checks=checks,
-        doubts=sum(check.state in ("caution", "bad") for check in checks),
+        recommended=best,
         parameters=list(_list_parameters(comparison["runs"])),
         folded=len(comparison["differences"]) > LONG,
         files=_list_files(path.parent),
-        state={"labels": labels, "selected": next((row["index"] for row in rows if row["recommended"]), 0)},
+        state={"labels": [*looks], "selected": best["index"] if best else 0},
         version=__version__,
     )
     write_atomically(path, page)
@@ -78,7 +71,7 @@ def _describe(index: int, run: Run, comparison: Comparison, look: Look, folder: 
     recommendation = comparison["recommendation"]
     pairs = {(pair["run"], pair["other"]): pair for pair in comparison["pairs"]}
     pair = pairs.get((run.label, comparison["runs"][0]["label"]))
-    report = run.folder / "report.html"
+    report = (run.folder / "report.html").resolve()
     return {
         "index": index,
         "label": run.label,
@@ -97,18 +90,14 @@ def _describe(index: int, run: Run, comparison: Comparison, look: Look, folder: 
         "method": str(METHODS.get(entry["fit"]["method"], entry["fit"]["method"])).removeprefix("The "),
         "stopped": STOPPED.get(entry["fit"]["stopped"], entry["fit"]["stopped"]),
         "timing": list_timing(entry["timing"]),
-        "doubts": [check for check in _check_run(run) if check.state in ("caution", "bad")],
-        "report": _link(report, folder) if report.exists() else None,
+        "doubts": _doubt(run),
+        # Quoted, so that no name of a folder is read as a scheme, a query or a fragment.
+        "report": quote(Path(os.path.relpath(report, folder.resolve())).as_posix()) if report.exists() else None,
     }
 
 
-def _check_run(run: Run) -> list[Check]:
-    return list(check_result(run.result, run.curves.history))
-
-
-def _link(target: Path, folder: Path) -> str:
-    """A relative address; quoted, so that no name of a folder is read as a scheme, a query or a fragment."""
-    return quote(Path(os.path.relpath(target.resolve(), folder.resolve())).as_posix())
+def _doubt(run: Run) -> list[Check]:
+    return [check for check in check_result(run.result, run.curves.history) if check.doubtful]
 
 
 def _list_errors(entry: RunRow) -> Iterator[dict[str, Any]]:
@@ -122,13 +111,11 @@ def _list_errors(entry: RunRow) -> Iterator[dict[str, Any]]:
 
 def _list_parameters(entries: Sequence[RunRow]) -> Iterator[dict[str, Any]]:
     """Rows of the table of all parameters, those of most runs first."""
-    keys = [(p["owner"], p["name"], p["unit"]) for entry in entries for p in entry["parameters"]]
-    for owner, name, unit in sorted(dict.fromkeys(keys), key=lambda key: -keys.count(key)):
-        values = [
-            next((p for p in entry["parameters"] if (p["owner"], p["name"], p["unit"]) == (owner, name, unit)), None)
-            for entry in entries
-        ]
-        yield {"owner": owner, "name": name, "unit": unit, "values": values}
+    held = [{(p["owner"], p["name"], p["unit"]): p for p in entry["parameters"]} for entry in entries]
+    keys = [key for parameters in held for key in parameters]
+    for key in sorted(dict.fromkeys(keys), key=lambda key: -keys.count(key)):
+        values = [parameters.get(key) for parameters in held]
+        yield dict(zip(("owner", "name", "unit"), key, strict=True)) | {"values": values}
 
 
 def _list_files(folder: Path) -> dict[str, str]:
@@ -139,14 +126,10 @@ def _list_files(folder: Path) -> dict[str, str]:
 
 
 def check_comparison(comparison: Comparison, runs: Sequence[Run]) -> Iterator[Check]:
-    """What speaks for the ranking and what against it.
-
-    Args:
-        comparison: The runs side by side.
-        runs: The same runs with their curves, best first.
-    """
-    if comparison["failures"]:
-        yield _check_failures(comparison)
+    """What speaks for the ranking and what against it; `runs` are the same with their curves, best first."""
+    if failed := len(comparison["failures"]):
+        text = f"{failed} of {failed + len(comparison['runs'])} jobs left no result; their reasons are named."
+        yield Check("bad", "Failed jobs", text)
     yield _check_order(comparison)
     yield _check_rollouts(comparison["evaluation"])
     yield check_held_out(comparison["data"])
@@ -157,12 +140,6 @@ def check_comparison(comparison: Comparison, runs: Sequence[Run]) -> Iterator[Ch
     yield _check_fits(runs)
     yield _check_differences(comparison["differences"])
     yield check_origin(comparison["data"])
-
-
-def _check_failures(comparison: Comparison) -> Check:
-    failed = len(comparison["failures"])
-    text = f"{failed} of {failed + len(comparison['runs'])} jobs left no result; their reasons are named."
-    return Check("bad", "Failed jobs", text)
 
 
 def _check_order(comparison: Comparison) -> Check:
@@ -192,17 +169,16 @@ def _check_rollouts(evaluation: RolloutsRow) -> Check:
 
 
 def _check_divergence(comparison: Comparison) -> Check:
-    lost = [entry for entry in comparison["runs"] if entry["test"]["diverged"] or entry["train"]["diverged"]]
+    lost = {}
+    for entry in comparison["runs"]:
+        counts = [f"{entry[part]['diverged']} of {entry[part]['rollouts']} on {part}" for part in ("test", "train")]
+        if entry["test"]["diverged"] or entry["train"]["diverged"]:
+            lost[entry["label"]] = f"{entry['label']} ({', '.join(counts)})"
     if not lost:
         return Check("good", "Stability", "All train and test rollouts of all runs stayed finite and count.")
-    counts = [
-        f"{entry['label']} ({entry['test']['diverged']} of {entry['test']['rollouts']} on test, "
-        f"{entry['train']['diverged']} of {entry['train']['rollouts']} on train)"
-        for entry in lost
-    ]
     chosen = (comparison["recommendation"] or {}).get("run")
-    state = "bad" if chosen is None or chosen in [entry["label"] for entry in lost] else "caution"
-    return Check(state, "Stability", f"Rollouts diverged, and are left out of the errors, of {_name(counts)}.")
+    text = f"Rollouts diverged, and are left out of the errors, of {_name([*lost.values()])}."
+    return Check("bad" if chosen is None or chosen in lost else "caution", "Stability", text)
 
 
 def _check_bounds(entries: Sequence[RunRow]) -> Check:
@@ -212,18 +188,13 @@ def _check_bounds(entries: Sequence[RunRow]) -> Check:
         if (names := [parameter["name"] for parameter in entry["parameters"] if parameter["at_bound"]])
     ]
     if ended:
-        return Check(
-            "caution", "Bounds", f"Parameters ended at a bound in {_name(ended)}. Widen it or doubt the model."
-        )
+        text = f"Parameters ended at a bound in {_name(ended)}. Widen it or doubt the model."
+        return Check("caution", "Bounds", text)
     return Check("good", "Bounds", "No identified parameter of any run ended at a bound.")
 
 
 def _check_fits(runs: Sequence[Run]) -> Check:
-    doubtful = [
-        run.label
-        for run in runs
-        if any(check.title == "Fit" and check.state in ("caution", "bad") for check in _check_run(run))
-    ]
+    doubtful = [run.label for run in runs if any(check.title == "Fit" for check in _doubt(run))]
     if doubtful:
         text = f"The fit of {_name(doubtful)} may not have reached its optimum: select the run to read why."
         return Check("caution", "Fits", text)

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from frictionzoo.comparison.runs import Run
 from frictionzoo.comparison.statistics import MATTERS
@@ -46,11 +46,7 @@ Look = Mapping[str, Any]
 
 
 def choose_looks(labels: Iterable[str]) -> dict[str, Look]:
-    """How each run is drawn.
-
-    Args:
-        labels: Of the runs, best first.
-    """
+    """How each run is drawn, by label; the best comes first."""
     return {
         label: {"name": label, "run": i, "color": RUNS[i % len(RUNS)], "dash": DASHES[i % len(DASHES)]}
         for i, label in enumerate(labels)
@@ -58,12 +54,7 @@ def choose_looks(labels: Iterable[str]) -> dict[str, Look]:
 
 
 def plot_comparison(comparison: Comparison, runs: Sequence[Run]) -> dict[str, list[Figure]]:
-    """All that is drawn of several runs, by name; nothing under one where there is nothing to show.
-
-    Args:
-        comparison: The runs side by side.
-        runs: The same runs with their curves.
-    """
+    """All that is drawn of several runs, by name; nothing under one where there is nothing to show."""
     named = {run.label: run for run in runs}
     ranked = [named[entry["label"]] for entry in comparison["runs"]]
     speed = Axis("mean absolute speed", comparison["velocity_unit"])
@@ -93,9 +84,9 @@ def _numbers(values: Iterable[float | None]) -> Float[np.ndarray, "values"]:
 
 
 def _plot_parameters(comparison: Comparison, runs: Sequence[Run]) -> Iterator[Figure]:
-    """Figure 3, a figure for each run and joint: identified parameters over the iterations of its fit.
+    """Figure 3, a figure for each run with parameters and each joint: these over the iterations of the fit.
 
-    Of a grid search, the combinations that were better than all before are drawn as points. None without parameters.
+    Of a grid search, the combinations that were better than all before are drawn as points.
     """
     joints, looks = comparison["joints"], _looks(comparison)
     for run in (run for run in runs if _identified(run)):
@@ -116,7 +107,9 @@ def _draw_parameters(run: Run, joint: int, color: str) -> list[Mark]:
     """The parameters of one joint, a line each, and what the fit reports."""
     history, fit = run.curves.history, run.result["fit"]
     grid, best = fit["method"] == "grid", float(fit["best_iteration"])
-    shown = _improvements(history["loss"]) if grid else slice(None)
+    loss = np.where(np.isnan(history["loss"]), np.inf, history["loss"])
+    better = np.flatnonzero(loss < np.concatenate([[np.inf], np.minimum.accumulate(loss)[:-1]]))
+    shown = better if grid else slice(None)
     iteration = history["iteration"][shown].astype(np.float64)
     marks: list[Mark] = [Stripe(low=best, high=best, color=BEST, dash=(4.0, 3.0))]
     for i, (name, parameter) in enumerate(_identified(run).items()):
@@ -136,22 +129,14 @@ def _identified(run: Run) -> dict[str, ParameterRow]:
     return {key: value for key, value in parameters.items() if value["identified"] and key in run.curves.history}
 
 
-def _improvements(loss: Float[np.ndarray, "iterations"]) -> Int[np.ndarray, "improvements"]:
-    """Combinations with a lower loss than all before."""
-    loss = np.where(np.isnan(loss), np.inf, loss)
-    return np.flatnonzero(loss < np.concatenate([[np.inf], np.minimum.accumulate(loss)[:-1]]))
-
-
 def _plot_trajectories(comparison: Comparison, runs: Sequence[Run]) -> Iterator[Figure]:
     """Figure 4, a figure a joint: measured and simulated position above velocity in the first long test rollout."""
     drives, timestep = _list_drives(comparison, runs), comparison["data"]["timestep"]
     duration = timestep * (runs[0].curves.measured_qpos.shape[1] - 1)
     for joint, name in enumerate(comparison["joints"]):
         panels = draw_motion(drives, joint, timestep, (comparison["unit"], comparison["velocity_unit"]))
-        text = (
-            f"Measured and simulated position and velocity of joint {name} over {duration:g} s of test data, all "
-            f"{len(runs)} runs under the same command."
-        )
+        text = f"Measured and simulated position and velocity of joint {name} over {duration:g} s of test data, all "
+        text += f"{len(runs)} runs under the same command."
         yield Figure(f"Trajectory of {name}", text, panels, time=True)
 
 
@@ -163,10 +148,8 @@ def _list_drives(comparison: Comparison, runs: Sequence[Run]) -> list[Drive]:
 def _plot_error(comparison: Comparison, runs: Sequence[Run]) -> Figure:
     """Figure 5: absolute position error in the first long test rollout, moving mean and +- one standard deviation."""
     window = runs[0].result["evaluation"]["window"]
-    text = (
-        f"Moving mean over {window:g} s of the absolute position error in the same rollout; for the selected run the "
-        "band of one standard deviation around it."
-    )
+    text = f"Moving mean over {window:g} s of the absolute position error in the same rollout; for the selected run "
+    text += "the band of one standard deviation around it."
     panel = draw_errors(_list_drives(comparison, runs), comparison["data"]["timestep"], window, comparison["unit"])
     return Figure("Error over time", text, (panel,), time=True)
 
@@ -191,7 +174,7 @@ def _plot_errors(comparison: Comparison) -> Figure:
         f"From {format_number(entries[0]['test']['position_mae'])} of {labels[0]} to "
         f"{format_number(entries[-1]['test']['position_mae'])} of {labels[-1]}."
     )
-    return Figure("Error of each run", text, (Panel(marks, x, _make_rows(labels)),), height=_height(labels))
+    return _arrange_rows("Error of each run", text, marks, x, labels)
 
 
 def _say_error(metrics: MetricsRow) -> str:
@@ -208,14 +191,11 @@ def _limit(sizes: Float[np.ndarray, "rows"], widest: float) -> float:
     return float(sizes[sizes <= widest * sizes[(len(sizes) - 1) // 2]][-1]) if len(sizes) else 1.0
 
 
-def _make_rows(labels: Sequence[str]) -> Axis:
+def _arrange_rows(title: str, text: str, marks: Sequence[Mark], x: Axis, labels: Sequence[str]) -> Figure:
     """A row a run, the best at the top."""
-    return Axis(ticks=tuple(labels), limits=(len(labels) - 0.4, -0.6))
-
-
-def _height(labels: Sequence[str]) -> int:
+    y = Axis(ticks=tuple(labels), limits=(len(labels) - 0.4, -0.6))
     row = max(ROW, LINE * max(len(wrap(label, 28)) for label in labels))
-    return 110 + row * max(3, len(labels))
+    return Figure(title, text, (Panel(marks, x, y),), height=110 + row * max(3, len(labels)))
 
 
 def _plot_differences(comparison: Comparison) -> Figure:
@@ -239,17 +219,14 @@ def _plot_differences(comparison: Comparison) -> Figure:
     low, high = (np.array([0.0, *_numbers(pair[end] for pair in pairs.values())]) for end in ("low", "high"))
     limit = _limit(np.maximum(-low, high), FRAME)
     limits = 1.1 * max(-limit, min(np.nanmin(low), -0.1 * limit)), 1.1 * limit
-    panel = Panel(marks, Axis("position MAE above that of the best", unit, limits=limits), _make_rows(labels))
-    return Figure("How sure is the order?", text, (panel,), height=_height(labels))
+    above = Axis("position MAE above that of the best", unit, limits=limits)
+    return _arrange_rows("How sure is the order?", text, marks, above, labels)
 
 
 def _say_difference(pair: PairRow) -> str:
-    ends = pair["mean"], pair["low"], pair["high"]
-    known = [format_digits(end, 2) for end in ends if end is not None]
-    if len(known) < len(ends):
-        return f"diverged, {pair['verdict']}"
-    mean, low, high = known
-    return f"{mean} [{low}, {high}], {pair['verdict']}"
+    known = [format_digits(end, 2) for end in (pair["mean"], pair["low"], pair["high"]) if end is not None]
+    said = f"{known[0]} [{known[1]}, {known[2]}]" if len(known) == 3 else "diverged"
+    return f"{said}, {pair['verdict']}"
 
 
 def _plot_by_horizon(comparison: Comparison) -> Figure:
@@ -263,9 +240,8 @@ def _plot_by_horizon(comparison: Comparison) -> Figure:
 def _plot_by_bin(comparison: Comparison, section: Literal["by_speed", "by_load"], title: str, axis: Axis) -> Figure:
     """The error of short test rollouts against the speed or the load that was measured in them."""
     windows = comparison[section]["windows"]
-    text = f"Position error of {sum(windows)} short test rollouts in {len(windows)} bins of the {axis.label}, each "
-    text += "with as many."
-    return Figure(title, text, (_draw_errors_over(comparison, section, axis, "circle"),))
+    text = f"Position error of {sum(windows)} short test rollouts in {len(windows)} bins of the {axis.label}, each with"
+    return Figure(title, f"{text} as many.", (_draw_errors_over(comparison, section, axis, "circle"),))
 
 
 def _draw_errors_over(
@@ -292,10 +268,8 @@ def _plot_friction(comparison: Comparison) -> Iterator[Figure]:
                 marks.append(Band(x=velocity, low=low, high=high, **look))
             marks.append(Curve(x=velocity, y=torque, **look))
         x, y = Axis("velocity", comparison["velocity_unit"]), Axis("friction", comparison["torque_unit"])
-        text = (
-            f"Torque of each run's friction law at joint {name}, opposing the velocity. Where it depends on more than "
-            "the velocity, the curve is the median over recorded states and the band holds 80 % of them."
-        )
+        text = f"Torque of each run's friction law at joint {name}, opposing the velocity. Where it depends on more "
+        text += "than the velocity, the curve is the median over recorded states and the band holds 80 % of them."
         yield Figure(f"Friction of {name}", text, (Panel(marks, x, y),))
 
 
@@ -304,32 +278,28 @@ def _plot_autocorrelation(comparison: Comparison) -> Figure:
     section = comparison["autocorrelation"]
     lag, band = _numbers(section["lag"]), section["band"]
     noise = {"level": True, "name": "white noise, 95 %", "color": SOFT, "opacity": 0.3}
-    marks: list[Mark] = [Stripe(low=-band, high=band, **noise)]
-    for label, look in _looks(comparison).items():
-        marks.append(Curve(x=lag, y=_numbers(section["coefficient"][label]), **look))
-    text = (
-        f"What one error tells about the next: a law that explains everything leaves white noise, within the grey band "
-        f"(±{band:.2g}). Mean over {comparison['evaluation']['long_rollouts']} long test rollouts."
-    )
+    left = ((look, section["coefficient"][label]) for label, look in _looks(comparison).items())
+    curves = [Curve(x=lag, y=_numbers(coefficient), **look) for look, coefficient in left]
+    text = "What one error tells about the next: a law that explains everything leaves white noise, within the grey "
+    text += f"band (±{band:.2g}). Mean over {comparison['evaluation']['long_rollouts']} long test rollouts."
+    marks = [Stripe(low=-band, high=band, **noise), *curves]
     panel = Panel(marks, Axis("lag", "s"), Axis("autocorrelation of the error", "1"))
     return Figure("Structure left in the error", text, (panel,))
 
 
 def _plot_loss(comparison: Comparison, runs: Sequence[Run]) -> Figure:
     """The training loss of every fit, its reported iteration marked."""
-    marks: list[Mark] = []
+    marks: list[Curve] = []
     looks = _looks(comparison)
-    losses: list[np.ndarray] = []
     for run in runs:
         fit, history, look = run.result["fit"], run.curves.history, looks[run.label]
         iteration, loss = history["iteration"].astype(np.float64), history["loss"]
         loss = np.fmin.accumulate(loss) if fit["method"] == "grid" else loss
-        losses.append(loss)
         at = iteration == fit["best_iteration"]
         marks.append(Curve(x=iteration, y=loss, **look))
         marks.append(Curve(x=iteration[at], y=loss[at], **{**REPORTED, **look, "name": ""}))
     text = "Training loss over the iterations, the reported one marked; of a grid search the lowest so far."
     if any(entry["option"].startswith(("loss.", "segments.")) for entry in comparison["differences"]):
         text += " Runs with other segments or another loss cannot be compared here."
-    y = scale_values("training loss", "", np.concatenate(losses), apart=10.0)
+    y = scale_values("training loss", "", np.concatenate([mark.y for mark in marks]), apart=10.0)
     return Figure("Loss of all fits", text, (Panel(marks, Axis("iteration"), y),))

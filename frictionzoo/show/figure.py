@@ -264,13 +264,9 @@ def scale_errors(
 
 
 def scale_values(label: str, unit: str, values: Float[np.ndarray, "values"], apart: float) -> Axis:
-    """An axis for values: logarithmic where they are positive and the largest is so many times the smallest.
+    """An axis for values: logarithmic where they are positive and the largest is `apart` times the smallest.
 
-    Args:
-        label: What they are.
-        unit: Their unit.
-        values: All of them, NaN and infinities left out.
-        apart: The ratio.
+    NaN and infinities do not count.
     """
     finite = values[np.isfinite(values)]
     low, high = finite.min(initial=np.inf), finite.max(initial=0.0)

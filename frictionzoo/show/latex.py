@@ -25,12 +25,10 @@ RECOMMENDED, NOISE, NONE = r"$^{\ast}$", r"$^{\dagger}$", "--"
 
 
 def tabulate_latex(comparison: Comparison) -> str:
-    r"""Table of the runs' errors: a `table` to be read by `\input`, for a document that loads `booktabs`.
-
-    Args:
-        comparison: The runs side by side.
-    """
-    exponent = _choose_exponent(comparison)
+    r"""Table of the runs' errors: a `table` to be read by `\input`, for a document that loads `booktabs`."""
+    # A power of ten, a multiple of 3, that leaves the lowest test error between 1 and 1000.
+    lowest = min((error for run in comparison["runs"] if (error := run["test"]["position_mae"])), default=1.0)
+    exponent = 3 * math.floor(math.log10(lowest) / 3)
     rows = [_tabulate_run(run, exponent, comparison) for run in comparison["runs"]]
     unit = rf"$10^{{{exponent}}}$ {comparison['unit']}" if exponent else comparison["unit"]
     lines = [
@@ -55,20 +53,9 @@ def tabulate_latex(comparison: Comparison) -> str:
 
 
 def escape(text: str) -> str:
-    """A user's text as LaTeX sets it: no character has another meaning, and all is on one line.
-
-    Args:
-        text: Any text.
-    """
+    """A user's text as LaTeX sets it: no character has another meaning, and all is on one line."""
     line = " ".join(text.split())
     return "".join(filter(str.isprintable, line)).translate(SPECIAL)
-
-
-def _choose_exponent(comparison: Comparison) -> int:
-    """The power of ten, a multiple of 3, that leaves the lowest test error between 1 and 1000."""
-    errors = [run["test"]["position_mae"] for run in comparison["runs"]]
-    lowest = min((error for error in errors if error), default=1.0)
-    return 3 * math.floor(math.log10(lowest) / 3)
 
 
 def _tabulate_run(run: RunRow, exponent: int, comparison: Comparison) -> str:
@@ -92,10 +79,8 @@ def _mark(label: str, comparison: Comparison) -> str:
     chosen = comparison["recommendation"]
     if chosen is None:
         return ""
-    close = [
-        pair["run"] for pair in comparison["pairs"] if (pair["other"], pair["verdict"]) == (chosen["best"], "noise")
-    ]
-    return (NOISE if label in close else "") + (RECOMMENDED if label == chosen["run"] else "")
+    close = {(pair["run"], pair["other"]) for pair in comparison["pairs"] if pair["verdict"] == "noise"}
+    return (NOISE if (label, chosen["best"]) in close else "") + (RECOMMENDED if label == chosen["run"] else "")
 
 
 def _scale(error: float | None, exponent: int) -> str:
@@ -131,11 +116,10 @@ def _notes(comparison: Comparison) -> list[str]:
         for part in ("train", "test")
         if run[part]["diverged"]
     ]
-    failed = [
-        f"{escape(failure['run'])}{' (' + escape(failure['model']) + ')' if failure['model'] else ''}: "
-        f"{escape(failure['reason'])}"
-        for failure in comparison["failures"]
-    ]
+    failed = []
+    for failure in comparison["failures"]:
+        law = f" ({escape(failure['model'])})" if failure["model"] else ""
+        failed.append(f"{escape(failure['run'])}{law}: {escape(failure['reason'])}")
     doubted = [escape(comparison["reference_doubt"])] if comparison["reference_doubt"] else []
     notes = {"Rollouts that diverged, and are left out": lost, "No result": failed, "Change": doubted}
     return [f"{title}: {'; '.join(entries)}." for title, entries in notes.items() if entries]

@@ -24,21 +24,33 @@ class Check:
         state: `good`, `note`, `caution` or `bad`.
         title: What was looked at.
         text: What was seen, in plain sentences.
+        option: What to add to the command line; None where nothing is to be added.
     """
 
     state: str
     title: str
     text: str
+    option: str | None = None
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether it is a reason to doubt."""
+        return self.state in ("caution", "bad")
 
 
 def render_page(
-    template: str, sections: Mapping[str, Sequence[Figure]], points: int = with_plotly.POINTS, **content: Any
+    template: str,
+    sections: Mapping[str, Sequence[Figure]],
+    checks: Sequence[Check],
+    points: int = with_plotly.POINTS,
+    **content: Any,
 ) -> bytes:
     """One self-contained page.
 
     Args:
         template: Its file, relative to the package; it extends `show/page.html.jinja`.
         sections: Figures by the name that the template has for them.
+        checks: Why to trust it, and why not.
         points: At most so many of each curve.
         content: What else the template names: the program's `version`; `state` is handed to the page's script.
     """
@@ -52,6 +64,8 @@ def render_page(
             # Number of the first figure of each section.
             first={name: sum(len(drawn[before]) for before in names[:i]) for i, name in enumerate(names)},
             figures=[figure for figures in drawn.values() for figure in figures],
+            checks=checks,
+            doubts=sum(check.doubtful for check in checks),
             dark=DARK,
             plotly=get_plotlyjs().replace("</script", "<\\/script"),
             **{"state": {}} | content,

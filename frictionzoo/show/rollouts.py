@@ -48,15 +48,10 @@ class Drive:
 
 
 def draw_motion(drives: Sequence[Drive], joint: int, timestep: float, units: Sequence[str]) -> tuple[Panel, Panel]:
-    """Measured and simulated position of one joint above its velocity.
+    """Measured and simulated position of one joint above its velocity, in these units.
 
-    Paper magnifies the stretch where the drives are furthest apart, those without friction not counted.
-
-    Args:
-        drives: Under the same command, the one to be seen whole first.
-        joint: Which.
-        timestep: Of the samples [s].
-        units: Of position and velocity.
+    Paper magnifies the stretch where the drives are furthest apart, those without friction not counted. The drives
+    are under the same command, in samples of `timestep` [s]; the first is to be seen whole.
     """
     panels: list[Panel] = []
     for (signal, quantity, share), unit in zip(_SIGNALS, units, strict=True):
@@ -73,13 +68,9 @@ def draw_motion(drives: Sequence[Drive], joint: int, timestep: float, units: Seq
 
 
 def draw_errors(drives: Sequence[Drive], timestep: float, window: float, unit: str) -> Panel:
-    """Moving mean and +- one standard deviation of the absolute position error.
+    """Mean over a moving window [s] and +- one standard deviation of the absolute position error.
 
-    Args:
-        drives: Under the same command.
-        timestep: Of the samples [s].
-        window: Length of the moving window [s].
-        unit: Of the position.
+    The drives are under the same command, in samples of `timestep` [s]; `unit` is that of the position.
     """
     marks: list[Mark] = []
     means, tops = [], []
@@ -113,9 +104,7 @@ def _over(duration: float) -> Axis:
 
 
 def _magnify(
-    time: Float[np.ndarray, "states"],
-    measured: Float[np.ndarray, "states"],
-    curves: Sequence[Float[np.ndarray, "states"]],
+    time: np.ndarray, measured: np.ndarray, curves: Sequence[np.ndarray]
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Limits of both axes of the stretch where curves that stay in sight to the end are furthest apart."""
     sight = np.ptp(measured) or 1.0

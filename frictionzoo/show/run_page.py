@@ -19,6 +19,7 @@ from frictionzoo.show.text import format_change, format_number, format_unit
 OVERFIT = 1.5  # ratio of test to train error from which the page asks for caution
 FALLING = 0.01  # share of the loss that the last tenth of the iterations may still take off
 METHODS = {"adam": "Adam", "lm": "Levenberg-Marquardt", "grid": "The grid search", "known": "Known values"}
+_DIVERGED = "Lower its step or start from other values."
 FILES = {  # what else a run leaves behind, by path beside the page
     "result.json": "every number of this page, for programs",
     "identified.xml": "the test stand with the identified drive, for MuJoCo",
@@ -36,25 +37,18 @@ FILES = {  # what else a run leaves behind, by path beside the page
 
 
 def write_report(path: Path, result: Result, curves: Curves) -> None:
-    """Write the page of a run.
-
-    Args:
-        path: The file, in the run's folder, to whose other files the page links.
-        result: What `result.json` holds.
-        curves: What `curves.safetensors` holds.
+    """Write the page of a run into this file in the run's folder, to whose other files the page links.
 
     Raises:
         OutputError: It cannot be written.
     """
-    checks = list(check_result(result, curves.history))
     page = render_page(
         "show/run.html.jinja",
         plot_run(result, curves),
+        list(check_result(result, curves.history)),
         result=result,
         joints=result["joints"] if any(isinstance(p["value"], list) for p in result["parameters"]) else ("value",),
         headline=_say_headline(result),
-        checks=checks,
-        doubts=sum(check.state in ("caution", "bad") for check in checks),
         errors=list(_list_errors(result["metrics"])),
         evaluations=list(_list_evaluations(result)),
         timing=list_timing(result["timing"]),
@@ -65,12 +59,7 @@ def write_report(path: Path, result: Result, curves: Curves) -> None:
 
 
 def check_result(result: Result, history: Mapping[str, Shaped[np.ndarray, "iterations ..."]]) -> Iterator[Check]:
-    """What speaks for the result and what against it.
-
-    Args:
-        result: What `result.json` holds.
-        history: With the `loss` of each iteration.
-    """
+    """What speaks for the result and what against it; the history has the `loss` of each iteration."""
     if result["not_identified"]:
         why, *reasons = result["not_identified"]
         yield Check("bad", "Not identified", f"This did not identify the drive: {why}. Likely: {'; '.join(reasons)}.")
@@ -107,15 +96,12 @@ def _check_gain(result: Result) -> Check:
 
 def check_held_out(data: DataRow) -> Check:
     """How much was tested that the fit did not see; `data` as in `result.json`."""
-    seconds = {
-        part: data["timestep"] * sum(log["samples"] for log in data["logs"] if log["part"] == part)
-        for part in ("train", "test")
-    }
-    hashes = {part: {log["sha256"] for log in data["logs"] if log["part"] == part} for part in ("train", "test")}
-    text = f"The fit saw {seconds['train']:.3g} s of data and was tested on {seconds['test']:.3g} s that it did not see"
-    if hashes["train"] & hashes["test"]:
-        return Check("good", "Held-out data", f"{text}, another stretch of time of the same recording.")
-    return Check("good", "Held-out data", f"{text}, from other recordings.")
+    logs = [[log for log in data["logs"] if log["part"] == part] for part in ("train", "test")]
+    fitted, tested = (data["timestep"] * sum(log["samples"] for log in part) for part in logs)
+    shared = {log["sha256"] for log in logs[0]} & {log["sha256"] for log in logs[1]}
+    where = "another stretch of time of the same recording" if shared else "from other recordings"
+    text = f"The fit saw {fitted:.3g} s of data and was tested on {tested:.3g} s that it did not see, {where}."
+    return Check("good", "Held-out data", text)
 
 
 def _check_train(metrics: PartsRow) -> Check:
@@ -133,49 +119,38 @@ def _check_train(metrics: PartsRow) -> Check:
 def _check_fit(fit: FitRow, loss: Shaped[np.ndarray, "iterations"]) -> Check:
     method, count = METHODS.get(fit["method"], fit["method"]), fit["iterations"]
     kept = f"iteration {fit['best_iteration']}, that of the lowest training loss, is reported"
-    match fit["stopped"]:
-        case "converged":
-            return Check("good", "Fit", f"{method} converged after {count} iterations; {kept}.")
-        case "finished" if fit["method"] == "known":
-            return Check("note", "Fit", "Nothing was identified: the given values are judged as they are.")
-        case "finished" if fit["method"] == "grid":
-            return Check("good", "Fit", f"The grid search tried all of its {count} combinations; the best is reported.")
-        case "finished" if fit["method"] == "lm":
-            text = f"{method} made all of its {count} iterations without converging; {kept}. Raise fit.iterations."
-            return Check("caution", "Fit", text)
-        case "finished":
-            text = f"{method} made all of its {count} iterations; {kept}."
-            falling = _still_falling(loss)
-            if falling > FALLING:
-                text += f" The last tenth still took {100 * falling:.2g} % off the loss: more iterations may find more."
-            moving = ", ".join(fit["moving"])
-            if moving:
-                text += f" Still moving then: {moving}. Raise fit.iterations."
-            return Check("caution" if falling > FALLING or moving else "good", "Fit", text)
-        case "patience":
-            return Check("good", "Fit", f"{method} stopped after {count} iterations, as the loss fell no more; {kept}.")
-        case "diverged":
-            text = f"{method} diverged after {count} iterations; {kept}. Lower its step or start from other values."
-            return Check("bad", "Fit", text)
-        case other:
-            return Check("bad", "Fit", f"{method} was {other} after {count} iterations; {kept}.")
-
-
-def _still_falling(loss: Shaped[np.ndarray, "iterations"]) -> float:
-    """Share by which the last tenth of the iterations lowered the lowest loss."""
+    made = f"{method} made all of its {count} iterations"
+    said = {
+        "converged": ("good", f"{method} converged after {count} iterations; {kept}."),
+        "patience": ("good", f"{method} stopped after {count} iterations, as the loss fell no more; {kept}."),
+        "diverged": ("bad", f"{method} diverged after {count} iterations; {kept}. {_DIVERGED}"),
+        "known": ("note", "Nothing was identified: the given values are judged as they are."),
+        "grid": ("good", f"The grid search tried all of its {count} combinations; the best is reported."),
+        "lm": ("caution", f"{made} without converging; {kept}. Raise fit.iterations."),
+    }
+    ended = fit["method"] if fit["stopped"] == "finished" else fit["stopped"]
+    if ended in said:
+        return Check(said[ended][0], "Fit", said[ended][1])
+    if fit["stopped"] != "finished":
+        return Check("bad", "Fit", f"{method} was {fit['stopped']} after {count} iterations; {kept}.")
+    # The share by which the last tenth of the iterations lowered the lowest loss.
     finite = np.where(np.isfinite(loss), loss, np.inf).astype(np.float64)
     before = finite[: len(finite) - len(finite) // 10].min(initial=np.inf)
-    return 1 - float(finite.min() / before) if np.isfinite(before) and before > 0 else 0.0
+    falling = 1 - float(finite.min() / before) if np.isfinite(before) and before > 0 else 0.0
+    text, moving = f"{made}; {kept}.", ", ".join(fit["moving"])
+    if falling > FALLING:
+        text += f" The last tenth still took {100 * falling:.2g} % off the loss: more iterations may find more."
+    if moving:
+        text += f" Still moving then: {moving}. Raise fit.iterations."
+    return Check("caution" if falling > FALLING or moving else "good", "Fit", text)
 
 
 def _check_bounds(result: Result) -> Check:
     identified = [parameter for parameter in result["parameters"] if parameter["identified"]]
-    ended = [
-        f"{p['owner']}.{p['name']} ended at a bound of [{format_number(p['low'])}, {format_number(p['high'])}] "
-        f"{format_unit(p['unit'])}"
-        for p in identified
-        if p["at_bound"]
-    ]
+    ended = []
+    for p in (p for p in identified if p["at_bound"]):
+        bounds = f"[{format_number(p['low'])}, {format_number(p['high'])}] {format_unit(p['unit'])}"
+        ended.append(f"{p['owner']}.{p['name']} ended at a bound of {bounds}")
     if ended:
         return Check("caution", "Bounds", f"{'; '.join(ended)}. Widen the bounds or doubt the model.")
     return Check("good", "Bounds", f"No identified parameter, of {len(identified)}, ended at a bound.")
@@ -201,10 +176,8 @@ def _check_divergence(result: Result) -> Check:
         total = sum(metrics["rollouts"] for _, metrics in judged)
         return Check("good", "Stability", f"All {total} rollouts stayed finite and count in the errors.")
     counts = [f"{m['diverged']} of {m['rollouts']} {name} rollouts of {m['horizon']:g} s" for name, m in lost]
-    own = any(name != names["baseline"] for name, _ in lost)
-    return Check(
-        "bad" if own else "caution", "Stability", f"Diverged, and left out of the errors: {'; '.join(counts)}."
-    )
+    state = "bad" if any(name != names["baseline"] for name, _ in lost) else "caution"
+    return Check(state, "Stability", f"Diverged, and left out of the errors: {'; '.join(counts)}.")
 
 
 def check_origin(data: DataRow) -> Check:

@@ -22,9 +22,7 @@ REPORTED: Mapping[str, Any] = {"width": 0.0, "marker": "diamond", "size": 8.0, "
 def plot_run(result: Result, curves: Curves) -> dict[str, list[Figure]]:
     """All that is drawn of one run, by name; nothing under one where there is nothing to show.
 
-    Args:
-        result: What `result.json` holds.
-        curves: What `curves.safetensors` holds; of several rollouts, the first is drawn.
+    Of several rollouts, the first is drawn.
     """
     return {
         "trajectories": list(_plot_trajectories(result, curves)),
@@ -35,12 +33,7 @@ def plot_run(result: Result, curves: Curves) -> dict[str, list[Figure]]:
 
 
 def write_figures(folder: Path, result: Result, curves: Curves) -> None:
-    """Figures 3, 4 and 5 of a run as PNG files.
-
-    Args:
-        folder: Where to write them.
-        result: What `result.json` holds.
-        curves: What `curves.safetensors` holds.
+    """Figures 3, 4 and 5 of a run as PNG files in this folder.
 
     Raises:
         OutputError: They cannot be written.
@@ -61,12 +54,7 @@ def write_figures(folder: Path, result: Result, curves: Curves) -> None:
 
 
 def draw_rollout(result: Result, curves: Curves) -> Drawing:
-    """Figure 4, for matplotlib.
-
-    Args:
-        result: What `result.json` holds.
-        curves: What `curves.safetensors` holds.
-    """
+    """Figure 4, for matplotlib."""
     return with_matplotlib.draw(_arrange(result, list(_plot_trajectories(result, curves))))
 
 
@@ -103,12 +91,7 @@ def _plot_history(result: Result, curves: Curves) -> Iterator[Figure]:
         yield Figure(label, f"{text} at iteration {best}, which is reported and marked.", (panel,), small=True)
 
 
-def _draw_courses(
-    iteration: Float[np.ndarray, "iterations"],
-    columns: Float[np.ndarray, "joints iterations"],
-    at: int,
-    result: Result,
-) -> Iterator[Mark]:
+def _draw_courses(iteration: np.ndarray, columns: np.ndarray, at: int, result: Result) -> Iterator[Mark]:
     """A line a joint, points of a grid search, and the reported values."""
     best, several = float(iteration[at]), len(columns) > 1
     points: dict[str, Any] = {"width": 0.0, "marker": "circle", "size": 4.0}
@@ -126,14 +109,10 @@ def _plot_trajectories(result: Result, curves: Curves) -> Iterator[Figure]:
     duration = timestep * (curves.measured_qpos.shape[1] - 1)
     for joint, name in enumerate(result["joints"]):
         panels = draw_motion(drives, joint, timestep, (test["unit"], test["velocity_unit"]))
-        errors = [
-            _say_error(drive.follow("qpos")[:, joint] - curves.measured_qpos[0, :, joint], test["unit"])
-            for drive in drives
-        ]
-        text = (
-            f"Measured and simulated position and velocity of joint {name} over {duration:g} s; "
-            f"the mean position error is {errors[0]} with the model and {errors[1]} without friction."
-        )
+        errors = [drive.follow("qpos")[:, joint] - curves.measured_qpos[0, :, joint] for drive in drives]
+        model, baseline = (_say_error(error, test["unit"]) for error in errors)
+        text = f"Measured and simulated position and velocity of joint {name} over {duration:g} s; "
+        text += f"the mean position error is {model} with the model and {baseline} without friction."
         yield Figure(f"Trajectory of {name}", text, panels, time=True)
 
 
@@ -152,10 +131,8 @@ def _plot_error(result: Result, curves: Curves) -> Figure:
     """Figure 5: absolute position error over time, mean over joints: its moving mean and +- one standard deviation."""
     window, unit, drives = result["evaluation"]["window"], result["metrics"]["test"]["unit"], _list_drives(curves)
     model, baseline = (format_number(float(np.nanmax(drive.errors()))) for drive in drives)
-    text = (
-        f"Moving mean and standard deviation over {window:g} s of the absolute position error; the largest error is "
-        f"{model} {unit} with the model and {baseline} {unit} without friction."
-    )
+    text = f"Moving mean and standard deviation over {window:g} s of the absolute position error; the largest error is "
+    text += f"{model} {unit} with the model and {baseline} {unit} without friction."
     panel = draw_errors(drives, result["data"]["timestep"], window, unit)
     return Figure("Its error", text, (panel,), time=True)
 
@@ -167,17 +144,14 @@ def _plot_horizons(result: Result) -> Figure:
     parts = (("test", "test", MODEL), ("train", "train", TRAIN), ("baseline", "test, no friction", BASELINE))
     marks = []
     for i, (part, name, color) in enumerate(parts):
-        length, spread = (
-            np.array([entry[part][key] for entry in entries], np.float64)
-            for key in ("position_mae", "position_mae_std")
-        )
+        errors = [(entry[part]["position_mae"], entry[part]["position_mae_std"]) for entry in entries]
+        length, spread = np.array(errors, np.float64).T
         bars = {"at": places + 0.27 * (i - 1), "length": length, "spread": spread, "width": 0.27}
         marks.append(Bars(name=name, color=color, upright=True, **bars))
-    x = Axis("length of the rollouts", ticks=tuple(f"{entry['horizon']:g} s" for entry in entries))
-    text = "; ".join(
-        f"at {entry['horizon']:g} s {format_number(entry['test']['position_mae'])} {unit} on test data, "
-        f"{format_number(entry['baseline']['position_mae'])} {unit} without friction"
-        for entry in entries
-    )
-    panel = Panel(marks, x, Axis("position MAE", unit))
-    return Figure("Position error by horizon", f"Mean position error {text}.", (panel,))
+    lengths = tuple(f"{entry['horizon']:g} s" for entry in entries)
+    said = []
+    for length, entry in zip(lengths, entries, strict=True):
+        test, baseline = (format_number(entry[part]["position_mae"]) for part in ("test", "baseline"))
+        said.append(f"at {length} {test} {unit} on test data, {baseline} {unit} without friction")
+    panel = Panel(marks, Axis("length of the rollouts", ticks=lengths), Axis("position MAE", unit))
+    return Figure("Position error by horizon", f"Mean position error {'; '.join(said)}.", (panel,))

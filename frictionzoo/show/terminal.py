@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from frictionzoo.comparison.types import Comparison, FailureRow, RecommendationRow
+from frictionzoo.comparison.types import Comparison
 from frictionzoo.result.types import DataRow, MetricsRow, ParameterRow, Result
 from frictionzoo.result.verdict import doubt_gain, doubt_reference
 
@@ -20,32 +20,17 @@ ERRORS = {  # row of the table: key of the metrics, key of its unit
 
 
 def summarise(result: Result, folder: Path | None) -> str:
-    """Parameters, test errors beside those without friction, warnings, and where the files are.
-
-    Args:
-        result: What `result.json` holds.
-        folder: The run's folder; None for a run that left none.
-    """
+    """Parameters, test errors beside those without friction, warnings, and where the files are, if any."""
     return _arrange(result, folder, align)
 
 
 def summarise_in_markdown(result: Result, folder: Path) -> str:
-    """The same as a page of Markdown, for loggers that show one.
-
-    Args:
-        result: What `result.json` holds.
-        folder: The run's folder.
-    """
+    """The same as a page of Markdown, for loggers that show one."""
     return _arrange(result, folder, _tabulate_in_markdown)
 
 
 def summarise_in_html(result: Result, folder: Path | None) -> str:
-    """The same with tables of HTML, for notebooks.
-
-    Args:
-        result: What `result.json` holds.
-        folder: The run's folder.
-    """
+    """The same with tables of HTML, for notebooks."""
     return _arrange(result, folder, _tabulate_in_html, _say_in_html)
 
 
@@ -67,17 +52,16 @@ def _arrange(
 ) -> str:
     metrics = result["metrics"]
     blocks = [
-        say(_say_origin(result)),
+        say(f"{result['model']} on {_say_data(result['data'])}"),
         tabulate(_list_parameters(result)),
         tabulate(_list_errors(metrics["test"], metrics["baseline"], ("this model", "no friction"))),
-        *map(say, _warn(result)),
-        *([say(f"files: {folder}")] if folder else []),
+        *map(say, [*_warn(result), *([f"files: {folder}"] if folder else [])]),
     ]
     return "\n\n".join(blocks)
 
 
 def summarise_distillation(student: Result, teacher: Result, note: Mapping[str, Any], folder: Path) -> str:
-    """The student's parameters, its errors beside its teacher's, how far the two are apart, and where the files are.
+    """The student's parameters, its errors beside its teacher's, how far the two are apart, and where its files are.
 
     Args:
         student: What its `result.json` holds.
@@ -89,7 +73,7 @@ def summarise_distillation(student: Result, teacher: Result, note: Mapping[str, 
     rows = [("student and teacher differ by, RMS", "", "unit")]
     rows += [(f"{d['quantity']}, {d['over']}", _format_value(d["rms"]), d["unit"]) for d in note["differences"]]
     blocks = [
-        f"{student['model']} in place of {teacher['model']} on {student['data']['name']}. {_say_kind(student['data'])}",
+        f"{student['model']} in place of {teacher['model']} on {_say_data(student['data'])}",
         align(_list_parameters(student)),
         align(_list_errors(test, expected, ("student", "teacher"))),
         align(rows),
@@ -101,35 +85,27 @@ def summarise_distillation(student: Result, teacher: Result, note: Mapping[str, 
 
 
 def summarise_comparison(comparison: Comparison, folder: Path | None) -> str:
-    """The runs best first, what failed, the recommendation, and where the files are.
-
-    Args:
-        comparison: What `comparison.json` holds.
-        folder: Where the comparison lies; None for one that left no files.
-    """
+    """The runs best first, what failed, the recommendation, and where the files are, if any."""
     return "\n\n".join(_arrange_comparison(comparison, folder, align))
 
 
 def summarise_comparison_in_html(comparison: Comparison, folder: Path | None) -> str:
-    """The same with a table of HTML, for notebooks.
-
-    Args:
-        comparison: What `comparison.json` holds.
-        folder: Where the comparison lies; None for one that left no files.
-    """
+    """The same with a table of HTML, for notebooks."""
     origin, table, *more = _arrange_comparison(comparison, folder, _tabulate_in_html)
     return "".join([_say_in_html(origin), table, *map(_say_in_html, more)])
 
 
 def _arrange_comparison(comparison: Comparison, folder: Path | None, tabulate: Callable[[Rows], str]) -> list[str]:
-    count = len(comparison["runs"])
+    count, doubt, recommendation = len(comparison["runs"]), comparison["reference_doubt"], comparison["recommendation"]
+    failed = "\n".join(f"failed: {failure['run']}: {failure['reason']}" for failure in comparison["failures"])
+    advice = "No run has a test error: all test rollouts diverged. None can be recommended."
+    if recommendation:
+        advice = f"recommended: {recommendation['run']}. {recommendation['reason']}"
+    more = (failed, f"warning: {doubt}" if doubt else "", advice, f"files: {folder}" if folder else "")
     return [
-        f"{count} run{'s' * (count != 1)} on {comparison['data']['name']}. {_say_kind(comparison['data'])}",
+        f"{count} run{'s' * (count != 1)} on {_say_data(comparison['data'])}",
         tabulate(_list_runs(comparison)),
-        *_list_failures(comparison["failures"]),
-        *([f"warning: {comparison['reference_doubt']}"] if comparison["reference_doubt"] else []),
-        _say_recommendation(comparison["recommendation"]),
-        *([f"files: {folder}"] if folder else []),
+        *filter(None, more),
     ]
 
 
@@ -137,45 +113,26 @@ def _list_runs(comparison: Comparison) -> Rows:
     evaluation, unit = comparison["evaluation"], comparison["unit"]
     best = comparison["runs"][0]["label"]
     verdicts = {pair["run"]: pair["verdict"] for pair in comparison["pairs"] if pair["other"] == best}
-    test = f"test, {evaluation['rollouts']} x {evaluation['horizon']:g} s [{unit}]"
-    rows = [
-        ("model", "identified", f"train MAE [{unit}]", test, "sigma", "change", "against best", "diverged", "fit [s]")
-    ]
+    judged = f"test, {evaluation['rollouts']} x {evaluation['horizon']:g} s [{unit}]"
+    more = ("sigma", "change", "against best", "diverged", "fit [s]")
+    rows: list[tuple[str, ...]] = [("model", "identified", f"train MAE [{unit}]", judged, *more)]
     for run in comparison["runs"]:
-        change = run["change"]["test"]
+        label, train, test, change = run["label"], run["train"], run["test"], run["change"]["test"]
         rows.append(
             (
-                run["label"],
-                str(run["identified"]),
-                _format_value(run["train"]["position_mae"]),
-                _format_value(run["test"]["position_mae"]),
-                _format_value(run["test"]["position_mae_std"]),
+                *(label, str(run["identified"]), _format_value(train["position_mae"])),
+                *(_format_value(test["position_mae"]), _format_value(test["position_mae_std"])),
                 "" if change is None else f"{round(100 * change):+d} %",
-                "best" if run["label"] == best else verdicts[run["label"]],
-                str(run["test"]["diverged"]),
-                f"{run['timing']['fit']:.1f}",
+                "best" if label == best else verdicts[label],
+                *(str(test["diverged"]), f"{run['timing']['fit']:.1f}"),
             )
         )
     return rows
 
 
-def _list_failures(failures: Sequence[FailureRow]) -> list[str]:
-    lines = [f"failed: {failure['run']}: {failure['reason']}" for failure in failures]
-    return ["\n".join(lines)] if lines else []
-
-
-def _say_recommendation(recommendation: RecommendationRow | None) -> str:
-    if not recommendation:
-        return "No run has a test error: all test rollouts diverged. None can be recommended."
-    return f"recommended: {recommendation['run']}. {recommendation['reason']}"
-
-
-def _say_origin(result: Result) -> str:
-    return f"{result['model']} on {result['data']['name']}. {_say_kind(result['data'])}"
-
-
-def _say_kind(data: DataRow) -> str:
-    return "The data are simulated." if data["simulated"] else "The data are real, recorded on hardware."
+def _say_data(data: DataRow) -> str:
+    kind = "The data are simulated." if data["simulated"] else "The data are real, recorded on hardware."
+    return f"{data['name']}. {kind}"
 
 
 def _list_parameters(result: Result) -> Rows:
@@ -203,10 +160,10 @@ def _warn(result: Result) -> list[str]:
     """What is doubtful: of the recordings, of parameters at a bound, not identifiable or indistinct, and of it all."""
     lines = [f"warning: {sentence}" for sentence in result["warnings"]]
     lines += [
-        f"warning: {parameter['owner']}.{parameter['name']} ended at a bound of [{parameter['low']:g}, "
-        f"{parameter['high']:g}] {parameter['unit']}; widen the bounds or doubt the model"
-        for parameter in result["parameters"]
-        if parameter["at_bound"]
+        f"warning: {p['owner']}.{p['name']} ended at a bound of [{p['low']:g}, {p['high']:g}] {p['unit']}; widen the "
+        "bounds or doubt the model"
+        for p in result["parameters"]
+        if p["at_bound"]
     ]
     doubtful = [f"{p['owner']}.{p['name']}" for p in result["parameters"] if p["identifiable"] is False]
     if doubtful:
@@ -256,14 +213,8 @@ def _format_change(value: float | None, reference: float | None) -> str:
 def align(rows: Rows) -> str:
     """Columns padded to their longest entry, the first flush left and numbers flush right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    numbers = [all(_is_number(row[i]) for row in rows[1:]) for i in range(len(widths))]
-    lines = (
-        "  ".join(
-            cell.rjust(width) if number else cell.ljust(width)
-            for cell, width, number in zip(row, widths, numbers, strict=True)
-        )
-        for row in rows
-    )
+    flush = [str.rjust if all(map(_is_number, column[1:])) else str.ljust for column in zip(*rows, strict=True)]
+    lines = ("  ".join(pad(cell, width) for pad, cell, width in zip(flush, row, widths, strict=True)) for row in rows)
     return "\n".join(line.rstrip() for line in lines)
 
 

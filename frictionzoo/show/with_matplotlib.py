@@ -32,24 +32,12 @@ COLUMN = 3.5  # inches for each of several columns
 LINE = 0.17  # inches for each line of a legend
 TICK, PANEL, LEGEND = 30, 45, 100  # characters on one line: at an axis, over a small panel, in a legend
 _POINT = 0.8  # of a page's pixel
-_MARKERS = {
-    "": "None",
-    "circle": "o",
-    "diamond": "D",
-    "x": "x",
-    "cross": "+",
-    "square": "s",
-    "triangle-up": "^",
-    "triangle-down": "v",
-}
+_MARKERS = {"": "None", "circle": "o", "diamond": "D", "x": "x", "cross": "+", "square": "s"}
+_MARKERS |= {"triangle-up": "^", "triangle-down": "v"}
 
 
 def draw(sheet: Sheet) -> Figure:
-    """All of a sheet on one figure of matplotlib.
-
-    Args:
-        sheet: What to draw.
-    """
+    """All of a sheet on one figure of matplotlib."""
     columns, parts = min(sheet.columns, len(sheet.figures)), len(sheet.figures[0].panels)
     blocks = -(-len(sheet.figures) // columns)
     size = (max(WIDTH, COLUMN * columns), 0.6 + sheet.height * blocks)
@@ -70,11 +58,7 @@ def draw(sheet: Sheet) -> Figure:
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG, or as PDF with its fonts embedded and without a date.
-
-    Args:
-        figure: What to write.
-        path: The file; its suffix tells the format.
+    """Write a figure as PNG, or as PDF with its fonts embedded and without a date, as the file's suffix tells.
 
     Raises:
         OutputError: It cannot be written.

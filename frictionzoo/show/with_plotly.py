@@ -20,11 +20,9 @@ GAP = 0.06  # share of the height between two panels
 
 
 def draw(figure: Figure, points: int = POINTS) -> dict[str, Any]:
-    """A figure as plotly.js takes it; the page's script swaps the colours on a dark page.
+    """A figure as plotly.js takes it, with at most so many points of each curve.
 
-    Args:
-        figure: What to draw.
-        points: At most so many of each curve.
+    The page's script swaps the colours on a dark page.
     """
     data: list[dict[str, Any]] = []
     extra: dict[str, list[dict[str, Any]]] = {"shapes": [], "annotations": []}
@@ -116,8 +114,10 @@ def _draw_curve(mark: Curve, points: int, panel: Panel) -> dict[str, Any]:
         below, above = map(round_points, np.abs(mark.ends - mark.x))
         ends = {"type": "data", "symmetric": False, "array": above, "arrayminus": below}
         trace["error_x"] = ends | {"color": mark.color, "thickness": 2, "width": 5}
-    trace |= _point(mark, "%{y:.5g}", panel.y.unit)
-    return trace | _pick_points(mark.x, mark.y, points)
+    finite = np.isfinite(mark.y)
+    x, y = mark.x[finite], mark.y[finite]
+    kept = decimate(y, points)
+    return trace | _point(mark, "%{y:.5g}", panel.y.unit) | {"x": round_points(x[kept]), "y": round_points(y[kept])}
 
 
 def _draw_bars(mark: Bars, panel: Panel) -> dict[str, Any]:
@@ -161,16 +161,6 @@ def _annotate(panel: Panel, axis: str) -> list[dict[str, Any]]:
     if panel.note:
         texts.append(shared | {"text": escape(panel.note), "yref": f"{axis} domain", "y": 1, "yanchor": "bottom"})
     return texts
-
-
-def _pick_points(
-    x: Float[np.ndarray, "points"], y: Float[np.ndarray, "points"], points: int
-) -> dict[str, list[float | None]]:
-    """A curve of at most `points` points, without the samples that are not finite."""
-    finite = np.isfinite(y)
-    x, y = x[finite], y[finite]
-    kept = decimate(y, points)
-    return {"x": round_points(x[kept]), "y": round_points(y[kept])}
 
 
 def decimate(curve: Float[np.ndarray, "points"], points: int) -> Int[np.ndarray, "kept"]:
