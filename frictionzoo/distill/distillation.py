@@ -63,10 +63,9 @@ def distill(folder: Path, options: Mapping[str, str]) -> Distillation:
             diverges. Then nothing is left behind.
     """
     teacher = Identified.load(folder)
-    own = {key: value for key, value in options.items() if key != "output"}
-    config = compose_student(teacher, own)
+    config = compose_student(teacher, {key: value for key, value in options.items() if key != "output"})
     name = options["model"]
-    place = Path(options["output"]) if "output" in options else folder / "distilled" / name
+    place = Path(options.get("output", folder / "distilled" / name))
     if place.exists():
         raise OutputError(f"{place}: it exists already, expected a new folder; remove it or set output to another")
     try:
@@ -97,8 +96,8 @@ def compose_student(teacher: Identified, options: Mapping[str, str]) -> DictConf
     chosen = {group: options[group] for group in _GROUPS if group in options}
     refuse_no_choice([f"{group}={name}" for group, name in chosen.items()])
     plain = _replace_choices(teacher, {"fit": "auto"} | chosen)
-    values = [f"{option}={value}" for option, value in options.items() if option not in chosen]
-    config = OmegaConf.merge(plain, *map(_read_value, values))
+    values = (_read_value(f"{option}={value}") for option, value in options.items() if option not in chosen)
+    config = OmegaConf.merge(plain, *values)
     assert isinstance(config, DictConfig)
     check_overrides(config, plain)
     config["teacher"] = str(Path(teacher.place).resolve())
@@ -128,15 +127,9 @@ def _replace_choices(teacher: Identified, choices: Mapping[str, str]) -> DictCon
     own = {
         "loss": {**settings["loss"], "robust": "none", "refine": False},
         "segments": {"count": None if count is None else max(1, count * length // longer), "length": longer},
-        "resume": None,
-        "logger": logger,
+        **{"resume": None, "logger": logger},
     }
     return OmegaConf.create({**settings, **sections, **own})
-
-
-def _count(model: FrictionModel) -> int:
-    """Numbers that make this law, known ones among them."""
-    return sum(values.numel() for values in model.parameters())
 
 
 def _compare(teacher: Identified, folder: Path) -> dict[str, Any]:
@@ -148,22 +141,14 @@ def _compare(teacher: Identified, folder: Path) -> dict[str, Any]:
     own_inputs = {name: getattr(student.samples, name) for name in student.model.inputs}
     laws = (teacher.model, states), (student.model, states._replace(**own_inputs))
     torques = [sliding_torque(np, evaluate_law(*law), states.qvel) for law in laws]
+    rollouts, recorded = f"{kept.sum()} of {teacher.over}", f"{len(states.qvel)} recorded states of these"
+    differences = (
+        ("qpos", units["position"], rollouts, _rms((own - qpos)[kept]) if kept.any() else None),
+        ("friction torque", units["torque"], recorded, _rms(torques[1] - torques[0])),
+    )
     return {
         "teacher": str(Path(teacher.place).resolve()),
-        "differences": [
-            {
-                "quantity": "qpos",
-                "unit": units["position"],
-                "over": f"{kept.sum()} of {teacher.over}",
-                "rms": _rms((own - qpos)[kept]) if kept.any() else None,
-            },
-            {
-                "quantity": "friction torque",
-                "unit": units["torque"],
-                "over": f"{len(states.qvel)} recorded states of these",
-                "rms": _rms(torques[1] - torques[0]),
-            },
-        ],
+        "differences": [dict(zip(("quantity", "unit", "over", "rms"), d, strict=True)) for d in differences],
         "notes": _note(teacher.model, student.model),
     }
 
@@ -173,7 +158,8 @@ def _rms(difference: np.ndarray) -> float:
 
 
 def _note(teacher: FrictionModel, student: FrictionModel) -> list[str]:
-    before, after = _count(teacher), _count(student)
+    # Numbers that make a law, known ones among them.
+    before, after = (sum(values.numel() for values in law.parameters()) for law in (teacher, student))
     if after <= before:
         return []
     return [f"{student.name} is not the simpler law: it has {after} parameters, {teacher.name} {before}."]

@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 from frictionzoo.core.log import JITTER
+from frictionzoo.show.page import Check
 
 SAME = 1e-3  # relative difference of sample intervals from which on recordings cannot be fitted together
 UNITS = 0.1  # relative difference of measured velocity and derivative from which on their units are doubted
@@ -27,44 +28,21 @@ FAULTS = {  # of the clock and of the samples: one, several
 }
 
 
-@dataclass(frozen=True)
-class Finding:
-    """One thing that was looked at.
-
-    Attributes:
-        state: `good`, `note`, `caution` or `bad`.
-        title: What was looked at.
-        text: What was seen, in plain sentences.
-        option: What to add to the command line; None where nothing is to be done.
-    """
-
-    state: str
-    title: str
-    text: str
-    option: str | None = None
-
-
-def list_findings(survey: Mapping[str, Any]) -> Iterator[Finding]:
-    """What stands out, and what was looked at and is in order.
-
-    Args:
-        survey: What `inspect.json` holds, but for the findings.
-    """
+def list_findings(survey: Mapping[str, Any]) -> Iterator[Check]:
+    """What stands out, and what was looked at and is in order; the survey holds all but the findings."""
     yield _find_origin(survey["data"])
     yield _find_jitter(survey)
     yield _find_breaks(survey["timing"])
-    several = len(survey["joints"]) > 1
     for i, joint in enumerate(survey["joints"]):
-        for finding in _find_in_joint(joint, survey):
-            title = f"{finding.title}, joint {i + 1}" if several else finding.title
-            yield Finding(finding.state, title, finding.text, finding.option)
+        which = f", joint {i + 1}" if len(survey["joints"]) > 1 else ""
+        yield from (replace(finding, title=f"{finding.title}{which}") for finding in _find_in_joint(joint, survey))
     for command in survey["commands"]:
         yield from _find_saturation(command)
     yield from _find_supply(survey["supply"], survey["data"]["recordings"])
     yield from _find_off(survey["enabled"])
 
 
-def _find_in_joint(joint: Mapping[str, Any], survey: Mapping[str, Any]) -> Iterator[Finding]:
+def _find_in_joint(joint: Mapping[str, Any], survey: Mapping[str, Any]) -> Iterator[Check]:
     yield _find_spikes(joint, survey["data"]["recordings"])
     yield _find_resolution(joint, survey["timing"]["interval"]["median"])
     yield from _find_degrees(joint)
@@ -74,151 +52,145 @@ def _find_in_joint(joint: Mapping[str, Any], survey: Mapping[str, Any]) -> Itera
     yield from _find_direction(joint)
 
 
-def _find_origin(data: Mapping[str, Any]) -> Finding:
+def _find_origin(data: Mapping[str, Any]) -> Check:
     if data["simulated"]:
-        return Finding("note", "Simulated data", "A simulator made these data; they say nothing about hardware.")
-    return Finding("good", "Real data", "The data were recorded on hardware.")
+        return Check("note", "Simulated data", "A simulator made these data; they say nothing about hardware.")
+    return Check("good", "Real data", "The data were recorded on hardware.")
 
 
-def _find_jitter(survey: Mapping[str, Any]) -> Finding:
+def _find_jitter(survey: Mapping[str, Any]) -> Check:
     interval, jitter = survey["timing"]["interval"], survey["timing"]["jitter"]
     low, median, high = (1e3 * interval[key] for key in ("low", "median", "high"))
     differ = high / low - 1 > SAME
     if not jitter["high"] and not differ:
-        return Finding("good", "Clock", f"All intervals are {median:.4g} ms, within {100 * JITTER:g} %.")
+        return Check("good", "Clock", f"All intervals are {median:.4g} ms, within {100 * JITTER:g} %.")
     text = ""
     if jitter["high"]:
         text = f"{100 * jitter['median']:.2g} % of the intervals of a recording (median) deviate by more than "
         text += f"{100 * JITTER:g} % from its usual one, by up to {100 * survey['timing']['worst']['high']:.0f} %. "
     if differ:
         text += f"The usual interval is {low:.4g} to {high:.4g} ms: recordings that are fitted together need one. "
-    return Finding("caution", "Clock", f"{text}Resample them.", f"data.clean.step={_round(interval['median'])}")
+    step = float(f"{interval['median']:.2g}")  # as a user would write it
+    return Check("caution", "Clock", f"{text}Resample them.", f"data.clean.step={step:g}")
 
 
-def _round(interval: float) -> str:
-    """An interval as a user would write it."""
-    return f"{float(f'{interval:.2g}'):g}"
-
-
-def _find_breaks(timing: Mapping[str, Any]) -> Finding:
+def _find_breaks(timing: Mapping[str, Any]) -> Check:
     counts = [f"{timing[key]} {FAULTS[key][timing[key] > 1]}" for key in FAULTS if timing[key]]
     if not counts:
-        return Finding("good", "Completeness", "No gap, no missing, repeated or unreadable sample.")
+        return Check("good", "Completeness", "No gap, no missing, repeated or unreadable sample.")
     text = f"Found: {', '.join(counts)}. Cleaning drops what is repeated, interpolates what is short and splits at the "
     broken = timing["gaps"] or timing["resets"] or timing["lost"]
-    return Finding("caution" if broken else "note", "Completeness", f"{text}rest; data.clean.gap says what is short.")
+    return Check("caution" if broken else "note", "Completeness", f"{text}rest; data.clean.gap says what is short.")
 
 
-def _find_spikes(joint: Mapping[str, Any], recordings: int) -> Finding:
+def _find_spikes(joint: Mapping[str, Any], recordings: int) -> Check:
     if not joint["spikes"]:
-        return Finding("good", "Spikes", "No isolated spike of the position.")
+        return Check("good", "Spikes", "No isolated spike of the position.")
     text = f"{joint['spiky']} of {recordings} recordings hold an isolated spike of the position, "
     text += f"{joint['spikes']} in all. Repair them, or leave these recordings out with data.clean.spikes=drop."
-    return Finding("caution", "Spikes", text, "data.clean.spikes=repair")
+    return Check("caution", "Spikes", text, "data.clean.spikes=repair")
 
 
-def _find_resolution(joint: Mapping[str, Any], interval: float) -> Finding:
+def _find_resolution(joint: Mapping[str, Any], interval: float) -> Check:
     quantum = joint["position_quantum"]
     if quantum is None:
-        return Finding("good", "Resolution", "No step of an encoder shows in the position.")
+        return Check("good", "Resolution", "No step of an encoder shows in the position.")
     speed = quantum["median"] / interval
     top = max(map(abs, joint["velocity"]))
     text = f"The position moves in steps of {quantum['median']:.3g} rad or m: one step in a sample is {speed:.2g} a "
     text += f"second, {100 * speed / max(top, 1e-12):.2g} % of the top speed."
     if speed > 0.1 * top:
-        return Finding("note", "Resolution", f"{text} Fit segments of many samples.")
-    return Finding("note" if speed > 0.01 * top else "good", "Resolution", text)
+        return Check("note", "Resolution", f"{text} Fit segments of many samples.")
+    return Check("note" if speed > 0.01 * top else "good", "Resolution", text)
 
 
-def _find_degrees(joint: Mapping[str, Any]) -> Iterator[Finding]:
+def _find_degrees(joint: Mapping[str, Any]) -> Iterator[Check]:
     low, high = joint["position"]
     if high - low > TURNS:
         text = f"Positions span {high - low:.4g}. As radians, these would be {(high - low) / math.tau:.3g} turns; "
-        yield Finding("caution", "Units", f"{text}they look like degrees.", DEGREES)
+        yield Check("caution", "Units", f"{text}they look like degrees.", DEGREES)
     scale = joint["velocity_scale"]
     if scale is not None and abs(scale["median"] - 1) > UNITS:
         text = f"The measured velocity is {scale['median']:.4g} times the position's derivative: their units differ"
-        yield Finding("bad", "Units", f"{text} (57.3: degrees a second; 9.55: turns a minute).", "data.units.qvel=...")
+        yield Check("bad", "Units", f"{text} (57.3: degrees a second; 9.55: turns a minute).", "data.units.qvel=...")
 
 
-def _find_lag(joint: Mapping[str, Any], interval: float) -> Finding:
+def _find_lag(joint: Mapping[str, Any], interval: float) -> Check:
     lag = joint["velocity_lag"]
     if not joint["measured"]:
         text = "No velocity was recorded: it is estimated from the position."
-        return Finding("note", "Velocity", text, "data.clean.velocity=estimated")
+        return Check("note", "Velocity", text, "data.clean.velocity=estimated")
     if lag is None:
         text = "The measured velocity is no delayed copy of the position's derivative: doubt it."
-        return Finding("caution", "Velocity", text, "data.clean.velocity=estimated")
+        return Check("caution", "Velocity", text, "data.clean.velocity=estimated")
     if abs(lag["median"]) < max(0.5 * interval, 0.001):
-        return Finding("good", "Velocity", "The measured velocity keeps up with the position.")
+        return Check("good", "Velocity", "The measured velocity keeps up with the position.")
     text = f"The measured velocity {'lags' if lag['median'] > 0 else 'leads'} the position's derivative by "
     text += f"{1e3 * abs(lag['median']):.3g} ms. Estimate it from the position, or move it with "
-    return Finding("caution", "Velocity", f"{text}data.clean.velocity_lag=auto.", "data.clean.velocity=estimated")
+    return Check("caution", "Velocity", f"{text}data.clean.velocity_lag=auto.", "data.clean.velocity=estimated")
 
 
-def _find_delay(joint: Mapping[str, Any]) -> Finding:
+def _find_delay(joint: Mapping[str, Any]) -> Check:
     delay = joint["delay"]
     if delay is None:
-        return Finding("note", "Command", "These recordings cannot tell how late the command acts.")
+        return Check("note", "Command", "These recordings cannot tell how late the command acts.")
     low, middle, high = (1e3 * delay[key] for key in ("low", "seconds", "high"))
     if delay["low"] < SURE:
         text = f"No delay of the {delay['command']} command can be told from none (estimate {middle:.2g} ms)."
-        return Finding("good", "Command", text)
+        return Check("good", "Command", text)
     text = f"The {delay['command']} command acts about {middle:.0f} ms late (half of {delay['estimates']} estimates "
     text += f"between {low:.0f} and {high:.0f} ms). Let the fit find it: give the bench a parameter delay."
-    return Finding("caution", "Command", text, "bench.params.delay=...")
+    return Check("caution", "Command", text, "bench.params.delay=...")
 
 
-def _find_slowness(joint: Mapping[str, Any]) -> Iterator[Finding]:
+def _find_slowness(joint: Mapping[str, Any]) -> Iterator[Check]:
     slow, rest = joint["slow"], joint["rest"]
     if slow["share"] > SLOW:
         text = f"{100 * slow['share']:.0f} % of the samples lie under {slow['speed']:.2g} rad/s or m/s, 5 % of the top "
         text += "speed: Stribeck and viscous friction cannot be told apart well. Record faster motion, or more of it."
-        yield Finding("caution", "Excitation", text)
+        yield Check("caution", "Excitation", text)
     else:
         text = f"{100 * (1 - slow['share']):.0f} % of the samples lie above {slow['speed']:.2g} rad/s or m/s, 5 % of "
-        yield Finding("good", "Excitation", f"{text}the top speed.")
+        yield Check("good", "Excitation", f"{text}the top speed.")
     if rest is not None and rest["median"] > RESTING:
         text = f"The joint stands still for {100 * rest['median']:.0f} % of a recording (median): dry friction is then "
-        yield Finding("note", "Rest", f"{text}known only to be at least the load.")
+        yield Check("note", "Rest", f"{text}known only to be at least the load.")
 
 
-def _find_direction(joint: Mapping[str, Any]) -> Iterator[Finding]:
+def _find_direction(joint: Mapping[str, Any]) -> Iterator[Check]:
     if min(joint["forward"], joint["backward"]) < ONE_SIDED:
         text = f"{100 * joint['forward']:.0f} % of the samples move forward and {100 * joint['backward']:.0f} % "
         text += "backward: an offset of the torque cannot be told from dry friction. Record both directions."
-        yield Finding("caution", "Direction", text)
+        yield Check("caution", "Direction", text)
 
 
-def _find_saturation(command: Mapping[str, Any]) -> Iterator[Finding]:
+def _find_saturation(command: Mapping[str, Any]) -> Iterator[Check]:
     saturated = command["saturated"]
     if saturated is not None and saturated["median"] > SATURATED:
         low, high = command["range"]
         text = f"The command stays at an end of its range, {low:.3g} or {high:.3g}, for "
         text += f"{100 * saturated['median']:.0f} % of a recording (median): it may have been limited there."
-        yield Finding("note", "Saturation", text)
+        yield Check("note", "Saturation", text)
 
 
-def _find_supply(supply: Mapping[str, Any] | None, recordings: int) -> Iterator[Finding]:
+def _find_supply(supply: Mapping[str, Any] | None, recordings: int) -> Iterator[Check]:
     if supply is None:
         return
     measured, stated = supply["measured"], supply["stated"]
     if supply["outliers"]:
         text = f"{supply['outlying']} of {recordings} recordings hold supply voltages far from their median, "
         text += f"{supply['outliers']} samples in all. Repair takes out spikes; leave recordings with longer runs out."
-        yield Finding("caution", "Supply readings", text, "data.clean.spikes=repair")
+        yield Check("caution", "Supply readings", text, "data.clean.spikes=repair")
     text = f"The supply was measured at {measured['median']:.3g} V ({measured['low']:.3g} to "
     text += f"{measured['high']:.3g} V over the recordings)"
     if stated is None or abs(stated["median"] / measured["median"] - 1) <= VOLTS:
-        yield Finding("good", "Supply", f"{text}.")
+        yield Check("good", "Supply", f"{text}.")
     else:
         text += f", the header's {supply['field']} says {stated['median']:.3g} V. Use what was measured."
-        yield Finding("caution", "Supply", text)
+        yield Check("caution", "Supply", text)
 
 
-def _find_off(enabled: Mapping[str, Any] | None) -> Iterator[Finding]:
+def _find_off(enabled: Mapping[str, Any] | None) -> Iterator[Check]:
     if enabled is not None and enabled["low"] < 1:
-        text = (
-            f"The drive is off for up to {100 * (1 - enabled['low']):.0f} % of a recording: the bench's actuator law "
-        )
-        yield Finding("note", "Drive off", f"{text}must know it, as an input named enable.")
+        text = f"The drive is off for up to {100 * (1 - enabled['low']):.0f} % of a recording: the bench's actuator "
+        yield Check("note", "Drive off", f"{text}law must know it, as an input named enable.")

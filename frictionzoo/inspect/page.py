@@ -22,36 +22,25 @@ SMALL = 220  # pixels
 
 
 def write_page(path: Path, survey: Mapping[str, Any], recordings: Sequence[Recording]) -> None:
-    """Write the page.
-
-    Args:
-        path: The file; `inspect.json` lies beside it.
-        survey: What that holds.
-        recordings: The same recordings.
+    """Write the page of what `inspect.json` beside it holds, of the same recordings.
 
     Raises:
         OutputError: It cannot be written.
     """
     ranked = rank_by_faults(survey)
     worst = next(recording for recording in recordings if recording.name == ranked[0]["name"])
+    joints = range(len(survey["joints"]))
     sections = {
-        "velocity": [_plot_velocities(recordings, joint, survey) for joint in range(len(survey["joints"]))],
-        "worst": [_plot_recording(worst, joint) for joint in range(len(survey["joints"]))],
+        "velocity": [_plot_velocities(recordings, joint, survey) for joint in joints],
+        "worst": [_plot_recording(worst, joint) for joint in joints],
         "spread": list(_plot_spreads(survey)) if len(recordings) > 1 else [],
     }
-    checks = [
-        Check(finding["state"], finding["title"], finding["text"])
-        if finding["option"] is None
-        else Check(finding["state"], finding["title"], f"{finding['text']} [{finding['option']}]")
-        for finding in survey["findings"]
-    ]
     page = render_page(
         "inspect/inspect.html.jinja",
         sections,
+        [Check(**finding) for finding in survey["findings"]],
         survey=survey,
         quantities=list(list_quantities(survey)),
-        checks=checks,
-        doubts=sum(check.state in ("caution", "bad") for check in checks),
         rows=ranked[:LISTED],
         version=survey["version"],
     )
@@ -118,9 +107,8 @@ def _plot_spread(title: str, unit: str, values: Sequence[float]) -> Iterator[Fig
     known = np.array(values, float)
     bars = _count(known, float(known.min()), float(known.max()), "recordings", bins=31, share=False)
     text = f"{np.min(known):.4g} to {np.max(known):.4g} {unit}, median {np.median(known):.4g}."
-    yield Figure(
-        title, text, (Panel((bars,), Axis(title.lower(), unit), Axis("recordings")),), height=SMALL, small=True
-    )
+    panel = Panel((bars,), Axis(title.lower(), unit), Axis("recordings"))
+    yield Figure(title, text, (panel,), height=SMALL, small=True)
 
 
 def _count(

@@ -30,10 +30,7 @@ def read_schema() -> dict[str, Any]:
 
 
 def list_recordings(source: Any) -> list[Recording]:
-    """The recordings of a data set as they come, or where it has none, its logs.
-
-    Args:
-        source: What the section `data` builds.
+    """The recordings, as they come, of what the section `data` builds, or where it has none, its logs.
 
     Raises:
         LogError: They cannot be read.
@@ -42,11 +39,7 @@ def list_recordings(source: Any) -> list[Recording]:
 
 
 def survey_recordings(name: str, recordings: Sequence[Recording]) -> Survey:
-    """What is in the recordings, each and together, and what should be looked at.
-
-    Args:
-        name: The data set's.
-        recordings: At least one, all of one drive.
+    """What is in the recordings of a data set, at least one and all of one drive, and what should be looked at.
 
     Raises:
         LogError: A recording holds next to nothing, or another number of joints than the first.
@@ -72,12 +65,7 @@ def survey_recordings(name: str, recordings: Sequence[Recording]) -> Survey:
 
 
 def pool_velocities(recordings: Sequence[Recording], joint: int) -> Float[np.ndarray, "samples"]:
-    """The velocities of all recordings, estimated from the position [rad/s or m/s].
-
-    Args:
-        recordings: As they come.
-        joint: Column of qpos.
-    """
+    """The velocities of a joint in all recordings, estimated from the position [rad/s or m/s]."""
     return np.concatenate([derive_velocity(r.time, repair_spikes(r.signals["qpos"][:, joint])) for r in recordings])
 
 
@@ -120,7 +108,7 @@ def _pool_joint(recordings: Sequence[Recording], diagnoses: Sequence[Diagnosis],
         "slow": {"speed": SLOWEST * top, "share": float((np.abs(velocity) <= SLOWEST * top).mean())},
         "forward": float((velocity > SLOWEST * top).mean()),
         "backward": float((velocity < -SLOWEST * top).mean()),
-        "delay": None if delay is None else delay._asdict(),
+        "delay": delay and delay._asdict(),
     }
 
 
@@ -137,15 +125,13 @@ def _pool_supply(diagnoses: Sequence[Diagnosis]) -> dict[str, Any] | None:
     supplies = [diagnosis.supply for diagnosis in diagnoses if diagnosis.supply is not None]
     if not supplies:
         return None
-    stated = [supply.stated for supply in supplies]
-    fields = [supply.field for supply in supplies if supply.field is not None]
     return {
         "measured": _spread(supply.median for supply in supplies),
         "range": _envelop(supply.range for supply in supplies),
         "outliers": sum(supply.outliers for supply in supplies),
         "outlying": sum(supply.outliers > 0 for supply in supplies),
-        "field": fields[0] if fields else None,
-        "stated": _spread(stated),
+        "field": next((supply.field for supply in supplies if supply.field is not None), None),
+        "stated": _spread(supply.stated for supply in supplies),
     }
 
 
@@ -164,11 +150,7 @@ def _envelop(ranges: Iterable[Sequence[float]]) -> list[float]:
 
 
 def rank_by_faults(survey: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """The entries of the recordings, those with most spikes first, then breaks and lost samples, then jitter.
-
-    Args:
-        survey: What `inspect.json` holds.
-    """
+    """The entries of the recordings, those with most spikes first, then breaks and lost samples, then jitter."""
 
     def faults(entry: Mapping[str, Any]) -> tuple[int, int, float]:
         timing = entry["timing"]

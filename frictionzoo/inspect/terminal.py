@@ -14,20 +14,12 @@ Row = tuple[str, str, str, str, str]
 
 
 def summarise(survey: Mapping[str, Any], folder: Path) -> str:
-    """Quantities over the recordings, findings in words, and where the files are.
-
-    Args:
-        survey: What `inspect.json` holds.
-        folder: Where it lies.
-    """
-    data = survey["data"]
-    count = data["recordings"]
-    title = (
-        f"{data['name']}: {count} recording{'s' * (count != 1)}, {data['samples']} samples, {data['duration']:.4g} s"
-    )
+    """Quantities over the recordings, findings in words, and where `inspect.json` and its page are."""
+    data, count = survey["data"], survey["data"]["recordings"]
+    length = f"{data['samples']} samples, {data['duration']:.4g} s"
     options = [finding["option"] for finding in survey["findings"] if finding["option"]]
     blocks = [
-        title,
+        f"{data['name']}: {count} recording{'s' * (count != 1)}, {length}",
         align([("over the recordings", "lowest", "median", "highest", "unit"), *list_quantities(survey)]),
         "\n".join(_tell(survey["findings"])),
         *([f"options to think about: {' '.join(dict.fromkeys(options))}"] if options else []),
@@ -37,17 +29,12 @@ def summarise(survey: Mapping[str, Any], folder: Path) -> str:
 
 
 def list_quantities(survey: Mapping[str, Any]) -> Iterator[Row]:
-    """Rows of the table of quantities: name, lowest, median and highest over the recordings, unit.
-
-    Args:
-        survey: What `inspect.json` holds.
-    """
+    """Rows of the table of quantities: name, lowest, median and highest over the recordings, unit."""
     timing = survey["timing"]
     yield from _row("sample interval", timing["interval"], "ms", 1e3)
     yield from _row("intervals off by over 5 %", timing["jitter"], "%", 100.0)
-    several = len(survey["joints"]) > 1
     for i, joint in enumerate(survey["joints"]):
-        which = f" {i + 1}" if several else ""
+        which = f" {i + 1}" if len(survey["joints"]) > 1 else ""
         yield _bounds(f"position{which}", joint["position"], "rad or m")
         yield _bounds(f"velocity{which}", joint["velocity"], "rad/s or m/s")
         yield from _row(f"position quantum{which}", joint["position_quantum"], "mrad or mm", 1e3)
