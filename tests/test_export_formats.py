@@ -267,7 +267,7 @@ def test_a_configuration_holds_the_nearest_friction_of_another_law(
 ) -> None:
     fitted = draw("coulomb_stribeck", *STS3215)
     armature, loss, damping = (np.array([value]) for value in (0.04, 0.02, 0.03))
-    nearest = Nearest(fitted.values["bench"] | {"armature": armature}, loss, damping, exact=False, remark="so far off")
+    nearest = Nearest(fitted.values["bench"] | {"armature": armature}, loss, damping, "so far off")
     for target, read_joints in READERS.items():
         (tmp_path / target).mkdir()
         monkeypatch.setattr("frictionzoo.export.configclass.find_nearest", lambda _: nearest)

@@ -65,12 +65,7 @@ def measure(
 ) -> Difference:
     """The difference between what came from the written files and what was expected from the fitted drive.
 
-    Args:
-        quantity: `qpos` or `torque`.
-        fitted: The drive, for units.
-        came: In the quantity's unit.
-        expected: The same.
-        over: What was compared, in words; None for the run's long test rollouts.
+    The quantity is `qpos` or `torque`; `over` says in words what was compared, None the run's long test rollouts.
     """
     distance = np.abs(came - expected)
     unit = UNITS[fitted.bench.joint_type]["position" if quantity == "qpos" else quantity]

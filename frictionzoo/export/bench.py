@@ -42,22 +42,16 @@ class Mjcf(Target):
         (folder / FILE).write_text(text)
         model = mujoco.MjModel.from_xml_path(str(folder / FILE))
         difference = measure("qpos", fitted, run_bench(model, fitted), fitted.rollout()[0])
-        bench = Export((FILE,), (difference,), say_limits(fitted, nearest))
-        return _add_robot(bench, fitted, folder, nearest, text, options) if "into" in options else bench
-
-
-def _add_robot(
-    bench: Export, fitted: Identified, folder: Path, nearest: Nearest, text: str, options: Mapping[str, str]
-) -> Export:
-    path, actuators = Path(options["into"]), options.get("actuator", ACTUATORS[0])
-    joints = options["joint"].split(",") if "joint" in options else fitted.bench.joints
-    robot = put_into(path, joints, actuators, fitted, nearest, text)
-    name = path.name if path.name != FILE else f"robot_{FILE}"
-    (folder / name).write_text(robot.text)
-    acts = actuators == "identified" and not robot.urdf
-    difference = compare_torque(robot, fitted, nearest, acts)
-    limits = (*bench.limits, *_say_robot(robot, fitted, nearest, actuators))
-    return Export((*bench.files, name), (*bench.differences, difference), limits)
+        if "into" not in options:
+            return Export((FILE,), (difference,), say_limits(fitted, nearest))
+        path, actuators = Path(options["into"]), options.get("actuator", ACTUATORS[0])
+        joints = options["joint"].split(",") if "joint" in options else fitted.bench.joints
+        robot = put_into(path, joints, actuators, fitted, nearest, text)
+        name = path.name if path.name != FILE else f"robot_{FILE}"
+        (folder / name).write_text(robot.text)
+        torque = compare_torque(robot, fitted, nearest, actuators == "identified" and not robot.urdf)
+        limits = (*say_limits(fitted, nearest), *_say_robot(robot, fitted, nearest, actuators))
+        return Export((FILE, name), (difference, torque), limits)
 
 
 def _say_robot(robot: Robot, fitted: Identified, nearest: Nearest, actuators: str) -> list[str]:

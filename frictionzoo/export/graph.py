@@ -29,11 +29,9 @@ _OBSERVED = "Besides, the inputs {names} of the same shape: the friction law loo
 
 
 class Graph(torch.nn.Module):
-    """A law with its values as constants: the signals of a `DriveState` to the three of `FrictionTerms`.
+    """A copy of a law with its values as constants: the signals of a `DriveState` to the three of `FrictionTerms`.
 
-    Args:
-        model: The law; it is copied.
-        dtype: Of inputs, outputs and constants.
+    Inputs, outputs and constants are of one `dtype`.
     """
 
     def __init__(self, model: FrictionModel, dtype: torch.dtype) -> None:
@@ -62,10 +60,7 @@ def signals(model: FrictionModel) -> tuple[str, ...]:
 
 
 def compare(fitted: Identified, came: FrictionTerms, how: str) -> Difference:
-    """How far terms of shape (samples, nv), computed by `how` at the recorded states, are from the law in float64.
-
-    Friction torque is compared, while the joint moves.
-    """
+    """How far the friction torque of terms of shape (samples, nv), computed by `how`, is from the law in float64."""
     samples = fitted.samples
     expected = sliding_torque(np, evaluate_law(fitted.model, samples), samples.qvel)
     over = f"{len(expected)} recorded states in {how}"

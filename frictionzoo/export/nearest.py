@@ -35,14 +35,12 @@ class Nearest:
         bench: Values of the bench's parameters.
         frictionloss: [N m or N].
         damping: [N m s/rad or N s/m].
-        exact: Whether the law is MuJoCo's own.
-        remark: In words, what was done and what that costs; empty where it is exact anywhere.
+        remark: In words, what was done and what that costs; empty where the law is MuJoCo's own.
     """
 
     bench: dict[str, Float[np.ndarray, "nv"]]
     frictionloss: Float[np.ndarray, "nv"]
     damping: Float[np.ndarray, "nv"]
-    exact: bool
     remark: str = ""
 
 
@@ -60,8 +58,7 @@ def find_nearest(fitted: Identified) -> Nearest:
     terms = evaluate_law(model, samples._replace(**unknown))
     loss, viscous = (np.zeros(velocity.shape) if term is None else term for term in terms[1:])
     if terms.torque is None and (loss == loss[0]).all() and (viscous == viscous[0]).all():
-        remark = say_exact(model) if model.inputs else ""
-        return Nearest(bench, loss[0], viscous[0], exact=not remark, remark=remark)
+        return Nearest(bench, loss[0], viscous[0], say_exact(model) if model.inputs else "")
     torque = sliding_torque(np, terms, velocity)
     start = nearest_frictionloss_and_damping(torque, velocity)
     try:
@@ -71,8 +68,7 @@ def find_nearest(fitted: Identified) -> Nearest:
         rms, unit = _list(np.sqrt(np.square(left).mean(axis=0))), UNITS[fitted.bench.joint_type]["torque"]
         return Nearest(
             *(bench, *start),
-            exact=False,
-            remark=f"A frictionloss and a damping are no {model.name}, and the fitted drive diverges in its own "
+            f"A frictionloss and a damping are no {model.name}, and the fitted drive diverges in its own "
             f"{fitted.over}, so that they could not be refitted to those: they are the nearest to the law's torque at "
             f"the measured states, from which they differ by {rms} {unit} RMS.",
         )
@@ -89,7 +85,7 @@ def _refit(
     bench, friction = dict(found["bench"]), found["friction"]
     before, after = (float(np.sqrt(loss)) for loss in (progress.method.loss[0], progress.best_loss))
     remark = _say(fitted, bench["armature"], before, after)
-    return Nearest(bench, friction["frictionloss"], friction["damping"], exact=False, remark=remark)
+    return Nearest(bench, friction["frictionloss"], friction["damping"], remark)
 
 
 def _pose(
@@ -112,8 +108,8 @@ def _pose(
 
 
 def _say(fitted: Identified, armature: Float[np.ndarray, "nv"], before: float, after: float) -> str:
-    identified, joint_type = fitted.values["bench"]["armature"], fitted.bench.joint_type
-    unit, inertia = UNITS[joint_type]["position"], UNITS[joint_type]["inertia"]
+    identified, units = fitted.values["bench"]["armature"], UNITS[fitted.bench.joint_type]
+    unit, inertia = units["position"], units["inertia"]
     return (
         f"A frictionloss and a damping are no {fitted.model.name}: they and the armature were refitted to the fitted "
         f"drive's own {fitted.over} and leave a position difference of {after:.3g} {unit} RMS ({before:.3g} {unit} "
@@ -129,14 +125,9 @@ def _list(values: Float[np.ndarray, "nv"]) -> str:
 def nearest_frictionloss_and_damping(
     torque: Float[np.ndarray, "samples nv"], velocity: Float[np.ndarray, "samples nv"]
 ) -> tuple[Float[np.ndarray, "nv"], Float[np.ndarray, "nv"]]:
-    """Coulomb and viscous friction nearest to a friction torque, both >= 0, by non-negative least squares a joint.
+    """Coulomb [N m or N] and viscous friction [N m s/rad or N s/m] nearest to a friction torque [N m or N], both >= 0.
 
-    Args:
-        torque: Friction torque or force, positive against positive velocity [N m or N].
-        velocity: Joint velocity [rad/s or m/s].
-
-    Returns:
-        frictionloss [N m or N] and damping [N m s/rad or N s/m].
+    By non-negative least squares a joint; the torque is positive against a positive velocity [rad/s or m/s].
     """
     fits = [nnls(np.stack([np.sign(v), v], axis=1), t)[0] for t, v in zip(torque.T, velocity.T, strict=True)]
     loss, viscous = np.array(fits).T

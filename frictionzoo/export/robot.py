@@ -78,11 +78,7 @@ def put_into(
 def compare_torque(robot: Robot, fitted: Identified, nearest: Nearest, actuators: bool) -> Difference:
     """The robot's own actuator and damping in MuJoCo C, at recorded states, against those that were identified.
 
-    Args:
-        robot: With the drive in it.
-        fitted: The drive.
-        nearest: What was put into the joints.
-        actuators: Whether the robot has the identified actuators.
+    Without the identified `actuators`, the damping alone.
     """
     states = _pick_states(fitted)
     data, column = mujoco.MjData(robot.model), list(robot.column)

@@ -62,14 +62,7 @@ class Curve(Mark):
 
 @dataclass(frozen=True, kw_only=True)
 class Band(Mark):
-    """The pale area between two curves, which no legend names.
-
-    Attributes:
-        x: Where on the horizontal axis.
-        low: The lower curve.
-        high: The upper one.
-        selected: Whether a page shows it for the run at the front alone.
-    """
+    """The pale area between two curves, which no legend names; `selected` where a page's front run alone has it."""
 
     x: Float[np.ndarray, "points"]
     low: Float[np.ndarray, "points"]
@@ -79,13 +72,7 @@ class Band(Mark):
 
 @dataclass(frozen=True, kw_only=True)
 class Stripe(Mark):
-    """All between two values of an axis, across the panel; a line where they are the same.
-
-    Attributes:
-        low: The smaller value.
-        high: The larger one.
-        level: Whether the values are those of the vertical axis.
-    """
+    """All between two values of an axis, the vertical one where `level`; a line across where they are the same."""
 
     low: float
     high: float

@@ -2,14 +2,17 @@
 
 import html
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from frictionzoo.comparison.types import Comparison
 from frictionzoo.result.types import DataRow, MetricsRow, ParameterRow, Result
 from frictionzoo.result.verdict import doubt_gain, doubt_reference
+from frictionzoo.show.text import format_number
 
 Rows = Sequence[Sequence[str]]
+_format_value = partial(format_number, between=" ")
 
 ERRORS = {  # row of the table: key of the metrics, key of its unit
     "position MAE": ("position_mae", "unit"),
@@ -63,11 +66,7 @@ def _arrange(
 def summarise_distillation(student: Result, teacher: Result, note: Mapping[str, Any], folder: Path) -> str:
     """The student's parameters, its errors beside its teacher's, how far the two are apart, and where its files are.
 
-    Args:
-        student: What its `result.json` holds.
-        teacher: What its `result.json` holds.
-        note: What `distillation.json` holds.
-        folder: The student's.
+    `note` is what `distillation.json` holds.
     """
     test, expected = (run["metrics"]["test"] for run in (student, teacher))
     rows = [("student and teacher differ by, RMS", "", "unit")]
@@ -181,12 +180,6 @@ def _warn(result: Result) -> list[str]:
         lines.append(f"this did not identify the drive: {why}. Likely reasons, the likeliest first:")
         lines += [f"  {number}. {reason}" for number, reason in enumerate(reasons, 1)]
     return ["\n".join(lines)] if lines else []
-
-
-def _format_value(value: float | Sequence[float] | None) -> str:
-    if value is None:
-        return "none"
-    return f"{value:.4g}" if isinstance(value, int | float) else " ".join(f"{joint:.4g}" for joint in value)
 
 
 def say_status(parameter: ParameterRow) -> str:

@@ -4,11 +4,11 @@ import textwrap
 from collections.abc import Sequence
 
 
-def format_number(value: float | Sequence[float] | None) -> str:
+def format_number(value: float | Sequence[float] | None, between: str = ", ") -> str:
     """A value, or one for each joint, as it is printed."""
     if value is None:
         return "none"
-    return f"{value:.4g}" if isinstance(value, int | float) else ", ".join(f"{joint:.4g}" for joint in value)
+    return f"{value:.4g}" if isinstance(value, int | float) else between.join(f"{joint:.4g}" for joint in value)
 
 
 def format_unit(unit: str) -> str:
