@@ -348,7 +348,8 @@ def test_two_files_of_one_name_are_refused(add: Callable[..., None], capsys: pyt
     add("formats", "semicolons", FORMAT.replace('"semicolons"', '"csv"'))
     with pytest.raises(SystemExit, match="2"):
         main(["formats"])
-    line = "frictionzoo: csv: registered by frictionzoo.logs.formats.Csv and frictionzoo.logs.formats.Semicolons; "
+    home = "frictionzoo.logs.formats"
+    line = f"frictionzoo: csv: registered by {home}.csv.Csv and {home}.semicolons.Semicolons; "
     assert capsys.readouterr().err == f"{line}rename one\n"
 
 
@@ -379,8 +380,7 @@ def test_a_class_is_reached_by_its_name_in_its_package_and_nothing_else_is() -> 
         for found in kind.own().values():
             home, _, cls = found.target.rpartition(".")
             assert found.summary, found.target
-            if kind.plural in ("models", "actuators", "methods"):  # whose classes configurations name
-                assert getattr(importlib.import_module(home), cls).name == found.name
+            assert getattr(importlib.import_module(home), cls).name == found.name
     with pytest.raises(ImportError, match=r"cannot import name 'Newton' from 'frictionzoo\.fit'"):
         from frictionzoo.fit import Newton  # noqa: F401
 

@@ -49,6 +49,7 @@ class Kind:
         home: The package whose files hold those of frictionzoo.
         decorator: Name of the function that registers one.
         choice: The option that chooses one, where `{name}` and `{target}` stand for its own.
+        offered: Whether `home` has the classes by their own names; else only their files have.
     """
 
     plural: str
@@ -56,6 +57,7 @@ class Kind:
     home: str
     decorator: str
     choice: str
+    offered: bool = False
 
     @property
     def group(self) -> str:
@@ -74,7 +76,8 @@ class Kind:
         for folder in home.__path__ if home else [str(inside)]:
             for path in sorted(Path(folder).glob("*.py")):
                 for name, cls, summary in _read_file(path, self.decorator):
-                    one = Found(name, f"{self.home}.{path.stem}", f"{self.home}.{cls}", summary)
+                    module = f"{self.home}.{path.stem}"
+                    one = Found(name, module, f"{self.home if self.offered else module}.{cls}", summary)
                     if found.setdefault(name, one) != one:
                         raise ConfigError(f"{name}: registered by {found[name].target} and {one.target}; rename one")
         return found
@@ -101,14 +104,14 @@ class Kind:
 KINDS = {
     kind.plural: kind
     for kind in (
-        Kind("models", "friction model", "frictionzoo.models", "register_model", "model={name}"),
+        Kind("models", "friction model", "frictionzoo.models", "register_model", "model={name}", offered=True),
         Kind(
             *("actuators", "actuator law", "frictionzoo.bench.actuators", "register_actuator"),
-            "bench.actuator._target_={target}",
+            *("bench.actuator._target_={target}", True),
         ),
         Kind("sources", "data source", "frictionzoo.logs", "register_source", "data={name}"),
         Kind("formats", "log format", "frictionzoo.logs.formats", "register_format", "data.format={name}"),
-        Kind("methods", "fit method", "frictionzoo.fit", "register_method", "fit={name}"),
+        Kind("methods", "fit method", "frictionzoo.fit", "register_method", "fit={name}", offered=True),
         Kind("targets", "export target", "frictionzoo.export", "register_target", "target={name}"),
     )
 }
