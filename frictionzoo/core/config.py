@@ -220,6 +220,7 @@ def suggest_option(key: str, config: DictConfig) -> str:
     for name in key.split("."):
         inner = section.get(name) if name in section else None
         if not isinstance(inner, DictConfig):
-            return f"{closest(name, map(str, section))}{f' in {known}' if known else ''}"
+            options = [str(option) for option in section if option != "_target_"]  # a class is no option of itself
+            return f"{closest(name, options)}{f' in {known}' if known else ''}"
         section, known = inner, f"{known}.{name}".lstrip(".")
     return closest(key, map(str, config))
