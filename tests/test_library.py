@@ -179,6 +179,9 @@ def test_a_law_that_is_none_and_an_option_that_it_lacks_are_refused() -> None:
         fz.law("lugr")
     with pytest.raises(ConfigError, match=r"^model\.hidden: unknown option; expected one of params in model$"):
         fz.law("lugre", hidden=[3])
+    for joints in (0, -1):
+        with pytest.raises(ConfigError, match=rf"^nv={joints}; expected the number of joints, a whole one from 1 on$"):
+            fz.law("coulomb_stribeck", nv=joints)
     with pytest.raises(ConfigError, match="kp is given twice"):
         fz.PositionPD({"kp": {}}, kp=1, kd=1)
 

@@ -317,6 +317,12 @@ def test_neural_friction_has_the_shape_of_its_yaml():
     assert {weights.dtype for weights in make_law("neural_friction").parameters()} == {torch.float64}
 
 
+def test_a_law_takes_values_that_are_known_as_plain_numbers():
+    law = get_model("coulomb_smooth")(1, {"static_torque": 0.5, "smoothing": 10, "viscous_coefficient": 0})
+    assert [float(value) for value in law.parameters()] == [0.5, 10.0, 0.0]
+    assert not any(param.identify for param in law.params.values())
+
+
 def test_neural_friction_starts_near_zero():
     model, state = make_law("neural_friction"), random_state(200, 1)
     model.prepare(state)

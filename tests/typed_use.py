@@ -43,7 +43,9 @@ def identify(folder: str) -> list[str]:
     armature = fit.parameters["bench.armature"]
     error: float = fit.metrics["test"].position_mae
     known: dict[str, fz.Param] = bench.params
-    compared: fz.Compared = fz.compare(bench, ["baseline", Own(1)], logs, test=0.2, method="lm", seed=1)
+    compared: fz.Compared = fz.compare(
+        bench, ["baseline", Own(1, {"damping": 0.1})], logs, test=0.2, method="lm", seed=1
+    )
     best = compared.recommended or fz.load(folder)
     told = [str(best), armature.unit, f"{armature.value} {armature.interval} {error} {written.target} {known} {others}"]
     return told + compared.ranking

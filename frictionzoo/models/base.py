@@ -7,8 +7,12 @@ from typing import Any, ClassVar
 import torch
 
 from frictionzoo.core.described import Described
+from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.params import Param, read_params
 from frictionzoo.core.state import DriveState, FrictionTerms
+
+Params = Mapping[str, Mapping[str, Any] | float | int]
+"""Of each physical parameter its section, `init`, `low`, `high`, `scale`, `identify`, or its value if that is known."""
 
 
 class FrictionModel(Described, torch.nn.Module, ABC):
@@ -33,10 +37,10 @@ class FrictionModel(Described, torch.nn.Module, ABC):
 
     Args:
         nv: Number of joints.
-        params: Section of each physical parameter: `init`, `low`, `high`, `scale`, `identify`.
+        params: As `Params` says.
 
     Raises:
-        ConfigError: A parameter is missing, unknown, or its bounds make no sense.
+        ConfigError: There is no joint, or a parameter is missing, unknown, or its bounds make no sense.
     """
 
     name: ClassVar[str]
@@ -46,8 +50,10 @@ class FrictionModel(Described, torch.nn.Module, ABC):
     inputs: Mapping[str, float] = {}
     memory: int = 0
 
-    def __init__(self, nv: int, params: Mapping[str, Mapping[str, Any]] | None = None) -> None:
+    def __init__(self, nv: int, params: Params | None = None) -> None:
         super().__init__()
+        if not isinstance(nv, int) or isinstance(nv, bool) or nv < 1:
+            raise ConfigError(f"nv={nv!r}; expected the number of joints, a whole one from 1 on")
         self.nv = nv
         self.params: dict[str, Param] = read_params(type(self).__name__, self.dimensions, params or {})
         for name, param in self.params.items():

@@ -6,6 +6,7 @@ from typing import Any, ClassVar
 import torch
 
 from frictionzoo.core.state import DriveState, FrictionTerms
+from frictionzoo.models.base import Params
 from frictionzoo.models.network import GearNetwork
 from frictionzoo.models.registry import register_model
 
@@ -68,7 +69,7 @@ class DissipativeNetwork(GearNetwork):
         nv: int,
         hidden: Sequence[int] = (64, 64),
         seed: int = 0,
-        params: Mapping[str, Mapping[str, Any]] | None = None,
+        params: Params | None = None,
     ) -> None:
         super().__init__(nv, hidden, 2, seed, params)
         torch.nn.init.constant_(self.layers[-1].get_parameter("bias"), START)

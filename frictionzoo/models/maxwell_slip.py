@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 
 from frictionzoo.core.errors import refuse_outside
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models.base import FrictionModel
+from frictionzoo.models.base import FrictionModel, Params
 from frictionzoo.models.bristles import settled_force, stribeck_force
 from frictionzoo.models.registry import register_model
 
@@ -62,7 +62,7 @@ class MaxwellSlip(FrictionModel):
     }
     dissipative = True
 
-    def __init__(self, nv: int, elements: int = 4, params: Mapping[str, Mapping[str, Any]] | None = None) -> None:
+    def __init__(self, nv: int, elements: int = 4, params: Params | None = None) -> None:
         super().__init__(nv, params)
         refuse_outside("model.elements", elements, 1, MOST_ELEMENTS)
         self.memory = elements

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.state import DriveState
-from frictionzoo.models.base import FrictionModel
+from frictionzoo.models.base import FrictionModel, Params
 
 INPUTS = 4
 OCTAVES = (1, 2, 4, 8)  # radians of phase per standard deviation of the position
@@ -53,7 +53,7 @@ class NetworkModel(FrictionModel):
         hidden: Sequence[int],
         outputs: int,
         seed: int,
-        params: Mapping[str, Mapping[str, Any]] | None = None,
+        params: Params | None = None,
     ) -> None:
         super().__init__(nv, params)
         if not all(1 <= width <= MOST_WIDTH for width in hidden) or len(hidden) > MOST_LAYERS:

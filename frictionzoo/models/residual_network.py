@@ -7,6 +7,7 @@ import torch
 
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.state import DriveState, FrictionTerms
+from frictionzoo.models.base import Params
 from frictionzoo.models.network import NetworkModel
 from frictionzoo.models.registry import register_model
 
@@ -73,7 +74,7 @@ class ResidualNetwork(NetworkModel):
         hidden: Sequence[int],
         residual_limit: float,
         seed: int,
-        params: Mapping[str, Mapping[str, Any]] | None = None,
+        params: Params | None = None,
     ) -> None:
         super().__init__(nv, hidden, 1, seed, params)
         if not 0 < residual_limit < float("inf"):

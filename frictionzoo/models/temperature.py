@@ -6,7 +6,7 @@ from typing import Any
 
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models.base import FrictionModel
+from frictionzoo.models.base import FrictionModel, Params
 
 ABSOLUTE_ZERO = -273.15  # degC
 
@@ -32,7 +32,7 @@ class TemperatureModel(FrictionModel):
     constraint = True
     dissipative = True
 
-    def __init__(self, nv: int, reference: float = 25.0, params: Mapping[str, Mapping[str, Any]] | None = None) -> None:
+    def __init__(self, nv: int, reference: float = 25.0, params: Params | None = None) -> None:
         super().__init__(nv, params)
         if not ABSOLUTE_ZERO < reference < float("inf"):
             raise ConfigError(f"model.reference={reference}; expected a temperature above {ABSOLUTE_ZERO} degC")
