@@ -193,6 +193,20 @@ def test_odd_network_takes_scales_and_no_mean_but_the_position():
     assert law.torque_scale.item() == pytest.approx(np.std(samples.motor_torque))
 
 
+@pytest.mark.parametrize("name", LAWS)
+def test_a_law_that_has_its_normalisation_keeps_it(name):
+    """Its weights belong to it: identified again on other recordings, the law begins as what it was."""
+    law, rng = fitted(name, 0), np.random.default_rng(1)
+    again = LAWS[name](1)
+    again.load_state_dict(law.state_dict())
+    for one in (law, again):
+        one.prepare(DriveState(*rng.normal(5.0, 2.0, size=(5, 100, 1))))
+    before, state = fitted(name, 0), states("float64").map(lambda signal: torch.tensor(signal[:100]))
+    for one in (law, again):
+        for term, expected in zip(one(state), before(state), strict=True):
+            assert term is expected or torch.equal(term, expected)
+
+
 @pytest.mark.parametrize("limit", [0.0, -0.1, np.nan, np.inf])
 def test_a_limit_that_is_none_is_refused(limit):
     with pytest.raises(ConfigError, match=r"model\.residual_limit=.*; expected a positive share"):

@@ -105,7 +105,10 @@ class FrictionModel(Described, torch.nn.Module, ABC):
         return self.terms(xp, values, state), memory
 
     def prepare(self, samples: DriveState) -> None:
-        """Take constants (normalisation) from the training data, before a fit; most laws need none.
+        """Take constants (normalisation) from the training data; most laws need none.
+
+        An identification calls it before it takes the law's values, with a law that may have been fitted before. So
+        constants that other values belong to, such as weights, are taken once: a later call leaves them as they are.
 
         Args:
             samples: Training samples as numpy arrays of shape (samples, nv).

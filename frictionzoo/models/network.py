@@ -78,15 +78,16 @@ class NetworkModel(FrictionModel):
         return [state.qpos, state.qvel, state.ctrl, state.external_torque]
 
     def prepare(self, samples: DriveState) -> None:
-        """Take the normalisation from the training data.
+        """Take the normalisation from the training data, once: weights mean nothing with another."""
+        if (self.input_mean == 0).all() and (self.input_std == 1).all() and self.torque_scale == 1:
+            mean, std = zip(*self.normalise(samples), strict=True)
+            self.input_mean.copy_(torch.tensor(mean))
+            self.input_std.copy_(torch.tensor(std))
+            self.torque_scale.fill_(_mean_and_std(samples.motor_torque)[1])
 
-        Args:
-            samples: Training samples as numpy arrays of shape (samples, nv).
-        """
-        mean, std = zip(*map(_mean_and_std, self.signals(samples)), strict=True)
-        self.input_mean.copy_(torch.tensor(mean))
-        self.input_std.copy_(torch.tensor(std))
-        self.torque_scale.fill_(_mean_and_std(samples.motor_torque)[1])
+    def normalise(self, samples: DriveState) -> list[tuple[float, float]]:
+        """Mean and standard deviation of each input in the training data, arrays of shape (samples, nv)."""
+        return [_mean_and_std(signal) for signal in self.signals(samples)]
 
     def normalised(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> Any:
         """The inputs as multiples of their standard deviation from their mean, of shape (..., nv, inputs).

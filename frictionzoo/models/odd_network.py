@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import torch
 
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models.network import GearNetwork
@@ -59,16 +58,10 @@ class OddNetwork(GearNetwork):
     def __init__(self, nv: int, hidden: Sequence[int] = (64, 64), seed: int = 0) -> None:
         super().__init__(nv, hidden, 1, seed)
 
-    def prepare(self, samples: DriveState) -> None:
-        """Take the scales from the training data, and no mean but the position's.
-
-        Args:
-            samples: Training samples as numpy arrays of shape (samples, nv).
-        """
-        super().prepare(samples)
+    def normalise(self, samples: DriveState) -> list[tuple[float, float]]:
+        """The same of the position, and root mean squares about 0 of all else."""
         sizes = [float(np.sqrt(np.mean(np.square(signal)))) or 1.0 for signal in self.signals(samples)[1:]]
-        self.input_mean[1:] = 0.0
-        self.input_std[1:] = torch.tensor(sizes)
+        return [super().normalise(samples)[0], *((0.0, size) for size in sizes)]
 
     def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
         """The explicit torque."""
