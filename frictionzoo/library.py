@@ -1,7 +1,9 @@
 """The ten lines of a notebook: read, identify, compare, load, and friction laws by name."""
 
+import contextlib
 import copy
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypedDict, Unpack, cast
 
@@ -29,6 +31,29 @@ from frictionzoo.models.base import FrictionModel
 from frictionzoo.models.registry import get_model
 from frictionzoo.result.identified import Identified
 from frictionzoo.simulate.context import computing
+
+# Options, as messages name them, that are arguments of another name here; not what looks alike in a file's path.
+_DATA = "columns|units|sign|fields|fields_from_name|where|exclude|inputs|payload|clean"
+_ARGUMENTS = {
+    r"data\.split(\.test_share)?": "test",
+    r"data\.train": "recordings",
+    rf"data\.(?=(test|format)\b(?!\.)|({_DATA})\b)": "",
+    r"model\.(?!(xml|mjcf|urdf)\b)": "",
+    r"fit\.(?=(derivative|points)\b)": "method.",
+}
+
+
+@contextlib.contextmanager
+def _naming_arguments() -> Iterator[None]:
+    """What an error names as an option of a configuration, it names as an argument of Python."""
+    try:
+        yield
+    except FrictionzooError as error:
+        message = str(error)
+        for option, argument in _ARGUMENTS.items():
+            message = re.sub(rf"(?<![\w./\\-]){option}", argument, message)
+        error.args = (message,)
+        raise
 
 
 class Cut(TypedDict, total=False):
@@ -86,6 +111,7 @@ class How(TypedDict, total=False):
     compilation_cache: str | None
 
 
+@_naming_arguments()
 def read(
     *recordings: str | Path | Any,
     test: str | Path | Sequence[str | Path] = (),
@@ -127,8 +153,6 @@ def read(
     Returns:
         The logs; what was repaired in each is in its `repairs`, and is shown with them.
 
-    Messages name an argument as a configuration does: `data.columns` is `columns`, `data.train` what is read.
-
     Raises:
         LogError: A recording cannot be read, or does not hold what `columns` names.
         ConfigError: An option is impossible.
@@ -145,6 +169,7 @@ def read(
     return Files(name, paths, tests, clean=clean, simulated=simulated, **options).read(tables)
 
 
+@_naming_arguments()
 def identify(
     bench: Bench,
     law: str | FrictionModel,
@@ -206,6 +231,7 @@ def identify(
         return solve(problem, law if isinstance(law, str) else model.name, place)
 
 
+@_naming_arguments()
 def compare(
     bench: Bench, laws: Sequence[str | FrictionModel], logs: Logs | Log | Sequence[Log], **how: Unpack[How]
 ) -> Compared:
@@ -254,6 +280,7 @@ def load(folder: str | Path) -> Identified:
     return Identified.load(Path(folder))
 
 
+@_naming_arguments()
 def law(name: str, nv: int = 1, *, scale: Mapping[str, float] | None = None, **options: Any) -> FrictionModel:
     """A friction law with the initial values, bounds and options that `conf/model` gives it.
 

@@ -177,7 +177,7 @@ def test_what_does_not_fit_is_refused(bench: fz.Bench, changed: dict[str, Any], 
 def test_a_law_that_is_none_and_an_option_that_it_lacks_are_refused() -> None:
     with pytest.raises(UnknownModelError, match=r"^lugr: no such friction model; did you mean lugre\?"):
         fz.law("lugr")
-    with pytest.raises(ConfigError, match=r"^model\.hidden: unknown option; expected one of params in model$"):
+    with pytest.raises(ConfigError, match=r"^hidden: unknown option; expected one of params in model$"):
         fz.law("lugre", hidden=[3])
     for joints in (0, -1):
         with pytest.raises(ConfigError, match=rf"^nv={joints}; expected the number of joints, a whole one from 1 on$"):
