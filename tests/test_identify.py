@@ -23,9 +23,11 @@ from nbclient import NotebookClient
 
 import frictionzoo as fz
 from frictionzoo import library
+from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config
 from frictionzoo.core.errors import ConfigError, LogError
 from frictionzoo.fit import Adam
+from frictionzoo.logs.logs import Logs
 
 ARMATURE = 0.02  # kg m^2, of the recorded drive
 STAND = """<mujoco model="stand">
@@ -260,6 +262,15 @@ def test_what_was_read_twice_is_compared_under_two_labels(finished_run: Callable
     compared = fz.Compared.of([once, again])
     assert len(compared.drives) == 2 and {*compared.drives.values()} == {once, again}
     assert [pair["mean"] for pair in compared.differences.values()] == [0.0]
+
+
+def test_recordings_that_were_in_memory_cannot_be_read_again_and_say_so(stand: Path) -> None:
+    samples = {"time": np.arange(200) / 100, "qpos": np.sin(np.arange(200)), "ctrl": np.zeros(200)}
+    held = fz.read(stand / "a.csv", samples)
+    for logs, name in ((held, "recording 1 in memory"), (Logs.of(held), str(stand / "a.csv"))):
+        section = logs.dividing(fz.Split(gap=0.1)).section
+        with pytest.raises(LogError, match=rf"^{name}: the run had it in memory, .*save its arrays as CSV"):
+            build(json.loads(json.dumps(section))).load()
 
 
 FAULTS = {

@@ -13,7 +13,7 @@ from frictionzoo.core.log import Dataset, Log, Payload
 from frictionzoo.logs.clean import Cleaning, clean, summarise_repairs
 from frictionzoo.logs.columns import Proposal, list_names, propose, to_recording
 from frictionzoo.logs.formats import find_files, format_names, read_tables
-from frictionzoo.logs.logs import Logs
+from frictionzoo.logs.logs import InMemory, Logs
 from frictionzoo.logs.recording import SIGNALS, Recording, Table
 from frictionzoo.logs.select import Selection, choose_payloads
 from frictionzoo.logs.source import Source, register_source
@@ -109,6 +109,8 @@ class Files(Source):
         cleaned = tuple(tuple(self._clean(*pair)) for pair in zip(recordings, payloads, strict=True))
         self._report(recordings, cleaned)
         section = describe(self) | {"train": [*self.train, *(table.name for table in tables)]}
+        if tables:
+            section |= describe(InMemory([table.name for table in tables]))
         return Logs(self.name, tuple(recordings), cleaned, len(test), self.split, section)
 
     def _interpret_all(self, tables: Sequence[Table] = ()) -> tuple[list[Recording], list[Recording]]:

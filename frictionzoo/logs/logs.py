@@ -1,14 +1,34 @@
 """Recordings that were read and cleaned, before they are divided into what trains and what tests."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, NoReturn
 
 from frictionzoo.core.described import describe
 from frictionzoo.core.errors import ConfigError, LogError, refuse_unlike
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.logs.recording import Recording
+from frictionzoo.logs.source import Source
 from frictionzoo.logs.split import Split
+
+
+class InMemory(Source):
+    """Recordings that were in no file, as the record of a run tells them: they cannot be read again.
+
+    Args:
+        names: Of the recordings.
+        options: With which they were read.
+    """
+
+    def __init__(self, names: Sequence[str], **options: Any) -> None:
+        self.names: Sequence[str] = names
+
+    def load(self) -> NoReturn:
+        """See `Source.load`."""
+        raise LogError(
+            f"{self.names[0]}: the run had it in memory, expected a file to read it from again; save its arrays as "
+            "CSV, read that with read('a.csv') and identify the drive again"
+        )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -45,7 +65,7 @@ class Logs:
         for log in held:
             refuse_unlike("logs", log, Log, "a Log, or all that read('a.csv') returns")
         recordings = tuple(Recording(log.name, log.time, {}, log.metadata, log.sha256, log.simulated) for log in held)
-        section = {"_target_": "frictionzoo.logs.logs.Logs", "names": [log.name for log in held]}
+        section = describe(InMemory([log.name for log in held]))
         return cls("logs in memory", recordings, tuple((log,) for log in held), 0, Split(), section)
 
     def __iter__(self) -> Iterator[Log]:
