@@ -1,11 +1,9 @@
 """Coulomb and viscous friction of another size in each direction."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models.base import FrictionModel
-from frictionzoo.models.registry import register_model
+from frictionzoo.models import FrictionModel, Values, register_model
 
 
 @register_model("asymmetric")
@@ -37,7 +35,7 @@ class Asymmetric(FrictionModel):
     documentation, "Computation", friction loss.
     """
 
-    dimensions: ClassVar[Mapping[str, str]] = {
+    dimensions = {
         "frictionloss_forward": "torque",
         "frictionloss_backward": "torque",
         "damping_forward": "damping",
@@ -46,7 +44,7 @@ class Asymmetric(FrictionModel):
     constraint = True
     dissipative = True
 
-    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+    def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The constant, the constraint's limit, and the damping of the direction."""
         forward, backward = values["frictionloss_forward"], values["frictionloss_backward"]
         damping = xp.where(state.qvel > 0, values["damping_forward"], values["damping_backward"])

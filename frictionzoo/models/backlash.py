@@ -1,11 +1,9 @@
 """Play between motor and load, joined by a stiff coupling: a drive of two inertias."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models.base import FrictionModel
-from frictionzoo.models.registry import register_model
+from frictionzoo.models import FrictionModel, Values, register_model
 
 _NEARLY_UNLOADED = 1e-3  # share of the rounding's torque below which a settled rotor floats, for a finite gradient
 
@@ -62,7 +60,7 @@ class Backlash(FrictionModel):
     powertrains", IEEE Transactions on Control Systems Technology 15(3), 2007. Rounding and step are this package's.
     """
 
-    dimensions: ClassVar[Mapping[str, str]] = {
+    dimensions = {
         "rotor_inertia": "inertia",
         "gap": "position",
         "stiffness": "stiffness",
@@ -75,18 +73,18 @@ class Backlash(FrictionModel):
     dissipative = True
     memory = 3
 
-    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+    def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The rotor's friction, with rotor and load at one velocity."""
         return FrictionTerms(torque=_drag(xp, values, state.qvel) * state.qvel)
 
-    def settle(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> Any:
+    def settle(self, xp: Any, values: Values, state: DriveState) -> Any:
         """Rotor ahead of the load, its velocity, and the motor's torque, in steady motion."""
         passed = state.motor_torque - _drag(xp, values, state.qvel) * state.qvel
         ahead = _invert_dead_zone(xp, values, passed / values["stiffness"])
         return xp.stack([ahead, state.qvel, state.motor_torque], -1)
 
     def advance(
-        self, xp: Any, values: Mapping[str, Any], state: DriveState, memory: Any, timestep: float
+        self, xp: Any, values: Values, state: DriveState, memory: Any, timestep: float
     ) -> tuple[FrictionTerms, Any]:
         """The coupling's torque at the end of the step, when the load has the velocity that the step gives it."""
         # The step before ends here: only now is the load's velocity known, and with it the rotor's.
@@ -102,13 +100,13 @@ class Backlash(FrictionModel):
         return terms, xp.stack([ahead, rotor, state.motor_torque], -1)
 
 
-def _drag(xp: Any, values: Mapping[str, Any], velocity: Any) -> Any:
+def _drag(xp: Any, values: Values, velocity: Any) -> Any:
     """The rotor's friction per velocity [N m s/rad or N s/m]."""
     speed = xp.sqrt(xp.square(velocity) + xp.square(values["smoothing_velocity"]))
     return values["damping"] + values["frictionloss"] / speed
 
 
-def _couple(xp: Any, values: Mapping[str, Any], ahead: Any, rotor: Any, timestep: float) -> tuple[Any, Any, Any, Any]:
+def _couple(xp: Any, values: Values, ahead: Any, rotor: Any, timestep: float) -> tuple[Any, Any, Any, Any]:
     """What a step implicit in the velocities at its end, w of the rotor and v of the load, comes down to.
 
     The coupling passes on push + rate (w - v), and alone w + push + rate (w - v) = inertia rotor + motor torque.
@@ -122,7 +120,7 @@ def _couple(xp: Any, values: Mapping[str, Any], ahead: Any, rotor: Any, timestep
     return values["stiffness"] * bend, rate, inertia, inertia + _drag(xp, values, rotor)
 
 
-def _dead_zone(xp: Any, values: Mapping[str, Any], ahead: Any) -> tuple[Any, Any]:
+def _dead_zone(xp: Any, values: Values, ahead: Any) -> tuple[Any, Any]:
     """By how much the coupling is bent [rad or m], and the slope of that, between 0 in the gap and 1 in contact."""
     edge = values["smoothing"] * values["gap"]
     depth = xp.abs(ahead) - (values["gap"] - edge) / 2
@@ -131,7 +129,7 @@ def _dead_zone(xp: Any, values: Mapping[str, Any], ahead: Any) -> tuple[Any, Any
     return xp.sign(ahead) * (xp.square(rounded) / (2 * edge) + depth - rounded), rounded / edge
 
 
-def _invert_dead_zone(xp: Any, values: Mapping[str, Any], bend: Any) -> Any:
+def _invert_dead_zone(xp: Any, values: Values, bend: Any) -> Any:
     """Where the rotor is that bends the coupling by this much [rad or m]."""
     edge = values["smoothing"] * values["gap"]
     size, least = xp.abs(bend), _NEARLY_UNLOADED * edge / 2

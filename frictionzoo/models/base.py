@@ -11,6 +11,8 @@ from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.params import Param, read_params
 from frictionzoo.core.state import DriveState, FrictionTerms
 
+Values = Mapping[str, Any]
+"""Arrays of a law under the names of its `state_dict`."""
 Params = Mapping[str, Mapping[str, Any] | float | int]
 """Of each physical parameter its section, `init`, `low`, `high`, `scale`, `identify`, or its value if that is known."""
 
@@ -61,7 +63,7 @@ class FrictionModel(Described, torch.nn.Module, ABC):
             self.register_parameter(name, torch.nn.Parameter(initial, requires_grad=param.identify))
 
     @abstractmethod
-    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+    def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The law itself, pure: no attribute that a fit changes, no branch on a value.
 
         Of a law with a memory: what it comes down to at constant velocity.
@@ -75,7 +77,7 @@ class FrictionModel(Described, torch.nn.Module, ABC):
             Terms of shape (..., nv), or that broadcast to it.
         """
 
-    def settle(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> Any:
+    def settle(self, xp: Any, values: Values, state: DriveState) -> Any:
         """The memory that a simulation begins with: what it would be had the drive long been in this state.
 
         Args:
@@ -89,7 +91,7 @@ class FrictionModel(Described, torch.nn.Module, ABC):
         return xp.zeros((*state.qvel.shape, self.memory))
 
     def advance(
-        self, xp: Any, values: Mapping[str, Any], state: DriveState, memory: Any, timestep: float
+        self, xp: Any, values: Values, state: DriveState, memory: Any, timestep: float
     ) -> tuple[FrictionTerms, Any]:
         """One step of a simulation: the terms that act until the next state, and the memory in this one.
 

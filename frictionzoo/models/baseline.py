@@ -1,11 +1,9 @@
 """No friction at all."""
 
-from collections.abc import Mapping
 from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models.base import FrictionModel
-from frictionzoo.models.registry import register_model
+from frictionzoo.models import FrictionModel, Values, register_model
 
 
 @register_model("baseline")
@@ -21,6 +19,6 @@ class Baseline(FrictionModel):
 
     dissipative = True
 
-    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+    def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """No term."""
         return FrictionTerms()

@@ -1,9 +1,9 @@
 """What laws of friction that remember have in common: where they begin, and bristles that bend and slip."""
 
-from collections.abc import Mapping
 from typing import Any
 
 from frictionzoo.core.state import DriveState
+from frictionzoo.models.base import Values
 
 _NEARLY_ZERO = 1e-2  # below it, the series is exact to 1e-10, and the quotient loses digits in float32
 
@@ -47,7 +47,7 @@ def remaining(xp: Any, rate: Any, timestep: float) -> tuple[Any, Any]:
     return xp.exp(-steps), timestep * xp.where(small, series, -xp.expm1(-divisor) / divisor)
 
 
-def stribeck_force(xp: Any, values: Mapping[str, Any], velocity: Any) -> Any:
+def stribeck_force(xp: Any, values: Values, velocity: Any) -> Any:
     """Dry friction that falls from static to kinetic with speed [N m or N].
 
     Args:

@@ -15,8 +15,8 @@ import torch
 from frictionzoo.core.errors import ModelError, UnknownModelError, closest
 from frictionzoo.core.params import UNITS
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models.base import FrictionModel, sliding_torque
-from frictionzoo.models.formula import Formula, Values, as_numpy, jax_slopes, torch_slopes, torch_state, torch_values
+from frictionzoo.models.base import FrictionModel, Values, sliding_torque
+from frictionzoo.models.formula import Formula, as_numpy, jax_slopes, torch_slopes, torch_state, torch_values
 from frictionzoo.models.registry import get_model
 from frictionzoo.models.torch_friction import TorchFriction
 

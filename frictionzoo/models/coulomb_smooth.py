@@ -1,11 +1,9 @@
 """Coulomb friction with a smooth sign, and viscous friction."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models.base import FrictionModel
-from frictionzoo.models.registry import register_model
+from frictionzoo.models import FrictionModel, Values, register_model
 
 
 @register_model("coulomb_smooth")
@@ -28,14 +26,14 @@ class CoulombSmooth(FrictionModel):
     Source: V. Kovalev et al., Proc. MIPT 18(2), 2026, Table 1, "Coulomb-Smooth".
     """
 
-    dimensions: ClassVar[Mapping[str, str]] = {
+    dimensions = {
         "static_torque": "torque",
         "smoothing": "1/velocity",
         "viscous_coefficient": "damping",
     }
     dissipative = True
 
-    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+    def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The explicit torque."""
         direction = xp.tanh(10 * values["smoothing"] * state.qvel)
         dry = direction * xp.abs(values["static_torque"])

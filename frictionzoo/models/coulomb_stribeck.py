@@ -1,11 +1,9 @@
 """Friction that falls from static to kinetic with speed, and viscous friction."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models.base import FrictionModel
-from frictionzoo.models.registry import register_model
+from frictionzoo.models import FrictionModel, Values, register_model
 
 
 @register_model("coulomb_stribeck")
@@ -36,7 +34,7 @@ class CoulombStribeck(FrictionModel):
     2026, Table 1, "Coulomb-Stribeck".
     """
 
-    dimensions: ClassVar[Mapping[str, str]] = {
+    dimensions = {
         "static_torque": "torque",
         "kinetic_torque": "torque",
         "stribeck_velocity": "velocity",
@@ -45,7 +43,7 @@ class CoulombStribeck(FrictionModel):
     }
     dissipative = True
 
-    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+    def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The explicit torque."""
         kinetic, velocity = values["kinetic_torque"], state.qvel
         excess = (values["static_torque"] - kinetic) * xp.exp(-xp.square(velocity / values["stribeck_velocity"]))

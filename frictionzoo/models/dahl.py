@@ -1,12 +1,10 @@
 """Friction as a spring that yields."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models.base import FrictionModel
+from frictionzoo.models import FrictionModel, Values, register_model
 from frictionzoo.models.bristles import remaining, settled_force
-from frictionzoo.models.registry import register_model
 
 
 @register_model("dahl")
@@ -33,7 +31,7 @@ class Dahl(FrictionModel):
     Source: P. R. Dahl, "A solid friction model", Aerospace Corporation, TOR-0158(3107-18)-1, 1968, with the exponent 1.
     """
 
-    dimensions: ClassVar[Mapping[str, str]] = {
+    dimensions = {
         "stiffness": "stiffness",
         "coulomb_torque": "torque",
         "viscous_coefficient": "damping",
@@ -42,18 +40,18 @@ class Dahl(FrictionModel):
     dissipative = True
     memory = 1
 
-    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+    def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The yielded contact."""
         dry = values["coulomb_torque"] * xp.tanh(state.qvel / values["rest_velocity"])
         return FrictionTerms(torque=dry, damping=values["viscous_coefficient"])
 
-    def settle(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> Any:
+    def settle(self, xp: Any, values: Values, state: DriveState) -> Any:
         """The bend of a joint at rest or in steady motion."""
         force = settled_force(xp, state, values["coulomb_torque"], values["rest_velocity"])
         return (force / values["stiffness"])[..., None]
 
     def advance(
-        self, xp: Any, values: Mapping[str, Any], state: DriveState, memory: Any, timestep: float
+        self, xp: Any, values: Values, state: DriveState, memory: Any, timestep: float
     ) -> tuple[FrictionTerms, Any]:
         """The spring's torque at the end of the step."""
         stiffness = values["stiffness"]

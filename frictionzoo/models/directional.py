@@ -1,12 +1,11 @@
 """Dry friction that takes the load of the motor for another than that from outside, as a constraint."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models.base import FrictionModel
+from frictionzoo.models import FrictionModel, Values, register_model
 from frictionzoo.models.limits import directional_limit
-from frictionzoo.models.registry import register_model
+from frictionzoo.models.stribeck import Stribeck
 
 
 @register_model("directional")
@@ -35,12 +34,8 @@ class Directional(FrictionModel):
     actuators", 2024, model M5.
     """
 
-    dimensions: ClassVar[Mapping[str, str]] = {
-        "frictionloss": "torque",
-        "damping": "damping",
-        "stribeck_torque": "torque",
-        "stribeck_velocity": "velocity",
-        "stribeck_exponent": "1",
+    dimensions = {
+        **Stribeck.dimensions,
         "load_friction_motor": "1",
         "load_friction_external": "1",
         "stribeck_load_friction_motor": "1",
@@ -49,7 +44,7 @@ class Directional(FrictionModel):
     constraint = True
     dissipative = True
 
-    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+    def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The constraint's limit in this state, and the damping."""
         limit = values["frictionloss"] + directional_limit(xp, values, state)
         return FrictionTerms(frictionloss=limit, damping=values["damping"])

@@ -1,14 +1,13 @@
 """Friction as a neural network that cannot drive the joint."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from collections.abc import Sequence
+from typing import Any
 
 import torch
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models.base import Params
+from frictionzoo.models import Params, Values, register_model
 from frictionzoo.models.network import GearNetwork
-from frictionzoo.models.registry import register_model
 
 START = -3.0  # bias of both outputs at the start: softplus(-3) = 0.05
 
@@ -50,31 +49,16 @@ class DissipativeNetwork(GearNetwork):
     Encoding Hamiltonian dynamics with dissipation and control into deep learning", 2020, whose learned dissipation is
     positive by construction; softplus: C. Dugas et al., "Incorporating second-order functional knowledge for better
     option pricing", NIPS 2000.
-
-    Args:
-        nv: Number of joints.
-        hidden: Width of each hidden layer.
-        seed: Of the initial weights; torch's global generator is not touched.
-        params: Section of the smoothing velocity.
-
-    Raises:
-        ConfigError: A width is below 1, or a parameter is missing, unknown, or out of bounds.
     """
 
-    dimensions: ClassVar[Mapping[str, str]] = {"smoothing_velocity": "velocity"}
+    dimensions = {"smoothing_velocity": "velocity"}
     dissipative = True
 
-    def __init__(
-        self,
-        nv: int,
-        hidden: Sequence[int] = (64, 64),
-        seed: int = 0,
-        params: Params | None = None,
-    ) -> None:
+    def __init__(self, nv: int, hidden: Sequence[int] = (64, 64), seed: int = 0, params: Params | None = None) -> None:
         super().__init__(nv, hidden, 2, seed, params)
         torch.nn.init.constant_(self.layers[-1].get_parameter("bias"), START)
 
-    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+    def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The explicit torque."""
         size = softplus(xp, self.network(xp, values, self.bounded(xp, values, state)))
         dry = size[..., 0] * xp.tanh(state.qvel / values["smoothing_velocity"])

@@ -9,9 +9,8 @@ import numpy as np
 import torch
 
 from frictionzoo.core.state import DriveState
-from frictionzoo.models.base import FrictionModel
+from frictionzoo.models.base import FrictionModel, Values
 
-Values = Mapping[str, Any]
 Formula = Callable[[Any, Values, DriveState], dict[str, Any]]
 
 

@@ -1,13 +1,11 @@
 """Dry friction of a loaded gear whose meshing is felt, with the Stribeck effect, as a constraint."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models.base import FrictionModel
+from frictionzoo.models import FrictionModel, Values, register_model
 from frictionzoo.models.directional import Directional
 from frictionzoo.models.limits import directional_limit, ripple_share
-from frictionzoo.models.registry import register_model
 from frictionzoo.models.ripple import Ripple
 
 _LEAST = 1e-3  # of frictionloss; at a limit of 0 MuJoCo locks the joint
@@ -54,7 +52,7 @@ class HarmonicDrive(FrictionModel):
     G. Passault, V. Padois, O. Ly, "Extended friction models for the physics simulation of servo actuators", 2024.
     """
 
-    dimensions: ClassVar[Mapping[str, str]] = {
+    dimensions = {
         **Directional.dimensions,
         **Ripple.dimensions,
         "cubic_damping": "damping/velocity^2",
@@ -62,7 +60,7 @@ class HarmonicDrive(FrictionModel):
     constraint = True
     dissipative = True
 
-    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+    def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The constraint's limit in this state, the viscous part's slope as damping, and what remains of that part."""
         meshing = values["frictionloss"] * (1 + ripple_share(xp, values, state.qpos))
         limit, least = meshing + directional_limit(xp, values, state), _LEAST * values["frictionloss"]

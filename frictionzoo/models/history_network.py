@@ -1,14 +1,14 @@
 """Friction as a neural network that remembers."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import torch
 
 from frictionzoo.core.errors import ConfigError, refuse_outside
 from frictionzoo.core.state import DriveState, FrictionTerms
+from frictionzoo.models import Values, register_model
 from frictionzoo.models.network import MOST_WIDTH, NetworkModel
-from frictionzoo.models.registry import register_model
 
 
 @register_model("history_network")
@@ -49,11 +49,8 @@ class HistoryNetwork(NetworkModel):
     MIPT 18(2), 2026, leave a short history of states open; this form of it is this package's.
 
     Args:
-        nv: Number of joints.
-        hidden: Width of each hidden layer.
         memory: How many numbers it remembers of each joint.
         time_constants: t_short and t_long [s].
-        seed: Of the initial weights; torch's global generator is not touched.
 
     Raises:
         ConfigError: A width is below 1, there is no memory, or the time constants are not two positive ones, the
@@ -81,16 +78,16 @@ class HistoryNetwork(NetworkModel):
         with torch.no_grad():
             self.layers[-1].get_parameter("bias")[1 + memory :] = torch.logit(shares)
 
-    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+    def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The explicit torque once the memory has settled."""
         return self._torque(xp, values, *self._answer(xp, values, state)[:2])
 
-    def settle(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> Any:
+    def settle(self, xp: Any, values: Values, state: DriveState) -> Any:
         """The candidates, which a constant state leads to."""
         return self._answer(xp, values, state)[1]
 
     def advance(
-        self, xp: Any, values: Mapping[str, Any], state: DriveState, memory: Any, timestep: float
+        self, xp: Any, values: Values, state: DriveState, memory: Any, timestep: float
     ) -> tuple[FrictionTerms, Any]:
         """The explicit torque with the memory in this state."""
         present, candidate, gate = self._answer(xp, values, state)
@@ -100,11 +97,10 @@ class HistoryNetwork(NetworkModel):
         memory = memory - xp.expm1(-timestep / time) * (candidate - memory)
         return self._torque(xp, values, present, memory), memory
 
-    def _answer(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> tuple[Any, Any, Any]:
+    def _answer(self, xp: Any, values: Values, state: DriveState) -> tuple[Any, Any, Any]:
         """What acts at once, and of each unit the candidate and the gate."""
-        answer = self.network(xp, values, self.bounded(xp, values, state))
-        split = 1 + self.memory
+        answer, split = self.network(xp, values, self.bounded(xp, values, state)), 1 + self.memory
         return answer[..., 0], answer[..., 1:split], answer[..., split:]
 
-    def _torque(self, xp: Any, values: Mapping[str, Any], present: Any, memory: Any) -> FrictionTerms:
+    def _torque(self, xp: Any, values: Values, present: Any, memory: Any) -> FrictionTerms:
         return FrictionTerms(torque=values["torque_scale"] * (present + xp.sum(memory, -1)))

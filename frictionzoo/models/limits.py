@@ -1,30 +1,28 @@
 """What state-dependent limits of dry friction are added up from."""
 
-from collections.abc import Mapping
 from typing import Any
 
 from frictionzoo.core.state import DriveState
+from frictionzoo.models.base import Values
 
 _AT_REST = 1e-12  # keeps the logarithm and the slope finite at v = 0; the share there is 1 - 1e-6 with an exponent of 1
 _GONE = 5.0  # exp(-exp(5)) = 4e-65; further on float32 overflows
 
 
 def stribeck_share(xp: Any, qvel: Any, velocity: Any, exponent: Any) -> Any:
-    """Share of what is added to friction at rest: 1 at rest, 0 at speed.
-
-    exp(-|v / v_s|^alpha)
+    """Share exp(-|v / v_s|^alpha) of what is added to friction at rest: 1 at rest, 0 at speed.
 
     Args:
         xp: Array namespace.
-        qvel: Joint velocity v [rad/s or m/s], of shape (..., nv).
-        velocity: Stribeck velocity v_s [rad/s or m/s].
+        qvel: v [rad/s or m/s], of shape (..., nv).
+        velocity: v_s [rad/s or m/s].
         exponent: alpha [1].
     """
     power = exponent / 2 * xp.log(xp.square(qvel / velocity) + _AT_REST)
     return xp.exp(-xp.exp(xp.where(power < _GONE, power, _GONE)))
 
 
-def ripple_share(xp: Any, values: Mapping[str, Any], qpos: Any) -> Any:
+def ripple_share(xp: Any, values: Values, qpos: Any) -> Any:
     """What meshing gears change in friction over the position, as a share of its mean: two harmonics.
 
     s_1 sin(n q) + c_1 cos(n q) + s_2 sin(2 n q) + c_2 cos(2 n q)
@@ -43,9 +41,7 @@ def ripple_share(xp: Any, values: Mapping[str, Any], qpos: Any) -> Any:
 
 
 def gear_load(xp: Any, state: DriveState, motor: Any, external: Any) -> Any:
-    """Friction torque of a loaded gear [N m or N].
-
-    |k_m tau_m - k_e tau_e|
+    """Friction torque of a loaded gear, |k_m tau_m - k_e tau_e| [N m or N].
 
     Both torques act on the joint and count in its direction. A motor that holds a weight has tau_m = -tau_e: the load
     on the gear is then their difference, not their sum, which is 0. Between a motor of inertia J_m and a load of
@@ -61,7 +57,7 @@ def gear_load(xp: Any, state: DriveState, motor: Any, external: Any) -> Any:
     return xp.abs(motor * state.motor_torque - external * state.external_torque)
 
 
-def directional_limit(xp: Any, values: Mapping[str, Any], state: DriveState) -> Any:
+def directional_limit(xp: Any, values: Values, state: DriveState) -> Any:
     """What load and standstill add to the limit of dry friction [N m or N].
 
     |k_m tau_m - k_e tau_e| + (s + |l_m tau_m - l_e tau_e|) exp(-|v / v_s|^alpha)

@@ -1,12 +1,10 @@
 """Dry friction that grows with the load on the gear, as a constraint that can stop the joint."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models.base import FrictionModel
+from frictionzoo.models import FrictionModel, Values, register_model
 from frictionzoo.models.limits import gear_load
-from frictionzoo.models.registry import register_model
 
 
 @register_model("load_dependent")
@@ -35,11 +33,11 @@ class LoadDependent(FrictionModel):
     actuators", 2024, model M3.
     """
 
-    dimensions: ClassVar[Mapping[str, str]] = {"frictionloss": "torque", "damping": "damping", "load_friction": "1"}
+    dimensions = {"frictionloss": "torque", "damping": "damping", "load_friction": "1"}
     constraint = True
     dissipative = True
 
-    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+    def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The constraint's limit in this state, and the damping."""
         load = gear_load(xp, state, values["load_friction"], values["load_friction"])
         return FrictionTerms(frictionloss=values["frictionloss"] + load, damping=values["damping"])

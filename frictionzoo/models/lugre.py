@@ -1,12 +1,10 @@
 """Friction of elastic bristles."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models.base import FrictionModel
+from frictionzoo.models import FrictionModel, Values, register_model
 from frictionzoo.models.bristles import remaining, settled_force, stribeck_force
-from frictionzoo.models.registry import register_model
 
 
 @register_model("lugre")
@@ -38,7 +36,7 @@ class LuGre(FrictionModel):
     friction", IEEE Transactions on Automatic Control 40(3), 1995.
     """
 
-    dimensions: ClassVar[Mapping[str, str]] = {
+    dimensions = {
         "stiffness": "stiffness",
         "micro_damping": "damping",
         "static_torque": "torque",
@@ -50,18 +48,18 @@ class LuGre(FrictionModel):
     dissipative = True
     memory = 1
 
-    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+    def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The slipping bristles."""
         dry = stribeck_force(xp, values, state.qvel) * xp.tanh(state.qvel / values["rest_velocity"])
         return FrictionTerms(torque=dry, damping=values["viscous_coefficient"])
 
-    def settle(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> Any:
+    def settle(self, xp: Any, values: Values, state: DriveState) -> Any:
         """The bend of a joint at rest or in steady motion."""
         force = settled_force(xp, state, stribeck_force(xp, values, state.qvel), values["rest_velocity"])
         return (force / values["stiffness"])[..., None]
 
     def advance(
-        self, xp: Any, values: Mapping[str, Any], state: DriveState, memory: Any, timestep: float
+        self, xp: Any, values: Values, state: DriveState, memory: Any, timestep: float
     ) -> tuple[FrictionTerms, Any]:
         """The bristles' torque at the end of the step."""
         stiffness, micro = values["stiffness"], values["micro_damping"]

@@ -1,13 +1,11 @@
 """Friction of several springs that slip one after the other."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 from frictionzoo.core.errors import refuse_outside
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models.base import FrictionModel, Params
+from frictionzoo.models import FrictionModel, Params, Values, register_model
 from frictionzoo.models.bristles import settled_force, stribeck_force
-from frictionzoo.models.registry import register_model
 
 MOST_ELEMENTS = 1000
 
@@ -43,15 +41,13 @@ class MaxwellSlip(FrictionModel):
     simulation and compensation", IEEE Transactions on Automatic Control 50(11), 2005.
 
     Args:
-        nv: Number of joints.
         elements: How many elements.
-        params: Section of each physical parameter.
 
     Raises:
-        ConfigError: There is no element, or a parameter's section makes no sense.
+        ConfigError: There is no element, and as `FrictionModel` has it.
     """
 
-    dimensions: ClassVar[Mapping[str, str]] = {
+    dimensions = {
         "presliding": "position",
         "static_torque": "torque",
         "kinetic_torque": "torque",
@@ -67,18 +63,18 @@ class MaxwellSlip(FrictionModel):
         refuse_outside("model.elements", elements, 1, MOST_ELEMENTS)
         self.memory = elements
 
-    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+    def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """All elements slipping."""
         dry = stribeck_force(xp, values, state.qvel) * xp.tanh(state.qvel / values["rest_velocity"])
         return FrictionTerms(torque=dry, damping=values["viscous_coefficient"])
 
-    def settle(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> Any:
+    def settle(self, xp: Any, values: Values, state: DriveState) -> Any:
         """The same force in all elements."""
         force = settled_force(xp, state, stribeck_force(xp, values, state.qvel), values["rest_velocity"])
         return xp.stack([force / self.memory] * self.memory, -1)
 
     def advance(
-        self, xp: Any, values: Mapping[str, Any], state: DriveState, memory: Any, timestep: float
+        self, xp: Any, values: Values, state: DriveState, memory: Any, timestep: float
     ) -> tuple[FrictionTerms, Any]:
         """The torque of those that slip, and of those that stick at the end of the step."""
         limit = stribeck_force(xp, values, state.qvel) / self.memory

@@ -1,11 +1,9 @@
 """MuJoCo's own joint friction."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models.base import FrictionModel
-from frictionzoo.models.registry import register_model
+from frictionzoo.models import FrictionModel, Values, register_model
 
 
 @register_model("mujoco_default")
@@ -29,10 +27,10 @@ class MujocoDefault(FrictionModel):
     documentation, "Computation", friction loss; V. Kovalev et al., Proc. MIPT 18(2), 2026, Table 1, "MuJoCo-Default".
     """
 
-    dimensions: ClassVar[Mapping[str, str]] = {"frictionloss": "torque", "damping": "damping"}
+    dimensions = {"frictionloss": "torque", "damping": "damping"}
     constraint = True
     dissipative = True
 
-    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+    def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The constraint's limit and the damping, whatever the state."""
         return FrictionTerms(frictionloss=values["frictionloss"], damping=values["damping"])

@@ -1,7 +1,7 @@
 """What the laws with a neural network share: the network, its inputs and their normalisation."""
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.state import DriveState
-from frictionzoo.models.base import FrictionModel, Params
+from frictionzoo.models.base import FrictionModel, Params, Values
 
 INPUTS = 4
 OCTAVES = (1, 2, 4, 8)  # radians of phase per standard deviation of the position
@@ -34,12 +34,12 @@ class NetworkModel(FrictionModel):
     Args:
         nv: Number of joints.
         hidden: Width of each hidden layer.
-        outputs: What the network answers with.
+        outputs: How many numbers the network answers with.
         seed: Of the initial weights; torch's global generator is not touched.
-        params: Section of each physical parameter.
+        params: As `FrictionModel` has it.
 
     Raises:
-        ConfigError: A width is below 1, or a parameter is missing, unknown, or out of bounds.
+        ConfigError: A width or the number of layers is out of bounds, and as `FrictionModel` has it.
     """
 
     columns: ClassVar[int] = INPUTS
@@ -47,14 +47,7 @@ class NetworkModel(FrictionModel):
     input_std: torch.Tensor
     torque_scale: torch.Tensor
 
-    def __init__(
-        self,
-        nv: int,
-        hidden: Sequence[int],
-        outputs: int,
-        seed: int,
-        params: Params | None = None,
-    ) -> None:
+    def __init__(self, nv: int, hidden: Sequence[int], outputs: int, seed: int, params: Params | None = None) -> None:
         super().__init__(nv, params)
         if not all(1 <= width <= MOST_WIDTH for width in hidden) or len(hidden) > MOST_LAYERS:
             raise ConfigError(
@@ -89,37 +82,20 @@ class NetworkModel(FrictionModel):
         """Mean and standard deviation of each input in the training data, arrays of shape (samples, nv)."""
         return [_mean_and_std(signal) for signal in self.signals(samples)]
 
-    def normalised(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> Any:
-        """The inputs as multiples of their standard deviation from their mean, of shape (..., nv, inputs).
-
-        Args:
-            xp: Array namespace.
-            values: Arrays of this namespace under the names of `state_dict`.
-            state: What the drive is doing, arrays of shape (..., nv).
-        """
+    def normalised(self, xp: Any, values: Values, state: DriveState) -> Any:
+        """The inputs as multiples of their standard deviation from their mean, of shape (..., nv, inputs)."""
         return (xp.stack(self.signals(state), -1) - values["input_mean"]) / values["input_std"]
 
-    def bounded(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> Any:
-        """The normalised inputs, held within `SPAN`: far outside the training data the network is constant.
-
-        Arguments are as in `normalised`.
-        """
+    def bounded(self, xp: Any, values: Values, state: DriveState) -> Any:
+        """The normalised inputs, held within `SPAN`: far outside the training data the network is constant."""
         return xp.clip(self.normalised(xp, values, state), -SPAN, SPAN)
 
-    def network(self, xp: Any, values: Mapping[str, Any], x: Any) -> Any:
-        """The network's answer, of shape (..., outputs).
-
-        Args:
-            xp: Array namespace.
-            values: Arrays of this namespace under the names of `state_dict`.
-            x: Normalised inputs, of shape (..., inputs).
-        """
-        last = len(self.layers) - 1
-        for layer in range(last + 1):
-            x = xp.matmul(x, values[f"layers.{layer}.weight"].T) + values[f"layers.{layer}.bias"]
-            if layer < last:
-                # Not maximum(x, 0), whose gradient at a tie is 1/2; this one is 0 there and lets NaN through.
+    def network(self, xp: Any, values: Values, x: Any) -> Any:
+        """The network's answer, of shape (..., outputs), to normalised inputs of shape (..., inputs)."""
+        for layer in range(len(self.layers)):
+            if layer:  # not maximum(x, 0), whose gradient at a tie is 1/2; this one is 0 there and lets NaN through
                 x = xp.where(x <= 0, 0.0, x)
+            x = xp.matmul(x, values[f"layers.{layer}.weight"].T) + values[f"layers.{layer}.bias"]
         return x
 
 
@@ -139,7 +115,7 @@ class GearNetwork(NetworkModel):
         """See `NetworkModel.signals`."""
         return [state.qpos, state.qvel, state.motor_torque, state.external_torque]
 
-    def bounded(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> Any:
+    def bounded(self, xp: Any, values: Values, state: DriveState) -> Any:
         """See `NetworkModel.bounded`; then sines, then cosines of the position."""
         x = xp.clip(self.normalised(xp, values, state), -SPAN, SPAN)
         phases = [octave * x[..., :1] for octave in OCTAVES]

@@ -1,11 +1,11 @@
 """Friction as a small neural network."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
+from frictionzoo.models import Values, register_model
 from frictionzoo.models.network import NetworkModel
-from frictionzoo.models.registry import register_model
 
 
 @register_model("neural_friction")
@@ -28,20 +28,12 @@ class NeuralFriction(NetworkModel):
     the training data, may give energy to the drive, and takes up any other error of the simulation.
 
     Source: V. Kovalev et al., Proc. MIPT 18(2), 2026, Table 1, "NeuralFriction".
-
-    Args:
-        nv: Number of joints.
-        hidden: Width of each hidden layer.
-        seed: Of the initial weights; torch's global generator is not touched.
-
-    Raises:
-        ConfigError: A width is below 1.
     """
 
     def __init__(self, nv: int, hidden: Sequence[int] = (64, 64), seed: int = 0) -> None:
         super().__init__(nv, hidden, 1, seed)
 
-    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+    def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The explicit torque."""
         answer = self.network(xp, values, self.normalised(xp, values, state))
         return FrictionTerms(torque=values["torque_scale"] * answer[..., 0])

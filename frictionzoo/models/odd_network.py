@@ -1,13 +1,13 @@
 """Friction as a neural network that knows no preferred direction."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from frictionzoo.core.state import DriveState, FrictionTerms
+from frictionzoo.models import Values, register_model
 from frictionzoo.models.network import GearNetwork
-from frictionzoo.models.registry import register_model
 
 
 @register_model("odd_network")
@@ -45,14 +45,6 @@ class OddNetwork(GearNetwork):
     Source: equation of this package: the odd part of a function, as in any text on Fourier series; the network is that
     of V. Kovalev et al., Proc. MIPT 18(2), 2026, Table 1, "NeuralFriction", with the motor's torque for the command,
     which has no sign of its own where it is a position.
-
-    Args:
-        nv: Number of joints.
-        hidden: Width of each hidden layer.
-        seed: Of the initial weights; torch's global generator is not touched.
-
-    Raises:
-        ConfigError: A width is below 1.
     """
 
     def __init__(self, nv: int, hidden: Sequence[int] = (64, 64), seed: int = 0) -> None:
@@ -63,7 +55,7 @@ class OddNetwork(GearNetwork):
         sizes = [float(np.sqrt(np.mean(np.square(signal)))) or 1.0 for signal in self.signals(samples)[1:]]
         return [super().normalise(samples)[0], *((0.0, size) for size in sizes)]
 
-    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+    def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The explicit torque."""
         sides = (self.bounded(xp, values, side) for side in (state, reverse(state)))
         there, back = (self.network(xp, values, x) for x in sides)

@@ -1,11 +1,9 @@
 """Dry friction, and viscous friction as a polynomial of the speed."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models.base import FrictionModel
-from frictionzoo.models.registry import register_model
+from frictionzoo.models import FrictionModel, Values, register_model
 
 
 @register_model("polynomial_viscous")
@@ -34,7 +32,7 @@ class PolynomialViscous(FrictionModel):
     joint, damping.
     """
 
-    dimensions: ClassVar[Mapping[str, str]] = {
+    dimensions = {
         "frictionloss": "torque",
         "damping": "damping",
         "quadratic_damping": "damping/velocity",
@@ -43,7 +41,7 @@ class PolynomialViscous(FrictionModel):
     constraint = True
     dissipative = True
 
-    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+    def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The constraint's limit, the polynomial's slope as damping, and what remains of the polynomial."""
         speed = state.qvel * xp.sign(state.qvel)  # not abs, whose slope at 0 torch and JAX take differently
         quadratic, cubic = values["quadratic_damping"] * speed, values["cubic_damping"] * xp.square(speed)

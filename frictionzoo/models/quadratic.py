@@ -1,13 +1,11 @@
 """Dry friction with a part that grows with the square of the load, as a constraint."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models.base import FrictionModel
+from frictionzoo.models import FrictionModel, Values, register_model
 from frictionzoo.models.directional import Directional
 from frictionzoo.models.limits import directional_limit, quadratic_gear_load, stribeck_share
-from frictionzoo.models.registry import register_model
 
 
 @register_model("quadratic")
@@ -41,7 +39,7 @@ class Quadratic(FrictionModel):
     actuators", 2024, model M6.
     """
 
-    dimensions: ClassVar[Mapping[str, str]] = {
+    dimensions = {
         **Directional.dimensions,
         "quadratic_load_friction_motor": "1/torque",
         "quadratic_load_friction_external": "1/torque",
@@ -49,11 +47,10 @@ class Quadratic(FrictionModel):
     constraint = True
     dissipative = True
 
-    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+    def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The constraint's limit in this state, and the damping."""
         share = stribeck_share(xp, state.qvel, values["stribeck_velocity"], values["stribeck_exponent"])
-        squared = quadratic_gear_load(
-            xp, state, values["quadratic_load_friction_motor"], values["quadratic_load_friction_external"]
-        )
+        sides = values["quadratic_load_friction_motor"], values["quadratic_load_friction_external"]
+        squared = quadratic_gear_load(xp, state, *sides)
         limit = values["frictionloss"] + directional_limit(xp, values, state) + share * squared
         return FrictionTerms(frictionloss=limit, damping=values["damping"])

@@ -1,15 +1,14 @@
 """MuJoCo's own joint friction, and a small neural network for what it leaves."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from collections.abc import Sequence
+from typing import Any
 
 import torch
 
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models.base import Params
+from frictionzoo.models import Params, Values, register_model
 from frictionzoo.models.network import NetworkModel
-from frictionzoo.models.registry import register_model
 
 
 @register_model("residual_network")
@@ -54,27 +53,18 @@ class ResidualNetwork(NetworkModel):
     model-based control", IROS 2012.
 
     Args:
-        nv: Number of joints.
-        hidden: Width of each hidden layer.
         residual_limit: Largest part of the network, as a share of `torque_scale`.
-        seed: Of the initial weights; torch's global generator is not touched.
-        params: Section of each physical parameter.
 
     Raises:
-        ConfigError: A width is below 1, the limit is not positive, or a parameter is missing, unknown or out of bounds.
+        ConfigError: The limit is not positive, and as `NetworkModel` has it.
     """
 
-    dimensions: ClassVar[Mapping[str, str]] = {"frictionloss": "torque", "damping": "damping"}
+    dimensions = {"frictionloss": "torque", "damping": "damping"}
     constraint = True
     residual_limit: torch.Tensor
 
     def __init__(
-        self,
-        nv: int,
-        hidden: Sequence[int],
-        residual_limit: float,
-        seed: int,
-        params: Params | None = None,
+        self, nv: int, hidden: Sequence[int], residual_limit: float, seed: int, params: Params | None = None
     ) -> None:
         super().__init__(nv, hidden, 1, seed, params)
         if not 0 < residual_limit < float("inf"):
@@ -82,7 +72,7 @@ class ResidualNetwork(NetworkModel):
         # With the values, since the limit is part of the law, and torch's ONNX exporter rounds a number to float32.
         self.register_buffer("residual_limit", torch.tensor(float(residual_limit), dtype=torch.float64))
 
-    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+    def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The network's torque, the constraint's limit and the damping."""
         share = xp.tanh(self.network(xp, values, self.bounded(xp, values, state))[..., 0])
         residual = values["residual_limit"] * values["torque_scale"] * share

@@ -1,12 +1,10 @@
 """Dry friction that changes with the position, as of meshing gears, and viscous friction."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models.base import FrictionModel
+from frictionzoo.models import FrictionModel, Values, register_model
 from frictionzoo.models.limits import ripple_share
-from frictionzoo.models.registry import register_model
 
 
 @register_model("ripple")
@@ -41,7 +39,7 @@ class Ripple(FrictionModel):
     dependence on the speed is left out here.
     """
 
-    dimensions: ClassVar[Mapping[str, str]] = {
+    dimensions = {
         "frictionloss": "torque",
         "damping": "damping",
         "periods": "1/position",
@@ -53,7 +51,7 @@ class Ripple(FrictionModel):
     constraint = True
     dissipative = True
 
-    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+    def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The constraint's limit at this position, and the damping."""
         limit = values["frictionloss"] * (1 + ripple_share(xp, values, state.qpos))
         return FrictionTerms(frictionloss=limit, damping=values["damping"])

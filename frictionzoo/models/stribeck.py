@@ -1,12 +1,10 @@
 """Dry friction that falls with speed, as a constraint that can stop the joint."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models.base import FrictionModel
+from frictionzoo.models import FrictionModel, Values, register_model
 from frictionzoo.models.limits import stribeck_share
-from frictionzoo.models.registry import register_model
 
 
 @register_model("stribeck")
@@ -32,7 +30,7 @@ class Stribeck(FrictionModel):
     models, analysis tools and compensation methods for the control of machines with friction", Automatica 30(7), 1994.
     """
 
-    dimensions: ClassVar[Mapping[str, str]] = {
+    dimensions = {
         "frictionloss": "torque",
         "damping": "damping",
         "stribeck_torque": "torque",
@@ -42,7 +40,7 @@ class Stribeck(FrictionModel):
     constraint = True
     dissipative = True
 
-    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+    def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The constraint's limit in this state, and the damping."""
         share = stribeck_share(xp, state.qvel, values["stribeck_velocity"], values["stribeck_exponent"])
         limit = values["frictionloss"] + share * values["stribeck_torque"]

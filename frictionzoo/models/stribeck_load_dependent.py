@@ -1,12 +1,11 @@
 """Dry friction that grows with the load on the gear and falls with speed, as a constraint."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models.base import FrictionModel
+from frictionzoo.models import FrictionModel, Values, register_model
 from frictionzoo.models.limits import gear_load, stribeck_share
-from frictionzoo.models.registry import register_model
+from frictionzoo.models.stribeck import Stribeck
 
 
 @register_model("stribeck_load_dependent")
@@ -36,19 +35,11 @@ class StribeckLoadDependent(FrictionModel):
     actuators", 2024, model M4.
     """
 
-    dimensions: ClassVar[Mapping[str, str]] = {
-        "frictionloss": "torque",
-        "damping": "damping",
-        "stribeck_torque": "torque",
-        "stribeck_velocity": "velocity",
-        "stribeck_exponent": "1",
-        "load_friction": "1",
-        "stribeck_load_friction": "1",
-    }
+    dimensions = {**Stribeck.dimensions, "load_friction": "1", "stribeck_load_friction": "1"}
     constraint = True
     dissipative = True
 
-    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+    def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The constraint's limit in this state, and the damping."""
         share = stribeck_share(xp, state.qvel, values["stribeck_velocity"], values["stribeck_exponent"])
         load = gear_load(xp, state, values["load_friction"], values["load_friction"])

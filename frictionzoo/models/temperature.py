@@ -6,7 +6,7 @@ from typing import Any
 
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models.base import FrictionModel, Params
+from frictionzoo.models.base import FrictionModel, Params, Values
 
 ABSOLUTE_ZERO = -273.15  # degC
 
@@ -20,13 +20,8 @@ class TemperatureModel(FrictionModel):
         reference: Temperature at which the coefficients hold [degC]; a drive whose recordings lack the temperature acts
             as there.
 
-    Args:
-        nv: Number of joints.
-        reference: As above.
-        params: Section of each physical parameter.
-
     Raises:
-        ConfigError: The reference is not above absolute zero, or a parameter is missing, unknown, or out of bounds.
+        ConfigError: The reference is not above absolute zero, and as `FrictionModel` has it.
     """
 
     constraint = True
@@ -40,7 +35,7 @@ class TemperatureModel(FrictionModel):
         self.inputs: Mapping[str, float] = {"temperature": self.reference}
 
     @abstractmethod
-    def shares(self, xp: Any, values: Mapping[str, Any], temperature: Any) -> tuple[Any, Any]:
+    def shares(self, xp: Any, values: Values, temperature: Any) -> tuple[Any, Any]:
         """What frictionloss and damping are multiplied by at a temperature.
 
         Args:
@@ -49,7 +44,7 @@ class TemperatureModel(FrictionModel):
             temperature: [degC], of shape (..., nv).
         """
 
-    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+    def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The constraint's limit and the damping at this temperature."""
         dry, viscous = self.shares(xp, values, state.temperature)
         return FrictionTerms(frictionloss=values["frictionloss"] * dry, damping=values["damping"] * viscous)

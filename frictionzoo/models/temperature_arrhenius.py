@@ -1,9 +1,8 @@
 """Dry and viscous friction that follow the temperature as the viscosity of a lubricant does."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
-from frictionzoo.models.registry import register_model
+from frictionzoo.models import Values, register_model
 from frictionzoo.models.temperature import ABSOLUTE_ZERO, TemperatureModel
 
 
@@ -35,14 +34,14 @@ class TemperatureArrhenius(TemperatureModel):
     friction that falls exponentially with the temperature.
     """
 
-    dimensions: ClassVar[Mapping[str, str]] = {
+    dimensions = {
         "frictionloss": "torque",
         "damping": "damping",
         "frictionloss_activation": "temperature",
         "damping_activation": "temperature",
     }
 
-    def shares(self, xp: Any, values: Mapping[str, Any], temperature: Any) -> tuple[Any, Any]:
+    def shares(self, xp: Any, values: Values, temperature: Any) -> tuple[Any, Any]:
         """See `TemperatureModel.shares`."""
         # 1/T - 1/T_0 written so that float32 does not cancel.
         absolute, reference = temperature - ABSOLUTE_ZERO, self.reference - ABSOLUTE_ZERO

@@ -1,9 +1,8 @@
 """Dry and viscous friction that change in proportion to the temperature."""
 
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
-from frictionzoo.models.registry import register_model
+from frictionzoo.models import Values, register_model
 from frictionzoo.models.temperature import TemperatureModel
 
 _LEAST = 0.05  # share at which a falling line ends: at a limit of 0 MuJoCo locks the joint
@@ -36,14 +35,14 @@ class TemperatureLinear(TemperatureModel):
     that grow or fall with the temperature; their Stribeck and load terms are left out here.
     """
 
-    dimensions: ClassVar[Mapping[str, str]] = {
+    dimensions = {
         "frictionloss": "torque",
         "damping": "damping",
         "frictionloss_slope": "1/temperature",
         "damping_slope": "1/temperature",
     }
 
-    def shares(self, xp: Any, values: Mapping[str, Any], temperature: Any) -> tuple[Any, Any]:
+    def shares(self, xp: Any, values: Values, temperature: Any) -> tuple[Any, Any]:
         """See `TemperatureModel.shares`."""
         warmer = temperature - self.reference
         dry, viscous = 1 + values["frictionloss_slope"] * warmer, 1 + values["damping_slope"] * warmer

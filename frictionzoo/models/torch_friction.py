@@ -1,14 +1,13 @@
 """The plug-in interface of a friction model that exists only in torch."""
 
 from abc import abstractmethod
-from collections.abc import Mapping
 from typing import Any
 
 import torch
 
 from frictionzoo.core.errors import ModelError
 from frictionzoo.core.state import DriveState, FrictionTerms
-from frictionzoo.models.base import FrictionModel
+from frictionzoo.models.base import FrictionModel, Values
 
 
 class TorchFriction(FrictionModel):
@@ -36,7 +35,7 @@ class TorchFriction(FrictionModel):
             qvel = 0 too.
         """
 
-    def terms(self, xp: Any, values: Mapping[str, Any], state: DriveState) -> FrictionTerms:
+    def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """What `forward` answers with these values in place of the module's own; see `FrictionModel.terms`.
 
         Raises:
