@@ -72,34 +72,20 @@ class Prediction:
 
 
 def predict(rollout: Rollout, values: Values, segments: Segments) -> Prediction:
-    """Simulate each segment from its first measured state under its recorded commands.
-
-    Args:
-        rollout: Bench, friction law and engine.
-        values: Values of the bench's and the law's parameters.
-        segments: What was measured.
-    """
+    """Simulate each segment from its first measured state under its recorded commands."""
     qpos, qvel = rollout(values, segments.qpos[:, 0], segments.qvel[:, 0], segments.signals, segments.load)
     return Prediction(np.asarray(qpos, dtype=np.float64), np.asarray(qvel, dtype=np.float64))
 
 
 def measure(prediction: Prediction, segments: Segments, joint_type: str) -> Metrics:
-    """Errors of simulated against measured states.
-
-    Args:
-        prediction: Simulated states of `segments`.
-        segments: What was measured.
-        joint_type: `hinge` or `slide`, for the units.
-    """
+    """Errors of simulated against measured states, on a joint of this type, `hinge` or `slide`."""
     kept = ~prediction.diverged
-    position = prediction.qpos[kept] - segments.qpos[kept, 1:]
-    velocity = prediction.qvel[kept] - segments.qvel[kept, 1:]
     mae = rollout_mae(prediction, segments)[kept]
     return Metrics(
         position_mae=float(mae.mean()) if kept.any() else np.nan,
         position_mae_std=float(mae.std()) if kept.any() else np.nan,
-        position_rmse=_rms(position),
-        velocity_rmse=_rms(velocity),
+        position_rmse=_rms(prediction.qpos[kept] - segments.qpos[kept, 1:]),
+        velocity_rmse=_rms(prediction.qvel[kept] - segments.qvel[kept, 1:]),
         unit=UNITS[joint_type]["position"],
         velocity_unit=UNITS[joint_type]["velocity"],
         horizon=round(segments.length * segments.timestep, 9),
@@ -109,12 +95,7 @@ def measure(prediction: Prediction, segments: Segments, joint_type: str) -> Metr
 
 
 def rollout_mae(prediction: Prediction, segments: Segments) -> Float[np.ndarray, "batch"]:
-    """Absolute position error of each rollout, averaged over time and joints [rad or m]; NaN where it diverged.
-
-    Args:
-        prediction: Simulated states of `segments`.
-        segments: What was measured.
-    """
+    """Absolute position error of each rollout, averaged over time and joints [rad or m]; NaN where it diverged."""
     error = np.abs(prediction.qpos - segments.qpos[:, 1:])
     return np.where(prediction.diverged, np.nan, error.mean(axis=(1, 2)))
 
@@ -199,25 +180,22 @@ class Evaluation:
         if not horizons:
             raise ConfigError("evaluation.horizons is empty, expected at least one length in seconds")
         if not 0 < window <= trajectory:
-            raise ConfigError(
-                f"evaluation.window={window:g}; expected more than 0 s and at most evaluation.trajectory, "
-                f"{trajectory:g} s"
-            )
+            most = f"at most evaluation.trajectory, {trajectory:g} s"
+            raise ConfigError(f"evaluation.window={window:g}; expected more than 0 s and {most}")
         parts = {"train": dataset.train, "test": dataset.test}
-        self.joint_type = joint_type
-        self.window = window
+        self.joint_type, self.window = joint_type, window
         self._by_horizon = [
             {part: cut_rollouts(logs, horizon, rollouts, placement, seed, history) for part, logs in parts.items()}
             for horizon in horizons
         ]
-        shared, more = ("random", seed, history), "evaluation.places"
-        self.trajectories: Segments = cut_rollouts(
-            dataset.test, trajectory, places, *shared, ("evaluation.trajectory", more)
-        )
-        self._places = cut_rollouts(dataset.test, horizons[0], places, *shared, ("evaluation.horizons", more))
-        self.local: Segments = cut_rollouts(
-            dataset.test, local, None, "consecutive", seed, history, ("evaluation.local", more)
-        )
+
+        def cut(option: str, seconds: float, count: int | None, placement: str = "random") -> Segments:
+            options = f"evaluation.{option}", "evaluation.places"
+            return cut_rollouts(dataset.test, seconds, count, placement, seed, history, options)
+
+        self.trajectories: Segments = cut("trajectory", trajectory, places)
+        self._places = cut("horizons", horizons[0], places)
+        self.local: Segments = cut("local", local, None, "consecutive")
 
     @property
     def sha256(self) -> str:
@@ -233,26 +211,17 @@ class Evaluation:
         return digest.hexdigest()
 
     def judge(self, rollout: Rollout, values: Values) -> Judgement:
-        """Simulate every window with one drive and measure its errors.
-
-        Args:
-            rollout: Bench, friction law and engine.
-            values: Values of the bench's and the law's parameters.
-        """
-
-        def metrics(prediction: Prediction, segments: Segments) -> Metrics:
-            return measure(prediction, segments, self.joint_type)
-
+        """Simulate every window with one drive, a rollout of these values, and measure its errors."""
         predicted = [
             {part: (predict(rollout, values, segments), segments) for part, segments in parts.items()}
             for parts in self._by_horizon
         ]
-        long = predict(rollout, values, self.trajectories)
+        long, unit = predict(rollout, values, self.trajectories), self.joint_type
         return Judgement(
-            by_horizon=tuple({part: metrics(*pair) for part, pair in parts.items()} for parts in predicted),
+            by_horizon=tuple({part: measure(*pair, unit) for part, pair in parts.items()} for parts in predicted),
             rollout_mae={part: rollout_mae(*pair) for part, pair in predicted[0].items()},
-            trajectory=metrics(long.first, self.trajectories.first),
-            places=metrics(predict(rollout, values, self._places), self._places),
+            trajectory=measure(long.first, self.trajectories.first, unit),
+            places=measure(predict(rollout, values, self._places), self._places, unit),
             prediction=long,
             local_mae=rollout_mae(predict(rollout, values, self.local), self.local),
         )

@@ -1,10 +1,12 @@
 """An identified drive, of a fit that has just ended or of a run read back: to be looked at, simulated and exported."""
 
+import copy
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -15,19 +17,20 @@ import torch
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
+from frictionzoo import __version__
 from frictionzoo.bench import Bench
 from frictionzoo.core.build import build
-from frictionzoo.core.errors import ConfigError, RunError
-from frictionzoo.core.output import RESULT
+from frictionzoo.core.errors import ConfigError, OutputError, RunError
+from frictionzoo.core.output import RESULT, write_atomically
 from frictionzoo.core.segments import Sampling, Segments
 from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.export.written import Written
 from frictionzoo.models import FrictionModel
 from frictionzoo.result.curves import FILE as CURVES
-from frictionzoo.result.curves import Curves
-from frictionzoo.result.evaluate import Metrics, Values
-from frictionzoo.result.record import read_run
-from frictionzoo.result.types import MetricsRow, ParameterRow, Result
+from frictionzoo.result.curves import Curves, write_curves
+from frictionzoo.result.evaluate import Metrics, Prediction, Values
+from frictionzoo.result.record import read_run, write_result
+from frictionzoo.result.types import Result
 from frictionzoo.simulate import Engine
 from frictionzoo.simulate.drive import Drive
 from frictionzoo.simulate.proof import Proof, Recorded, prove
@@ -110,18 +113,37 @@ class Identified:
         return cls(folder, result, bench, model, state, values, segments, sampling, curves)
 
     def save(self, folder: str | Path) -> None:
-        """Write all that a run leaves: record, values, curves, figures, page and MJCF.
+        """Write figures, values, curves, MJCF and page, and `result.json` last: where that is, all is.
 
         Args:
             folder: Where to; it is made if it is missing, and an earlier run's files in it are replaced.
 
         Raises:
-            OutputError: It cannot be written.
+            OutputError: A file cannot be written.
         """
         # Imported here, so that what reads a run does not wait for what draws one.
-        from frictionzoo.result.save import save
+        from frictionzoo.export.bench import write_bench
+        from frictionzoo.export.nearest import find_nearest
+        from frictionzoo.show.run_page import write_report
+        from frictionzoo.show.run_plots import write_figures
 
-        save(self, Path(folder))
+        began, folder = time.perf_counter(), Path(folder)
+        try:
+            (folder / RESULT).unlink(missing_ok=True)
+        except OSError as error:
+            message = f"{folder}: {error.strerror}; expected a folder that can be written, name another"
+            raise OutputError(message) from error
+        write_figures(folder / "figures", self.result, self.curves)
+        # One entry only: safetensors writes several in an order that changes from run to run.
+        header = {"frictionzoo": f"{self.model.name}, version {__version__}"}
+        write_atomically(folder / LAW, safetensors.torch.save(dict(self.state), header))
+        write_curves(folder, self.curves)
+        # What `python -m frictionzoo.export RUN target=mjcf` writes, too.
+        write_atomically(folder / "identified.xml", write_bench(self, find_nearest(self)).encode())
+        result = copy.deepcopy(self.result)
+        result["timing"]["total"] += time.perf_counter() - began
+        write_report(folder / "report.html", result, self.curves)
+        write_result(folder / RESULT, result)
 
     @property
     def place(self) -> str:
@@ -131,13 +153,21 @@ class Identified:
     @property
     def parameters(self) -> dict[str, Parameter]:
         """The bench's and the law's physical parameters by full name, `bench.armature`."""
-        return {f"{row['owner']}.{row['name']}": self._parameter(row) for row in self.result["parameters"]}
+        found, nv = {}, self.bench.nv
+        for row in self.result["parameters"]:
+            value, interval = row["value"], row["interval"]
+            ends: Any = interval if interval is not None and isinstance(value, list) else [interval]
+            ends = np.array([(np.nan, np.nan) if pair is None else pair for pair in ends], np.float64)
+            arrays = np.broadcast_to(np.asarray(value, np.float64), nv), np.broadcast_to(ends, (nv, 2))
+            parameter = Parameter(arrays[0], row["unit"], row["identified"], arrays[1], row["identifiable"])
+            found[f"{row['owner']}.{row['name']}"] = parameter
+        return found
 
     @property
     def metrics(self) -> dict[str, Metrics]:
         """Errors of open-loop rollouts: of `train`, of `test`, and of `baseline`, the test part without friction."""
-        rows = self.result["metrics"]
-        return {part: _read_metrics(rows[part]) for part in ("train", "test", "baseline")}
+        rows, nan = cast(Mapping[str, Mapping[str, Any]], self.result["metrics"]), cast(Any, np.nan)
+        return {part: Metrics(**{k: nan if v is None else v for k, v in row.items()}) for part, row in rows.items()}
 
     def plot(self) -> Figure:
         """Measured and simulated motion of the first long test rollout, with and without friction.
@@ -179,14 +209,6 @@ class Identified:
         from frictionzoo.show.terminal import summarise_in_html
 
         return summarise_in_html(self.result, self.folder)
-
-    def _parameter(self, row: ParameterRow) -> Parameter:
-        nv = self.bench.nv
-        found: Any = row["interval"]
-        ends = found if found is not None and isinstance(row["value"], list) else [found]
-        interval = np.array([(np.nan, np.nan) if pair is None else pair for pair in ends], np.float64)
-        value = np.broadcast_to(np.asarray(row["value"], np.float64), nv)
-        return Parameter(value, row["unit"], row["identified"], np.broadcast_to(interval, (nv, 2)), row["identifiable"])
 
     @property
     def timestep(self) -> float:
@@ -244,16 +266,12 @@ class Identified:
     def follow(self, segments: Segments) -> Segments:
         """The segments with the states of this drive, from their first ones on, in place of the measured ones.
 
-        Args:
-            segments: Initial states and commands.
-
         Raises:
             RunError: The drive diverges in one of them.
         """
-        measured = segments.qpos, segments.qvel
-        pairs = zip(measured, self.rollout(segments), strict=True)
+        pairs = zip((segments.qpos, segments.qvel), self.rollout(segments), strict=True)
         qpos, qvel = (np.concatenate([states[:, :1], own], axis=1) for states, own in pairs)
-        lost = np.logical_not((np.isfinite(qpos) & np.isfinite(qvel)).all(axis=(1, 2)))
+        lost = Prediction(qpos, qvel).diverged
         if lost.any():
             raise RunError(
                 f"{self.place}: the fitted drive diverges in {lost.sum()} of {segments.count} rollouts of "
@@ -325,11 +343,6 @@ def _load_law(model: FrictionModel, path: Path) -> dict[str, torch.Tensor]:
     except (safetensors.SafetensorError, RuntimeError) as error:
         reason = " ".join(str(error).split())
         raise RunError(f"{path}: {reason}; expected the values of {model.name}; run it again") from None
-
-
-def _read_metrics(row: MetricsRow) -> Metrics:
-    values: dict[str, Any] = {name: np.nan if value is None else value for name, value in row.items()}
-    return Metrics(**values)
 
 
 def _read_bench(result: Result, bench: Bench) -> dict[str, Float[np.ndarray, "nv"]]:

@@ -1,5 +1,6 @@
 """`result.json`: the machine-readable record of a run, described by `result.schema.json` beside this file."""
 
+import contextlib
 import hashlib
 import json
 import platform
@@ -19,25 +20,9 @@ from frictionzoo.core.output import RESULT, to_json, write_atomically
 from frictionzoo.core.params import Param
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.models.base import FrictionModel
+from frictionzoo.result import types
 from frictionzoo.result.curves import Curves, read_curves
 from frictionzoo.result.evaluate import Evaluation, Judgement, Metrics, Values
-from frictionzoo.result.types import (
-    ContrastRow,
-    DataRow,
-    FitRow,
-    HorizonRow,
-    LogRow,
-    MetricsRow,
-    NetworkRow,
-    PaperRow,
-    ParameterRow,
-    ProofRow,
-    ReferenceRow,
-    Result,
-    Simulator,
-    TimingRow,
-    Versions,
-)
 from frictionzoo.result.verdict import doubt_sizes, explain_failure
 from frictionzoo.simulate.proof import Proof
 
@@ -83,8 +68,8 @@ class Findings:
     judgement: Judgement
     baseline: Judgement
     reference: Mapping[str, np.ndarray]
-    fit: FitRow
-    timing: TimingRow
+    fit: types.FitRow
+    timing: types.TimingRow
     settings: Mapping[str, Any]
     engine: str
     proof: Proof
@@ -93,18 +78,17 @@ class Findings:
     uncertainty: Uncertainty
 
 
-def build_result(found: Findings) -> Result:
-    """The record of a run, ready for JSON: no NaN, no numpy types.
-
-    Args:
-        found: What the run used and found.
-    """
+def build_result(found: Findings) -> types.Result:
+    """The record of a run, ready for JSON: no NaN, no numpy types."""
     bench, joint_type, uncertainty = found.bench, found.bench.joint_type, found.uncertainty
-    by_horizon = _list_horizons(found.judgement, found.baseline)
-    main = by_horizon[0]
+    weights = sum(tensor.numel() for name, tensor in found.model.named_parameters() if name not in found.model.params)
+    by_horizon: list[types.HorizonRow] = [
+        {"horizon": fitted["test"].horizon, **_describe_parts(fitted["train"], fitted["test"], without["test"])}
+        for fitted, without in zip(found.judgement.by_horizon, found.baseline.by_horizon, strict=True)
+    ]
     # Without friction, inertia makes up for it.
     sizes = [] if found.name == "baseline" else doubt_sizes(bench.params, found.values["bench"], joint_type)
-    result: Result = {
+    result: types.Result = {
         "schema_version": SCHEMA_VERSION,
         "model": found.name,
         "joints": list(bench.joints),
@@ -115,10 +99,13 @@ def build_result(found: Findings) -> Result:
         ],
         "indistinct": [list(group) for group in uncertainty.indistinct],
         "no_intervals": uncertainty.missing,
-        "network": _describe_network(found.model),
-        "metrics": {"train": main["train"], "test": main["test"], "baseline": main["baseline"]},
+        "network": {"weights": weights} if weights else None,
+        "metrics": _describe_parts(found.judgement.train, found.judgement.test, found.baseline.test),
         "by_horizon": by_horizon,
-        "paper": _describe_paper(found.judgement, found.baseline),
+        "paper": {
+            "a": _contrast(found.judgement.trajectory, found.baseline.trajectory),
+            "b": _contrast(found.judgement.places, found.baseline.places),
+        },
         "reference": [
             _describe_value(name, param, found.reference[name], joint_type) for name, param in bench.params.items()
         ],
@@ -127,8 +114,8 @@ def build_result(found: Findings) -> Result:
         "timing": found.timing,
         "seed": found.settings["seed"],
         "dtype": found.settings["dtype"],
-        "engine": cast(Simulator, found.engine),
-        "proof": cast(ProofRow, asdict(found.proof)),
+        "engine": cast(types.Simulator, found.engine),
+        "proof": cast(types.ProofRow, asdict(found.proof)),
         "warnings": [*found.warnings, *sizes],
         "device": found.device,
         "versions": _read_versions(),
@@ -138,12 +125,8 @@ def build_result(found: Findings) -> Result:
     return to_json({**result, "not_identified": explain_failure(result)})
 
 
-def pick_metrics(result: Result) -> dict[str, float]:
-    """The numbers by which runs are compared, without those that have no value because rollouts diverged.
-
-    Args:
-        result: From `build_result`.
-    """
+def pick_metrics(result: types.Result) -> dict[str, float]:
+    """The numbers by which runs are compared, without those that have no value because rollouts diverged."""
     picked = {
         "test/position_mae": result["metrics"]["test"]["position_mae"],
         "test/position_rmse": result["metrics"]["test"]["position_rmse"],
@@ -160,24 +143,13 @@ def pick_metrics(result: Result) -> dict[str, float]:
     return {name: value for name, value in picked.items() if value is not None}
 
 
-def write_result(path: Path, result: Result) -> None:
-    """Write `result.json`.
-
-    Args:
-        path: The file.
-        result: From `build_result`.
-
-    Raises:
-        OutputError: It cannot be written.
-    """
+def write_result(path: Path, result: types.Result) -> None:
+    """Write `result.json`; OutputError where it cannot be written."""
     write_atomically(path, (json.dumps(result, indent=2, allow_nan=False) + "\n").encode())
 
 
-def read_run(folder: Path) -> tuple[Result, Curves]:
+def read_run(folder: Path) -> tuple[types.Result, Curves]:
     """What a finished run's `result.json` and `curves.safetensors` hold.
-
-    Args:
-        folder: The run's folder.
 
     Raises:
         RunError: It is not the folder of a finished run of this version, or one of the two is damaged.
@@ -194,14 +166,11 @@ def read_run(folder: Path) -> tuple[Result, Curves]:
     error = jsonschema.Draft202012Validator(read_schema()).iter_errors(result)
     if first := next(iter(error), None):
         raise RunError(f"{path}: {first.json_path}: {first.message[:200]}; expected the file that this version writes")
-    return cast(Result, result), read_curves(folder)
+    return cast(types.Result, result), read_curves(folder)
 
 
 def read_json(path: Path) -> dict[str, Any]:
     """The object that a JSON file holds.
-
-    Args:
-        path: The file.
 
     Raises:
         RunError: It cannot be read, or holds something else.
@@ -217,12 +186,8 @@ def read_json(path: Path) -> dict[str, Any]:
     return content
 
 
-def describe_data(dataset: Dataset) -> DataRow:
-    """The section `data`: what was read, with hashes.
-
-    Args:
-        dataset: Recordings, train and test.
-    """
+def describe_data(dataset: Dataset) -> types.DataRow:
+    """The section `data`: what was read, with hashes."""
     hashes = list(dict.fromkeys(log.sha256 for log in dataset.logs))
     joined = hashlib.sha256("\n".join(hashes).encode()).hexdigest()
     return {
@@ -235,7 +200,7 @@ def describe_data(dataset: Dataset) -> DataRow:
     }
 
 
-def _describe_log(log: Log, part: Literal["train", "test"]) -> LogRow:
+def _describe_log(log: Log, part: Literal["train", "test"]) -> types.LogRow:
     carried = log.payload and [log.payload.mass, *log.payload.position, *log.payload.inertia]
     return {"name": log.name, "part": part, "samples": log.samples, "sha256": log.sha256, "payload": carried}
 
@@ -246,7 +211,7 @@ def _list_parameters(
     values: Mapping[str, np.ndarray],
     joint_type: str,
     uncertainty: Uncertainty,
-) -> list[ParameterRow]:
+) -> list[types.ParameterRow]:
     return [
         {
             **_describe_value(name, param, values[name], joint_type),
@@ -258,11 +223,11 @@ def _list_parameters(
     ]
 
 
-def _describe_value(name: str, param: Param, value: np.ndarray, joint_type: str) -> ReferenceRow:
+def _describe_value(name: str, param: Param, value: np.ndarray, joint_type: str) -> types.ReferenceRow:
     return {
         "name": name,
         "owner": "bench",
-        "value": _number_or_list(value),
+        "value": _one_or_all(np.atleast_1d(np.asarray(value, np.float64)).tolist()),
         "unit": param.unit(joint_type),
         "low": param.low,
         "high": param.high,
@@ -271,57 +236,30 @@ def _describe_value(name: str, param: Param, value: np.ndarray, joint_type: str)
     }
 
 
-def _number_or_list(value: np.ndarray) -> float | list[float]:
-    """One joint's value as a number, several as a list."""
-    flat = np.atleast_1d(np.asarray(value, dtype=np.float64))
-    return float(flat[0]) if flat.size == 1 else flat.tolist()
-
-
-def _interval(ends: np.ndarray | None) -> Any:
-    """One joint's interval, or a list of several joints'; None where no joint has one."""
-    if ends is None or not np.isfinite(ends).any():
-        return None
-    by_joint = [pair.tolist() if np.isfinite(pair).all() else None for pair in ends]
+def _one_or_all(by_joint: list[Any]) -> Any:
+    """What there is of one joint alone, or a list of several joints'."""
     return by_joint if len(by_joint) > 1 else by_joint[0]
 
 
-def _describe_network(model: FrictionModel) -> NetworkRow | None:
-    weights = sum(tensor.numel() for name, tensor in model.named_parameters() if name not in model.params)
-    return {"weights": weights} if weights else None
+def _interval(ends: np.ndarray | None) -> Any:
+    """None where no joint has one."""
+    if ends is None or not np.isfinite(ends).any():
+        return None
+    return _one_or_all([pair.tolist() if np.isfinite(pair).all() else None for pair in ends])
 
 
-def _list_horizons(judgement: Judgement, baseline: Judgement) -> list[HorizonRow]:
-    return [
-        {
-            "horizon": fitted["test"].horizon,
-            "train": _describe_metrics(fitted["train"]),
-            "test": _describe_metrics(fitted["test"]),
-            "baseline": _describe_metrics(without["test"]),
-        }
-        for fitted, without in zip(judgement.by_horizon, baseline.by_horizon, strict=True)
-    ]
+def _describe_parts(train: Metrics, test: Metrics, baseline: Metrics) -> types.PartsRow:
+    parts = {"train": train, "test": test, "baseline": baseline}
+    return cast(types.PartsRow, {part: asdict(metrics) for part, metrics in parts.items()})
 
 
-def _describe_paper(judgement: Judgement, baseline: Judgement) -> PaperRow:
-    return {
-        "a": _contrast(judgement.trajectory, baseline.trajectory),
-        "b": _contrast(judgement.places, baseline.places),
-    }
+def _contrast(model: Metrics, baseline: Metrics) -> types.ContrastRow:
+    return cast(types.ContrastRow, {"model": asdict(model), "baseline": asdict(baseline)})
 
 
-def _contrast(model: Metrics, baseline: Metrics) -> ContrastRow:
-    return {"model": _describe_metrics(model), "baseline": _describe_metrics(baseline)}
-
-
-def _describe_metrics(metrics: Metrics) -> MetricsRow:
-    return cast(MetricsRow, asdict(metrics))
-
-
-def _read_versions() -> Versions:
-    versions = {"python": platform.python_version()}
+def _read_versions() -> types.Versions:
+    versions = {"python": platform.python_version(), **dict.fromkeys(PACKAGES, "not installed")}
     for package in PACKAGES:
-        try:
+        with contextlib.suppress(metadata.PackageNotFoundError):
             versions[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            versions[package] = "not installed"
-    return cast(Versions, versions)
+    return cast(types.Versions, versions)

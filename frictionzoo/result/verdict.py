@@ -22,9 +22,6 @@ def explain_failure(result: Result) -> list[str] | None:
 
     It did not if several parameters ended at a bound and the test error is still more than a third of that without
     friction: then the law makes up for something else with values that no drive has.
-
-    Args:
-        result: What `result.json` holds.
     """
     ended = [f"{p['owner']}.{p['name']}" for p in result["parameters"] if p["at_bound"]]
     error, without = (result["metrics"][part]["position_mae"] for part in ("test", "baseline"))
@@ -42,11 +39,7 @@ def explain_failure(result: Result) -> list[str] | None:
 
 
 def doubt_gain(result: Result) -> str | None:
-    """That a law explains next to nothing of what a drive without friction leaves; None where it does.
-
-    Args:
-        result: What `result.json` holds.
-    """
+    """That a law explains next to nothing of what a drive without friction leaves; None where it explains more."""
     error, without = (result["metrics"][part]["position_mae"] for part in ("test", "baseline"))
     if result["model"] == "baseline" or error is None or not without or error <= NOTHING * without:
         return None
@@ -57,13 +50,7 @@ def doubt_gain(result: Result) -> str | None:
 
 
 def doubt_sizes(params: Mapping[str, Param], values: Mapping[str, Float[np.ndarray, "nv"]], unit: str) -> list[str]:
-    """Identified values of a bench that are of another size than a user expected them to be, a sentence each.
-
-    Args:
-        params: The bench's.
-        values: What was identified.
-        unit: `hinge` or `slide`.
-    """
+    """Identified values of a bench, on a `hinge` or `slide`, of another size than a user expected, a sentence each."""
     doubts = []
     for name, param in params.items():
         if not param.identify or param.scale != "log":
@@ -107,16 +94,9 @@ def list_moving(
 
 
 def doubt_reference(parameters: Sequence[ParameterRow | ReferenceRow]) -> str | None:
-    """That the drive without friction, by whose error others are judged, is none; None where it may be one.
-
-    Args:
-        parameters: Its own, as in `result.json`.
-    """
-    ended = [
-        f"{p['owner']}.{p['name']} at its bound of [{p['low']:g}, {p['high']:g}] {p['unit']}"
-        for p in parameters
-        if p["at_bound"]
-    ]
+    """That the drive without friction, by which others are judged, is none by its parameters; None where it may be."""
+    where = "{owner}.{name} at its bound of [{low:g}, {high:g}] {unit}"
+    ended = [where.format(**p) for p in parameters if p["at_bound"]]
     if not ended:
         return None
     return f"the drive without friction ended with {' and '.join(ended)}: a change against its error says little"
