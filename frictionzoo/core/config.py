@@ -76,11 +76,7 @@ def forget_plugin_schemas() -> None:
 
 
 def compose_config(*overrides: str) -> DictConfig:
-    """The configuration of a job with these overrides, as the command line would compose it.
-
-    Args:
-        overrides: `key=value`, as on the command line.
-    """
+    """The configuration of a job with these overrides, `key=value`, as the command line would compose it."""
     register_resolvers()
     forget_plugin_schemas()
     with _hydra():
@@ -88,11 +84,7 @@ def compose_config(*overrides: str) -> DictConfig:
 
 
 def list_choices(group: str) -> list[str]:
-    """Names of the files of a configuration group, those that other packages bring included, sorted.
-
-    Args:
-        group: Its folder below conf/.
-    """
+    """Names of the files of a configuration group, those that other packages bring included, sorted."""
     with _hydra():
         return GlobalHydra.instance().config_loader().get_group_options(group)
 
@@ -151,12 +143,12 @@ def _check_value(key: str, value: Any, default: Any) -> None:
     expected = " or ".join(_KINDS[type(example)] for example in examples if example is not None) + such
     if None in examples:
         expected += ", or null"
-    if _is_seed(key):
+    if seed := key.rpartition(".")[2] == "seed":
         expected = "a whole number from 0 on, so that the run can be repeated"
     fitting = [example for example in examples if _is_like(value, example)]
-    if not fitting or (_is_seed(key) and value < 0):
+    if not fitting or (seed and value < 0):
         raise ConfigError(f"{key}={_text(value)}; expected {expected}")
-    counts = isinstance(fitting[0], int) and not _is_seed(key)
+    counts = isinstance(fitting[0], int) and not seed
     _check_numbers(key, value, _LARGEST if counts else _LARGEST_SEED)
     if key.startswith("scale.") and not value > 0:
         raise ConfigError(f"{key}={_text(value)}; expected a number above 0{such}")
@@ -169,10 +161,6 @@ def _check_numbers(key: str, value: Any, largest: int) -> None:
             raise ConfigError(f"{key}={_text(value)}; expected whole numbers of at most {largest}")
         if not math.isfinite(number):
             raise ConfigError(f"{key}={_text(value)}; expected a finite number")
-
-
-def _is_seed(key: str) -> bool:
-    return key.rpartition(".")[2] == "seed"
 
 
 def _is_like(value: Any, example: Any) -> bool:
@@ -200,18 +188,12 @@ def _text(value: Any) -> str:
 
 
 def list_options(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Every value with its dotted key, lists as values.
-
-    Args:
-        config: A section, resolved, as nested dictionaries.
-        prefix: What its keys begin with.
-    """
+    """Every value of nested dictionaries with its dotted key, which begins with the prefix; lists are values."""
     for key, value in config.items():
-        name = f"{prefix}{key}"
         if isinstance(value, dict):
-            yield from list_options(value, f"{name}.")
+            yield from list_options(value, f"{prefix}{key}.")
         else:
-            yield name, value
+            yield f"{prefix}{key}", value
 
 
 def suggest_option(key: str, config: DictConfig) -> str:

@@ -49,17 +49,7 @@ class OutputError(FrictionzooError):
 
 
 def refuse_outside(option: str, value: int | float, low: int | float, high: int | float) -> None:
-    """Refuse a number outside a range.
-
-    Args:
-        option: Dotted key of what a user sets.
-        value: What came.
-        low: Least that is meant.
-        high: Largest that is meant.
-
-    Raises:
-        ConfigError: It is less, more, or no number.
-    """
+    """Refuse a number outside a range, by the dotted key of what a user sets: ConfigError, for NaN too."""
     if not low <= value <= high:
         raise ConfigError(f"{option}={value:g}: expected {low:g} to {high:g}")
 
@@ -81,12 +71,7 @@ def refuse_unlike(name: str, value: object, kind: type | tuple[type, ...], expec
 
 
 def closest(name: str, options: Iterable[str]) -> str:
-    """Hint for an unknown name: the closest option if one is near, then all of them.
-
-    Args:
-        name: What the user wrote.
-        options: What would have been understood.
-    """
+    """Hint for an unknown name: the closest of the options that would have been understood, then all of them."""
     options = sorted(options)
     near = difflib.get_close_matches(name, options, n=1, cutoff=0.5)
     listed = f"expected one of {', '.join(options)}" if options else "none is available"

@@ -87,11 +87,7 @@ def write_atomically(path: Path, content: bytes) -> None:
 
 
 def to_json(value: Any) -> Any:
-    """The same with numpy numbers as Python's and non-finite numbers as None, which JSON calls null.
-
-    Args:
-        value: Mappings, lists, tuples, numbers and text.
-    """
+    """The same mappings, lists, numbers and text with Python's numbers for numpy's, and None for non-finite ones."""
     if isinstance(value, Mapping):
         return {key: to_json(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

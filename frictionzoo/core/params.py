@@ -11,45 +11,28 @@ from frictionzoo.core.errors import ConfigError, closest
 AT_BOUND = 1e-4
 """Share of the bounds' distance, in the optimiser's coordinate, that counts as reaching a bound."""
 
+_UNITS = {
+    "position": ("rad", "m"),
+    "velocity": ("rad/s", "m/s"),
+    "torque": ("N m", "N"),
+    "inertia": ("kg m^2", "kg"),
+    "damping": ("N m s/rad", "N s/m"),
+    "damping/velocity": ("N m s^2/rad^2", "N s^2/m^2"),
+    "damping/velocity^2": ("N m s^3/rad^3", "N s^3/m^3"),
+    "stiffness": ("N m/rad", "N/m"),
+    "1/velocity": ("s/rad", "s/m"),
+    "1/position": ("1/rad", "1/m"),
+    "1/torque": ("1/(N m)", "1/N"),
+    "torque/command": ("N m/(unit of ctrl)", "N/(unit of ctrl)"),
+    "torque/voltage": ("N m/V", "N/V"),
+    "temperature": ("K", "K"),
+    "1/temperature": ("1/K", "1/K"),
+    "time": ("s", "s"),
+    "1": ("1", "1"),
+}
 UNITS: dict[str, dict[str, str]] = {
-    "hinge": {
-        "position": "rad",
-        "velocity": "rad/s",
-        "torque": "N m",
-        "inertia": "kg m^2",
-        "damping": "N m s/rad",
-        "damping/velocity": "N m s^2/rad^2",
-        "damping/velocity^2": "N m s^3/rad^3",
-        "stiffness": "N m/rad",
-        "1/velocity": "s/rad",
-        "1/position": "1/rad",
-        "1/torque": "1/(N m)",
-        "torque/command": "N m/(unit of ctrl)",
-        "torque/voltage": "N m/V",
-        "temperature": "K",
-        "1/temperature": "1/K",
-        "time": "s",
-        "1": "1",
-    },
-    "slide": {
-        "position": "m",
-        "velocity": "m/s",
-        "torque": "N",
-        "inertia": "kg",
-        "damping": "N s/m",
-        "damping/velocity": "N s^2/m^2",
-        "damping/velocity^2": "N s^3/m^3",
-        "stiffness": "N/m",
-        "1/velocity": "s/m",
-        "1/position": "1/m",
-        "1/torque": "1/N",
-        "torque/command": "N/(unit of ctrl)",
-        "torque/voltage": "N/V",
-        "temperature": "K",
-        "1/temperature": "1/K",
-        "time": "s",
-        "1": "1",
-    },
+    joint_type: {dimension: units[at] for dimension, units in _UNITS.items()}
+    for at, joint_type in enumerate(("hinge", "slide"))
 }
 """Unit of each dimension on a hinge (rotation) and on a slide (translation)."""
 
@@ -84,25 +67,16 @@ class Param:
         if not self.low < self.high:
             raise ConfigError(f"{self.name}: bounds low={self.low:g}, high={self.high:g}; expected low < high")
         if not self.low <= self.init <= self.high:
-            raise ConfigError(
-                f"{self.name}: init={self.init:g} lies outside low={self.low:g}, high={self.high:g}; start inside"
-            )
-        if self.scale == "log":
-            if not self.low > 0:
-                raise ConfigError(
-                    f"{self.name}: low={self.low:g} with scale=log; expected low > 0, or a number as scale"
-                )
-        elif isinstance(self.scale, str) or not self.scale > 0:
+            bounds = f"low={self.low:g}, high={self.high:g}"
+            raise ConfigError(f"{self.name}: init={self.init:g} lies outside {bounds}; start inside")
+        if self.scale == "log" and not self.low > 0:
+            raise ConfigError(f"{self.name}: low={self.low:g} with scale=log; expected low > 0, or a number as scale")
+        if self.scale != "log" and (isinstance(self.scale, str) or not self.scale > 0):
             raise ConfigError(f"{self.name}: scale={self.scale}; expected log or a positive number")
 
     @classmethod
     def from_config(cls, name: str, dimension: str, config: Mapping[str, Any]) -> "Param":
-        """A parameter from its section of the configuration.
-
-        Args:
-            name: Its name.
-            dimension: A key of `UNITS`.
-            config: `init`, `low`, `high`, `scale`, `identify`, all given.
+        """A parameter from its section of the configuration: `init`, `low`, `high`, `scale`, `identify`, all given.
 
         Raises:
             ConfigError: A key is missing, unknown or of the wrong type.

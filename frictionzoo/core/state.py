@@ -66,12 +66,8 @@ class DriveState(NamedTuple):
         return {name: signal for name, signal in self._asdict().items() if signal is not None}
 
     def map(self, change: Callable[[Any], Any]) -> "DriveState":
-        """The state with each signal that is there changed.
-
-        Args:
-            change: From a signal to what takes its place.
-        """
-        return DriveState(**{**dict.fromkeys(self._fields), **{n: change(s) for n, s in self.given().items()}})
+        """The state with each signal that is there changed."""
+        return self._replace(**{name: change(signal) for name, signal in self.given().items()})
 
 
 class FrictionTerms(NamedTuple):

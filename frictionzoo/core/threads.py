@@ -15,26 +15,16 @@ _VARIABLES = ("PJRT_NPROC", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_
 
 def count_cores() -> int:
     """Cores on which this process may run."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def threads_each(threads: int | None) -> int:
-    """Threads of one job where several run at a time: what was asked for, else one.
-
-    Args:
-        threads: The option `threads`.
-    """
+    """Threads of one job where several run at a time: what the option `threads` asks for, else one."""
     return threads or 1
 
 
 def jobs_at_once(threads: int | None) -> int:
-    """How many jobs run at a time on this machine, so that jobs x threads = cores.
-
-    Args:
-        threads: The option `threads`.
-    """
+    """How many jobs run at a time on this machine, so that jobs x threads = cores."""
     return max(1, count_cores() // threads_each(threads))
 
 
