@@ -109,10 +109,8 @@ def _drag(xp: Any, values: Values, velocity: Any) -> Any:
 def _couple(xp: Any, values: Values, ahead: Any, rotor: Any, timestep: float) -> tuple[Any, Any, Any, Any]:
     """What a step implicit in the velocities at its end, w of the rotor and v of the load, comes down to.
 
-    The coupling passes on push + rate (w - v), and alone w + push + rate (w - v) = inertia rotor + motor torque.
-
-    Returns:
-        push [N m or N]; rate, inertia and alone [N m s/rad or N s/m].
+    The coupling passes on push + rate (w - v), and alone w + push + rate (w - v) = inertia rotor + motor torque, with
+    push [N m or N]; rate, inertia and alone [N m s/rad or N s/m].
     """
     bend, contact = _dead_zone(xp, values, ahead)
     rate = contact * (values["stiffness"] * timestep + values["coupling_damping"])

@@ -78,15 +78,9 @@ class FrictionModel(Described, torch.nn.Module, ABC):
         """
 
     def settle(self, xp: Any, values: Values, state: DriveState) -> Any:
-        """The memory that a simulation begins with: what it would be had the drive long been in this state.
+        """The memory that a simulation begins with, of shape (..., nv, memory): as if the drive had long been so.
 
-        Args:
-            xp: As in `terms`.
-            values: As in `terms`.
-            state: The first state.
-
-        Returns:
-            Of shape (..., nv, memory).
+        Arguments are as in `terms`.
         """
         return xp.zeros((*state.qvel.shape, self.memory))
 
@@ -95,14 +89,8 @@ class FrictionModel(Described, torch.nn.Module, ABC):
     ) -> tuple[FrictionTerms, Any]:
         """One step of a simulation: the terms that act until the next state, and the memory in this one.
 
-        A law with a memory overrides it together with `settle`; pure like `terms`.
-
-        Args:
-            xp: As in `terms`.
-            values: As in `terms`.
-            state: The present state.
-            memory: What the step before left, of shape (..., nv, memory).
-            timestep: Of the simulation [s].
+        A law with a memory overrides it together with `settle`; pure like `terms`, with the same arguments, what the
+        step before left, of shape (..., nv, memory), and the timestep of the simulation [s].
         """
         return self.terms(xp, values, state), memory
 
@@ -117,11 +105,7 @@ class FrictionModel(Described, torch.nn.Module, ABC):
         """
 
     def forward(self, state: DriveState) -> FrictionTerms:
-        """The law in torch with this module's own values.
-
-        Args:
-            state: Torch tensors of shape (..., nv).
-        """
+        """The law in torch with this module's own values, of torch tensors of shape (..., nv)."""
         return self.terms(torch, self.state_dict(keep_vars=True), state)
 
 
@@ -130,7 +114,7 @@ def sliding_torque(xp: Any, terms: FrictionTerms, qvel: Any) -> Any:
 
     Args:
         xp: Array namespace, `numpy`, `torch` or `jax.numpy`.
-        terms: The law's answer, arrays of this namespace that broadcast to the velocity's shape, or None.
+        terms: The law's answer, arrays that broadcast to the velocity's shape, or None.
         qvel: Velocity [rad/s or m/s].
     """
     torque, frictionloss, damping = (xp.zeros_like(qvel) if term is None else term for term in terms)

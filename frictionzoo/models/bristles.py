@@ -12,13 +12,8 @@ def settled_force(xp: Any, state: DriveState, limit: Any, rest_velocity: Any) ->
     """Dry friction of a drive that has long been in this state [N m or N].
 
     At rest it holds whatever actuator and external torque ask for, up to the limit; in motion it is at the limit,
-    against the motion. Between the two lies the rest velocity.
-
-    Args:
-        xp: Array namespace.
-        state: The state.
-        limit: Of dry friction at this velocity [N m or N].
-        rest_velocity: Up to about which a measured joint may stand still [rad/s or m/s].
+    against the motion. Between the two lies the rest velocity [rad/s or m/s], up to about which a measured joint may
+    stand still.
     """
     share = state.qvel / rest_velocity
     slides = 1 - xp.exp(-xp.square(share))
@@ -30,15 +25,7 @@ def settled_force(xp: Any, state: DriveState, limit: Any, rest_velocity: Any) ->
 def remaining(xp: Any, rate: Any, timestep: float) -> tuple[Any, Any]:
     """How a bend z that follows z' = v - rate z ends a step in which v is constant: decay * z + reach * v.
 
-    Both are exact for a constant rate, so that no rate makes them unstable.
-
-    Args:
-        xp: Array namespace.
-        rate: Not negative [1/s].
-        timestep: Of the simulation [s].
-
-    Returns:
-        decay [1] and reach [s].
+    Both, decay [1] and reach [s], are exact for a constant rate of 0/s or more, so that no rate makes them unstable.
     """
     steps = rate * timestep
     small = steps < _NEARLY_ZERO
@@ -48,12 +35,6 @@ def remaining(xp: Any, rate: Any, timestep: float) -> tuple[Any, Any]:
 
 
 def stribeck_force(xp: Any, values: Values, velocity: Any) -> Any:
-    """Dry friction that falls from static to kinetic with speed [N m or N].
-
-    Args:
-        xp: Array namespace.
-        values: With `static_torque`, `kinetic_torque` and `stribeck_velocity`.
-        velocity: [rad/s or m/s].
-    """
+    """Dry friction that falls with speed [N m or N], of static and kinetic torque and the Stribeck velocity."""
     excess = values["static_torque"] - values["kinetic_torque"]
     return values["kinetic_torque"] + excess * xp.exp(-xp.square(velocity / values["stribeck_velocity"]))

@@ -12,12 +12,12 @@ import numpy as np
 import safetensors.torch
 import torch
 
-from frictionzoo.core.errors import ModelError, UnknownModelError, closest
+from frictionzoo.core.errors import ModelError, closest
 from frictionzoo.core.params import UNITS
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models.base import FrictionModel, Values, sliding_torque
 from frictionzoo.models.formula import Formula, as_numpy, jax_slopes, torch_slopes, torch_state, torch_values
-from frictionzoo.models.registry import get_model
+from frictionzoo.models.registry import REGISTRY
 from frictionzoo.models.torch_friction import TorchFriction
 
 TOLERANCE = 1e-12  # of torch against JAX in float64, relative to the largest entry of an array, absolute below 1
@@ -51,9 +51,8 @@ def check_model(model: FrictionModel, samples: DriveState | None = None) -> None
         ModelError: A clause is broken; the message names it.
     """
     if not isinstance(model, FrictionModel):
-        raise ModelError(
-            f"{type(model).__name__}: not a FrictionModel; derive it from frictionzoo.models.FrictionModel"
-        )
+        kind = type(model).__name__
+        raise ModelError(f"{kind}: not a FrictionModel; derive it from frictionzoo.models.FrictionModel")
     _check_name(model)
     _check_units(model)
     _check_inputs(model)
@@ -80,12 +79,7 @@ def _fail(model: FrictionModel, clause: str, message: str, cause: Exception | No
 
 def _check_name(model: FrictionModel) -> None:
     cls = type(model)
-    name = vars(cls).get("name")
-    try:
-        registered = name is not None and get_model(name) is cls
-    except UnknownModelError:
-        registered = False
-    if not registered:
+    if REGISTRY.entries.get(vars(cls).get("name", "")) is not cls:
         _fail(model, "name", f"class {cls.__qualname__} is not registered; decorate it @register_model(NAME)")
 
 
@@ -93,9 +87,8 @@ def _check_units(model: FrictionModel) -> None:
     for name, dimension in model.dimensions.items():
         for joint_type, units in UNITS.items():
             if dimension not in units:
-                _fail(
-                    model, "units", f"{name} has dimension {dimension} on a {joint_type}; {closest(dimension, units)}"
-                )
+                message = f"{name} has dimension {dimension} on a {joint_type}; {closest(dimension, units)}"
+                _fail(model, "units", message)
 
 
 def _check_inputs(model: FrictionModel) -> None:
@@ -160,13 +153,13 @@ def _check_purity(model: FrictionModel, samples: DriveState) -> None:
     """Same inputs, same bits; nothing is written; the numbers come from `values`; no branch on a number."""
     values, state = torch_values(model), torch_state(samples)
     before, kept_values, kept_state = torch_values(model), copy.deepcopy(values), copy.deepcopy(state)
-    first = model.terms(torch, values, state)
-    if not _same(first, model.terms(torch, values, state)):
+    first = model.terms(torch, values, state).given()
+    if not _equal(first, model.terms(torch, values, state).given()):
         _fail(model, "deterministic", "two calls with the same inputs differ; take no random number in terms")
     unwritten = _equal(kept_values, values) and _equal(kept_state.given(), state.given())
     if not unwritten or not _equal(before, torch_values(model)):
         _fail(model, "pure", "terms writes into values, state or the module; return new arrays instead")
-    if not _same(first, _changed(model).terms(torch, values, state)):
+    if not _equal(first, _changed(model).terms(torch, values, state).given()):
         _fail(model, "pure", "terms reads a parameter or buffer from the module; take it from values")
 
 
@@ -239,8 +232,8 @@ def _check_formula(
             _compare(model, f"{what} {where}", values, their_values)
         for name, slope in (*ours.items(), *theirs.items()):
             if not np.isfinite(slope).all():
-                message = f"{gradient[1]}with respect to {name} is not finite {where}; smooth the law there"
-                _fail(model, gradient[0], message)
+                clause, start = gradient
+                _fail(model, clause, f"{start}with respect to {name} is not finite {where}; smooth the law there")
         found.append((where, ours, theirs))
     return found
 
@@ -267,7 +260,7 @@ def _check_saved_state(fresh: FrictionModel, prepared: FrictionModel, samples: D
     except (RuntimeError, ValueError) as error:
         message = f"does not go through safetensors and back ({_in_short(error)}); keep names and shapes fixed"
         _fail(fresh, "state_dict", message, error)
-    if not _same(_torch_terms(prepared, samples), _torch_terms(loaded, samples)):
+    if not _equal(_torch_terms(prepared, samples).given(), _torch_terms(loaded, samples).given()):
         _fail(fresh, "state_dict", "is not complete: loaded into a new instance it gives other terms; use buffers")
 
 
@@ -288,9 +281,8 @@ def _check_power(model: FrictionModel, values: dict[str, torch.Tensor], samples:
     terms = FrictionTerms(**as_numpy(model.terms(torch, values, torch_state(samples)).given()))
     power = sliding_torque(np, terms, samples.qvel) * samples.qvel
     if (power < 0).any():
-        at = tuple(int(index) for index in np.argwhere(power < 0)[0])
-        message = f"friction drives the joint at qvel={samples.qvel[at]:.3g}; oppose qvel, or drop the claim"
-        _fail(model, "dissipative", message)
+        speed = samples.qvel[power < 0][0]
+        _fail(model, "dissipative", f"friction drives the joint at qvel={speed:.3g}; oppose qvel, or drop the claim")
     torque, frictionloss, damping = (np.zeros(()) if term is None else term for term in terms)
     if ((np.abs(torque) > frictionloss) & (samples.qvel == 0)).any():
         message = "torque moves a joint that stands still; keep it within frictionloss there, or drop the claim"
@@ -301,14 +293,10 @@ def _check_power(model: FrictionModel, values: dict[str, torch.Tensor], samples:
 
 def _draw_samples(model: FrictionModel) -> DriveState:
     """States of order 1, of both signs and many magnitudes, some at standstill; what else it looks at varies widely."""
-    random = np.random.default_rng(0)
-    names = [name for name in DriveState._fields if name not in DriveState._field_defaults]
-    signals = (
-        random.standard_normal((len(names), SAMPLES, model.nv)) * random.choice([1e-3, 0.1, 1.0], SAMPLES)[:, None]
-    )
-    others = {
-        name: value + INPUT_SPREAD * random.standard_normal((SAMPLES, model.nv)) for name, value in model.inputs.items()
-    }
+    random, shape = np.random.default_rng(0), (SAMPLES, model.nv)
+    count = len(DriveState._fields) - len(DriveState._field_defaults)
+    signals = random.standard_normal((count, *shape)) * random.choice([1e-3, 0.1, 1.0], SAMPLES)[:, None]
+    others = {name: value + INPUT_SPREAD * random.standard_normal(shape) for name, value in model.inputs.items()}
     state = DriveState(*signals, **others)
     state.qvel[: SAMPLES // 8] = 0.0
     return state
@@ -316,10 +304,6 @@ def _draw_samples(model: FrictionModel) -> DriveState:
 
 def _equal(ours: Mapping[str, torch.Tensor], theirs: Mapping[str, torch.Tensor]) -> bool:
     return ours.keys() == theirs.keys() and all(torch.equal(ours[name], theirs[name]) for name in ours)
-
-
-def _same(ours: FrictionTerms, theirs: FrictionTerms) -> bool:
-    return _equal(ours.given(), theirs.given())
 
 
 def _changed(model: FrictionModel) -> FrictionModel:
@@ -352,8 +336,7 @@ def _called(model: FrictionModel, namespace: str, call: Callable[[], Any]) -> An
         _fail(model, "pure", f"jax.jit cannot compile terms ({_in_short(error)}); use xp.where, not if", error)
     except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
         advice = "use values, declared inputs and what torch and jax.numpy share"
-        message = f"fails over {namespace} ({_in_short(error)}); {advice}"
-        _fail(model, "terms", message, error)
+        _fail(model, "terms", f"fails over {namespace} ({_in_short(error)}); {advice}", error)
 
 
 def _in_short(error: Exception) -> str:
@@ -362,9 +345,8 @@ def _in_short(error: Exception) -> str:
 
 def _compare(model: FrictionModel, what: str, ours: dict[str, np.ndarray], theirs: dict[str, np.ndarray]) -> None:
     if ours.keys() != theirs.keys():
-        _fail(
-            model, "torch equals JAX", f"terms {sorted(ours)} in torch and {sorted(theirs)} in JAX; write one formula"
-        )
+        message = f"terms {sorted(ours)} in torch and {sorted(theirs)} in JAX; write one formula"
+        _fail(model, "torch equals JAX", message)
     for name, array in ours.items():
         error = float(np.abs(array - theirs[name]).max(initial=0.0))
         if not error <= TOLERANCE * max(1.0, float(np.abs(array).max(initial=0.0))):

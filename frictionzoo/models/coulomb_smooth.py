@@ -26,11 +26,7 @@ class CoulombSmooth(FrictionModel):
     Source: V. Kovalev et al., Proc. MIPT 18(2), 2026, Table 1, "Coulomb-Smooth".
     """
 
-    dimensions = {
-        "static_torque": "torque",
-        "smoothing": "1/velocity",
-        "viscous_coefficient": "damping",
-    }
+    dimensions = {"static_torque": "torque", "smoothing": "1/velocity", "viscous_coefficient": "damping"}
     dissipative = True
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:

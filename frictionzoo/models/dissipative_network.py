@@ -67,11 +67,6 @@ class DissipativeNetwork(GearNetwork):
 
 
 def softplus(xp: Any, x: Any) -> Any:
-    """A smooth max(x, 0), log(1 + exp(x)), that neither overflows nor falls below 0.
-
-    Args:
-        xp: Array namespace; torch and jax.numpy share no such function.
-        x: Array.
-    """
+    """A smooth max(x, 0), log(1 + exp(x)), that neither overflows nor falls below 0; torch and jax.numpy share none."""
     # (x + |x|) / 2 for the maximum, so that its gradient at 0 is 1/2 in both.
     return 0.5 * (x + xp.abs(x)) + xp.log1p(xp.exp(-xp.abs(x)))

@@ -52,11 +52,7 @@ class HarmonicDrive(FrictionModel):
     G. Passault, V. Padois, O. Ly, "Extended friction models for the physics simulation of servo actuators", 2024.
     """
 
-    dimensions = {
-        **Directional.dimensions,
-        **Ripple.dimensions,
-        "cubic_damping": "damping/velocity^2",
-    }
+    dimensions = {**Directional.dimensions, **Ripple.dimensions, "cubic_damping": "damping/velocity^2"}
     constraint = True
     dissipative = True
 

@@ -10,13 +10,9 @@ _GONE = 5.0  # exp(-exp(5)) = 4e-65; further on float32 overflows
 
 
 def stribeck_share(xp: Any, qvel: Any, velocity: Any, exponent: Any) -> Any:
-    """Share exp(-|v / v_s|^alpha) of what is added to friction at rest: 1 at rest, 0 at speed.
+    """Share of what is added to friction at rest, 1 at rest and 0 at speed: exp(-|v / v_s|^alpha).
 
-    Args:
-        xp: Array namespace.
-        qvel: v [rad/s or m/s], of shape (..., nv).
-        velocity: v_s [rad/s or m/s].
-        exponent: alpha [1].
+    Of the joint's velocity v and the Stribeck velocity v_s [rad/s or m/s], and the exponent alpha [1].
     """
     power = exponent / 2 * xp.log(xp.square(qvel / velocity) + _AT_REST)
     return xp.exp(-xp.exp(xp.where(power < _GONE, power, _GONE)))
@@ -28,12 +24,7 @@ def ripple_share(xp: Any, values: Values, qpos: Any) -> Any:
     s_1 sin(n q) + c_1 cos(n q) + s_2 sin(2 n q) + c_2 cos(2 n q)
 
     Sine and cosine rather than amplitude and phase: the limit is linear in them, so that a fit finds no local minimum
-    and no phase that jumps.
-
-    Args:
-        xp: Array namespace.
-        values: periods n [1/rad or 1/m], sine_1 s_1, cosine_1 c_1, sine_2 s_2, cosine_2 c_2 [1].
-        qpos: Joint position q [rad or m], of shape (..., nv).
+    and no phase that jumps. Of periods n [1/rad or 1/m], the shares s_i and c_i [1] and the position q [rad or m].
     """
     phase = values["periods"] * qpos
     first = values["sine_1"] * xp.sin(phase) + values["cosine_1"] * xp.cos(phase)
@@ -46,13 +37,7 @@ def gear_load(xp: Any, state: DriveState, motor: Any, external: Any) -> Any:
     Both torques act on the joint and count in its direction. A motor that holds a weight has tau_m = -tau_e: the load
     on the gear is then their difference, not their sum, which is 0. Between a motor of inertia J_m and a load of
     inertia J_l, the gear passes on (J_l tau_m - J_m tau_e) / (J_m + J_l): half the difference where both are equal,
-    tau_m at rest.
-
-    Args:
-        xp: Array namespace.
-        state: What the drive is doing: motor_torque tau_m, external_torque tau_e [N m or N].
-        motor: Friction per torque of the motor k_m [1].
-        external: Friction per external torque k_e [1].
+    tau_m at rest. Friction per torque of the motor is k_m, per external torque k_e [1].
     """
     return xp.abs(motor * state.motor_torque - external * state.external_torque)
 
@@ -60,14 +45,7 @@ def gear_load(xp: Any, state: DriveState, motor: Any, external: Any) -> Any:
 def directional_limit(xp: Any, values: Values, state: DriveState) -> Any:
     """What load and standstill add to the limit of dry friction [N m or N].
 
-    |k_m tau_m - k_e tau_e| + (s + |l_m tau_m - l_e tau_e|) exp(-|v / v_s|^alpha)
-
-    Args:
-        xp: Array namespace.
-        values: load_friction_motor k_m, load_friction_external k_e, stribeck_load_friction_motor l_m,
-            stribeck_load_friction_external l_e, stribeck_exponent alpha [1], stribeck_torque s [N m or N],
-            stribeck_velocity v_s [rad/s or m/s].
-        state: What the drive is doing.
+    |k_m tau_m - k_e tau_e| + (s + |l_m tau_m - l_e tau_e|) exp(-|v / v_s|^alpha), of values as `Directional` has them
     """
     share = stribeck_share(xp, state.qvel, values["stribeck_velocity"], values["stribeck_exponent"])
     load = gear_load(xp, state, values["load_friction_motor"], values["load_friction_external"])
@@ -78,13 +56,8 @@ def directional_limit(xp: Any, values: Values, state: DriveState) -> Any:
 def quadratic_gear_load(xp: Any, state: DriveState, motor: Any, external: Any) -> Any:
     """Friction torque of a gear whose two sides oppose each other, by the square of the weaker one [N m or N].
 
-    q_e tau_e^2 where the motor is the stronger, q_m tau_m^2 where it is driven, 0 where both push the same way
-
-    Args:
-        xp: Array namespace.
-        state: What the drive is doing: motor_torque tau_m, external_torque tau_e [N m or N].
-        motor: q_m [1/(N m) or 1/N].
-        external: q_e [1/(N m) or 1/N].
+    q_e tau_e^2 where the motor is the stronger, q_m tau_m^2 where it is driven, 0 where both push the same way; q_m
+    and q_e [1/(N m) or 1/N].
     """
     driving = xp.abs(state.external_torque) < xp.abs(state.motor_torque)
     weaker = xp.where(driving, external * xp.square(state.external_torque), motor * xp.square(state.motor_torque))

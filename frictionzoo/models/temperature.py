@@ -36,13 +36,7 @@ class TemperatureModel(FrictionModel):
 
     @abstractmethod
     def shares(self, xp: Any, values: Values, temperature: Any) -> tuple[Any, Any]:
-        """What frictionloss and damping are multiplied by at a temperature.
-
-        Args:
-            xp: As in `terms`.
-            values: As in `terms`.
-            temperature: [degC], of shape (..., nv).
-        """
+        """What frictionloss and damping are multiplied by at a temperature [degC], of shape (..., nv)."""
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The constraint's limit and the damping at this temperature."""
