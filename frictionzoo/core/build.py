@@ -38,13 +38,14 @@ def _find(target: str) -> Any:
         return registered
     packages = plug_in_packages()
     module, _, name = target.rpartition(".")
+    stranger = ConfigError(f"_target_={target}; expected a class of {' or '.join(sorted(packages))}")
     if module.partition(".")[0] not in packages:
-        raise ConfigError(f"_target_={target}; expected a class of {' or '.join(sorted(packages))}")
+        raise stranger
     try:
         found = getattr(importlib.import_module(module), name)
     except (ModuleNotFoundError, AttributeError):
         raise ConfigError(f"_target_={target}; expected a class that exists; compare with conf/") from None
     # A module may also hold what it imported from elsewhere.
     if not isinstance(found, type) or found.__module__.partition(".")[0] not in packages:
-        raise ConfigError(f"_target_={target}; expected a class of {' or '.join(sorted(packages))}")
+        raise stranger
     return found

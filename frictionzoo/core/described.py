@@ -25,10 +25,7 @@ class Described:
 
 
 def describe(part: Any) -> Any:
-    """The section of a configuration that makes this part again, as `build` reads it.
-
-    Args:
-        part: A `Described` object, or what one is given: mappings, sequences, paths, numbers, text.
+    """The section of a configuration that makes this part again, or what one is given, as `build` reads it.
 
     Raises:
         ConfigError: It cannot be written into a record.
@@ -46,9 +43,8 @@ def describe(part: Any) -> Any:
         return str(part)
     if part is None or isinstance(part, bool | int | float | str):
         return part
-    raise ConfigError(
-        f"{type(part).__name__}: expected numbers, text, lists or parts of frictionzoo, which a record can hold"
-    )
+    kind = type(part).__name__
+    raise ConfigError(f"{kind}: expected numbers, text, lists or parts of frictionzoo, which a record can hold")
 
 
 def _arguments(cls: type, args: tuple[Any, ...], kwargs: Mapping[str, Any]) -> dict[str, Any]:

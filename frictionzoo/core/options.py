@@ -6,11 +6,7 @@ from frictionzoo.core.errors import ConfigError
 
 
 def read_options(texts: Sequence[str], example: str) -> dict[str, str]:
-    """Values by key, as text.
-
-    Args:
-        texts: Arguments of the command line.
-        example: One as it should be, for messages.
+    """Values by key, as text, of a command's arguments; `example` is one as it should be, for messages.
 
     Raises:
         ConfigError: One is not KEY=VALUE, or a key is given twice.

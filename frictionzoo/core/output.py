@@ -26,14 +26,10 @@ def occupy(folder: Path, *, wait: bool) -> Iterator[None]:
     """Have a job's folder to oneself: no other process is in it that occupies it too.
 
     The lock is the operating system's and ends with its process, however that ends. What a killed process had begun to
-    write is removed.
-
-    Args:
-        folder: The job's; it exists.
-        wait: Wait for the other process instead of raising.
+    write is removed. The folder exists.
 
     Raises:
-        RunError: Another process is in it, and this one is not to wait.
+        RunError: Another process is in it, and this one is not to wait for it.
         OSError: The folder cannot be written.
     """
     lock = FileLock(folder / RUNNING)
@@ -61,9 +57,7 @@ def occupy(folder: Path, *, wait: bool) -> Iterator[None]:
 def write_atomically(path: Path, content: bytes) -> None:
     """Write a file under a temporary name in the same folder, then rename it.
 
-    Args:
-        path: The file; missing folders are made, an older file of that name is replaced.
-        content: All of it.
+    Missing folders are made, an older file of that name is replaced.
 
     Raises:
         OutputError: The disk is full or the folder cannot be written; nothing new is left behind.

@@ -149,9 +149,6 @@ class Registry(Generic[B]):
     def register(self, name: str) -> Callable[[T], T]:
         """Class decorator that makes a plug-in available under a name.
 
-        Args:
-            name: Lower case with underscores.
-
         Raises:
             FrictionzooError: The name is taken or not lower case with underscores, or the class is not complete or has
                 a name already.
@@ -160,9 +157,6 @@ class Registry(Generic[B]):
 
     def get(self, name: str) -> type[B]:
         """The class of that name, registered here or brought by another package.
-
-        Args:
-            name: As registered, or as an entry point of the kind's group has it.
 
         Raises:
             FrictionzooError: No such name, and the message names the closest; or two packages bring it, or the one that
@@ -195,9 +189,8 @@ class Registry(Generic[B]):
     def _add(self, name: str, cls: T) -> T:
         known: Any = cls
         if not (isinstance(known, type) and issubclass(known, self.base)) or inspect.isabstract(known):
-            raise self.error(
-                f"{name}: {cls!r} is registered, expected a {self.base.__name__} class with a `{self.method}` method"
-            )
+            expected = f"a {self.base.__name__} class with a `{self.method}` method"
+            raise self.error(f"{name}: {cls!r} is registered, expected {expected}")
         if not name.isidentifier() or name != name.lower():
             raise self.error(f"{name}: expected a name in lower case with underscores; rename the {self.noun}")
         own = self.kind.own().get(name)
@@ -223,10 +216,8 @@ class Registry(Generic[B]):
         points: dict[str, EntryPoint] = {}
         for point in self.kind.brought():
             if points.setdefault(point.name, point).value != point.value:
-                raise self.error(
-                    f"{point.name}: entry points {points[point.name].value} and {point.value} both bring it; "
-                    "uninstall one of the packages"
-                )
+                both = f"entry points {points[point.name].value} and {point.value} both bring it"
+                raise self.error(f"{point.name}: {both}; uninstall one of the packages")
         return points
 
     def _load_outside(self, point: EntryPoint) -> None:
@@ -236,15 +227,12 @@ class Registry(Generic[B]):
         except (ImportError, AttributeError) as error:
             raise self.error(f"{point.name}: its entry point {point.value} does not load ({error}); fix it") from error
         if point.name not in self.entries:
-            raise self.error(
-                f"{point.name}: its entry point {point.value} registers no {self.noun} of that name; "
-                f'decorate it @{self.kind.decorator}("{point.name}")'
-            )
+            message = f"its entry point {point.value} registers no {self.noun} of that name"
+            raise self.error(f'{point.name}: {message}; decorate it @{self.kind.decorator}("{point.name}")')
         owner = self.entries[point.name].__module__
         if owner.partition(".")[0] != point.module.partition(".")[0]:
-            raise self.error(
-                f"{point.name}: brought by both {owner} and {point.value}; uninstall one or rename its {self.noun}"
-            )
+            both = f"brought by both {owner} and {point.value}"
+            raise self.error(f"{point.name}: {both}; uninstall one or rename its {self.noun}")
 
 
 def find_registered(target: str) -> Any:

@@ -29,10 +29,7 @@ def jobs_at_once(threads: int | None) -> int:
 
 
 def limit_threads(threads: int | None) -> None:
-    """Limit the CPU threads of this process; takes effect if torch and JAX are not loaded yet.
-
-    Args:
-        threads: At most so many; None leaves everything as it is.
+    """Limit the CPU threads of this process, None for no limit; takes effect if torch and JAX are not loaded yet.
 
     Raises:
         ConfigError: Less than one.
