@@ -237,11 +237,7 @@ def compare(
 ) -> Compared:
     """Identify a drive with several laws, each on the same recordings and judged on the same rollouts.
 
-    Args:
-        bench: The test stand.
-        laws: Names of friction laws, or laws of one's own.
-        logs: Recordings.
-        how: The options of `identify`.
+    Arguments are those of `identify`, with several laws, by name or of one's own.
 
     Returns:
         The drives, best first, with their paired differences and a recommendation. A law whose fit fails is told among
@@ -268,15 +264,7 @@ def compare(
 
 
 def load(folder: str | Path) -> Identified:
-    """A run that has ended, read back from what it left.
-
-    Args:
-        folder: Where `result.json` lies.
-
-    Raises:
-        RunError: It is not the folder of a finished run of this version, or one of its files is damaged.
-        BenchError: The bench's MJCF is not there any more, or not what it was.
-    """
+    """A run that has ended, read back from the folder where its `result.json` lies; see `Identified.load`."""
     return Identified.load(Path(folder))
 
 
@@ -338,15 +326,13 @@ def _to_table(name: str, recording: Any) -> Table:
     try:
         held = {str(header): np.asarray(recording[header]) for header in getattr(recording, "columns", recording)}
     except (TypeError, KeyError, IndexError):
-        raise LogError(
-            f"{name}: {type(recording).__name__}, expected a path, a table, or a mapping from header to samples"
-        ) from None
+        kind = type(recording).__name__
+        raise LogError(f"{name}: {kind}, expected a path, a table, or a mapping from header to samples") from None
     columns: dict[str, np.ndarray] = {}
     for header, samples in held.items():
         if samples.ndim not in (1, 2) or samples.dtype.kind not in "biuf":
-            raise LogError(
-                f"{name}: {header} of shape {samples.shape} and type {samples.dtype}, expected numbers of shape (time,)"
-            )
+            came = f"{header} of shape {samples.shape} and type {samples.dtype}"
+            raise LogError(f"{name}: {came}, expected numbers of shape (time,)")
         several = samples.ndim == 2 and samples.shape[1] > 1
         parts = {f"{header}_{i}": part for i, part in enumerate(samples.T)} if several else {header: samples.ravel()}
         columns |= {k: v if v.dtype == np.int64 else v.astype(np.float64) for k, v in parts.items()}

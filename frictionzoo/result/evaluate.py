@@ -230,11 +230,6 @@ class Evaluation:
 def moving_mean_and_std(
     samples: Float[np.ndarray, "time"], width: int
 ) -> tuple[Float[np.ndarray, "windows"], Float[np.ndarray, "windows"]]:
-    """Mean and standard deviation over each full window of a signal; `windows` is time - width + 1.
-
-    Args:
-        samples: The signal.
-        width: Samples in a window, from 1 to the signal's length.
-    """
+    """Mean and standard deviation over each full window, of `width` samples, of a signal."""
     windows = np.lib.stride_tricks.sliding_window_view(samples, width)
     return windows.mean(axis=1), windows.std(axis=1)

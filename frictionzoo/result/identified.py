@@ -221,15 +221,12 @@ class Identified:
         return f"{self.segments.count} rollouts of {self.segments.length * self.segments.timestep:g} s"
 
     def at(self, timestep: float) -> "Identified":
-        """The same drive, simulated in steps of another length.
+        """The same drive, simulated in steps of another length [s].
 
         Where a step is longer than the recordings' interval, only every so many of their samples are kept.
 
-        Args:
-            timestep: [s]; a whole part of the recordings' interval, or a whole number of them.
-
         Raises:
-            ConfigError: It is neither.
+            ConfigError: It is neither a whole part of the recordings' interval nor a whole number of them.
         """
         interval = self.segments.timestep
         ratio = max(timestep / interval, interval / timestep) if timestep > 0 else 0.0
@@ -348,10 +345,9 @@ def _load_law(model: FrictionModel, path: Path) -> dict[str, torch.Tensor]:
 def _read_bench(result: Result, bench: Bench) -> dict[str, Float[np.ndarray, "nv"]]:
     found = {row["name"]: row["value"] for row in result["parameters"] if row["owner"] == "bench"}
     if set(found) != set(bench.params):
-        raise RunError(
-            f"{RESULT}: parameters {', '.join(sorted(found))} of the bench, expected {', '.join(sorted(bench.params))} "
-            "as its settings have it; run it again"
-        )
+        came, expected = (", ".join(sorted(names)) for names in (found, bench.params))
+        line = f"parameters {came} of the bench, expected {expected} as its settings have it; run it again"
+        raise RunError(f"{RESULT}: {line}")
     return {name: np.broadcast_to(np.asarray(found[name], np.float64), bench.nv).copy() for name in bench.params}
 
 
