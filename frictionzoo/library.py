@@ -36,7 +36,7 @@ from frictionzoo.simulate.context import computing
 _DATA = "columns|units|sign|fields|fields_from_name|where|exclude|inputs|payload|clean"
 _ARGUMENTS = {
     r"data\.split(\.test_share)?": "test",
-    r"data\.train": "recordings",
+    r"data\.train\b(?!\.)": "recordings",
     rf"data\.(?=(test|format)\b(?!\.)|({_DATA})\b)": "",
     r"model\.(?!(xml|mjcf|urdf)\b)": "",
     r"fit\.(?=(derivative|points)\b)": "method.",

@@ -306,6 +306,7 @@ FAULTS = {
     "fz.read(Frame({'time': [0.0, 1.0], 'qpos': ['a', 'b']}))": r"recording 1 in memory: qpos of shape \(2,\) and type",
     "fz.read('unmoved.csv')": r"unmoved\.csv: columns\.ctrl is missing; perhaps columns\.time=time columns\.qpos=\[",
     "fz.read('data.test.csv')": r"data\.test\.csv: no such file",
+    "fz.read('data.train.csv')": r"data\.train\.csv: no such file",
     "fz.read('a.csv', test='a.csv')": r"a\.csv: in recordings and in test; expected recordings that no fit has seen",
     "fz.read('gone.csv')": r"gone\.csv: no such file \(looked from .*\); check the path",
     "fz.read('a.csv', clean={'step': 0.1})": r"clean: dict, expected a Cleaning, as in Cleaning\(step=0\.002\)",
