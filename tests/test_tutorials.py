@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from conftest import ROOT
-from test_arm import GAINS, HEADERS, TRUTH, arm, record
+from robots import GAINS, HEADERS, TRUTH, arm, record
 
 import frictionzoo as fz
 from frictionzoo.models.registry import REGISTRY
@@ -19,9 +19,11 @@ STAND = """<mujoco><option timestep="0.002"><flag contact="disable"/></option><w
 <joint name="shaft" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.01" mass="0.3"/>
 </body></worldbody></mujoco>"""
 SHAFT = {"armature": [0.03], "frictionloss": [0.15], "damping": [0.05]}
-SERVO = SHAFT | {"damping": [0.55]}  # kd among it
+SERVO = SHAFT | {"damping": [0.55], "kp": [15.0]}  # kd among its damping
 LEG = {"armature": [0.01, 0.008], "frictionloss": [0.25, 0.15], "damping": [0.05, 0.03]}
 ENCODER = 2e-4, 1e-2  # rad, rad/s: its noise
+
+pytestmark = pytest.mark.usefixtures("in_haste")
 
 
 def blocks_of(page: str, language: str) -> list[str]:
@@ -61,10 +63,12 @@ def follow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., dic
 
 
 def assert_found(drive: fz.Identified, truth: dict[str, Any], tolerance: float) -> None:
-    """Its armature and MuJoCo's friction are near these."""
+    """All that was identified is near these."""
+    assert drive.result["engine"] == "specialised"
+    found = {name.partition(".")[2]: each.value for name, each in drive.parameters.items() if each.identified}
+    assert found.keys() == truth.keys()
     for name, values in truth.items():
-        found = drive.parameters[f"{'bench' if name == 'armature' else 'friction'}.{name}"]
-        np.testing.assert_allclose(found.value, values, rtol=tolerance, err_msg=name)
+        np.testing.assert_allclose(found[name], values, rtol=tolerance, err_msg=name)
 
 
 @pytest.mark.slow

@@ -1,14 +1,11 @@
-"""A whole arm at once: armature, dry friction and damping of five joints from one recording."""
+"""Robots for tests: a whole arm, and recordings by MuJoCo C of any drive under a position controller."""
 
 import itertools
-import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import mujoco
 import numpy as np
-import pytest
-from conftest import BRIEF
 
 JOINTS = [f"joint{index}" for index in range(5)]
 TRUTH = {
@@ -71,24 +68,3 @@ def record(
     states += rng.normal(size=states.shape) * np.repeat(noise, model.nv)
     columns = ",".join(["time", *itertools.chain(*headers.values())])
     np.savetxt(path, np.hstack([time[:, None], states, ctrl]), fmt="%.9g", delimiter=",", header=columns, comments="")
-
-
-@pytest.mark.slow
-def test_fifteen_parameters_of_an_arm_in_one_run(call: Callable, tmp_path: Path, in_haste: None) -> None:
-    (tmp_path / "arm.xml").write_text(arm())
-    record(tmp_path / "arm.csv", arm(), TRUTH, GAINS, HEADERS)
-    finished = call(
-        *("model=mujoco_default", "fit=lm", "data=files", "data.train=[arm.csv]", "data.simulated=true"),
-        *("bench.mjcf=arm.xml", f"bench.joint=[{','.join(JOINTS)}]", "hydra.run.dir=run", "loop.progress=false"),
-        *(f"bench.actuator.params.{name}.init={value}" for name, value in GAINS.items()),
-        *(f"data.columns.{signal}=[{','.join(names)}]" for signal, names in HEADERS.items()),
-        *("bench.params.armature.init=0.2", "model.params.frictionloss.init=0.5", "model.params.damping.init=0.5"),
-        *("segments.length=20", "segments.count=null", *(f"{option}={value}" for option, value in BRIEF.items())),
-    )
-    assert finished.status == 0, finished.err
-    result = json.loads((tmp_path / "run" / "result.json").read_text())
-    assert result["engine"] == "specialised"
-    found = {parameter["name"]: parameter["value"] for parameter in result["parameters"] if parameter["identified"]}
-    assert found.keys() == TRUTH.keys()
-    for name, truth in TRUTH.items():
-        np.testing.assert_allclose(found[name], truth, rtol=0.05, err_msg=name)
