@@ -33,6 +33,7 @@ def parameters(folder: Path) -> dict[str, float]:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("in_haste")
 def test_two_devices_find_what_one_finds(
     compilation_cache: Path, tiny: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

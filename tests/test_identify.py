@@ -128,7 +128,7 @@ def cells() -> list[str]:
         if text not in found:  # several statements stand in one line
             found.append(text)
     place = next(i for i, text in enumerate(found) if text.startswith("law ="))
-    return [*found[:place], GIVEN, *found[place:], OWN, HOLDS]
+    return [*found[:place], GIVEN, *found[place:]]
 
 
 def record(path: Path, pace: float, samples: int = 4100) -> None:
@@ -177,9 +177,10 @@ def hold(folder: Path, run: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("in_haste")
 def test_the_block_runs_as_a_program(stand: Path, tmp_path: Path, start: Callable, finished_run: Callable) -> None:
     shutil.copytree(stand, tmp_path, dirs_exist_ok=True)
-    (tmp_path / "program.py").write_text("\n".join(cells()))
+    (tmp_path / "program.py").write_text("\n".join([*cells(), OWN, HOLDS]))
     program = start(program=["program.py"])
     out, err = program.communicate(timeout=300)
     assert program.returncode == 0, err
@@ -385,7 +386,7 @@ def without_cache() -> Any:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("without_cache")
+@pytest.mark.usefixtures("in_haste", "without_cache")
 def test_settings_of_jax_stay_and_what_was_before_does_not_matter(
     recording: Path, tmp_path: Path, start: Callable
 ) -> None:

@@ -237,9 +237,8 @@ def addresses_of(process: psutil.Process) -> set[str]:
 
 
 @pytest.mark.slow
-def test_launchers_agree(start: Callable, call: Callable, tiny: tuple[str, ...], tmp_path: Path) -> None:
-    options = ("-m", *tiny, *RUNS["sweep"][1:])
-    assert call(*options, "hydra.sweep.dir=in_one_process").status == 0
+def test_launchers_agree(start: Callable, finished_run: Callable, tiny: tuple[str, ...], tmp_path: Path) -> None:
+    options, in_one_process = (*RUNS["sweep"], *tiny), finished_run("sweep")[0]
     for launcher in LAUNCHERS:
         sweep = start(*options, f"hydra/launcher={launcher}", f"hydra.sweep.dir={launcher}")
         processes, children, addresses = psutil.Process(sweep.pid), [], set()
@@ -255,10 +254,8 @@ def test_launchers_agree(start: Callable, call: Callable, tiny: tuple[str, ...],
         assert not psutil.wait_procs(children, timeout=30)[1]
 
         for job in ("0_baseline", "1_coulomb_smooth"):
-            first, second = (read_result(tmp_path / home / job) for home in (launcher, "in_one_process"))
-            assert first == second, launcher
-        first, second = (read_comparison(tmp_path / home) for home in (launcher, "in_one_process"))
-        assert first == second, launcher
+            assert read_result(tmp_path / launcher / job) == read_result(in_one_process / job), launcher
+        assert read_comparison(tmp_path / launcher) == read_comparison(in_one_process), launcher
 
 
 def test_jobs_at_a_time_times_threads_is_cores() -> None:
