@@ -32,6 +32,7 @@ from frictionzoo.core.state import Signals
 from frictionzoo.fit.objective import Objective
 from frictionzoo.identification import Problem
 from frictionzoo.result.curves import Curves
+from frictionzoo.show import comparison_figures, with_matplotlib
 from frictionzoo.simulate.context import computing
 from frictionzoo.simulate.rollout import FORWARD
 
@@ -71,8 +72,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Experiments, the longest tests, come first: at the end one worker would wait for the other's."""
-    items.sort(key=lambda item: item.path.stem != "test_experiments")
+    """The longest tests come first: at the end one worker would wait for the other's."""
+    items.sort(key=lambda item: item.path.stem not in ("test_experiments", "test_tutorials"))
 
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:
@@ -196,6 +197,21 @@ def in_haste(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     jax.config.update(UNOPTIMISED, True)
     yield
     jax.config.update(UNOPTIMISED, before)
+
+
+def render_nothing(patch: pytest.MonkeyPatch) -> None:
+    """Have figures drawn and not rendered, which is a fifth of a small job: where nobody looks at them.
+
+    Not while `finished_run` makes a run, which is everybody's.
+    """
+    for module in (with_matplotlib, comparison_figures):
+        patch.setattr(module, "save_figure", lambda figure, path: None)
+
+
+@pytest.fixture
+def unrendered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Jobs of this test render no figures."""
+    render_nothing(monkeypatch)
 
 
 @pytest.fixture

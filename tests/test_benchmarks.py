@@ -15,7 +15,10 @@ QUICKEST = {  # script: its arguments, and the rows that it has to give
     "sysid": ("--samples 2000 --repeats 1", 4),
     "end_to_end": ("--models baseline --iterations 2 -- data.samples=30000", 1),
     "grid": ("--points 2 --sample 1 --models mujoco_default -- data.samples=30000", 4),
-    "torch_loop": ("--iterations 2 -- data.samples=30000 segments.count=200", 10),
+    "torch_loop": (
+        "--laws coulomb_stribeck neural_friction --iterations 2 -- data.samples=30000 segments.count=20",
+        6,
+    ),
     "torch_only": ("--quick --engines specialised", 3),
     "growth": ("--samples 1e4 --lengths 50 --widths 16 --segments 200", 3),
 }

@@ -26,7 +26,7 @@ from pathlib import Path
 
 import pytest
 import reproduce
-from conftest import BRIEF, Finished, needs_data
+from conftest import BRIEF, Finished, needs_data, render_nothing
 from filelock import FileLock
 from omegaconf import OmegaConf
 from pages import PAGES, ROOT, blocks_of, commands_of, expand
@@ -41,6 +41,7 @@ from frictionzoo.cli.inspect import _name_files
 from frictionzoo.core.build import build
 from frictionzoo.core.config import CONF_DIR, compose_config
 from frictionzoo.identification import Problem
+from frictionzoo.logs import files
 from frictionzoo.logs.formats import get_format
 from frictionzoo.simulate.context import computing
 
@@ -121,13 +122,15 @@ def shrink(arguments: Sequence[str], cache: Path) -> list[str]:
     ]
 
 
-absent, compose_choices = object(), functools.cache(compose_config)
+absent, compose_choices, read_once = object(), functools.cache(compose_config), functools.cache(files.read_tables)
 
 
 def do_jobs(command: str, place: Place) -> None:
     """Small ones; each ends well and leaves a result."""
     arguments = arguments_of(command)
-    finished = place.call(*arguments, *shrink(arguments, place.cache))
+    with pytest.MonkeyPatch.context() as patch:
+        render_nothing(patch)
+        finished = place.call(*arguments, *shrink(arguments, place.cache))
     assert finished.status == 0, finished.err
     results = list(place.folder.glob("**/result.json"))
     assert len(results) == len(list(jobs_of(arguments)))
@@ -222,9 +225,14 @@ def leave_to_the_launchers_test(command: str, place: Place) -> None:
 
 
 def search(command: str, place: Place) -> None:
-    """Two trials, in a process of its own: the sweeper's package warns."""
+    """Two trials, in a process of its own: the sweeper's package warns. The lesser training error is the better one."""
     place.run(f"{command} {shlex.join(shrink(arguments_of(command), place.cache))} hydra.sweeper.n_trials=2")
-    assert len(list(place.folder.glob("multirun/**/result.json"))) == 2
+    results = [json.loads(path.read_text()) for path in place.folder.glob("multirun/**/result.json")]
+    errors = [result["metrics"]["train"]["position_mae"] for result in results]
+    assert len({*errors}) == 2
+    (found,) = (OmegaConf.load(path) for path in place.folder.glob("multirun/**/optimization_results.yaml"))
+    assert found.best_value == min(errors)
+    assert {*found.best_params} == {"segments.length", "fit.learning_rate"}
 
 
 def leave_to_the_experiments(command: str, place: Place) -> None:
@@ -380,8 +388,8 @@ RULES: list[tuple[str, How, *tuple[pytest.MarkDecorator, ...]]] = [
     (rf"{JOB}.*bench\.payload=arm .*", do_jobs),
     (rf"{JOB}.*'bench\.joint=\[.*", pose_jobs, SLOW),
     (rf"{JOB}.*data=files .*", pose_jobs),
-    (rf"{JOB}data=(sts3215|xl330) model=.*", do_jobs, SLOW, needs_data),
-    (rf"{JOB}data=sts3215 .*", pose_jobs, SLOW, needs_data),
+    (rf"{JOB}data=(sts3215|xl330) .*", pose_jobs, SLOW, needs_data),  # the experiments fit such laws to them
+    (rf"{JOB}model=(mujoco_default|coulomb_smooth) .*", pose_jobs, SLOW),  # the laws of `finished_run`
     (rf"{JOB}.*", do_jobs, SLOW),
 ]
 
@@ -410,7 +418,15 @@ def desk(shared_folder: Path, recording: Path) -> Path:
 
 
 @pytest.fixture
-def place(call: Callable, finished_run: Callable, desk: Path, tmp_path: Path, shared_folder: Path) -> Place:
+def place(
+    call: Callable,
+    finished_run: Callable,
+    desk: Path,
+    tmp_path: Path,
+    shared_folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> Place:
+    monkeypatch.setattr(files, "read_tables", read_once)  # the same recordings for many commands
     for path in (*desk.iterdir(), *(ROOT / name for name in SCRIPTS)):
         (tmp_path / path.name).symlink_to(path)
     return Place(tmp_path, call, finished_run, shared_folder / "simulated")

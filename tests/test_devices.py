@@ -15,6 +15,8 @@ COMPARE = """
 import sys
 from frictionzoo.fit import objective
 from frictionzoo.cli.run import NOT_IDENTIFIED, main
+from frictionzoo.show import with_matplotlib
+with_matplotlib.save_figure = lambda *_: None  # figures take long to render, and nobody looks
 devices = objective.devices_of
 for fit, option in {fits}.items():
     for count in (1, 2):

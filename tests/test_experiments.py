@@ -31,6 +31,7 @@ ENTRY = {
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("unrendered")
 @pytest.mark.parametrize("name", MEASURED)
 def test_an_experiment_gives_what_its_page_says(name, tmp_path, make, call, monkeypatch):
     """Its small variant, in one process; without one, all of it. `make reproduce` runs all of them at full size."""

@@ -80,11 +80,10 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory, compilation_cache: Pat
 
 
 @pytest.fixture(autouse=True)
-def prepared(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The law is known here too; a comparison is made without figures, most of its time."""
+def prepared(monkeypatch: pytest.MonkeyPatch, unrendered: None) -> None:
+    """The law is known here too; no figures are rendered, most of a comparison's time."""
     monkeypatch.setattr(REGISTRY, "entries", dict(REGISTRY.entries))
     register_model("torch_stribeck")(TorchStribeck)
-    monkeypatch.setattr("frictionzoo.show.comparison_figures.write_figures", lambda *_: None)
 
 
 def folder_option(job: str) -> tuple[str]:

@@ -326,7 +326,7 @@ def test_a_few_places_of_the_schema(in_folder: Path) -> None:
 
 @pytest.mark.slow
 def test_the_schema(in_folder: Path) -> None:
-    count = os.environ.get("FRICTIONZOO_SCHEMA", "50")
+    count = os.environ.get("FRICTIONZOO_SCHEMA", "30")
     places = draw(1, None if count == "all" else int(count))
     judged = sweep(in_folder, places)
     print(describe(places, judged))

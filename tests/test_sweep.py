@@ -1,4 +1,4 @@
-"""Sweeps: a failing job does not end the others, launchers agree, jobs share cores, a search compares jobs."""
+"""Sweeps: a failing job does not end the others, launchers agree, jobs share cores."""
 
 import json
 import math
@@ -12,7 +12,6 @@ from pathlib import Path
 
 import psutil
 import pytest
-import yaml
 from conftest import RUNS
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, OmegaConf
@@ -312,19 +311,3 @@ def test_a_limit_of_threads_comes_before_jax_or_is_told_to_be_late(
     for threads in (0, -1):
         with pytest.raises(ConfigError, match=f"threads={threads}; expected 1 or more"):
             limit_threads(threads)
-
-
-@pytest.mark.slow
-def test_a_search_takes_the_job_with_the_least_error_on_the_training_part(
-    start: Callable, tiny: tuple[str, ...], tmp_path: Path
-) -> None:
-    search = ("hydra/sweeper=optuna", "hydra.sweeper.n_trials=3", "fit=lm", "fit.iterations=1,4")
-    sweep = start(*SWEEP, *tiny, *search, "segments.length=choice(3,5)")
-    _, err = sweep.communicate()
-    assert sweep.returncode == 0, err
-    found = yaml.safe_load((tmp_path / "sweep" / "optimization_results.yaml").read_text())
-    results = [read_result(path.parent) for path in tmp_path.rglob("result.json")]
-    assert len(results) == 3
-    errors = [result["metrics"]["train"]["position_mae"] for result in results]
-    assert found["best_value"] == min(errors)
-    assert set(found["best_params"]) == {"segments.length", "fit.iterations"}

@@ -77,9 +77,13 @@ def assert_found(drive: fz.Identified, truth: dict[str, Any], tolerance: float) 
     [("leg", "leg", LEG, 0.05), ("arm", "arm", TRUTH, 0.05), ("servo", "servo", SERVO, 0.15)],
 )
 def test_a_tutorial_finds_its_drive(
-    follow: Callable, page: str, drive: str, truth: dict[str, Any], tolerance: float
+    follow: Callable, tmp_path: Path, page: str, drive: str, truth: dict[str, Any], tolerance: float
 ) -> None:
-    assert_found(follow(f"tutorials/{page}.md")[drive], truth, tolerance)
+    """And leaves all that a run leaves, also with several joints."""
+    found = follow(f"tutorials/{page}.md")[drive]
+    assert_found(found, truth, tolerance)
+    found.save(tmp_path / "saved")
+    assert {"report.html", "identified.xml", "result.json"} <= {path.name for path in (tmp_path / "saved").iterdir()}
 
 
 @pytest.mark.slow
