@@ -23,8 +23,6 @@ SERVO = SHAFT | {"damping": [0.55], "kp": [15.0]}  # kd among its damping
 LEG = {"armature": [0.01, 0.008], "frictionloss": [0.25, 0.15], "damping": [0.05, 0.03]}
 ENCODER = 2e-4, 1e-2  # rad, rad/s: its noise
 
-pytestmark = pytest.mark.usefixtures("in_haste")
-
 
 def blocks_of(page: str, language: str) -> list[str]:
     """The code of a page of docs/."""
