@@ -26,7 +26,7 @@ from frictionzoo.fit import loop, run_fit
 from frictionzoo.fit.loggers import Csv
 from frictionzoo.fit.loop import Record
 from frictionzoo.identification import Problem
-from frictionzoo.result import save
+from frictionzoo.show import run_plots
 
 ITERATIONS = 40
 PATIENCE = 600.0  # s after which a process that has not come to the awaited moment is a failure
@@ -91,7 +91,7 @@ def test_killed_and_resumed_is_as_if_nothing_had_happened(
     ("name", "place", "saved"),
     [
         pytest.param("coulomb_smooth", (loop.FitModule, "training_step"), 0, id="before the first checkpoint"),
-        pytest.param("coulomb_smooth", (save, "write_figures"), 3, id="after the fit"),
+        pytest.param("coulomb_smooth", (run_plots, "write_figures"), 3, id="after the fit"),
         pytest.param("neural_friction", (loop._Saver, "on_train_epoch_end"), 2, id="network, in the fit"),
     ],
 )

@@ -183,7 +183,7 @@ def recorded(joints: int) -> Recorded:
 def compare_file(text: str, bench: Bench, model: FrictionModel) -> None:
     """See that MuJoCo C moves what the bench writes as it moves the file that it was read from."""
     values = initial_values(bench, model)
-    cases = Cases(*(signal[:COMPARED] for signal in proof._draw(recorded(bench.nv))))
+    cases: Cases = jax.tree.map(lambda signal: signal[:COMPARED], proof._draw(recorded(bench.nv)))
     written = bench.mjcf(values["bench"], np.ones(bench.nv) if model.constraint else None)
     exported = simulate(mujoco.MjModel.from_xml_string(written), bench, model, values, cases, True)
     refuse_difference(exported, simulate_file(text, bench, model, values, cases), "what the bench writes")
