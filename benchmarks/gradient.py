@@ -250,7 +250,7 @@ def plain(case: Case, way: str, derivative: str) -> Prepared:
     signals = (case.segments.qpos, case.segments.qvel, case.segments.signals)
     weights = case.loss["position"], case.loss["velocity"]
 
-    def loss(vector: Array, data: Sequence[Array]) -> tuple[Array, Array]:
+    def loss(vector: Array, data: tuple[Array, Array, Signals]) -> tuple[Array, Array]:
         qpos, qvel, driven = data
         predicted = rollout(space.values(vector), qpos[:, 0], qvel[:, 0], driven)
         errors = [jnp.mean(jnp.square(after - now[:, 1:])) for after, now in zip(predicted, (qpos, qvel), strict=True)]
@@ -259,11 +259,11 @@ def plain(case: Case, way: str, derivative: str) -> Prepared:
 
     differentiate = jax.grad if derivative == "reverse" else jax.jacfwd
 
-    def value_and_grad(vector: Array, data: Sequence[Array]) -> tuple[Array, Array]:
+    def value_and_grad(vector: Array, data: tuple[Array, Array, Signals]) -> tuple[Array, Array]:
         gradient, value = differentiate(loss, has_aux=True)(vector, data)
         return value, gradient
 
-    data = [jnp.asarray(signal, DTYPE) for signal in signals]
+    data = jax.tree.map(partial(jnp.asarray, dtype=DTYPE), signals)
     return Prepared(value_and_grad, data, partial(jax.jit, compiler_options=XLA_OPTIONS[way]))
 
 
