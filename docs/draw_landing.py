@@ -18,7 +18,7 @@ PICTURE = Path(__file__).parent / "landing.svg"
 JOB = ("data=twin", "model=mujoco_default", "fit=lm", "loop.progress=false")
 EVERY = 12  # samples of 1 ms; a screen shows no more of 3 s
 STYLE: dict[Any, Any] = {
-    "font.size": 23,  # of 720 points across: legible on a phone
+    "font.size": 18,  # of 720 points across: legible on a phone
     "text.color": TEXT,
     "axes.labelcolor": TEXT,
     "axes.edgecolor": TEXT,
@@ -48,7 +48,7 @@ def draw(fit: fz.Identified) -> Figure:
         "with friction": (curves.qpos[0, :, 0], MODEL),
     }
     time = fit.segments.timestep * np.arange(1, 1 + len(measured))
-    figure = Figure(figsize=(10, 6.4), layout="constrained", facecolor="white")
+    figure = Figure(figsize=(10, 4.1), layout="constrained", facecolor="white")
     position, error = figure.subplots(2, 1, sharex=True)
     thick = {"color": MEASURED, "linewidth": 9, "alpha": 0.25}
     position.plot(time[::EVERY], measured[::EVERY], label="measured", **thick)
