@@ -292,6 +292,8 @@ def law(name: str, nv: int = 1, *, scale: Mapping[str, float] | None = None, **o
 def _make_law(name: str, nv: int, shared: Mapping[str, Any], options: Mapping[str, Any] | None = None) -> FrictionModel:
     if name not in list_choices("model"):
         return get_model(name)(nv, **(options or {}))
+    if "_target_" in (options or {}):
+        raise ConfigError(f"{name}: unknown option _target_, which would make it another law; name that law")
     return build(_compose({**shared, "model": options or {}}, f"model={name}")["model"], nv=nv)
 
 

@@ -179,6 +179,8 @@ def test_a_law_that_is_none_and_an_option_that_it_lacks_are_refused() -> None:
         fz.law("lugr")
     with pytest.raises(ConfigError, match=r"^hidden: unknown option; expected one of params in model$"):
         fz.law("lugre", hidden=[3])
+    with pytest.raises(ConfigError, match=r"^lugre: unknown option _target_, which would make it another law; "):
+        fz.law("lugre", _target_="frictionzoo.models.Baseline")
     for joints in (0, -1):
         with pytest.raises(ConfigError, match=rf"^nv={joints}; expected the number of joints, a whole one from 1 on$"):
             fz.law("coulomb_stribeck", nv=joints)
