@@ -22,7 +22,7 @@ from filelock import FileLock
 from jax.experimental.compilation_cache import compilation_cache as jax_cache
 from omegaconf import DictConfig, OmegaConf
 
-from frictionzoo.bench import Bench
+from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.cli.run import main
 from frictionzoo.comparison.runs import Run
 from frictionzoo.core.build import build
@@ -128,6 +128,27 @@ def make() -> Callable[..., Any]:
 def knee(make: Callable[..., Any]) -> Bench:
     """The paper's bench."""
     return make("bench")
+
+
+TWO_JOINTS = """<mujoco><option timestep="0.001"/><worldbody><body>
+<joint name="hip" axis="0 1 0"/><inertial pos="0 0 -0.1" mass="1" diaginertia="0.01 0.01 0.01"/>
+<body pos="0 0 -0.2"><joint name="knee" axis="0 1 0"/>
+<inertial pos="0 0 -0.1" mass="1" diaginertia="0.01 0.01 0.01"/></body>
+</body></worldbody></mujoco>"""
+
+
+@pytest.fixture(scope="session")
+def leg(shared_folder: Path) -> Callable[..., Bench]:
+    """A bench of a hip and a knee, from arguments of `Bench`."""
+    path = shared_folder / "two_joints.xml"
+    path.write_text(TWO_JOINTS)
+    return lambda **more: Bench(str(path), ["hip", "knee"], **{"actuator": PositionPD(kp=20, kd=1), **more})
+
+
+@pytest.fixture(scope="session")
+def two_joints(leg: Callable[..., Bench]) -> Bench:
+    """The same as its defaults have it."""
+    return leg()
 
 
 @pytest.fixture(scope="session")

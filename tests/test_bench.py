@@ -7,6 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from conftest import TWO_JOINTS
 
 from frictionzoo.bench import Bench, Force, PositionPD
 from frictionzoo.core.errors import BenchError
@@ -14,11 +15,6 @@ from frictionzoo.core.log import Log
 
 KNOWN = {"low": 1e-6, "high": 1e3, "scale": "log", "identify": False}
 ARMATURE = {"armature": {"init": 0.02, **KNOWN}}
-TWO_JOINTS = """<mujoco><option timestep="0.001"/><worldbody><body>
-<joint name="hip" axis="0 1 0"/><inertial pos="0 0 -0.1" mass="1" diaginertia="0.01 0.01 0.01"/>
-<body pos="0 0 -0.2"><joint name="knee" axis="0 1 0"/>
-<inertial pos="0 0 -0.1" mass="1" diaginertia="0.01 0.01 0.01"/></body>
-</body></worldbody></mujoco>"""
 
 
 def pd() -> PositionPD:

@@ -252,7 +252,7 @@ def test_options_that_take_more_than_conf_shows_exist_and_no_other_is_null() -> 
         ("evaluation.horizons=[long]", "evaluation.horizons=['long']; expected a list such as [1.0]"),
         ("evaluation.horizons=[true]", "evaluation.horizons=[True]; expected a list such as"),
         ("dtype=64", "dtype=64; expected text such as float"),
-        ("bench.joint=3", "bench.joint=3; expected text or a list"),
+        ("bench.joint=3", "bench.joint=3; expected text such as knee or a list"),
         ("seed=null", "seed=null; expected a whole number from 0 on"),
         ("seed=x", "seed=x; expected a whole number from 0 on"),
         ("evaluation.seed=-1", "evaluation.seed=-1; expected a whole number from 0 on"),

@@ -15,6 +15,7 @@ from test_lm import noisy
 from test_servo import record as record_servo
 from test_servo import wander
 
+from frictionzoo.bench import Bench
 from frictionzoo.core.segments import Segments, cut_segments
 from frictionzoo.core.state import Signals
 from frictionzoo.fit import Objective, Space, estimate_uncertainty
@@ -206,11 +207,9 @@ def test_a_constant_force_and_a_law_that_differs_by_direction_are_one() -> None:
 
 
 @pytest.fixture
-def arm(make: Callable[..., Any]) -> Space:
+def arm(make: Callable[..., Any], two_joints: Bench) -> Space:
     """The coordinates of two joints: armature, frictionloss and damping of each, all logarithms."""
-    bench = make("bench")
-    bench.initial_values = lambda: {"armature": np.full(2, bench.params["armature"].init)}
-    return Space(bench, make("model", "model=mujoco_default", nv=2), "float64")
+    return Space(two_joints, make("model", "model=mujoco_default", nv=2), "float64")
 
 
 def test_each_joint_is_judged_by_itself(arm: Space) -> None:

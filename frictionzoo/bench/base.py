@@ -4,6 +4,7 @@ import copy
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import mujoco
@@ -11,13 +12,14 @@ import numpy as np
 from jaxtyping import Float
 
 from frictionzoo.bench.actuators import Actuator
+from frictionzoo.bench.branches import number_branches
 from frictionzoo.bench.compiled import INERTIAL, NO_PAYLOAD, combine, put_inertial
 from frictionzoo.bench.signals import pick_inputs, pick_observed
 from frictionzoo.bench.template import Template, in_full
 from frictionzoo.core.described import Described
 from frictionzoo.core.errors import BenchError, ConfigError, closest, refuse_unlike
 from frictionzoo.core.log import Dataset, Log, Payload
-from frictionzoo.core.params import Param, read_params
+from frictionzoo.core.params import Param, group_joints, read_params, read_tie
 from frictionzoo.core.segments import Sampling
 from frictionzoo.core.state import DriveState
 
@@ -28,6 +30,7 @@ _MOST_SUBSTEPS = 10_000  # simulation steps from sample to sample
 _MOST_HISTORY = 10_000  # samples by which commands may act late
 _PARAMS = {"armature": "inertia", "delay": "time", "position_offset": "position"}
 _OPTIONAL = ("delay", "position_offset")
+_ENCODER = ("position_offset",)
 DEFAULTS: dict[str, dict[str, Any]] = {
     "armature": {"init": 0.01, "low": 1e-5, "high": 1.0, "scale": "log", "identify": True}
 }
@@ -57,11 +60,14 @@ class Bench(Described):
         actuator: The law that turns a command into torque.
         params: Sections of `armature`, and where wanted of `delay`, by which commands act late [s], and of
             `position_offset`, which the measured position lacks [rad or m]; a number stands for a known value. What a
-            section does not say is that of `DEFAULTS`. Known to be 0, the two are left out.
+            section does not say is that of `DEFAULTS`. Known to be 0, the two are left out. Values, bounds and whether
+            they are identified may be lists, one entry a joint, or go by patterns of joints' names.
         solreffriction: Time constant [s] and damping ratio of MuJoCo's friction constraint. MuJoCo's default is
             (0.02, 1); a shorter time constant makes sticking stiffer.
         payload: Name of the body that carries the payloads of recordings; None for recordings without.
         timestep: Simulation step [s]; None for the template's.
+        tie: Joints that share the values of every parameter but the position offset, which is an encoder's: pattern of
+            their names by the group's name, or true for all. A parameter's own `tie` comes first.
 
     Raises:
         BenchError: The template cannot be read or compiled, or does not have these joints.
@@ -78,16 +84,11 @@ class Bench(Described):
         solreffriction: Sequence[float] = (0.02, 1.0),
         payload: str | None = None,
         timestep: float | None = None,
+        tie: Mapping[str, str] | bool | None = None,
     ) -> None:
         refuse_unlike("bench.actuator", actuator, Actuator, "an actuator law, as in PositionPD(kp=15, kd=0.5)")
         self.source = mjcf
         self.actuator = actuator
-        self.params: dict[str, Param] = {
-            **read_params("bench", _PARAMS, params or {}, _OPTIONAL, DEFAULTS),
-            **actuator.params,
-        }
-        if "delay" in self.params and self.params["delay"].low < 0:
-            raise ConfigError(f"bench.params.delay.low={self.params['delay'].low:g}; expected 0 s or more")
         self._start: dict[str, np.ndarray] = {}  # initial values that are not those of `params`
         low, high = (min(solreffriction, default=0.0), max(solreffriction, default=0.0))
         if len(solreffriction) != 2 or not (low > 0 or high < 0):
@@ -98,6 +99,12 @@ class Bench(Described):
         self._solreffriction = [float(number) for number in solreffriction]
         self._template = Template(mjcf, joint, timestep)
         self.joints: tuple[str, ...] = self._template.joints
+        given = {**read_params("bench", _PARAMS, params or {}, _OPTIONAL, DEFAULTS), **actuator.params}
+        self.params: dict[str, Param] = {name: param.for_joints(self.joints) for name, param in given.items()}
+        if "delay" in self.params and (earliest := float(self.params["delay"].each("low", self.nv).min())) < 0:
+            raise ConfigError(f"bench.params.delay.low={earliest:g}; expected 0 s or more")
+        self._tie = read_tie("bench.tie", tie)
+        group_joints("bench.tie", self._tie, self.joints)  # refuses what fits no joint
         model = self.compile(constraint=False)
         self._template.refuse_unfit(model, moved="position_offset" in self.params)
         self.joint_type: str = self._template.joint_type(model)
@@ -119,7 +126,10 @@ class Bench(Described):
             ConfigError: A command may act so late that it is none of this drive.
         """
         delay = self.params.get("delay")
-        latest = 0.0 if delay is None else delay.high if delay.identify else delay.init
+        latest = 0.0
+        if delay is not None:
+            init, high, free = (delay.each(what, self.nv) for what in ("init", "high", "identify"))
+            latest = float(np.where(free, high, init).max())
         history = int(np.ceil(latest / interval - 1e-9))
         if history > _MOST_HISTORY:
             raise ConfigError(
@@ -130,7 +140,36 @@ class Bench(Described):
 
     def initial_values(self) -> dict[str, np.ndarray]:
         """Initial value of each parameter, of shape (nv,)."""
-        return {name: np.full(self.nv, param.init) for name, param in self.params.items()} | self._start
+        return {name: np.array(param.each("init", self.nv)) for name, param in self.params.items()} | self._start
+
+    def groups(self, param: Param) -> list[str]:
+        """Name of the group of each joint that shares the values of a parameter; a joint alone has its own name.
+
+        Raises:
+            ConfigError: A joint belongs to two groups, or a pattern fits none.
+        """
+        if param.tie is not None:
+            return group_joints(f"{param.name}.tie", param.tie, self.joints)
+        return group_joints("bench.tie", None if param.name in _ENCODER else self._tie, self.joints)
+
+    @cached_property
+    def branches(self) -> tuple[int, ...]:
+        """Number of the branch of each joint, from 0: joints of different ones do not move each other."""
+        return number_branches(self.compile(constraint=False))
+
+    def only(self, joints: Sequence[int]) -> "Bench":
+        """The branches of the joints of these indices alone.
+
+        Raises:
+            BenchError: Without the others, MuJoCo does not compile the MJCF.
+        """
+        other = copy.copy(self)
+        other.joints = tuple(self.joints[joint] for joint in joints)
+        other._template, other._loads, other._tie = self._template.only(other.joints), {}, None
+        other.params = {name: param.only(joints) for name, param in self.params.items()}
+        other._start = {name: value[list(joints)] for name, value in self._start.items()}
+        other.own_damping = self.own_damping[list(joints)]
+        return other
 
     def restarted(self, values: Mapping[str, Float[np.ndarray, "nv"]]) -> "Bench":
         """The same test stand for another law in place of one that was fitted: the armature alone is free.
@@ -138,12 +177,13 @@ class Bench(Described):
         What else was identified stays: another law's rollouts would move it to make up for what the law cannot.
         """
         armature = np.asarray(values["armature"])
-        bounds = {"low": float(armature.min()) / _HEAVIER, "high": float(armature.max()) * _HEAVIER}
-        free = Param("armature", "inertia", float(armature[0]), **bounds, scale="log", identify=True)
+        low, high = float(armature.min()) / _HEAVIER, float(armature.max()) * _HEAVIER
+        free = Param("armature", "inertia", float(armature[0]), low, high, scale="log", identify=True)
         other = copy.copy(self)
         other.params = {name: replace(param, identify=False) for name, param in self.params.items()} | {
             "armature": free
         }
+        other._tie = None
         other._start = {name: np.array(value) for name, value in values.items()}
         return other
 

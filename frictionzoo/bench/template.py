@@ -148,6 +148,17 @@ class Template:
             self._fail(f"no joint moves body {name}, expected one that carries the payload; set bench.payload")
         return index
 
+    def only(self, joints: Sequence[str]) -> "Template":
+        """The same without the branches of other joints: bodies that those move, and what hangs on them."""
+        other = copy.copy(self)
+        other._root, other.joints = copy.deepcopy(self._root), tuple(joints)
+        for parent in list(other._root.iter()):
+            for body in parent.findall("body"):
+                own = [joint.get("name") for joint in body.findall("joint")]
+                if own and not set(own) & set(joints):
+                    parent.remove(body)
+        return other
+
     def simpler(self) -> Iterator[tuple[str, "Template"]]:
         """What it could lack, one attribute or element at a time, in words, and the template without it.
 

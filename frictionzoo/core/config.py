@@ -31,6 +31,8 @@ _TAKES: dict[str, tuple[Any, ...]] = {
     "bench.payload": ("", None),
     "bench.timestep": (0.1, None),
     "*.params.*.scale": ("", 0.1),
+    "*.params.*.identify": (True, [True]),
+    **{f"*.params.*.{part}": (0.1, [0.1]) for part in ("init", "low", "high")},
     "data.columns.*": ("", [""], None),
     "data.units.*": ("", 0.1, None),
     "data.clean.wrap": (0.1, None),
@@ -46,8 +48,9 @@ _TAKES: dict[str, tuple[Any, ...]] = {
 }
 _LARGEST, _LARGEST_SEED = 2**31 - 1, 2**63 - 1  # whole numbers as JAX counts in 32 bits, and as generators take them
 _KINDS = {bool: "true or false", int: "a whole number", float: "a number", list: "a list", str: "text"}
-# Sections whose keys a user chooses: names of fields and signals.
-_OPEN = ("data.columns", "data.units", "data.fields", "data.where", "data.exclude", "data.inputs")
+# Sections whose keys a user chooses: names of fields and signals, patterns of joints and their groups.
+_OPEN = ("data.columns", "data.units", "data.fields", "data.where", "data.exclude", "data.inputs", "bench.tie")
+_OPEN += tuple(f"*.params.*.{part}" for part in ("init", "low", "high", "identify", "tie"))
 
 
 def register_resolvers() -> None:
@@ -129,7 +132,7 @@ def _check_keys(before: Mapping[str, Any], after: Mapping[str, Any], plain: Dict
 
 
 def _is_open(key: str) -> bool:
-    return any(key == section or key.startswith(f"{section}.") for section in _OPEN)
+    return any(fnmatchcase(key, section) or fnmatchcase(key, f"{section}.*") for section in _OPEN)
 
 
 def _check_value(key: str, value: Any, default: Any) -> None:
@@ -140,7 +143,8 @@ def _check_value(key: str, value: Any, default: Any) -> None:
     if examples == (None,):  # the part that takes the value looks at its kind
         return _check_numbers(key, value, _LARGEST_SEED)
     such = "" if default in (None, "") else f" such as {default}"
-    expected = " or ".join(_KINDS[type(example)] for example in examples if example is not None) + such
+    kinds = {type(example): such if _is_like(default, example) else "" for example in examples if example is not None}
+    expected = " or ".join(f"{_KINDS[kind]}{such}" for kind, such in kinds.items())
     if None in examples:
         expected += ", or null"
     if seed := key.rpartition(".")[2] == "seed":

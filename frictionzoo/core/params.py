@@ -1,7 +1,8 @@
 """Parameters: value, unit, bounds, and the coordinate in which an optimiser moves them."""
 
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+import re
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -37,9 +38,18 @@ UNITS: dict[str, dict[str, str]] = {
 """Unit of each dimension on a hinge (rotation) and on a slide (translation)."""
 
 
+PerJoint = float | tuple[float, ...] | Mapping[str, float]
+"""A number for all joints, one for each in their order, or one for each pattern of joints' names."""
+Tie = bool | Mapping[str, str] | None
+"""Which joints share a value: none, all (true), those of each pattern by the group's name, or as the bench says."""
+
+
 @dataclass(frozen=True)
 class Param:
-    """One physical quantity that is either known or identified.
+    """One physical quantity of each joint that is either known or identified.
+
+    What differs from joint to joint is a tuple with an entry for each, or a mapping from patterns of joints' names,
+    regular expressions that match whole names, of which the first that fits counts; `for_joints` makes that a tuple.
 
     Attributes:
         name: MuJoCo's or the literature's word.
@@ -50,6 +60,7 @@ class Param:
         scale: `log`: the optimiser moves the logarithm, so that a step is a share of the value (needs low > 0); or a
             positive number: it moves value / scale, so that a step is a share of that number.
         identify: Whether a fit may change it.
+        tie: Joints that share one value; None: those that the bench ties.
 
     Raises:
         ConfigError: The bounds are empty, `init` is outside them, or the scale does not fit them.
@@ -57,22 +68,26 @@ class Param:
 
     name: str
     dimension: str
-    init: float
-    low: float
-    high: float
+    init: PerJoint
+    low: PerJoint
+    high: PerJoint
     scale: str | float
-    identify: bool
+    identify: bool | tuple[bool, ...] | Mapping[str, bool]
+    tie: Tie = None
 
     def __post_init__(self) -> None:
-        if not self.low < self.high:
-            raise ConfigError(f"{self.name}: bounds low={self.low:g}, high={self.high:g}; expected low < high")
-        if not self.low <= self.init <= self.high:
-            bounds = f"low={self.low:g}, high={self.high:g}"
-            raise ConfigError(f"{self.name}: init={self.init:g} lies outside {bounds}; start inside")
-        if self.scale == "log" and not self.low > 0:
-            raise ConfigError(f"{self.name}: low={self.low:g} with scale=log; expected low > 0, or a number as scale")
         if self.scale != "log" and (isinstance(self.scale, str) or not self.scale > 0):
             raise ConfigError(f"{self.name}: scale={self.scale}; expected log or a positive number")
+        if not self.is_resolved:
+            return
+        low, high, init = (np.asarray(side, np.float64) for side in (self.low, self.high, self.init))
+        if not (low < high).all():
+            raise ConfigError(f"{self.name}: bounds low={_say(low)}, high={_say(high)}; expected low < high")
+        if not ((low <= init) & (init <= high)).all():
+            bounds = f"low={_say(low)}, high={_say(high)}"
+            raise ConfigError(f"{self.name}: init={_say(init)} lies outside {bounds}; start inside")
+        if self.scale == "log" and not (low > 0).all():
+            raise ConfigError(f"{self.name}: low={_say(low)} with scale=log; expected low > 0, or a number as scale")
 
     @classmethod
     def from_config(cls, name: str, dimension: str, config: Mapping[str, Any]) -> "Param":
@@ -84,18 +99,54 @@ class Param:
         keys = {"init", "low", "high", "scale", "identify"}
         if not isinstance(config, Mapping):
             raise ConfigError(f"{name}={config!r}; expected a number, or a section with {', '.join(sorted(keys))}")
-        for key in set(config) - keys:
-            raise ConfigError(f"{name}.{key}: unknown option; {closest(str(key), keys)}")
+        for key in set(config) - keys - {"tie"}:
+            raise ConfigError(f"{name}.{key}: unknown option; {closest(str(key), {*keys, 'tie'})}")
         for key in keys - set(config):
             raise ConfigError(f"{name}.{key}: missing; give {', '.join(sorted(keys))}")
-        if not isinstance(config["identify"], bool):
-            raise ConfigError(f"{name}.identify={config['identify']}; expected true or false")
         try:
             scale = config["scale"] if config["scale"] == "log" else float(config["scale"])
-            init, low, high = (float(config[key]) for key in ("init", "low", "high"))
+            init, low, high = (_per_joint(config[key], float) for key in ("init", "low", "high"))
         except (TypeError, ValueError) as error:
             raise ConfigError(f"{name}: {error}; init, low, high are numbers, scale is log or a number") from None
-        return cls(name, dimension, init, low, high, scale, config["identify"])
+        try:
+            identify = _per_joint(config["identify"], _truth)
+        except TypeError:
+            raise ConfigError(f"{name}.identify={config['identify']}; expected true or false") from None
+        return cls(name, dimension, init, low, high, scale, identify, read_tie(f"{name}.tie", config.get("tie")))
+
+    @property
+    def is_resolved(self) -> bool:
+        """Whether nothing in it depends on joints' names."""
+        return not any(isinstance(part, Mapping) for part in (self.init, self.low, self.high, self.identify))
+
+    @property
+    def is_identified(self) -> bool:
+        """Whether a fit may change it in any joint."""
+        given = self.identify
+        return any(given.values() if isinstance(given, Mapping) else np.atleast_1d(given))
+
+    def for_joints(self, joints: Sequence[str | None]) -> "Param":
+        """The same of these joints, a tuple in place of patterns; of joints without names, None each, numbers alone.
+
+        Raises:
+            ConfigError: A list has another length, a joint fits no pattern, or `init` is outside the bounds then.
+        """
+        parts = {
+            what: _resolve(f"{self.name}.{what}", getattr(self, what), joints)
+            for what in ("init", "low", "high", "identify")
+        }
+        return replace(self, **parts)
+
+    def each(self, what: str, nv: int) -> np.ndarray:
+        """One of `init`, `low`, `high` and `identify` of each joint, of shape (nv,)."""
+        return np.broadcast_to(np.asarray(getattr(self, what)), nv)
+
+    def only(self, joints: Sequence[int]) -> "Param":
+        """The same of the joints of these indices alone."""
+        parts = {what: getattr(self, what) for what in ("init", "low", "high", "identify")}
+        return replace(
+            self, **{n: tuple(g[i] for i in joints) if isinstance(g, tuple) else g for n, g in parts.items()}, tie=None
+        )
 
     def to_coordinate(self, value: Any, xp: Any) -> Any:
         """The optimiser's coordinate of a physical value; `xp` is the array namespace."""
@@ -106,7 +157,7 @@ class Param:
         return xp.exp(coordinate) if self.scale == "log" else coordinate * self.scale
 
     def is_at_bound(self, value: Any) -> Any:
-        """Whether a physical value, or each one of an array, has reached a bound."""
+        """Whether a physical value, or each one of an array, has reached a bound; of shape (nv,) of several joints."""
         at, low, high = (self.to_coordinate(np.asarray(x, np.float64), np) for x in (value, self.low, self.high))
         return np.minimum(at - low, high - at) <= AT_BOUND * (high - low)
 
@@ -115,11 +166,91 @@ class Param:
         return UNITS[joint_type][self.dimension]
 
 
+def fits(pattern: str, joint: str, option: str) -> bool:
+    """Whether a regular expression matches a joint's whole name; ConfigError for none, by the option's name."""
+    try:
+        return re.fullmatch(pattern, joint) is not None
+    except re.error as error:
+        raise ConfigError(f"{option}: {pattern}: no pattern ({error}); expected a regular expression") from None
+
+
+def group_joints(option: str, tie: Tie, joints: Sequence[str]) -> list[str]:
+    """Name of the group of each joint that shares a value; a joint that shares with none is a group of its own name.
+
+    Raises:
+        ConfigError: A joint belongs to two groups, or a pattern fits none.
+    """
+    if not isinstance(tie, Mapping):
+        return ["all joints"] * len(joints) if tie else list(joints)
+    members = {group: [joint for joint in joints if fits(pattern, joint, option)] for group, pattern in tie.items()}
+    for group, found in members.items():
+        if not found:
+            raise ConfigError(f"{option}.{group}={tie[group]}: no joint of that name; {closest(tie[group], joints)}")
+    named = []
+    for joint in joints:
+        groups = [group for group, found in members.items() if joint in found]
+        if len(groups) > 1:
+            raise ConfigError(f"{option}: {joint} belongs to {' and '.join(groups)}, expected one group; change it")
+        named.append(groups[0] if groups else joint)
+    return named
+
+
+def _say(value: np.ndarray) -> str:
+    return ", ".join(f"{number:g}" for number in np.atleast_1d(value))
+
+
+def _truth(value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise TypeError(value)
+    return value
+
+
+def _per_joint(given: Any, read: Callable[[Any], Any]) -> Any:
+    """A number for all joints, a tuple with one for each, or one for each pattern."""
+    if isinstance(given, Mapping):
+        return {str(pattern): read(value) for pattern, value in given.items()}
+    if isinstance(given, Sequence) and not isinstance(given, str):
+        return tuple(read(value) for value in given)
+    return read(given)
+
+
+def read_tie(option: str, given: Any) -> Tie:
+    """Which joints share a value, as an option says; ConfigError where it says something else."""
+    if given is None or isinstance(given, bool):
+        return given
+    if not isinstance(given, Mapping) or not all(isinstance(pattern, str) for pattern in given.values()):
+        raise ConfigError(f"{option}={given}; expected true, false, or names of groups with patterns of joints")
+    return {str(group): pattern for group, pattern in given.items()}
+
+
+def _resolve(option: str, given: Any, joints: Sequence[str | None]) -> Any:
+    if isinstance(given, tuple) and len(given) != len(joints):
+        raise ConfigError(f"{option}: {len(given)} values, expected {len(joints)}, one a joint, or one for all")
+    if not isinstance(given, Mapping):
+        return given
+    found = []
+    for joint in joints:
+        if joint is None:
+            raise ConfigError(
+                f"{option}: patterns of joints' names, but the joints have none; give a list, one a joint"
+            )
+        fitting = [value for pattern, value in given.items() if fits(pattern, joint, option)]
+        if not fitting:
+            raise ConfigError(f"{option}: no pattern of {', '.join(given)} fits {joint}; add one, such as '.*', last")
+        found.append(fitting[0])
+    return tuple(found)
+
+
 def _complete(section: Any, defaults: Mapping[str, Any]) -> Any:
-    """A parameter's whole section; of a known value, bounds mean nothing and lie around it."""
-    if isinstance(section, (int, float)) and not isinstance(section, bool):
-        reach = abs(section) or 1.0
-        return {"init": section, "low": section - reach, "high": section + reach, "scale": reach, "identify": False}
+    """A parameter's whole section; of a known value, or one a joint, bounds mean nothing and lie around it."""
+    alone = isinstance(section, Mapping) and set(section) == {"init"} and not defaults
+    init = section["init"] if alone else section
+    by_pattern = alone and isinstance(init, Mapping)
+    known: list[Any] = list(init.values() if by_pattern else init if isinstance(init, list | tuple) else [init])
+    if known and all(isinstance(value, int | float) and not isinstance(value, bool) for value in known):
+        reach = max(abs(value) for value in known) or 1.0
+        bounds = {"low": min(known) - reach, "high": max(known) + reach}
+        return {"init": init, **bounds, "scale": reach, "identify": False}
     return {**defaults, **section} if isinstance(section, Mapping) else section
 
 
@@ -150,4 +281,8 @@ def read_params(
     for name in set(dimensions) - set(config) - set(optional):
         raise ConfigError(f"{owner}: no parameter {name}; give its value, or params.{name} with init, low, high")
     params = {name: Param.from_config(name, dimensions[name], config[name]) for name in dimensions if name in config}
-    return {name: param for name, param in params.items() if param.identify or param.init or name not in optional}
+    return {n: p for n, p in params.items() if n not in optional or p.is_identified or not _is_zero(p.init)}
+
+
+def _is_zero(given: Any) -> bool:
+    return not any(given.values() if isinstance(given, Mapping) else np.atleast_1d(given))

@@ -1,31 +1,50 @@
 """What a fit moves: coordinates, and the physical values that they stand for."""
 
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, Shaped
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from frictionzoo.bench import Bench
+from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.params import Param
 from frictionzoo.models import FrictionModel
 from frictionzoo.simulate import Values
 from frictionzoo.simulate.bridge import to_jax
 
 
+class Place(NamedTuple):
+    """Where the coordinates of a physical parameter are among the joints.
+
+    Attributes:
+        joints: Index of each joint whose value is identified.
+        group: Number of that joint's coordinate, among the parameter's own; joints that share a value have the same.
+        first: Index of the first joint of each coordinate.
+        names: Of each coordinate: the joint's number, or the name of the group.
+    """
+
+    joints: Int[np.ndarray, "identified"]
+    group: Int[np.ndarray, "identified"]
+    first: Int[np.ndarray, "own"]
+    names: tuple[str, ...]
+
+
 class Space:
     """The coordinates that an optimiser moves, and the physical values that they stand for.
 
-    A parameter's coordinate is its logarithm or its value over its scale, as its `Param` says; a network's weights are
-    their own coordinates. Known parameters have none.
+    A parameter's coordinate is its logarithm or its value over its scale, as its `Param` says, one a joint, or one for
+    all joints that share a value; a network's weights are their own coordinates. Known values have none.
 
     Attributes:
-        params: The identified physical parameters by their full name, `bench.armature`.
+        params: The physical parameters that are identified in any joint, by their full name, `bench.armature`.
+        places: Where their coordinates are among the joints, by the same names.
         names: All that is identified, physical parameters first, then a network's weights.
         weights: The network's weights among them.
-        labels: Name of each coordinate of a physical parameter: its full name; of several joints with `/` and a number.
+        labels: Name of each coordinate of a physical parameter: its full name; of several with `/` and the joint's
+            number, or the name of the joints that share it.
         start: Coordinates of the initial values, as one vector.
         low: Lower bound of each coordinate; minus infinity where there is none.
         high: Upper bound of each coordinate.
@@ -34,21 +53,30 @@ class Space:
         bench: Its parameters come first.
         model: The friction model; its present values are the initial ones.
         dtype: JAX type of the coordinates.
+
+    Raises:
+        ConfigError: Joints that share a value differ in their initial value, bounds, or in whether it is identified.
     """
 
     def __init__(self, bench: Bench, model: FrictionModel, dtype: Any) -> None:
         bench_values = {name: jnp.asarray(value, dtype) for name, value in bench.initial_values().items()}
         self._values = {"bench": bench_values, "friction": to_jax(model, dtype)}
+        self._nv = bench.nv
         specs = {f"bench.{name}": param for name, param in bench.params.items()}
         specs |= {f"friction.{name}": param for name, param in model.params.items()}
-        self.params: dict[str, Param] = {name: param for name, param in specs.items() if param.identify}
+        self.params: dict[str, Param] = {name: param for name, param in specs.items() if param.is_identified}
         free = [f"friction.{name}" for name, tensor in model.named_parameters() if tensor.requires_grad]
+        self.places: dict[str, Place] = {
+            name: _place(name, param, bench.groups(param), np.asarray(self._get(self._values, name)))
+            for name, param in self.params.items()
+        }
         self.weights: list[str] = [name for name in free if name not in specs]
         self.names: list[str] = [*self.params, *self.weights]
         coordinates = [self._to_coordinate(name, self._get(self._values, name)) for name in self.names]
-        sizes = {name: coordinate.size for name, coordinate in zip(self.names, coordinates, strict=True)}
         self.labels: list[str] = [
-            name if sizes[name] == 1 else f"{name}/{joint}" for name in self.params for joint in range(sizes[name])
+            name if len(place.names) == 1 else f"{name}/{own}"
+            for name, place in self.places.items()
+            for own in place.names
         ]
         start, self._unravel = ravel_pytree(coordinates)
         self.start: Array = jnp.asarray(start, dtype)  # of no coordinates, ravel_pytree makes float32
@@ -68,11 +96,41 @@ class Space:
         values = self.values(vector)
         return {name: self._get(values, name) for name in self.params}
 
-    def split(self, vector: Shaped[np.ndarray, "coordinates ..."]) -> dict[str, Shaped[np.ndarray, "nv ..."]]:
+    def split(self, vector: Shaped[np.ndarray, "coordinates ..."]) -> dict[str, Shaped[np.ndarray, "own ..."]]:
         """Entries of an array with one row a coordinate, by the full name of the physical parameter they belong to."""
-        sizes = [len(entries) for _, entries in self._split(self.start)]
-        ends = np.cumsum(sizes)[: len(self.params)]
+        ends = np.cumsum([len(place.first) for place in self.places.values()])
         return dict(zip(self.params, np.split(np.asarray(vector), ends), strict=False))
+
+    def spread(
+        self, name: str, rows: Shaped[np.ndarray, "own ..."], known: float | bool = np.nan
+    ) -> Shaped[np.ndarray, "nv ..."]:
+        """The rows of a physical parameter's coordinates as rows of the joints; `known` where a joint's is not free."""
+        place = self.places[name]
+        spread = np.full((self._nv, *rows.shape[1:]), known, rows.dtype)
+        spread[place.joints] = rows[place.group]
+        return spread
+
+    def physical(self, vector: Shaped[np.ndarray, "coordinates ..."]) -> dict[str, Shaped[np.ndarray, "nv ..."]]:
+        """Physical values by full name, in float64, of an array with one row a coordinate; NaN where a value is known.
+
+        They are brought back into the bounds: the logarithm of a bound and back is the bound but for rounding.
+        """
+        found = {}
+        for name, rows in self.split(np.asarray(vector, np.float64)).items():
+            values = self.spread(name, self.params[name].from_coordinate(rows, np))
+            low, high = (self.params[name].each(side, self._nv) for side in ("low", "high"))
+            beside = (slice(None), *[None] * (values.ndim - 1))
+            found[name] = np.clip(values, low[beside], high[beside])
+        return found
+
+    def at_bound(self, vector: Float[np.ndarray, "coordinates"]) -> Bool[np.ndarray, "own"]:
+        """Whether the value of each coordinate of a physical parameter has reached a bound."""
+        reached = [np.zeros(0, bool)]
+        for name, value in self.physical(vector).items():
+            known = self.params[name].each("init", self._nv)
+            value = np.where(np.isnan(value), known, value)
+            reached.append(np.broadcast_to(self.params[name].is_at_bound(value), self._nv)[self.places[name].first])
+        return np.concatenate(reached)
 
     def first_nonfinite(self, vector: Float[np.ndarray, "coordinates"]) -> str | None:
         """Name of the first parameter whose entry in this vector (a gradient, say) is not finite."""
@@ -91,19 +149,53 @@ class Space:
 
     def _bounds(self, coordinates: list[Array], side: str) -> list[Array]:
         infinite = -np.inf if side == "low" else np.inf
-        ends = [
-            self.params[name].to_coordinate(getattr(self.params[name], side), np) if name in self.params else infinite
-            for name in self.names
+
+        def ends(name: str) -> Any:
+            if name not in self.params:
+                return infinite
+            param = self.params[name]
+            return param.to_coordinate(np.asarray(param.each(side, self._nv), np.float64)[self.places[name].first], np)
+
+        return [
+            jnp.broadcast_to(jnp.asarray(ends(name), coordinate.dtype), coordinate.shape)
+            for name, coordinate in zip(self.names, coordinates, strict=True)
         ]
-        return [jnp.full_like(coordinate, end) for coordinate, end in zip(coordinates, ends, strict=True)]
 
     def _to_coordinate(self, name: str, value: Array) -> Array:
-        return self.params[name].to_coordinate(value, jnp) if name in self.params else value
+        if name not in self.params:
+            return value
+        return self.params[name].to_coordinate(value[self.places[name].first], jnp)
 
     def _from_coordinate(self, name: str, coordinate: Array) -> Array:
-        return self.params[name].from_coordinate(coordinate, jnp) if name in self.params else coordinate
+        """The values of all joints: those that are identified from their coordinates, the others as they are."""
+        if name not in self.params:
+            return coordinate
+        place, value = self.places[name], self.params[name].from_coordinate(coordinate, jnp)
+        if len(place.joints) == self._nv:
+            return value if len(place.first) == self._nv else value[place.group]
+        return self._get(self._values, name).at[place.joints].set(value[place.group])
 
     @staticmethod
     def _get(values: Mapping[str, Mapping[str, Array]], name: str) -> Array:
         owner, _, key = name.partition(".")
         return values[owner][key]
+
+
+def _place(name: str, param: Param, groups: Sequence[str], values: Float[np.ndarray, "nv"]) -> Place:
+    nv = len(groups)
+    free = np.flatnonzero(param.each("identify", nv))
+    numbers: dict[str, int] = {}
+    group = np.array([numbers.setdefault(groups[joint], len(numbers)) for joint in free.tolist()], int)
+    first = free[[int(np.argmax(group == number)) for number in range(len(numbers))]].astype(int)
+    alike = {**{what: param.each(what, nv) for what in ("low", "high", "identify")}, "init": values}
+    for joint, of in enumerate(groups):
+        other = groups.index(of)
+        for what, given in alike.items():
+            if given[joint] != given[other]:
+                came = f"{given[other]:g} of joint {other} and {given[joint]:g} of joint {joint}"
+                raise ConfigError(
+                    f"{name}.{what}: {came}, which share a value ({of}); expected the same, or another tie"
+                )
+    alone = [list(groups).count(of) == 1 for of in numbers]
+    names = tuple(str(joint) if own else of for of, joint, own in zip(numbers, first.tolist(), alone, strict=True))
+    return Place(free, group, first, names)

@@ -112,9 +112,7 @@ def assess(
     """
     vector, low, high = (np.asarray(side, np.float64) for side in (vector, space.low, space.high))
     curvature = np.diag(equations.hessian)
-    at_bound = np.concatenate(
-        [np.ravel(space.params[name].is_at_bound(value)) for name, value in _physical(space, vector).items()]
-    )
+    at_bound = space.at_bound(vector)
     seen = np.flatnonzero(~at_bound & (curvature > _NOTHING * curvature.max()))
     found = _solve(equations, scores, seen, float(np.finfo(space.start.dtype).eps))
 
@@ -127,10 +125,8 @@ def assess(
     identifiable = inside & (ends[:, 1] - ends[:, 0] < 2 * WIDEST)
     groups = _list_groups(found.joined & ~np.logical_or.outer(identifiable[seen], identifiable[seen]))
 
-    physical = _physical(space, np.clip(ends, low[:, None], high[:, None]))
     return Uncertainty(
-        # Once more, for the logarithm of a bound and back is the bound but for rounding.
-        {name: np.clip(value, space.params[name].low, space.params[name].high) for name, value in physical.items()},
+        space.physical(np.clip(ends, low[:, None], high[:, None])),
         {name: bool(value.all()) for name, value in space.split(identifiable).items()},
         tuple(tuple(space.labels[seen[i]] for i in group) for group in groups),
     )
@@ -181,8 +177,3 @@ def _list_groups(joined: Bool[np.ndarray, "seen seen"]) -> list[Int[np.ndarray, 
     count, label = connected_components(joined, directed=False)
     groups = (np.flatnonzero(label == number) for number in range(count))
     return [group for group in groups if len(group) > 1]
-
-
-def _physical(space: Space, coordinates: np.ndarray) -> dict[str, np.ndarray]:
-    """Physical values by full name, in float64, of an array with one row a coordinate."""
-    return {name: space.params[name].from_coordinate(x, np) for name, x in space.split(coordinates).items()}

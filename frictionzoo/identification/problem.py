@@ -89,6 +89,7 @@ class Problem:
             FrictionzooError: The input is at fault.
         """
         began = time.perf_counter()
+        model.bind(bench.joints)
         bench = bench.observing(model.inputs)
         dataset = bench.accept_all(dataset)
         doubts = doubt_recordings(dataset, bench) + doubt_motion(dataset, bench)

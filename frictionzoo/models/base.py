@@ -1,7 +1,7 @@
 """The whole plug-in interface of a friction model."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import torch
@@ -13,8 +13,9 @@ from frictionzoo.core.state import DriveState, FrictionTerms
 
 Values = Mapping[str, Any]
 """Arrays of a law under the names of its `state_dict`."""
-Params = Mapping[str, Mapping[str, Any] | float | int]
-"""Of each physical parameter its section, `init`, `low`, `high`, `scale`, `identify`, or its value if that is known."""
+Params = Mapping[str, Mapping[str, Any] | Sequence[float] | float | int]
+"""Of each physical parameter its section, `init`, `low`, `high`, `scale`, `identify`, or its value if that is known,
+one for all joints or a list."""
 
 
 class FrictionModel(Described, torch.nn.Module, ABC):
@@ -59,8 +60,18 @@ class FrictionModel(Described, torch.nn.Module, ABC):
         self.nv = nv
         self.params: dict[str, Param] = read_params(type(self).__name__, self.dimensions, params or {})
         for name, param in self.params.items():
-            initial = torch.full((nv,), param.init, dtype=torch.float64)
-            self.register_parameter(name, torch.nn.Parameter(initial, requires_grad=param.identify))
+            self.register_parameter(name, torch.nn.Parameter(_initial(param, nv), requires_grad=param.is_identified))
+
+    def bind(self, joints: Sequence[str]) -> None:
+        """Give each joint what parameters say by patterns of joints' names; what has a value already keeps it.
+
+        Raises:
+            ConfigError: A joint fits no pattern, or a list has not an entry for each joint.
+        """
+        for name, param in self.params.items():
+            if not param.is_resolved:
+                self.params[name] = param.for_joints(joints)
+                self.get_parameter(name).data.copy_(_initial(self.params[name], self.nv))
 
     @abstractmethod
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
@@ -119,3 +130,11 @@ def sliding_torque(xp: Any, terms: FrictionTerms, qvel: Any) -> Any:
     """
     torque, frictionloss, damping = (xp.zeros_like(qvel) if term is None else term for term in terms)
     return torque + frictionloss * xp.sign(qvel) + damping * qvel
+
+
+def _initial(param: Param, nv: int) -> torch.Tensor:
+    """Initial values of the joints, of shape (nv,); NaN while patterns of names wait for the names."""
+    if not param.is_resolved:
+        return torch.full((nv,), torch.nan, dtype=torch.float64)
+    param.for_joints([None] * nv)  # a list of another length is refused
+    return torch.tensor(param.each("init", nv), dtype=torch.float64)

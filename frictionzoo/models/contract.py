@@ -111,8 +111,9 @@ def _check_bounds(model: FrictionModel) -> None:
         if name not in parameters or tuple(parameters[name].shape) != (model.nv,):
             _fail(model, "values", f"{name} is no parameter of shape ({model.nv},); leave it to FrictionModel.__init__")
         value = parameters[name].detach()
-        if not ((value >= param.low) & (value <= param.high)).all():
-            _fail(model, "bounds", f"{name}={value.tolist()} outside [{param.low:g}, {param.high:g}]; start inside")
+        low, high = (torch.tensor(param.each(side, model.nv)) for side in ("low", "high"))
+        if not ((value >= low) & (value <= high)).all():
+            _fail(model, "bounds", f"{name}={value.tolist()} outside [{param.low}, {param.high}]; start inside")
 
 
 def _check_terms(model: FrictionModel, samples: DriveState) -> None:
@@ -271,8 +272,8 @@ def _check_dissipation(model: FrictionModel, samples: DriveState) -> None:
     for _ in range(1 + DRAWS):
         _check_power(model, drawn, samples)
         for name, param in model.params.items():
-            low, high = (param.to_coordinate(bound, np) for bound in (param.low, param.high))
-            value = param.from_coordinate(random.uniform(low, high, model.nv), np)
+            low, high = (param.to_coordinate(param.each(side, model.nv), np) for side in ("low", "high"))
+            value = param.from_coordinate(random.uniform(low, high), np)
             drawn[name] = torch.tensor(value)
 
 

@@ -99,6 +99,7 @@ class Identified:
         settings = result["settings"]
         bench = build(settings["bench"])
         model = build(settings["model"], nv=bench.nv)
+        model.bind(bench.joints)
         bench = bench.observing(model.inputs)
         state = _load_law(model, folder / LAW)
         friction = {name: value.detach().double().numpy().copy() for name, value in model.state_dict().items()}

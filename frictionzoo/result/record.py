@@ -229,11 +229,16 @@ def _describe_value(name: str, param: Param, value: np.ndarray, joint_type: str)
         "owner": "bench",
         "value": _one_or_all(np.atleast_1d(np.asarray(value, np.float64)).tolist()),
         "unit": param.unit(joint_type),
-        "low": param.low,
-        "high": param.high,
-        "identified": param.identify,
-        "at_bound": param.identify and bool(param.is_at_bound(value).any()),
+        "low": _as_given(param.low),
+        "high": _as_given(param.high),
+        "identified": param.is_identified,
+        "at_bound": bool((np.asarray(param.identify) & param.is_at_bound(value)).any()),
     }
+
+
+def _as_given(bound: Any) -> Any:
+    """A bound of all joints, or a list with one for each."""
+    return list(bound) if isinstance(bound, tuple) else bound
 
 
 def _one_or_all(by_joint: list[Any]) -> Any:

@@ -66,12 +66,12 @@ class ReferenceRow(TypedDict):
     """A number for one joint, a list in the order of the joints for several."""
     unit: str
     """SI unit; 1 for a pure number."""
-    low: float
-    """Lower bound of the fit."""
-    high: float
-    """Upper bound of the fit."""
+    low: float | PerJoint
+    """Lower bound of the fit; a list in the order of the joints where they differ."""
+    high: float | PerJoint
+    """Upper bound of the fit, likewise."""
     identified: bool
-    """True: the fit chose the value. False: it was given."""
+    """True: the fit chose the value, of several joints that of one at least. False: it was given."""
     at_bound: bool
     """It ended at a bound: then errors without friction are those of no drive, and a change against them says
     little."""
@@ -88,12 +88,12 @@ class ParameterRow(TypedDict):
     """A number for one joint, a list in the order of the joints for several."""
     unit: str
     """SI unit; 1 for a pure number."""
-    low: float
-    """Lower bound of the fit."""
-    high: float
-    """Upper bound of the fit."""
+    low: float | PerJoint
+    """Lower bound of the fit; a list in the order of the joints where they differ."""
+    high: float | PerJoint
+    """Upper bound of the fit, likewise."""
     identified: bool
-    """True: the fit chose the value. False: it was given."""
+    """True: the fit chose the value, of several joints that of one at least. False: it was given."""
     at_bound: bool
     """The fit ended at a bound, so that the data may ask for more than the bounds allow; false for known
     parameters."""

@@ -53,13 +53,14 @@ def doubt_sizes(params: Mapping[str, Param], values: Mapping[str, Float[np.ndarr
     """Identified values of a bench, on a `hinge` or `slide`, of another size than a user expected, a sentence each."""
     doubts = []
     for name, param in params.items():
-        if not param.identify or param.scale != "log":
+        if not param.is_identified or param.scale != "log":
             continue
         found = np.ravel(values[name])
-        times = np.exp(np.abs(np.log(found / param.init)))
+        began = param.each("init", len(found))
+        times = np.exp(np.abs(np.log(found / began)))
         joint = int(times.argmax())
         if times[joint] > FAR:
-            moved = f"from {param.init:g} to {found[joint]:.4g} {param.unit(unit)}, {times[joint]:.2g} times"
+            moved = f"from {began[joint]:g} to {found[joint]:.4g} {param.unit(unit)}, {times[joint]:.2g} times"
             doubts.append(
                 f"bench.{name} went {moved}: look at the units of time, qpos and ctrl (data.units) and at the bench's "
                 f"gains, or begin elsewhere (bench.params.{name}.init)"
@@ -95,8 +96,14 @@ def list_moving(
 
 def doubt_reference(parameters: Sequence[ParameterRow | ReferenceRow]) -> str | None:
     """That the drive without friction, by which others are judged, is none by its parameters; None where it may be."""
-    where = "{owner}.{name} at its bound of [{low:g}, {high:g}] {unit}"
-    ended = [where.format(**p) for p in parameters if p["at_bound"]]
+    ended = [
+        f"{p['owner']}.{p['name']} at its bound of {say_bounds(p)} {p['unit']}" for p in parameters if p["at_bound"]
+    ]
     if not ended:
         return None
     return f"the drive without friction ended with {' and '.join(ended)}: a change against its error says little"
+
+
+def say_bounds(parameter: ParameterRow | ReferenceRow) -> str:
+    """The bounds of a parameter, of several joints from the lowest to the highest."""
+    return f"[{np.min(parameter['low']):g}, {np.max(parameter['high']):g}]"

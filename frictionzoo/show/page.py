@@ -87,9 +87,9 @@ def _environment() -> Environment:
     return environment
 
 
-def _place(value: float, parameter: ParameterRow) -> float:
-    """Where a value lies between its bounds, from 0 to 100; in decades where the bounds are positive."""
-    low, high = parameter["low"], parameter["high"]
+def _place(value: float, parameter: ParameterRow, joint: int) -> float:
+    """Where a joint's value lies between its bounds, from 0 to 100; in decades where the bounds are positive."""
+    low, high = (end[joint] if isinstance(end, list) else end for end in (parameter["low"], parameter["high"]))
     if low > 0:
         low, high, value = math.log(low), math.log(high), math.log(max(value, low))
     return round(100 * min(1.0, max(0.0, (value - low) / (high - low))), 1)

@@ -8,7 +8,7 @@ from typing import Any
 
 from frictionzoo.comparison.types import Comparison
 from frictionzoo.result.types import DataRow, MetricsRow, ParameterRow, Result
-from frictionzoo.result.verdict import doubt_gain, doubt_reference
+from frictionzoo.result.verdict import doubt_gain, doubt_reference, say_bounds
 from frictionzoo.show.text import format_number
 
 Rows = Sequence[Sequence[str]]
@@ -159,7 +159,7 @@ def _warn(result: Result) -> list[str]:
     """What is doubtful: of the recordings, of parameters at a bound, not identifiable or indistinct, and of it all."""
     lines = [f"warning: {sentence}" for sentence in result["warnings"]]
     lines += [
-        f"warning: {p['owner']}.{p['name']} ended at a bound of [{p['low']:g}, {p['high']:g}] {p['unit']}; widen the "
+        f"warning: {p['owner']}.{p['name']} ended at a bound of {say_bounds(p)} {p['unit']}; widen the "
         "bounds or doubt the model"
         for p in result["parameters"]
         if p["at_bound"]

@@ -135,9 +135,11 @@ def _moved(bench: Bench, model: FrictionModel, values: Values) -> Values:
     moved = {owner: dict(known) for owner, known in values.items()}
     for owner, params in (("bench", bench.params), ("friction", model.params)):
         for name, param in params.items():
-            if not param.identify:
+            if not param.is_identified:
                 continue
-            at, low, high = (param.to_coordinate(x, np) for x in (moved[owner][name], param.low, param.high))
+            at, low, high = (
+                param.to_coordinate(np.asarray(x), np) for x in (moved[owner][name], param.low, param.high)
+            )
             away = _MOVED * (high - low) * rng.uniform(-1, 1, np.shape(at))
             moved[owner][name] = param.from_coordinate(np.clip(at + away, low, high), np)
     return moved

@@ -42,7 +42,8 @@ class Actuator(Described, ABC):
 
     Args:
         params: Section of each parameter: `init`, `low`, `high`, `scale`, `identify`.
-        values: Parameters that are known, by name, in place of their sections: `PositionPD(kp=15, kd=0.5)`.
+        values: Parameters that are known, by name, in place of their sections: `PositionPD(kp=15, kd=0.5)`, or with a
+            list of one value a joint.
 
     Raises:
         ConfigError: A parameter is missing, unknown, given twice, or its bounds make no sense.
@@ -52,7 +53,7 @@ class Actuator(Described, ABC):
     dimensions: ClassVar[Mapping[str, str]]
     inputs: ClassVar[tuple[str, ...]] = ()
 
-    def __init__(self, params: Mapping[str, Mapping[str, Any]] | None = None, **values: float | int) -> None:
+    def __init__(self, params: Mapping[str, Mapping[str, Any]] | None = None, **values: Any) -> None:
         owner, sections = type(self).__name__, dict(params or {})
         for name in sections.keys() & values.keys():
             raise ConfigError(f"{owner}: {name} is given twice, expected a value or a section; leave one out")

@@ -1,0 +1,83 @@
+"""Branches of a robot whose base is fixed: subtrees of bodies that do not move each other, and those that are alike.
+
+A quadruped that hangs is four legs. Their equations of motion have nothing in common, so that each is a problem of its
+own; legs of the same build differ in a few numbers of their links alone.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from jaxtyping import Float, Int
+
+from frictionzoo.bench.compiled import can_collide
+
+_LINKS = ("body_pos", "body_quat", "body_mass", "body_subtreemass", "body_ipos", "body_iquat", "body_inertia")
+_LINKS += ("jnt_pos", "jnt_axis", "jnt_stiffness", "qpos0", "qpos_spring", "dof_damping")
+"""Numbers of links and joints that may differ between branches that are alike."""
+_IDLE = ("invweight0", "M0", "acc0", "length0", "user", "range", "treeid", "name", "margin", "tree_")
+"""Parts of names of what does not act on joints without limits, or follows from the rest."""
+_SIGHT = ("geom_", "mesh_", "mat_", "site_", "cam_", "light_", "bvh_", "tex_", "skin_", "vis", "stat", "oct_", "paths")
+
+
+class Alike(NamedTuple):
+    """Branches of one build.
+
+    Attributes:
+        joints: Index of each joint, a row a branch.
+        fields: Which numbers of the compiled model differ between them: field and place in the flattened array.
+        links: These numbers, a row a branch.
+    """
+
+    joints: Int[np.ndarray, "branches joints"]
+    fields: tuple[tuple[str, int], ...]
+    links: Float[np.ndarray, "branches links"]
+
+
+def number_branches(model: mujoco.MjModel) -> tuple[int, ...]:
+    """Number of the branch of each joint, from 0; one for all where contacts, equalities or tendons may join them."""
+    if model.neq or model.ntendon or model.npair or can_collide(model):
+        return (0,) * model.nv
+    numbers: dict[int, int] = {}
+    return tuple(numbers.setdefault(int(tree), len(numbers)) for tree in model.dof_treeid)
+
+
+def group_alike(joints: Sequence[Int[np.ndarray, "joints"]], models: Sequence[mujoco.MjModel]) -> list[Alike]:
+    """Branches in groups of one build, by their compiled models.
+
+    Args:
+        joints: Indices of each branch's joints.
+        models: Compiled model of each branch alone.
+    """
+    groups: dict[bytes, list[int]] = {}
+    for index, model in enumerate(models):
+        groups.setdefault(_build(model), []).append(index)
+    return [_compare([joints[i] for i in members], [models[i] for i in members]) for members in groups.values()]
+
+
+def _compare(joints: Sequence[np.ndarray], models: Sequence[mujoco.MjModel]) -> Alike:
+    fields, links = [], []
+    for name in _LINKS:
+        rows = np.array([np.ravel(getattr(model, name)) for model in models])
+        for place in np.flatnonzero((rows != rows[0]).any(axis=0)):
+            fields.append((name, int(place)))
+            links.append(rows[:, place])
+    return Alike(np.array(joints), tuple(fields), np.array(links).T.reshape(len(models), len(fields)))
+
+
+def _build(model: mujoco.MjModel) -> bytes:
+    """All of a compiled model that has to be the same: sizes, structure, actuators, options."""
+    found = []
+    for name in dir(model):
+        if name.startswith(("_", *_SIGHT)) or name in _LINKS or any(part in name for part in _IDLE):
+            continue
+        value = getattr(model, name)
+        if isinstance(value, int | float | np.ndarray):
+            found.append(name.encode() + np.ascontiguousarray(value).tobytes())
+    options = (model.opt.timestep, *model.opt.gravity, model.opt.integrator, model.opt.disableflags)
+    return b" ".join(found) + np.array(options, float).tobytes() + b"".join(_shape(model))
+
+
+def _shape(model: mujoco.MjModel) -> list[bytes]:
+    return [f"{name}{np.shape(getattr(model, name))}".encode() for name in _LINKS]
