@@ -16,8 +16,9 @@ from frictionzoo.bench.compiled import can_collide
 _LINKS = ("body_pos", "body_quat", "body_mass", "body_subtreemass", "body_ipos", "body_iquat", "body_inertia")
 _LINKS += ("jnt_pos", "jnt_axis", "jnt_stiffness", "qpos0", "qpos_spring", "dof_damping")
 """Numbers of links and joints that may differ between branches that are alike."""
-_IDLE = ("invweight0", "M0", "acc0", "length0", "user", "range", "treeid", "name", "margin", "tree_")
-"""Parts of names of what does not act on joints without limits, or follows from the rest."""
+_IDLE = ("invweight0", "M0", "acc0", "length0", "user", "range", "treeid", "name", "margin", "tree_", "nbuffer")
+_IDLE += ("dof_armature", "actuator_gainprm", "actuator_biasprm")
+"""Parts of names of what does not act on joints without limits, follows from the rest, or is given in each step."""
 _SIGHT = ("geom_", "mesh_", "mat_", "site_", "cam_", "light_", "bvh_", "tex_", "skin_", "vis", "stat", "oct_", "paths")
 
 
@@ -43,7 +44,7 @@ def number_branches(model: mujoco.MjModel) -> tuple[int, ...]:
     return tuple(numbers.setdefault(int(tree), len(numbers)) for tree in model.dof_treeid)
 
 
-def group_alike(joints: Sequence[Int[np.ndarray, "joints"]], models: Sequence[mujoco.MjModel]) -> list[Alike]:
+def group_alike(joints: Sequence[Int[np.ndarray, "_"]], models: Sequence[mujoco.MjModel]) -> list[Alike]:
     """Branches in groups of one build, by their compiled models.
 
     Args:

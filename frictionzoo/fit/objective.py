@@ -15,6 +15,7 @@ from frictionzoo.core.errors import ConfigError, closest
 from frictionzoo.core.segments import Segments
 from frictionzoo.fit.blocks import MOST_STRETCHES, Blocks, devices_of, each, into_blocks
 from frictionzoo.fit.space import Space
+from frictionzoo.fit.sparsity import Sparsity
 from frictionzoo.simulate import Values
 from frictionzoo.simulate.bridge import as_torch_function, to_arrays, to_tensors
 from frictionzoo.simulate.linear import solve_spd
@@ -114,12 +115,14 @@ class Objective:
         self._robust, self._scale = _ROBUST[robust], robust_scale
         self._refine = refine
         self._programs: dict[bool, Any] = {}  # compiled equations: a fit's own serve again when it is judged
+        self._sparsity = Sparsity.of(space, rollout.branches)
         self._terms = segments.count * (segments.length + refine) * segments.qpos.shape[2]
 
     def for_drive(self, space: Space, rollout: Rollout) -> "Objective":
         """The same objective of another drive on the same bench, on the data that the devices hold already."""
         other = copy.copy(self)
         other.space, other.compile, other._rollout = space, rollout.compile, rollout
+        other._sparsity = Sparsity.of(space, rollout.branches)
         other._programs = {}
         return other
 
@@ -259,12 +262,12 @@ class Objective:
         square = self._scale**2
         return jnp.sum(self._robust(squares / square)) * square
 
-    def _residuals(self, values: Values, qpos: Array, qvel: Array, block: Blocks) -> Float[Array, "segments terms 2"]:
+    def _residuals(self, values: Values, qpos: Array, qvel: Array, block: Blocks) -> Float[Array, "segments time nv 2"]:
         return self._errors(qpos, qvel, self._rollout(values, qpos, qvel, block.signals, block.load), block)
 
     def _errors(
         self, qpos: Array, qvel: Array, predicted: tuple[Array, Array], block: Blocks
-    ) -> Float[Array, "segments terms 2"]:
+    ) -> Float[Array, "segments time nv 2"]:
         """Weighted errors of position and velocity, with that of the initial state first where it is refined."""
         errors = []
         for root, start, after, measured in zip(
@@ -272,8 +275,7 @@ class Objective:
         ):
             whole = jnp.concatenate([start[:, None], after], axis=1) if self._refine else after
             errors.append(root * (whole - (measured if self._refine else measured[:, 1:])))
-        weighted = jnp.stack(errors, axis=-1) * block.weight[:, None, None, None]
-        return weighted.reshape(len(block.weight), -1, 2)
+        return jnp.stack(errors, axis=-1) * block.weight[:, None, None, None]
 
     def _initial(self, values: Values, block: Blocks) -> tuple[Array, Array]:
         """Where the segments start: as measured, or as fits the whole segment best.
@@ -285,70 +287,79 @@ class Objective:
         if not self._refine:
             return state
         values, block = jax.lax.stop_gradient((values, block))
-        unused = jnp.eye(2 * state[0].shape[1]) * (1 - block.weight[:, None, None])
+        unused = self._unused_states(block)
 
         def improve(_: Any, search: tuple) -> tuple:
             """One step of Levenberg and Marquardt in every segment; it counts where it lowers the error."""
             state, residuals, slopes, damping = search
-            curvature = jnp.einsum("isk,jsk->sij", slopes, slopes)
-            damped = curvature * (1 + damping[:, None, None] * jnp.eye(len(slopes))) + unused
-            step = jax.vmap(solve_spd)(damped, jnp.einsum("isk,sk->si", slopes, residuals))
+            curvature = jnp.einsum("ibsk,jbsk->bsij", slopes, slopes)
+            damped = curvature * (1 + damping[:, :, None, None] * jnp.eye(len(slopes))) + unused
+            step = jax.vmap(jax.vmap(solve_spd))(damped, jnp.einsum("ibsk,bsk->bsi", slopes, residuals))
             trial = state - step
             tried, sloped = self._with_slopes(values, trial, block)
-            better = jnp.sum(jnp.square(tried), axis=1) < jnp.sum(jnp.square(residuals), axis=1)
+            better = jnp.sum(jnp.square(tried), axis=2) < jnp.sum(jnp.square(residuals), axis=2)
             return (
-                jnp.where(better[:, None], trial, state),
-                jnp.where(better[:, None], tried, residuals),
-                jnp.where(better[:, None], sloped, slopes),
+                jnp.where(better[:, :, None], trial, state),
+                jnp.where(better[:, :, None], tried, residuals),
+                jnp.where(better[:, :, None], sloped, slopes),
                 damping * jnp.where(better, 0.1, 10.0),
             )
 
-        start = jnp.concatenate(state, axis=1)
-        search = (start, *self._with_slopes(values, start, block), jnp.full(len(start), 1e-3, start.dtype))
-        found = jax.lax.fori_loop(0, _REFINEMENTS, improve, search)[0]
+        start = self._sparsity.states_by_branch(jnp.concatenate(state, axis=1))
+        search = (start, *self._with_slopes(values, start, block), jnp.full(start.shape[:2], 1e-3, start.dtype))
+        found = self._sparsity.states_together(jax.lax.fori_loop(0, _REFINEMENTS, improve, search)[0])
         qpos, qvel = jnp.split(jax.lax.stop_gradient(found), 2, axis=1)
         return qpos, qvel
 
+    def _unused_states(self, block: Blocks) -> Float[Array, "branches segments state state"]:
+        """What makes equations of initial states solvable that do not count."""
+        identity = jnp.eye(len(self._sparsity.states)) * (1 - block.weight[:, None, None])
+        return self._sparsity.unit_states(block.weight.dtype)[:, None] + identity
+
     def _with_slopes(
-        self, values: Values, state: Array, block: Blocks
-    ) -> tuple[Float[Array, "segments terms"], Float[Array, "states segments terms"]]:
-        """Residuals, and their derivative with respect to each entry of the initial position and velocity."""
+        self, values: Values, state: Float[Array, "branches segments state"], block: Blocks
+    ) -> tuple[Float[Array, "branches segments terms"], Float[Array, "state branches segments terms"]]:
+        """Residuals, and their derivative with respect to each entry of a branch's initial position and velocity."""
 
         def residuals(state: Array) -> Array:
             qpos, qvel = jnp.split(state, 2, axis=1)
-            return self._residuals(values, qpos, qvel, block).reshape(len(state), -1)
+            return self._sparsity.by_branch(self._residuals(values, qpos, qvel, block))
 
-        units = jnp.eye(state.shape[1], dtype=state.dtype)[:, None, :] * jnp.ones_like(state[:, :1])
-        return residuals(state), jax.vmap(lambda unit: jax.jvp(residuals, (state,), (unit,))[1])(units)
+        whole = self._sparsity.states_together(state)
+        units = jnp.asarray(self._sparsity.states, whole.dtype)[:, None, :] * jnp.ones_like(whole[:, :1])
+        return residuals(whole), jax.vmap(lambda unit: jax.jvp(residuals, (whole,), (unit,))[1])(units)
 
     def _block_equations(self, vector: Array, block: Blocks, exact: bool) -> tuple[Array, Array, Array]:
         """Loss, gradient of each stretch, and second derivative."""
         qpos, qvel = self._initial(self.space.values(vector), block)
 
         def residuals(vector: Array) -> Array:
-            return self._residuals(self.space.values(vector), qpos, qvel, block).reshape(len(qpos), -1)
+            return self._sparsity.by_branch(self._residuals(self.space.values(vector), qpos, qvel, block))
 
         errors = residuals(vector)
         slopes = jax.vmap(lambda unit: jax.jvp(residuals, (vector,), (unit,))[1])(
-            jnp.eye(len(vector), dtype=vector.dtype)
+            jnp.asarray(self._sparsity.seeds, vector.dtype)
         )
         loss = self._sum(jnp.square(errors))
         # For a robust loss every residual counts by the slope of its loss, as in iteratively reweighted least squares.
         squares = jnp.square(errors) / self._scale**2
-        share = curvature = jax.vmap(jax.vmap(jax.grad(self._robust)))(squares)
+        each = jnp.vectorize(jax.grad(self._robust))
+        share = curvature = each(squares)
         if exact:
-            curvature = share + 2 * squares * jax.vmap(jax.vmap(jax.grad(jax.grad(self._robust))))(squares)
+            curvature = share + 2 * squares * jnp.vectorize(jax.grad(jax.grad(self._robust)))(squares)
         # A GPU rounds the factors of a product to 10 bits unless told otherwise: too few to see what is collinear.
-        of_segment = jnp.einsum("isk,sk->si", slopes, share * errors, precision="highest")
-        hessian = jnp.einsum("isk,jsk->ij", slopes, curvature * slopes, precision="highest")
+        of_segment = jnp.einsum("ibsk,bsk->bsi", slopes, share * errors, precision="highest")
+        hessian = jnp.einsum("ibsk,jbsk->bij", slopes, curvature * slopes, precision="highest")
         if self._refine:
-            _, own = self._with_slopes(self.space.values(vector), jnp.concatenate([qpos, qvel], axis=1), block)
-            inverse_of = jnp.einsum("isk,jsk->sij", own, own) + jnp.eye(len(own)) * (1 - block.weight[:, None, None])
-            mixed = jnp.einsum("isk,jsk->sji", own, slopes)
-            right = jnp.einsum("isk,sk->si", own, errors)
-            solved = jax.vmap(jax.vmap(solve_spd, in_axes=(None, 0)))(inverse_of, mixed)
-            of_segment = of_segment - jnp.einsum("sji,si->sj", solved, right)
-            hessian = hessian - jnp.einsum("sji,ski->jk", solved, mixed)
+            start = self._sparsity.states_by_branch(jnp.concatenate([qpos, qvel], axis=1))
+            _, own = self._with_slopes(self.space.values(vector), start, block)
+            inverse_of = jnp.einsum("ibsk,jbsk->bsij", own, own) + self._unused_states(block)
+            mixed = jnp.einsum("ibsk,jbsk->bsji", own, slopes)
+            right = jnp.einsum("ibsk,bsk->bsi", own, errors)
+            solved = jax.vmap(jax.vmap(jax.vmap(solve_spd, in_axes=(None, 0))))(inverse_of, mixed)
+            of_segment = of_segment - jnp.einsum("bsji,bsi->bsj", solved, right)
+            hessian = hessian - jnp.einsum("bsji,bski->bjk", solved, mixed)
         members = jax.nn.one_hot(block.stretch, self.stretches, dtype=vector.dtype)
-        scores = jnp.einsum("sg,si->gi", members, of_segment, precision="highest")
+        gradient, hessian = self._sparsity.gradient(of_segment), self._sparsity.hessian(hessian)
+        scores = jnp.einsum("sg,si->gi", members, gradient, precision="highest")
         return loss / self._terms, scores / self._terms, hessian / self._terms

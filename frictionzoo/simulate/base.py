@@ -48,6 +48,7 @@ class Engine(ABC):
         note: One line that a run prints about it, or "".
         compiler_options: Options for XLA where a step of this engine is compiled.
         forward_limit: Number of parameters up to which forward mode is the faster way to the derivative.
+        branches: Number of the branch of each joint, from 0: joints of different ones do not move each other.
         reverse: Whether the step can be differentiated in reverse mode. It cannot where a solver iterates until it has
             converged: JAX has no reverse mode for a loop of unknown length.
     """
@@ -57,6 +58,7 @@ class Engine(ABC):
     compiler_options: Mapping[str, Any]
     forward_limit: ClassVar[int]
     reverse: bool = True
+    branches: tuple[int, ...]
     _friction: Friction
 
     @abstractmethod

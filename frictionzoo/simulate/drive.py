@@ -2,9 +2,13 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+import torch
+
 from frictionzoo.bench import Bench
 from frictionzoo.core.errors import BenchError
 from frictionzoo.core.segments import Sampling
+from frictionzoo.core.state import DriveState
 from frictionzoo.models import FrictionModel, TorchFriction
 from frictionzoo.simulate import Engine, friction_of, make_engine
 from frictionzoo.simulate.rollout import Rollout, make_rollout
@@ -42,4 +46,22 @@ class Drive:
             simulated = make_engine(engine, bench, AS_GIVEN, model.constraint)
             return cls(model, simulated, make_torch_rollout(simulated, model, sampling))
         simulated = make_engine(engine, bench, friction_of(model), model.constraint)
+        if any(simulated.branches) and not _looks_at_one_joint(model):
+            simulated.branches = (0,) * bench.nv
         return cls(model, simulated, make_rollout(simulated, sampling))
+
+
+def _looks_at_one_joint(model: FrictionModel) -> bool:
+    """Whether the friction of a joint depends on that joint alone, seen in states that differ in some of them."""
+    rng, values = np.random.default_rng(0), {n: v.detach().double() for n, v in model.state_dict().items()}
+    one, other = (torch.from_numpy(rng.normal(size=(len(DriveState._fields), 64, model.nv))) for _ in range(2))
+    mask = torch.from_numpy(rng.random((64, model.nv)) < 0.5)
+
+    def terms(signals: torch.Tensor) -> list[torch.Tensor]:
+        state = DriveState(*signals)
+        found, _ = model.advance(torch, values, state, model.settle(torch, values, state), 1e-3)
+        return [term.expand(mask.shape) for term in found.given().values()]
+
+    with torch.no_grad():
+        parts = zip(terms(torch.where(mask, one, other)), terms(one), terms(other), strict=True)
+        return all(torch.allclose(mixed, torch.where(mask, a, b), rtol=1e-9) for mixed, a, b in parts)

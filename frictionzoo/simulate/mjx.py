@@ -2,7 +2,7 @@
 
 import contextlib
 import io
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -39,6 +39,7 @@ class ModelInputs(NamedTuple):
         inertial: `body_mass`, `body_ipos`, `body_iquat` and `body_inertia` of the body that carries payloads, of shape
             (11,); empty without.
         reference: `qpos0` [rad or m]; empty where the bench has no `position_offset`.
+        links: Numbers of links by which branches that are alike differ, as `Alike` lists them; empty for one branch.
     """
 
     armature: Any
@@ -48,6 +49,7 @@ class ModelInputs(NamedTuple):
     actuator: Any
     inertial: Any
     reference: Any
+    links: Any
 
 
 class Dynamics(NamedTuple):
@@ -81,12 +83,16 @@ class MjxEngine(Engine):
         bench: What is simulated.
         friction: The friction law's formula over `jax.numpy`.
         constraint: Whether the law answers with a `frictionloss`.
+        fields: Which numbers of links come with the load, before the joint-space inertia: those by which branches that
+            are alike differ.
     """
 
     name = "mjx"
     forward_limit = 16
 
-    def __init__(self, bench: Bench, friction: Friction, constraint: bool) -> None:
+    def __init__(
+        self, bench: Bench, friction: Friction, constraint: bool, fields: Sequence[tuple[str, int]] = ()
+    ) -> None:
         model = bench.compile(constraint)
         # For one joint a single Newton iteration is exact, and only then does MJX avoid a while loop, which reverse
         # mode cannot pass.
@@ -94,6 +100,8 @@ class MjxEngine(Engine):
         model.opt.tolerance = min(model.opt.tolerance, _TOLERANCE)
         self.compiler_options: Mapping[str, Any] = {} if bench.nv <= _FUSED_JOINTS else UNFUSED
         self._bench = bench
+        self._fields = fields
+        self.branches = bench.branches
         self._friction = friction
         self._timestep = float(model.opt.timestep)
         self._rigid_inertia = rigid_inertia(model)
@@ -130,7 +138,8 @@ class MjxEngine(Engine):
         affine = self._bench.actuator.affine(values["bench"])
         # MuJoCo computes dof_invweight0 when it compiles, and the friction constraint's softness depends on it: it has
         # to follow the armature, else the exported model would have another friction.
-        inertial, rigid = load[:INERTIAL], load[INERTIAL:].reshape(2 * [self._bench.nv] if len(load) else (0, 0))
+        own = len(self._fields) or INERTIAL
+        inertial, rigid = load[:own], load[own:].reshape(2 * [self._bench.nv] if len(load) else (0, 0))
         rigid = rigid if len(load) else jnp.asarray(self._rigid_inertia, armature.dtype)
         inverse = jnp.stack([solve_spd(rigid + jnp.diag(armature), unit) for unit in jnp.eye(len(rigid))])
         fixed = jnp.asarray(self._model.dof_invweight0, armature.dtype)
@@ -145,7 +154,9 @@ class MjxEngine(Engine):
         )
         bodies = jnp.where(bodies < mujoco.mjMINVAL, bodies[:, ::-1], bodies)  # as MuJoCo's compiler has it
         reference = -jnp.asarray(values["bench"].get("position_offset", np.zeros(0)), armature.dtype)
-        return ModelInputs(armature, invweight0, bodies, tendons, jnp.stack(list(affine), axis=-1), inertial, reference)
+        actuator = jnp.stack(list(affine), axis=-1)
+        inertial, links = (inertial[:0], inertial) if self._fields else (inertial, inertial[:0])
+        return ModelInputs(armature, invweight0, bodies, tendons, actuator, inertial, reference, links)
 
     def dynamics(
         self, inputs: ModelInputs, qpos: Float[Array, "nv"], qvel: Float[Array, "nv"], ctrl: Float[Array, "nu"]
@@ -191,6 +202,13 @@ class MjxEngine(Engine):
             )
         if len(inputs.reference):
             model = model.replace(qpos0=inputs.reference)
+        for name in dict.fromkeys(name for name, _ in self._fields):
+            known = getattr(model, name)
+            entries = list(known.ravel())
+            for link, (field, place) in zip(inputs.links, self._fields, strict=True):
+                if field == name:
+                    entries[place] = link
+            model = model.replace(**{name: jnp.stack(entries).reshape(known.shape)})
         data = self._data.replace(qpos=qpos, qvel=qvel, ctrl=ctrl)
         data = mjx.fwd_position(model, data)
         data = mjx.fwd_velocity(model, data)

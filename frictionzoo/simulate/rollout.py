@@ -38,12 +38,14 @@ class Rollout:
         compiler_options: For `jax.jit` of whatever it is part of.
         forward_limit: Tangents up to which forward mode is faster than a reverse sweep.
         reverse: Whether there is a reverse mode.
+        branches: Number of the branch of each joint, from 0: joints of different ones do not move each other.
     """
 
     function: Callable[..., tuple[Any, Any]]
     compiler_options: Mapping[str, Any]
     forward_limit: int
     reverse: bool
+    branches: tuple[int, ...]
 
     def __call__(self, values: Values, qpos: Any, qvel: Any, signals: Signals, load: Any = None) -> tuple[Any, Any]:
         """The predicted states."""
@@ -101,7 +103,7 @@ def make_rollout(engine: Engine, sampling: Sampling | None = None) -> Rollout:
         _, (positions, velocities) = jax.lax.scan(advance, (qpos, qvel, memory), acting)
         return jnp.swapaxes(positions, 0, 1), jnp.swapaxes(velocities, 0, 1)
 
-    return Rollout(rollout, engine.compiler_options, engine.forward_limit, engine.reverse)
+    return Rollout(rollout, engine.compiler_options, engine.forward_limit, engine.reverse, engine.branches)
 
 
 def make_observer(engine: Engine, sampling: Sampling) -> Callable[..., DriveState]:

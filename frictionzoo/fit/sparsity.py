@@ -1,0 +1,114 @@
+"""Which coordinates act on which branches of a robot, and derivatives that are taken only there.
+
+A coordinate of one leg does not move the others. Coordinates of different legs therefore share one tangent: each
+leg reads its own from it. A quadruped costs as many tangents as one leg.
+
+Source: A. Curtis, M. Powell, J. Reid, "On the Estimation of Sparse Jacobian Matrices", 1974.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from frictionzoo.fit.space import Space
+
+
+class Sparsity(NamedTuple):
+    """The branches of a robot as derivatives see them; one for all where there are no others.
+
+    Attributes:
+        joints: Index of each joint of a branch; shorter branches repeat a joint, and `mine` is 0 there.
+        mine: 1; 0 where `joints` only fills the row.
+        seeds: Tangents in which all coordinates are: each moves one coordinate of a branch at most.
+        place: Coordinate that a tangent moves in a branch; the number of coordinates where it moves none.
+        states: Tangents of the initial states, positions first, of all branches at once.
+    """
+
+    joints: Int[np.ndarray, "branches joints"]
+    mine: Float[np.ndarray, "branches joints"]
+    seeds: Float[np.ndarray, "tangents coordinates"]
+    place: Int[np.ndarray, "branches tangents"]
+    states: Float[np.ndarray, "state twice_nv"]
+
+    @classmethod
+    def of(cls, space: Space, branches: Sequence[int]) -> "Sparsity":
+        """Of these coordinates, and the number of the branch of each joint."""
+        count, own = max(branches) + 1, np.asarray(branches)
+        members = [np.flatnonzero(own == number) for number in range(count)]
+        most = max(map(len, members))
+        joints = np.array([np.resize(member, most) for member in members])
+        mine = np.array([np.arange(most) < len(member) for member in members], float)
+        acts = _list_branches(space, own)
+        colors = _color(acts)
+        seeds = np.zeros((max(colors, default=-1) + 1, len(acts)))
+        place = np.full((count, len(seeds)), len(acts))
+        for coordinate, (color, where) in enumerate(zip(colors, acts, strict=True)):
+            seeds[color, coordinate] = 1.0
+            place[sorted(where), color] = coordinate
+        halves = np.zeros((most, len(own)))
+        for row, real in zip(joints, mine, strict=True):
+            halves[np.arange(most)[real > 0], row[real > 0]] = 1.0
+        return cls(joints, mine, seeds, place, np.kron(np.eye(2), halves))
+
+    def by_branch(self, errors: Float[Array, "segments time nv 2"]) -> Float[Array, "branches segments terms"]:
+        """What the joints of each branch contribute."""
+        if len(self.joints) == 1:
+            return errors.reshape(1, len(errors), -1)
+        own = jnp.moveaxis(errors[:, :, self.joints] * jnp.asarray(self.mine, errors.dtype)[..., None], 2, 0)
+        return own.reshape(*own.shape[:2], -1)
+
+    def states_by_branch(self, state: Float[Array, "segments twice_nv"]) -> Float[Array, "branches segments state"]:
+        """Position and velocity of each branch; 0 where a row is only filled."""
+        halves = jnp.split(state, 2, axis=1)
+        own = [jnp.swapaxes(half[:, self.joints] * jnp.asarray(self.mine, state.dtype), 0, 1) for half in halves]
+        return jnp.concatenate(own, axis=2)
+
+    def states_together(self, own: Float[Array, "branches segments state"]) -> Float[Array, "segments twice_nv"]:
+        """The way back."""
+        nv = self.states.shape[1] // 2
+        halves = [jnp.swapaxes(half, 0, 1) * jnp.asarray(self.mine, own.dtype) for half in jnp.split(own, 2, axis=2)]
+        empty = jnp.zeros((own.shape[1], nv), own.dtype)
+        return jnp.concatenate([empty.at[:, self.joints].add(half) for half in halves], axis=1)
+
+    def gradient(self, own: Float[Array, "branches segments tangents"]) -> Float[Array, "segments coordinates"]:
+        """What the branches say of their tangents, as a row of all coordinates a segment."""
+        count = self.seeds.shape[1]
+        whole = jnp.zeros((own.shape[1], count + 1), own.dtype)
+        return whole.at[:, self.place].add(jnp.swapaxes(own, 0, 1))[:, :count]
+
+    def hessian(self, own: Float[Array, "branches tangents tangents"]) -> Float[Array, "coordinates coordinates"]:
+        """The same of pairs of tangents."""
+        count = self.seeds.shape[1]
+        whole = jnp.zeros((count + 1, count + 1), own.dtype)
+        return whole.at[self.place[:, :, None], self.place[:, None, :]].add(own)[:count, :count]
+
+    def unit_states(self, dtype: Any) -> Float[Array, "branches state state"]:
+        """1 on the diagonal of each entry of a branch's state that only fills its row."""
+        return jax.vmap(jnp.diag)(jnp.asarray(1 - np.tile(self.mine, 2), dtype))
+
+
+def _list_branches(space: Space, own: Int[np.ndarray, "nv"]) -> list[set[int]]:
+    """Branches on which each coordinate acts; a network's weights act on all."""
+    acts = [
+        set(own[place.joints[place.group == number]].tolist())
+        for place in space.places.values()
+        for number in range(len(place.first))
+    ]
+    everywhere = set(own.tolist())
+    return acts + [everywhere] * (len(space.start) - len(acts))
+
+
+def _color(acts: Sequence[set[int]]) -> list[int]:
+    """Number of the tangent of each coordinate; of those that act on one branch together, each has another."""
+    colors, taken = [0] * len(acts), []
+    for coordinate in sorted(range(len(acts)), key=lambda one: -len(acts[one])):
+        color = next((number for number, used in enumerate(taken) if not used & acts[coordinate]), len(taken))
+        if color == len(taken):
+            taken.append(set())
+        taken[color] |= acts[coordinate]
+        colors[coordinate] = color
+    return colors
