@@ -68,12 +68,13 @@ def describe(path: Path, joint: Sequence[str] | None, notes: bool = False) -> di
 def reference(path: Path, robot: RobotFile) -> mujoco.MjModel:
     """The maker's file in MuJoCo's hands, without what nobody wants to have in a bench.
 
-    Joints that were not chosen and actuators that were not read are deleted, and meshes of bodies that have an inertia;
-    all else stays.
+    Joints that were not chosen and actuators that were not read are deleted, and meshes of bodies that have an inertia
+    or stand still; all else stays.
 
     Raises:
         ValueError: MuJoCo does not compile it.
     """
+    mujoco.set_mju_user_warning(lambda text: None)  # what it says is among the notes
     spec = _parse(path)
     for element in (*spec.geoms, *spec.sites, *spec.tendons, *spec.meshes):
         element.material = ""
@@ -121,11 +122,15 @@ def _delete_meshes(spec: mujoco.MjSpec) -> None:
     for body in spec.bodies:
         for geom in [geom for geom in body.geoms if geom.type in _ASSETS or geom.meshname]:
             visual = geom.mass == 0 or (np.isnan(geom.mass) and geom.density == 0)
-            if (body.explicitinertial and not from_geom) or visual:
+            if (body.explicitinertial and not from_geom) or visual or not _moves(body):
                 spec.delete(geom)
     used = {geom.meshname for geom in spec.geoms}
     for mesh in [mesh for mesh in spec.meshes if mesh.name not in used]:
         spec.delete(mesh)
+
+
+def _moves(body: mujoco.MjsBody | None) -> bool:
+    return body is not None and (bool(body.joints) or _moves(body.parent))
 
 
 def written(robot: RobotFile, makers: mujoco.MjModel) -> mujoco.MjModel:

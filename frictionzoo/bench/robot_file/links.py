@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-LEAST = 1e-12
+LEAST = 1e-14
 """Mass [kg] and inertia [kg m^2] of a moving link that has none: MuJoCo wants some, and this one moves nothing."""
 _UNPHYSICAL = 1e-9  # share of the largest principal inertia by which it may be above the sum of the others: rounding
 
@@ -91,7 +91,7 @@ def physical(
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, axes.ravel())
     moments = principal.sum() / 2 - principal
-    changed = bool(mass < 0 or moments.min() < -_UNPHYSICAL * max(abs(principal).max(), LEAST))
+    changed = bool(mass < 0 or moments.min() < -max(_UNPHYSICAL * abs(principal).max(), LEAST))
     first, second, third = np.maximum(moments, LEAST / 2)
     # Added in this way, the largest is at most the sum of the others in floating point too.
     return max(mass, LEAST), np.array([second + third, first + third, first + second]), quaternion, changed

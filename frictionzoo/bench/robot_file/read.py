@@ -157,7 +157,8 @@ def _at_least_zero(
     file: Source, joints: Sequence[int], name: str, values: Float[np.ndarray, "nv"]
 ) -> Float[np.ndarray, "nv"]:
     """A file may come from a fit that did not know of signs."""
-    below = [f"{file.model.joint(joints[at]).name} ({values[at]:.3g})" for at in np.flatnonzero(values < 0)]
+    pairs = zip(joints, values, strict=True)
+    below = [f"{file.model.joint(joint).name} ({value:.3g})" for joint, value in pairs if value < 0]
     if below:
         file.notes.append(f"{name} below 0 in the file is taken as 0: of joint {listed(below)}")
     return np.maximum(values, 0.0)

@@ -1,6 +1,8 @@
 """A robot's file as MuJoCo reads it: with every joint, without what moves none, and with its links' inertia."""
 
 import contextlib
+import re
+import warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -95,11 +97,23 @@ def load(path: str) -> Source:
 @contextlib.contextmanager
 def _collecting_warnings(notes: list[str]) -> Iterator[None]:
     """MuJoCo's warnings as lines, which it would print and write to a file in the working directory."""
-    mujoco.set_mju_user_warning(lambda text: notes.append(f"MuJoCo warns: {' '.join(text.split())}"))
+    found: dict[str, list[str]] = {}  # those that differ by a name alone, together
+
+    def collect(text: str) -> None:
+        named = re.search("'(.*?)'", text)
+        kind = " ".join(re.sub("'.*?'", "{}", text, count=1).split())
+        found.setdefault(kind, []).append(named[1] if named else "")
+
+    mujoco.set_mju_user_warning(collect)
     try:
-        yield
+        with warnings.catch_warnings(record=True) as warned:
+            warnings.simplefilter("always")
+            yield
     finally:
         mujoco.set_mju_user_warning(None)
+        for warning in warned:
+            collect(str(warning.message))
+        notes += [f"MuJoCo warns: {kind.replace('{}', listed(names))}" for kind, names in found.items()]
 
 
 @contextlib.contextmanager
@@ -205,7 +219,7 @@ def _gives_inertia(geom: mujoco.MjsGeom, body: mujoco.MjsBody, compiler: mujoco.
     explicit = body.explicitinertial and compiler.inertiafromgeom == _FROM_GEOM.mjINERTIAFROMGEOM_AUTO
     low, high = compiler.inertiagrouprange
     weighs = geom.density > 0 if np.isnan(geom.mass) else geom.mass > 0
-    return not (never or explicit or geom.type in _MASSLESS) and weighs and low <= geom.group <= high
+    return bool(weighs and low <= geom.group <= high and not (never or explicit or geom.type in _MASSLESS))
 
 
 def _is_there(spec: mujoco.MjSpec, mesh: mujoco.MjsMesh | None, folder: Path) -> bool:
@@ -233,7 +247,8 @@ def _is_taken(mass: float, inertia: Float[np.ndarray, "3 3"], moves: bool, balan
     principal = np.linalg.eigvalsh(inertia)
     if mass == 0 and not principal.any():
         return not moves
-    return mass > _LEAST and principal[0] > _LEAST and (balanced or principal[0] + principal[1] >= principal[2])
+    least, middle, most = map(float, principal)
+    return mass > _LEAST and least > _LEAST and (balanced or least + middle >= most)
 
 
 def _let_geoms_give(body: mujoco.MjsBody) -> None:

@@ -1,7 +1,7 @@
 """The bodies of a robot of which only some joints move, as MJCF: what moves as one is one body."""
 
 import xml.etree.ElementTree as ET
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 
 import mujoco
 import numpy as np
@@ -59,31 +59,33 @@ class Tree:
 
     def write(self, limits: bool) -> ET.Element:
         """The `<worldbody>`, without geoms."""
-        world = ET.Element("worldbody")
-        elements = {0: world}
-        massless = []
+        elements = {0: ET.Element("worldbody")}
         for body, link in zip(self._bodies(), self.links, strict=True):
             parent = int(self._source.model.body_parentid[body])
-            place = self._place[parent].of(self._own_place(body)) if self._place[parent] is not HERE else None
-            place = place or self._own_place(body)
-            attributes = {"name": link.name} if link.name else {}
-            attributes |= {"pos": numbers(place.position), "quat": numbers(place.quaternion)}
-            if self._source.model.body_gravcomp[body]:
-                attributes["gravcomp"] = numbers(self._source.model.body_gravcomp[body])
-            elements[body] = ET.SubElement(elements[int(self._owner[parent])], "body", attributes)
-            for joint in self._joints:
-                if self._source.model.jnt_bodyid[joint] == body:
-                    elements[body].append(self._joint(joint, limits))
-            if link.mass == 0 and not link.inertia.any() and body in self._jointed:
-                massless.append(link.name)
-            if link.mass > 0 or link.inertia.any() or body in self._jointed:
-                elements[body].append(self._inertial(body, link))
-        if massless:
-            self._source.notes.append(
-                f"{len(massless)} moving links have no mass ({listed(massless)}): each gets {LEAST:g} kg, because "
-                "MuJoCo wants some"
+            elements[body] = self._body(body, link, self._place[parent].of(self._own_place(body)), limits)
+            elements[int(self._owner[parent])].append(elements[body])
+        self._source.notes += self._say_massless()
+        return elements[0]
+
+    def _body(self, body: int, link: Link, place: Place, limits: bool) -> ET.Element:
+        model = self._source.model
+        attributes = {"pos": numbers(place.position), "quat": numbers(place.quaternion)}
+        if model.body_gravcomp[body]:
+            attributes["gravcomp"] = numbers(model.body_gravcomp[body])
+        element = ET.Element("body", ({"name": link.name} if link.name else {}) | attributes)
+        element.extend(self._joint(joint, limits) for joint in self._joints if model.jnt_bodyid[joint] == body)
+        if link.mass > 0 or link.inertia.any() or body in self._jointed:
+            element.append(self._inertial(body, link))
+        return element
+
+    def _say_massless(self) -> Iterator[str]:
+        jointed = [link for body, link in zip(self._bodies(), self.links, strict=True) if body in self._jointed]
+        without = [link.name for link in jointed if link.mass < LEAST or np.linalg.norm(link.inertia) < LEAST]
+        if without:
+            yield (
+                f"{len(without)} moving links have no mass or no inertia ({listed(without)}): they get {LEAST:g} kg "
+                "and kg m^2, because MuJoCo wants some"
             )
-        return world
 
     def _bodies(self) -> list[int]:
         return [body for body in range(1, len(self._owner)) if self._owner[body] == body]
