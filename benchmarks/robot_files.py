@@ -125,8 +125,8 @@ def _delete_meshes(spec: mujoco.MjSpec) -> None:
             if (body.explicitinertial and not from_geom) or visual or not _moves(body):
                 spec.delete(geom)
     used = {geom.meshname for geom in spec.geoms}
-    for mesh in [mesh for mesh in spec.meshes if mesh.name not in used]:
-        spec.delete(mesh)
+    for asset in [*(mesh for mesh in spec.meshes if mesh.name not in used), *spec.hfields]:
+        spec.delete(asset)
 
 
 def _moves(body: mujoco.MjsBody | None) -> bool:

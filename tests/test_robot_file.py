@@ -22,8 +22,8 @@ LEG = """<mujoco model="leg"><compiler angle="degree"/><option timestep="0.004" 
 <default><joint damping="0.3" frictionloss="0.2"/>
 <default class="knee"><joint axis="0 1 0.1" armature="0.03"/></default></default>
 <asset><mesh name="shell" file="not/there.stl"/><texture name="t" type="2d" file="no.png"/>
-<material name="m" texture="t"/></asset>
-<worldbody><geom type="plane" size="1 1 1"/><body name="trunk" pos="0 0 0.7" euler="10 20 0"><freejoint name="root"/>
+<material name="m" texture="t"/><hfield name="hills" file="no.png" size="1 1 1 1"/></asset>
+<worldbody><geom type="hfield" hfield="hills"/><body name="trunk" pos="0 0 0.7" euler="10 20 0"><freejoint name="root"/>
 <geom type="mesh" mesh="shell" material="m"/><site name="imu" material="m"/>
 <frame euler="0 0 30"><body name="thigh" pos="0.1 0 0" euler="0 40 0">
 <joint name="hip" axis="1 0.2 0" range="-40 90" ref="7"/><geom type="capsule" size="0.03 0.1" density="400"/>
@@ -436,13 +436,14 @@ def test_a_still_joint_has_its_part_in_a_tendon(tmp_path: Path) -> None:
     text = changed(
         LEG,
         ("<sensor>", TENDON + "<sensor>"),
-        ('type="mesh" mesh="shell" ', 'size="0.1" '),
+        ('<geom type="hfield" hfield="hills"/>', ""),
+        ('<geom type="mesh" mesh="shell" material="m"/>', '<geom size="0.1"/>'),
+        ('<geom type="mesh" mesh="shell" mass="0" contype="0" conaffinity="0"/>', ""),
         ('<geom type="mesh" mesh="shell"/>', ""),
+        (' material="m"', ""),
     )
-    ours = compiled(read(tmp_path, changed(text, (' material="m"', "")), "hip"))
-    makers = mujoco.MjModel.from_xml_string(
-        re.sub("<asset>.*</asset>", "", changed(text, (' material="m"', "")), flags=re.S)
-    )
+    ours = compiled(read(tmp_path, text, "hip"))
+    makers = mujoco.MjModel.from_xml_string(re.sub("<asset>.*</asset>", "", text, flags=re.S))
     data, whole = mujoco.MjData(ours), mujoco.MjData(makers)
     data.qpos[0], whole.qpos[7] = 0.4, 0.4
     mujoco.mj_forward(ours, data)

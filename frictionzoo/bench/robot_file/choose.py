@@ -84,5 +84,5 @@ def say_fixed(source: Source, joints: Sequence[int], base: str, others: str) -> 
                 f"bench.others=as_is: {len(rest)} joints are not chosen ({named}); choose them or set it to fixed"
             )
         balls = sum(_KINDS[int(model.jnt_type[index])] == "ball" for index in rest)
-        which = f", {balls} of them ball joints" if balls else ""
+        which = f", {balls} of them ball joints," if balls else ""
         source.notes.append(f"{len(rest)} joints are not chosen{which} and stand at their reference position: {named}")

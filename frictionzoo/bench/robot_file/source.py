@@ -186,6 +186,8 @@ def _settle_inertia(spec: mujoco.MjSpec, folder: Path) -> _Settled:
     """Let every body compile, and delete all meshes from which no body takes its inertia."""
     compiler, settled = spec.compiler, _Settled()
     meshes = {mesh.name: mesh for mesh in spec.meshes}
+    for geom in [geom for geom in spec.worldbody.geoms if _needs_asset(geom)]:
+        spec.delete(geom)
     for body in spec.bodies[1:]:
         giving = [geom for geom in body.geoms if _gives_inertia(geom, body, compiler)]
         missing = [
