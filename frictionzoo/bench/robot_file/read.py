@@ -63,9 +63,8 @@ def read_robot(
 ) -> RobotFile:
     """Read a robot's file.
 
-    The step of what comes back, with the file's values and actuators written in, is that of the maker's file with the
-    other joints welded: same inertia, gravity and springs. Bodies that no chosen joint moves against each other become
-    one.
+    With the file's values and actuators written in, its step is that of the maker's file with all other joints welded.
+    Bodies that no chosen joint moves against each other become one.
 
     Args:
         source: Path of an MJCF or a URDF. Meshes are opened only where a moving body's inertia comes from them.
