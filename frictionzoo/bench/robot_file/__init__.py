@@ -1,0 +1,7 @@
+"""A robot's own model file as a bench: MJCF or URDF as its maker publishes it."""
+
+from frictionzoo.bench.robot_file.actuators import ReadActuator
+from frictionzoo.bench.robot_file.links import Link
+from frictionzoo.bench.robot_file.read import RobotFile, read_robot
+
+__all__ = ["Link", "ReadActuator", "RobotFile", "read_robot"]

@@ -1,0 +1,88 @@
+"""Which joints of a robot's file are meant."""
+
+import re
+from collections.abc import Sequence
+
+import mujoco
+
+from frictionzoo.bench.robot_file.source import Source, listed
+from frictionzoo.core.errors import BenchError, closest
+
+_KINDS = {
+    int(mujoco.mjtJoint.mjJNT_FREE): "free",
+    int(mujoco.mjtJoint.mjJNT_BALL): "ball",
+    int(mujoco.mjtJoint.mjJNT_HINGE): "hinge",
+    int(mujoco.mjtJoint.mjJNT_SLIDE): "slide",
+}
+
+
+def choose_joints(source: Source, joint: str | Sequence[str] | None) -> list[int]:
+    """Indices of the joints with these names, or whose whole name a regular expression matches, in MuJoCo's order.
+
+    Raises:
+        BenchError: A name or pattern is no joint's, joints come in another order than the file's, or there is none.
+    """
+    kinds = {index: _KINDS[int(kind)] for index, kind in enumerate(source.model.jnt_type)}
+    names = {source.model.joint(index).name: index for index, kind in kinds.items() if kind in ("hinge", "slide")}
+    if joint is None:
+        if "" in names:
+            source.fail("it has joints without a name, expected names of all; name those that are meant in bench.joint")
+        wanted = [".*"]
+    else:
+        wanted = [joint] if isinstance(joint, str) else list(joint)
+    if not names or not wanted:
+        source.fail(
+            "no hinge and no slide is chosen, expected joints that move; set bench.joint, or another bench.file"
+        )
+    for name in wanted:
+        if name not in names and not _matching(name, names):
+            found = [index for index in kinds if source.model.joint(index).name == name]
+            what = (
+                f"joint {name} is a {kinds[found[0]]} joint, expected a hinge or a slide"
+                if found
+                else f"no joint {name}"
+            )
+            source.fail(f"{what}; {closest(name, filter(None, names))}; set bench.joint")
+    exact = [name for name in wanted if name in names]
+    ordered = [name for name in names if name in exact]
+    if exact != ordered:
+        # The recording's columns follow bench.joint: another order would swap the joints without a word.
+        raise BenchError(
+            f"bench.joint=[{', '.join(exact)}]: expected each joint once in the order of {source.path}, "
+            f"[{', '.join(ordered)}]; change it, and data.columns with it"
+        )
+    return sorted({index for name in wanted for index in ([names[name]] if name in names else _matching(name, names))})
+
+
+def _matching(pattern: str, names: dict[str, int]) -> list[int]:
+    try:
+        return [index for name, index in names.items() if name and re.fullmatch(pattern, name)]
+    except re.error:
+        return []
+
+
+def say_fixed(source: Source, joints: Sequence[int], base: str, others: str) -> None:
+    """Note the joints that stand still, or refuse to have them do so.
+
+    Raises:
+        BenchError: There are some, and `base` or `others` is `as_is`.
+    """
+    model, left = source.model, [index for index in range(source.model.njnt) if index not in joints]
+    bases = [index for index in left if _KINDS[int(model.jnt_type[index])] == "free"]
+    rest = [index for index in left if index not in bases]
+    if bases:
+        bodies = listed([source.name(int(model.jnt_bodyid[index])) for index in bases])
+        if base == "as_is":
+            source.fail(
+                f"bench.base=as_is: body {bodies} floats, and nothing holds it in a rollout; set bench.base=fixed"
+            )
+        source.notes.append(f"floating base: body {bodies} is held where the file puts it, and as it is turned there")
+    if rest:
+        named = listed([model.joint(index).name or f"number {index}" for index in rest])
+        if others == "as_is":
+            source.fail(
+                f"bench.others=as_is: {len(rest)} joints are not chosen ({named}); choose them or set it to fixed"
+            )
+        balls = sum(_KINDS[int(model.jnt_type[index])] == "ball" for index in rest)
+        which = f", {balls} of them ball joints," if balls else ""
+        source.notes.append(f"{len(rest)} joints are not chosen{which} and stand at their reference position: {named}")

@@ -1,0 +1,142 @@
+"""What ties joints to each other besides bodies: equality constraints and tendons."""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator, Sequence
+
+import mujoco
+import numpy as np
+
+from frictionzoo.bench.robot_file.source import Source, listed
+from frictionzoo.bench.robot_file.tree import Tree, numbers
+
+_EQ, _WRAP = mujoco.mjtEq, mujoco.mjtWrap
+
+
+def add_equalities(source: Source, tree: Tree, joints: Sequence[int], root: ET.Element) -> None:
+    """Write the equality constraints between chosen joints; note those that tie none of them.
+
+    Raises:
+        BenchError: One ties a chosen joint to something that is not chosen, or closes a loop of bodies.
+    """
+    model, section, idle = source.model, ET.Element("equality"), []
+    for index in range(model.neq):
+        if not model.eq_active0[index] or not _ties(source, tree, joints, index):
+            idle.append(model.equality(index).name or f"number {index}")
+            continue
+        section.append(_joint_equality(source, joints, index))
+    if idle:
+        source.notes.append(f"left out: {len(idle)} equality constraints that tie no chosen joint, {listed(idle)}")
+    if len(section):
+        source.notes.append(
+            f"kept: {len(section)} equality constraints between chosen joints, which then move together"
+        )
+        root.append(section)
+
+
+def _ties(source: Source, tree: Tree, joints: Sequence[int], index: int) -> bool:
+    """Whether an equality constraint acts on a chosen joint."""
+    model = source.model
+    kind, ends = _EQ(model.eq_type[index]), (int(model.eq_obj1id[index]), int(model.eq_obj2id[index]))
+    if kind == _EQ.mjEQ_JOINT:
+        return any(joint in joints for joint in ends)
+    if kind == _EQ.mjEQ_TENDON:
+        return any(tendon >= 0 and _spans(source, joints, tree, tendon) for tendon in ends)
+    sites = model.eq_objtype[index] == mujoco.mjtObj.mjOBJ_SITE
+    if kind in (_EQ.mjEQ_CONNECT, _EQ.mjEQ_WELD):
+        first, second = (int(model.site_bodyid[end]) if sites else max(end, 0) for end in ends)
+        if model.body_mocapid[first] >= 0 or model.body_mocapid[second] >= 0:
+            return False
+        return not tree.together(first, second)
+    return False
+
+
+def _joint_equality(source: Source, joints: Sequence[int], index: int) -> ET.Element:
+    model, name = source.model, source.model.equality(index).name or f"number {index}"
+    if _EQ(model.eq_type[index]) != _EQ.mjEQ_JOINT:
+        first = model.eq_type[index] == _EQ.mjEQ_TENDON
+        what = "ties tendons of chosen joints" if first else "closes a loop of bodies"
+        source.fail(f"equality constraint {name} {what}, which is not supported; choose joints outside of it")
+    ends = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
+    if not all(joint in joints for joint in ends):
+        names = [model.joint(joint).name if joint >= 0 else "a constant" for joint in ends]
+        source.fail(
+            f"equality constraint {name} ties joint {names[0]} to {names[1]} (mimic in a URDF), of which only one is "
+            "chosen; choose both or neither in bench.joint"
+        )
+    said = {"polycoef": model.eq_data[index, :5], "solref": model.eq_solref[index], "solimp": model.eq_solimp[index]}
+    names = {f"joint{end + 1}": model.joint(joint).name for end, joint in enumerate(ends)}
+    return ET.Element("joint", names | {key: numbers(value) for key, value in said.items()})
+
+
+def add_tendons(source: Source, tree: Tree, joints: Sequence[int], root: ET.Element, limits: bool) -> None:
+    """Write the fixed tendons that act on chosen joints by themselves; note those that do not.
+
+    Raises:
+        BenchError: A tendon in space acts on a chosen joint.
+    """
+    model, section, idle = source.model, ET.Element("tendon"), []
+    for tendon in range(model.ntendon):
+        name = model.tendon(tendon).name or f"number {tendon}"
+        if not (_acts(model, tendon, limits) and _spans(source, joints, tree, tendon)):
+            idle.append(name)
+        elif not _is_fixed(model, tendon):
+            source.fail(
+                f"tendon {name} runs in space and pulls at a chosen joint, which is not supported; choose others"
+            )
+        else:
+            section.append(_fixed(model, joints, tendon, limits))
+    if idle:
+        source.notes.append(f"left out: {len(idle)} tendons that pull at no chosen joint by themselves, {listed(idle)}")
+    if len(section):
+        source.notes.append(f"kept: {len(section)} tendons with springs, damping, friction or limits at chosen joints")
+        root.append(section)
+
+
+def _wraps(model: mujoco.MjModel, tendon: int) -> Iterator[tuple[int, int, float]]:
+    """Type, object and parameter of each part of a tendon's path."""
+    first = int(model.tendon_adr[tendon])
+    for index in range(first, first + int(model.tendon_num[tendon])):
+        yield int(model.wrap_type[index]), int(model.wrap_objid[index]), float(model.wrap_prm[index])
+
+
+def _is_fixed(model: mujoco.MjModel, tendon: int) -> bool:
+    return all(kind == _WRAP.mjWRAP_JOINT for kind, _, _ in _wraps(model, tendon))
+
+
+def _spans(source: Source, joints: Sequence[int], tree: Tree, tendon: int) -> bool:
+    """Whether a tendon's length changes with a chosen joint."""
+    model = source.model
+    if _is_fixed(model, tendon):
+        return any(joint in joints and factor for _, joint, factor in _wraps(model, tendon))
+    geoms = {_WRAP.mjWRAP_SPHERE, _WRAP.mjWRAP_CYLINDER}
+    bodies = [int(model.site_bodyid[at]) for kind, at, _ in _wraps(model, tendon) if kind == _WRAP.mjWRAP_SITE]
+    bodies += [int(model.geom_bodyid[at]) for kind, at, _ in _wraps(model, tendon) if kind in geoms]
+    return any(not tree.together(body, bodies[0]) for body in bodies)
+
+
+def _acts(model: mujoco.MjModel, tendon: int, limits: bool) -> bool:
+    """Whether a tendon pulls without an actuator."""
+    own = ("stiffness", "damping", "frictionloss", "armature", "stiffnesspoly", "dampingpoly")
+    limited = limits and model.tendon_limited[tendon]
+    return bool(limited or any(np.any(getattr(model, f"tendon_{name}")[tendon]) for name in own))
+
+
+def _fixed(model: mujoco.MjModel, joints: Sequence[int], tendon: int, limits: bool) -> ET.Element:
+    """A fixed tendon; joints that are not chosen stand still and have a constant part in its length."""
+    path = [(joint, factor) for _, joint, factor in _wraps(model, tendon)]
+    constant = sum(factor * model.qpos0[model.jnt_qposadr[joint]] for joint, factor in path if joint not in joints)
+    said = {
+        name: getattr(model, f"tendon_{name}")[tendon] for name in ("stiffness", "damping", "frictionloss", "armature")
+    }
+    said["springlength"] = model.tendon_lengthspring[tendon] - constant
+    said |= {"solreffriction": model.tendon_solref_fri[tendon], "solimpfriction": model.tendon_solimp_fri[tendon]}
+    attributes = {"name": model.tendon(tendon).name} if model.tendon(tendon).name else {}
+    if limits and model.tendon_limited[tendon]:
+        said |= {"range": model.tendon_range[tendon] - constant, "margin": model.tendon_margin[tendon]}
+        said |= {"solreflimit": model.tendon_solref_lim[tendon], "solimplimit": model.tendon_solimp_lim[tendon]}
+        attributes["limited"] = "true"
+    element = ET.Element("fixed", attributes | {name: numbers(value) for name, value in said.items()})
+    for joint, factor in path:
+        if joint in joints:
+            ET.SubElement(element, "joint", {"joint": model.joint(joint).name, "coef": numbers(factor)})
+    return element

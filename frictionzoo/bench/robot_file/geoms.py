@@ -1,0 +1,69 @@
+"""Geoms that can touch each other, as MJCF."""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+
+import mujoco
+import numpy as np
+
+from frictionzoo.bench.robot_file.source import Source
+from frictionzoo.bench.robot_file.tree import numbers
+
+_SIZES = {
+    int(mujoco.mjtGeom.mjGEOM_PLANE): ("plane", 3),
+    int(mujoco.mjtGeom.mjGEOM_SPHERE): ("sphere", 1),
+    int(mujoco.mjtGeom.mjGEOM_CAPSULE): ("capsule", 2),
+    int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): ("ellipsoid", 3),
+    int(mujoco.mjtGeom.mjGEOM_CYLINDER): ("cylinder", 2),
+    int(mujoco.mjtGeom.mjGEOM_BOX): ("box", 3),
+}
+"""Geoms without a mesh, and how many numbers their size has."""
+_SAID = ("condim", "contype", "conaffinity", "priority", "friction", "solmix", "solref", "solimp", "margin", "gap")
+
+
+def add_contacts(source: Source, root: ET.Element) -> None:
+    """Write the primitive geoms that can touch into a template in which all bodies stand by themselves.
+
+    Args:
+        source: The robot's file.
+        root: The template, with a `<worldbody>`; changed.
+    """
+    model = source.model
+    bodies = [root.find("worldbody"), *root.iterfind("./worldbody//body")]
+    paired = {*model.pair_geom1.tolist(), *model.pair_geom2.tolist()}
+    for geom in range(model.ngeom):
+        if int(model.geom_type[geom]) in _SIZES and (
+            model.geom_contype[geom] | model.geom_conaffinity[geom] or geom in paired
+        ):
+            owner = bodies[int(model.geom_bodyid[geom])]
+            assert owner is not None
+            owner.append(_geom(model, geom))
+    section = ET.SubElement(root, "contact")
+    section.extend([*_pairs(model), *_excludes(model)])
+
+
+def _geom(model: mujoco.MjModel, geom: int) -> ET.Element:
+    kind, size = _SIZES[int(model.geom_type[geom])]
+    said = {"size": model.geom_size[geom, :size], "pos": model.geom_pos[geom], "quat": model.geom_quat[geom]}
+    attributes = {"name": model.geom(geom).name} if model.geom(geom).name else {}
+    attributes |= {"type": kind} | {name: numbers(value) for name, value in said.items()}
+    return ET.Element("geom", attributes | {name: _value(getattr(model, f"geom_{name}")[geom]) for name in _SAID})
+
+
+def _pairs(model: mujoco.MjModel) -> Iterator[ET.Element]:
+    said = ("friction", "solref", "solreffriction", "solimp", "margin", "gap")
+    for pair in range(model.npair):
+        names = {f"geom{end}": model.geom(getattr(model, f"pair_geom{end}")[pair]).name for end in (1, 2)}
+        attributes = {name: _value(getattr(model, f"pair_{name}")[pair]) for name in said}
+        yield ET.Element("pair", names | {"condim": _value(model.pair_dim[pair])} | attributes)
+
+
+def _excludes(model: mujoco.MjModel) -> Iterator[ET.Element]:
+    for signature in model.exclude_signature:
+        first, second = int(signature) >> 16, int(signature) & 0xFFFF
+        yield ET.Element("exclude", {"body1": model.body(first).name, "body2": model.body(second).name})
+
+
+def _value(value: np.ndarray | np.number) -> str:
+    whole = np.issubdtype(np.asarray(value).dtype, np.integer)
+    return str(int(value)) if whole else numbers(np.asarray(value))

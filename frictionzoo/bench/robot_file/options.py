@@ -1,0 +1,106 @@
+"""The options of a robot's file that a bench keeps, and a line for each that it does not."""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+
+import mujoco
+
+from frictionzoo.bench.robot_file.source import Source
+from frictionzoo.bench.robot_file.tree import numbers
+
+_INTEGRATOR, _OFF = mujoco.mjtIntegrator, mujoco.mjtDisableBit
+_KEPT_FLAGS = {"gravity", "spring", "damper", "eulerdamp", "refsafe"}
+_CONTACT_FLAGS = {"filterparent"}
+_ASKED = {"constraint", "equality", "limit", "contact"}
+"""Flags whose constraints are not written where they are off."""
+_IDLE = {"warmstart", "sensor", "midphase", "autoreset", "nativeccd", "island", "multiccd"}
+"""Flags that change nothing of a bench's motion."""
+
+
+def acting(source: Source, kind: str) -> bool:
+    """Whether constraints of a kind (`equality`, `limit`, `contact`) act, by the file's flags."""
+    off = _OFF.mjDSBL_CONSTRAINT | getattr(_OFF, f"mjDSBL_{kind.upper()}")
+    return not source.model.opt.disableflags & off
+
+
+def is_fluid(source: Source) -> bool:
+    """Whether bodies move through a medium."""
+    return bool(source.model.opt.density > 0 or source.model.opt.viscosity > 0)
+
+
+def write_option(source: Source, timestep: float | None, contacts: bool) -> ET.Element:
+    """The `<option>` of a bench; what differs from the file's is noted."""
+    option = source.model.opt
+    said = {"timestep": option.timestep if timestep is None else timestep, "gravity": option.gravity}
+    attributes = {"integrator": _integrator(source)}
+    if is_fluid(source):
+        said |= {"density": option.density, "viscosity": option.viscosity, "wind": option.wind}
+        source.notes.append(
+            f"kept: a medium of {option.density:g} kg/m^3 and {option.viscosity:g} Pa s around all bodies"
+        )
+        if source.model.geom_fluid[:, 0].any():
+            source.fail("fluidshape of geoms, which is not supported; remove it, or option density and viscosity")
+    if contacts:
+        said["impratio"] = option.impratio
+        attributes["cone"] = "elliptic" if option.cone == mujoco.mjtCone.mjCONE_ELLIPTIC else "pyramidal"
+    source.notes += [*_say_solver(option), *_say_contact_options(option, contacts)]
+    element = ET.Element("option", {name: numbers(value) for name, value in said.items()} | attributes)
+    flags = _flags(source, contacts)
+    if flags:
+        ET.SubElement(element, "flag", dict.fromkeys(flags, "disable"))
+    return element
+
+
+def _integrator(source: Source) -> str:
+    option, euler = source.model.opt, "Euler"
+    chosen = {_INTEGRATOR.mjINT_EULER: euler, _INTEGRATOR.mjINT_RK4: euler}.get(
+        _INTEGRATOR(option.integrator), "implicitfast"
+    )
+    chosen = euler if is_fluid(source) else chosen
+    name = _INTEGRATOR(option.integrator).name.removeprefix("mjINT_")
+    if name.lower() != chosen.lower():
+        source.notes.append(f"integrator {name}: {chosen} instead, for the engines have no other here")
+    return chosen
+
+
+def _say_solver(option: mujoco.MjOption) -> Iterator[str]:
+    default = mujoco.MjOption()
+    names = ("solver", "iterations", "ls_iterations", "tolerance", "ls_tolerance", "noslip_iterations", "jacobian")
+    other = [name for name in names if getattr(option, name) != getattr(default, name)]
+    if other:
+        said = ", ".join(f"{name}={getattr(option, name):g}" for name in other)
+        yield f"options of the solver left out ({said}): friction is solved to MuJoCo's default accuracy"
+
+
+def _say_contact_options(option: mujoco.MjOption, contacts: bool) -> Iterator[str]:
+    default = mujoco.MjOption()
+    other = [name for name in ("cone", "impratio") if getattr(option, name) != getattr(default, name)]
+    if other and not contacts:
+        yield f"options left out, for they concern contacts: {', '.join(other)}"
+    if (option.wind != 0).any() and not (option.density > 0 or option.viscosity > 0):
+        yield "option wind left out: there is no medium that could blow"
+    flags = [flag.name.removeprefix("mjENBL_").lower() for flag in _enabled(option)]
+    if flags:
+        yield f"flags left out: {', '.join(flags)}"
+
+
+def _enabled(option: mujoco.MjOption) -> list[mujoco.mjtEnableBit]:
+    every = [flag for name, flag in mujoco.mjtEnableBit.__members__.items() if name.startswith("mjENBL")]
+    return [flag for flag in every if option.enableflags & flag]
+
+
+def _flags(source: Source, contacts: bool) -> list[str]:
+    """Names of the flags that stay off."""
+    every = {name: flag for name, flag in _OFF.__members__.items() if name.startswith("mjDSBL")}
+    off = [name.removeprefix("mjDSBL_").lower() for name, flag in every.items() if source.model.opt.disableflags & flag]
+    kept = _KEPT_FLAGS | (_CONTACT_FLAGS if contacts else set())
+    told = {
+        "frictionloss": "it would switch off the friction that is identified",
+        "actuation": "it would switch off the drives",
+    }
+    source.notes += [f"flag {flag}=disable left out: {told[flag]}" for flag in off if flag in told]
+    switched = [flag for flag in off if flag in _ASKED]
+    if switched:
+        source.notes.append(f"flags {', '.join(switched)}=disable: what they switch off is not in the bench")
+    assert not set(off) - _KEPT_FLAGS - _CONTACT_FLAGS - _ASKED - _IDLE - set(told) - {"clampctrl"}, off
+    return [flag for flag in off if flag in kept]

@@ -1,0 +1,213 @@
+"""A robot's own file, MJCF or URDF as its maker publishes it, as what a bench needs."""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from frictionzoo.bench.compiled import can_collide
+from frictionzoo.bench.robot_file.actuators import ReadActuator, read_actuators, read_armature, read_damping
+from frictionzoo.bench.robot_file.choose import choose_joints, say_fixed
+from frictionzoo.bench.robot_file.couplings import add_equalities, add_tendons
+from frictionzoo.bench.robot_file.geoms import add_contacts
+from frictionzoo.bench.robot_file.links import Link
+from frictionzoo.bench.robot_file.options import acting, is_fluid, write_option
+from frictionzoo.bench.robot_file.source import Source, listed, load
+from frictionzoo.bench.robot_file.tree import Tree
+from frictionzoo.core.errors import ConfigError, closest
+
+_DEFAULT_SOLREF = (0.02, 1.0)
+
+
+@dataclass(frozen=True)
+class RobotFile:
+    """What a bench needs of a robot's file.
+
+    Attributes:
+        root: A self-contained MJCF of the chosen joints, in radians, whose base stands still: no friction, damping,
+            armature and actuator at these joints, no mesh, no sensor.
+        joints: Names of the chosen joints, in MuJoCo's order.
+        values: `armature` [kg m^2 or kg], `frictionloss` [N m or N] and `damping` [N m s/rad or N s/m] of each joint as
+            the file has them, that of its actuator included, of shape (nv,).
+        actuators: Of each joint; None where the file has none that can be read.
+        ranges: Limits of each joint's position [rad or m], of shape (nv, 2); NaN where it has none.
+        forceranges: Limits of each joint's drive [N m or N], the closer ones of joint and actuator, of shape (nv, 2);
+            NaN where it has none.
+        links: All bodies that move, and those kept by name.
+        notes: A line for each thing that was left out or changed.
+    """
+
+    root: ET.Element
+    joints: tuple[str, ...]
+    values: Mapping[str, Float[np.ndarray, "nv"]]
+    actuators: tuple[ReadActuator | None, ...]
+    ranges: Float[np.ndarray, "nv 2"]
+    forceranges: Float[np.ndarray, "nv 2"]
+    links: tuple[Link, ...]
+    notes: tuple[str, ...]
+
+
+def read_robot(
+    source: str,
+    joint: str | Sequence[str] | None = None,
+    *,
+    base: str = "fixed",
+    contacts: str = "leave_out",
+    limits: str = "leave_out",
+    others: str = "fixed",
+    keep: Collection[str] = (),
+    timestep: float | None = None,
+) -> RobotFile:
+    """Read a robot's file.
+
+    With the file's values and actuators written in, its step is that of the maker's file with all other joints welded.
+    Bodies that no chosen joint moves against each other become one.
+
+    Args:
+        source: Path of an MJCF or a URDF. Meshes are opened only where a moving body's inertia comes from them.
+        joint: Names, or regular expressions that match whole names, of the joints that move; None for all that have one
+            degree of freedom.
+        base: `fixed`, or `as_is` to refuse a floating base.
+        contacts: `leave_out`, or `keep` for primitive geoms that can touch.
+        limits: `leave_out` or `keep`, of joints and tendons.
+        others: What becomes of joints that are not chosen: `fixed` at their reference position, or `as_is` to refuse
+            the file if there are any.
+        keep: Names of bodies that are to stay bodies of their own, though no joint moves them against their parent.
+        timestep: Simulation step [s]; None for the file's.
+
+    Raises:
+        BenchError: The file cannot be read, has no such joints or bodies, or has what cannot be left out in silence.
+        ConfigError: An option has another value.
+    """
+    _refuse_other("base", base, ("as_is", "fixed"))
+    _refuse_other("others", others, ("as_is", "fixed"))
+    _refuse_other("contacts", contacts, ("keep", "leave_out"))
+    _refuse_other("limits", limits, ("keep", "leave_out"))
+    if timestep is not None and not timestep > 0:
+        raise ConfigError(f"bench.timestep={timestep}; expected a positive number of seconds, or null")
+    file = load(source)
+    joints = choose_joints(file, joint)
+    _refuse_unknown_bodies(file, keep)
+    say_fixed(file, joints, base, others)
+    apart = contacts == "keep" or is_fluid(file)
+    tree = Tree(file, joints, keep, apart)
+    _refuse_plugins(file, tree)
+    values = _values(file, joints)
+    actuators = read_actuators(file, joints)
+    root = _write(file, tree, joints, contacts == "keep", limits == "keep", timestep)
+    return RobotFile(
+        root,
+        tuple(file.model.joint(joint).name for joint in joints),
+        values,
+        actuators,
+        np.array([_limit(file.model, joint) for joint in joints]),
+        np.array([_force_limit(file.model, joint, read) for joint, read in zip(joints, actuators, strict=True)]),
+        tree.links,
+        tuple(dict.fromkeys(file.notes)),
+    )
+
+
+def _refuse_other(option: str, value: str, choices: Sequence[str]) -> None:
+    if value not in choices:
+        raise ConfigError(f"bench.{option}={value}: no such choice; {closest(str(value), choices)}")
+
+
+def _refuse_unknown_bodies(file: Source, names: Collection[str]) -> None:
+    bodies = [file.model.body(index).name for index in range(1, file.model.nbody)]
+    for name in names:
+        if name not in bodies:
+            file.fail(f"no body {name}; {closest(name, filter(None, bodies))}")
+
+
+def _refuse_plugins(file: Source, tree: Tree) -> None:
+    for body in range(file.model.nbody):
+        if file.model.body_plugin[body] >= 0 and tree.moves(body):
+            file.fail(
+                f"body {file.name(body)} moves by a plugin, which is not supported; choose joints that do not move it"
+            )
+
+
+def _values(file: Source, joints: Sequence[int]) -> dict[str, Float[np.ndarray, "nv"]]:
+    model, dofs = file.model, [file.dof(joint) for joint in joints]
+    bent = [model.joint(joint).name for joint in joints if model.jnt_stiffnesspoly[joint].any()]
+    if bent:
+        file.notes.append(
+            f"springs that are no straight line: of joint {listed(bent)} only the coefficient of qpos is kept"
+        )
+    soft = [model.joint(joint).name for joint in joints if tuple(model.dof_solref[file.dof(joint)]) != _DEFAULT_SOLREF]
+    if soft:
+        said = " ".join(f"{number:g}" for number in model.dof_solref[file.dof(joints[0])])
+        file.notes.append(
+            f"solreffriction of joint {listed(soft)} ({said}) left out: bench.solreffriction says it for all"
+        )
+    frictionloss = model.dof_frictionloss[dofs].copy()
+    said = {
+        "armature": read_armature(file, joints),
+        "frictionloss": frictionloss,
+        "damping": read_damping(file, joints),
+    }
+    return {name: _at_least_zero(file, joints, name, values) for name, values in said.items()}
+
+
+def _at_least_zero(
+    file: Source, joints: Sequence[int], name: str, values: Float[np.ndarray, "nv"]
+) -> Float[np.ndarray, "nv"]:
+    """A file may come from a fit that did not know of signs."""
+    pairs = zip(joints, values, strict=True)
+    below = [f"{file.model.joint(joint).name} ({value:.3g})" for joint, value in pairs if value < 0]
+    if below:
+        file.notes.append(f"{name} below 0 in the file is taken as 0: of joint {listed(below)}")
+    return np.maximum(values, 0.0)
+
+
+def _write(
+    file: Source, tree: Tree, joints: Sequence[int], contacts: bool, limits: bool, timestep: float | None
+) -> ET.Element:
+    """The MJCF; what acts in the file's own and not in it is noted."""
+    acts = acting(file, "contact")
+    touching = acts and bool(file.model.npair or can_collide(file.model))
+    if acts and contacts and file.meshes:
+        file.notes.append(f"contacts of {file.meshes} geoms that are meshes, or fitted to one, are left out")
+    file.notes += _say_left_out(file, joints, acts and bool(touching or file.meshes) and not contacts, not limits)
+    root = ET.Element("mujoco", {"model": "robot"})
+    compiler = {"angle": "radian", "inertiafromgeom": "false", "autolimits": "false"}
+    ET.SubElement(root, "compiler", compiler)
+    root.append(write_option(file, timestep, contacts))
+    limits = limits and acting(file, "limit")
+    root.append(tree.write(limits))
+    if contacts and touching:
+        add_contacts(file, root)
+    add_tendons(file, tree, joints, root, limits)
+    if acting(file, "equality"):
+        add_equalities(file, tree, joints, root)
+    return root
+
+
+def _say_left_out(file: Source, joints: Sequence[int], contacts: bool, limits: bool) -> Iterator[str]:
+    """Why a recording does not need what is left out."""
+    limited = [joint for joint in joints if file.model.jnt_limited[joint]]
+    if contacts:
+        yield (
+            "contacts are left out: right for a robot that was recorded in the air and touched nothing, not itself "
+            "either; bench.contacts=keep has them"
+        )
+    if limits and limited and acting(file, "limit"):
+        yield (
+            f"limits of {len(limited)} joints are left out: right where the recorded motion is within them, for they "
+            "push only beyond; bench.limits=keep has them"
+        )
+
+
+def _limit(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
+    low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (np.nan, np.nan)
+    return float(low), float(high)
+
+
+def _force_limit(model: mujoco.MjModel, joint: int, actuator: ReadActuator | None) -> tuple[float, float]:
+    """The closer ones of a joint's own limits and of its actuator's."""
+    low, high = model.jnt_actfrcrange[joint] if model.jnt_actfrclimited[joint] else (np.nan, np.nan)
+    lower, higher = (np.nan, np.nan) if actuator is None else actuator.forcerange
+    return float(np.fmax(low, lower)), float(np.fmin(high, higher))

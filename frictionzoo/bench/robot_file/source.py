@@ -1,0 +1,295 @@
+"""A robot's file as MuJoCo reads it: with every joint, without what moves none, and with its links' inertia."""
+
+import contextlib
+import re
+import warnings
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NoReturn
+
+import mujoco
+import numpy as np
+from jaxtyping import Bool, Float
+
+from frictionzoo.bench.robot_file.links import rotation
+from frictionzoo.bench.robot_file.urdf import clean
+from frictionzoo.core.errors import BenchError
+
+_LISTED = 6  # names that a line lists before it counts
+_MESH_TYPES = {mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_SDF, mujoco.mjtGeom.mjGEOM_HFIELD}
+_MESH_FILES = {".stl", ".obj", ".msh"}  # what MuJoCo opens
+_MASSLESS = {mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD}
+_FROM_GEOM = mujoco.mjtInertiaFromGeom
+_LEAST = 1e-13  # kg or kg m^2, above what MuJoCo takes for none
+
+
+@dataclass
+class Source:
+    """A robot's file, read.
+
+    Attributes:
+        path: As the user named it.
+        model: Compiled, with every joint and actuator, floating base included.
+        mass: Of each body [kg], of shape (nbody,).
+        centre: Centre of mass of each body in its frame [m], of shape (nbody, 3).
+        inertia: About the centre of mass, along the body's axes [kg m^2], of shape (nbody, 3, 3).
+        compiled: Whether the model has these inertias too: not those that MuJoCo does not take, which it sees as 1.
+        meshes: Number of geoms with a mesh that could touch something.
+        absent: Mesh file without which a body's inertia is not known, by the body's index.
+        notes: What was left out or changed, a line each.
+    """
+
+    path: str
+    model: mujoco.MjModel
+    mass: Float[np.ndarray, "nbody"]
+    centre: Float[np.ndarray, "nbody 3"]
+    inertia: Float[np.ndarray, "nbody 3 3"]
+    compiled: Bool[np.ndarray, "nbody"]
+    absent: dict[int, str]
+    meshes: int
+    notes: list[str]
+
+    def fail(self, message: str) -> NoReturn:
+        """Refuse the file in one line."""
+        raise BenchError(f"{self.path}: {message}")
+
+    def name(self, body: int) -> str:
+        """Of a body, for a line."""
+        return self.model.body(body).name or f"number {body}"
+
+    def dof(self, joint: int) -> int:
+        """Index of a joint's degree of freedom."""
+        return int(self.model.jnt_dofadr[joint])
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names for a line, the first of many."""
+    more = len(names) - _LISTED
+    return ", ".join(names[:_LISTED]) + (f" and {more} more" if more > 0 else "")
+
+
+def load(path: str) -> Source:
+    """Read a robot's file, MJCF or URDF.
+
+    No mesh is opened but where a body's inertia comes from it, and no texture.
+
+    Args:
+        path: Of the file.
+
+    Raises:
+        BenchError: The file cannot be read, or MuJoCo refuses it.
+    """
+    notes: list[str] = []
+    with _collecting_warnings(notes), _in_one_line(path):
+        spec, urdf = _parse(path, notes)
+        notes += _leave_out(spec)
+        meshes = sum(_needs_asset(geom) and bool(geom.contype or geom.conaffinity) for geom in spec.geoms)
+        settled = _settle_inertia(spec, Path(path).parent)
+        model = spec.compile()
+    source = _with_inertia(path, model, settled, meshes, notes)
+    if urdf:
+        source.notes += _say_mass_of_shapes(spec, source)
+    return source
+
+
+@contextlib.contextmanager
+def _collecting_warnings(notes: list[str]) -> Iterator[None]:
+    """MuJoCo's warnings as lines, which it would print and write to a file in the working directory."""
+    found: dict[str, list[str]] = {}  # those that differ by a name alone, together
+
+    def collect(text: str) -> None:
+        named = re.search("'(.*?)'", text)
+        kind = " ".join(re.sub("'.*?'", "{}", text, count=1).split())
+        found.setdefault(kind, []).append(named[1] if named else "")
+
+    mujoco.set_mju_user_warning(collect)
+    try:
+        with warnings.catch_warnings(record=True) as warned:
+            warnings.simplefilter("always")
+            yield
+    finally:
+        mujoco.set_mju_user_warning(None)
+        for warning in warned:
+            collect(str(warning.message))
+        notes += [f"MuJoCo warns: {kind.replace('{}', listed(names))}" for kind, names in found.items()]
+
+
+@contextlib.contextmanager
+def _in_one_line(path: str) -> Iterator[None]:
+    try:
+        yield
+    except (ValueError, RuntimeError) as error:  # MuJoCo has both for files that it does not take
+        raise BenchError(f"{path}: MuJoCo does not take it ({' '.join(str(error).split())}); mend the file") from None
+
+
+def _parse(path: str, notes: list[str]) -> tuple[mujoco.MjSpec, bool]:
+    """What MuJoCo reads before it compiles, includes, classes and frames resolved, and whether it is a URDF."""
+    try:
+        root = ET.fromstring(Path(path).read_bytes())
+    except OSError as error:
+        raise BenchError(f"{path}: cannot be read ({error.strerror}); set bench.file to an MJCF or a URDF") from None
+    except (ET.ParseError, UnicodeError, LookupError) as error:
+        raise BenchError(f"{path}: not XML ({error}); set bench.file to an MJCF or a URDF") from None
+    if root.tag == "mujoco":
+        return mujoco.MjSpec.from_file(path), False
+    if root.tag != "robot":
+        raise BenchError(f"{path}: <{root.tag}>, expected <mujoco> of an MJCF or <robot> of a URDF")
+    notes += clean(path, root)
+    spec = mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"))
+    spec.modelfiledir = str(Path(path).parent)
+    spec.compiler.fusestatic = False  # bodies keep their names; which are fused is decided later
+    return spec, True
+
+
+def _leave_out(spec: mujoco.MjSpec) -> Iterator[str]:
+    """Delete what moves no joint and may need files, or refers to what is deleted."""
+    for element in (*spec.geoms, *spec.sites, *spec.tendons, *spec.meshes):
+        element.material = ""
+    kinds = ("sensors", "keys", "cameras", "lights", "skins", "textures", "materials", "tuples")
+    left = {kind: list(getattr(spec, kind)) for kind in kinds}
+    for elements in left.values():
+        for element in elements:
+            spec.delete(element)
+    counts = [f"{len(elements)} {kind}" for kind, elements in left.items() if elements]
+    if counts:
+        yield f"left out, for they move no joint: {', '.join(counts)}"
+    if spec.flexes:
+        yield f"left out: {len(spec.flexes)} flexible bodies (flex), and what pulls at them"
+        for flex in list(spec.flexes):
+            spec.delete(flex)
+        flexible = {mujoco.mjtEq.mjEQ_FLEX, mujoco.mjtEq.mjEQ_FLEXVERT, mujoco.mjtEq.mjEQ_FLEXSTRAIN}
+        for equality in [equality for equality in spec.equalities if equality.type in flexible]:
+            spec.delete(equality)
+
+
+def _needs_asset(geom: mujoco.MjsGeom) -> bool:
+    return geom.type in _MESH_TYPES or bool(geom.meshname)
+
+
+@dataclass
+class _Settled:
+    """What `_settle_inertia` found, by bodies.
+
+    Attributes:
+        unlike: Mass and inertia that MuJoCo does not take, along the axes that the file gives; it sees 1 instead.
+        meshes: Number of geoms with a mesh that could touch something.
+        absent: Mesh file without which the inertia is not known.
+    """
+
+    unlike: dict[mujoco.MjsBody, tuple[float, Float[np.ndarray, "3 3"]]] = field(default_factory=dict)
+    absent: dict[mujoco.MjsBody, str] = field(default_factory=dict)
+
+
+def _settle_inertia(spec: mujoco.MjSpec, folder: Path) -> _Settled:
+    """Let every body compile, and delete all meshes from which no body takes its inertia."""
+    compiler, settled = spec.compiler, _Settled()
+    meshes = {mesh.name: mesh for mesh in spec.meshes}
+    for geom in [geom for geom in spec.worldbody.geoms if _needs_asset(geom)]:
+        spec.delete(geom)
+    for body in spec.bodies[1:]:
+        giving = [geom for geom in body.geoms if _gives_inertia(geom, body, compiler)]
+        missing = [
+            geom for geom in giving if _needs_asset(geom) and not _is_there(spec, meshes.get(geom.meshname), folder)
+        ]
+        if missing:
+            mesh = meshes.get(missing[0].meshname)
+            settled.absent[body] = missing[0].name if mesh is None else mesh.file
+            settled.unlike[body] = 0.0, np.zeros((3, 3))
+        elif giving:
+            _let_geoms_give(body)
+        elif not (compiler.boundmass > 0 and compiler.boundinertia > 0):
+            mass, inertia = _explicit(body)
+            if not _is_taken(mass, inertia, bool(body.joints), compiler.balanceinertia):
+                settled.unlike[body] = mass, inertia
+        for geom in [geom for geom in body.geoms if _needs_asset(geom) and (missing or geom not in giving)]:
+            spec.delete(geom)
+    if compiler.settotalmass > 0 and settled.unlike:
+        raise ValueError(f"settotalmass, but without a usable inertia of {listed([b.name for b in settled.unlike])}")
+    if compiler.inertiafromgeom == _FROM_GEOM.mjINERTIAFROMGEOM_TRUE:  # now said body by body
+        compiler.inertiafromgeom = _FROM_GEOM.mjINERTIAFROMGEOM_AUTO
+    for body in settled.unlike:
+        _put_ones(body)
+    _delete_unused(spec)
+    return settled
+
+
+def _gives_inertia(geom: mujoco.MjsGeom, body: mujoco.MjsBody, compiler: mujoco.MjsCompiler) -> bool:
+    """Whether MuJoCo's compiler takes a body's inertia from this geom, among others."""
+    never = compiler.inertiafromgeom == _FROM_GEOM.mjINERTIAFROMGEOM_FALSE
+    explicit = body.explicitinertial and compiler.inertiafromgeom == _FROM_GEOM.mjINERTIAFROMGEOM_AUTO
+    low, high = compiler.inertiagrouprange
+    weighs = geom.density > 0 if np.isnan(geom.mass) else geom.mass > 0
+    return bool(weighs and low <= geom.group <= high and not (never or explicit or geom.type in _MASSLESS))
+
+
+def _is_there(spec: mujoco.MjSpec, mesh: mujoco.MjsMesh | None, folder: Path) -> bool:
+    """Whether MuJoCo could open a mesh."""
+    if mesh is None or not mesh.file:
+        return mesh is not None
+    name = Path(mesh.file).name if spec.strippath else mesh.file
+    return (
+        Path(mesh.file).suffix.lower() in _MESH_FILES
+        and (folder / (mesh.compiler.meshdir or spec.meshdir) / name).is_file()
+    )
+
+
+def _explicit(body: mujoco.MjsBody) -> tuple[float, Float[np.ndarray, "3 3"]]:
+    """Mass and inertia as the file has them, along axes that only compiling resolves."""
+    full = np.array(body.fullinertia)
+    if np.isnan(full[0]):
+        return float(body.mass), np.diag(body.inertia)
+    xx, yy, zz, xy, xz, yz = full
+    return float(body.mass), np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def _is_taken(mass: float, inertia: Float[np.ndarray, "3 3"], moves: bool, balanced: bool) -> bool:
+    """Whether MuJoCo's compiler takes this mass and inertia of a body."""
+    principal = np.linalg.eigvalsh(inertia)
+    if mass == 0 and not principal.any():
+        return not moves
+    least, middle, most = map(float, principal)
+    return mass > _LEAST and least > _LEAST and (balanced or least + middle >= most)
+
+
+def _let_geoms_give(body: mujoco.MjsBody) -> None:
+    """Without an inertia of its own, whatever it had."""
+    _put_ones(body)
+    body.mass, body.explicitinertial, body.ipos = 0.0, False, [np.nan, 0.0, 0.0]
+
+
+def _put_ones(body: mujoco.MjsBody) -> None:
+    """A mass and an inertia of 1 where the file has its own, so that axes are resolved."""
+    body.mass, body.inertia, body.fullinertia, body.explicitinertial = 1.0, np.ones(3), [np.nan, *np.zeros(5)], True
+    if np.isnan(body.ipos[0]):
+        body.ipos = np.zeros(3)
+
+
+def _delete_unused(spec: mujoco.MjSpec) -> None:
+    """Delete meshes and height fields that no geom has any longer, and what names a deleted geom."""
+    used, geoms = {geom.meshname for geom in spec.geoms}, {geom.name for geom in spec.geoms}
+    unused = [mesh for mesh in spec.meshes if mesh.name not in used]
+    pairs = [pair for pair in spec.pairs if not {pair.geomname1, pair.geomname2} <= geoms]
+    for element in (*unused, *pairs, *spec.hfields):
+        spec.delete(element)
+
+
+def _with_inertia(path: str, model: mujoco.MjModel, settled: _Settled, meshes: int, notes: list[str]) -> Source:
+    axes = np.stack([rotation(quaternion) for quaternion in model.body_iquat])
+    inertia = axes * model.body_inertia[:, None, :] @ axes.transpose(0, 2, 1)
+    mass, compiled = model.body_mass.copy(), np.ones(model.nbody, bool)
+    for body, (own_mass, own) in settled.unlike.items():
+        mass[body.id], inertia[body.id] = own_mass, axes[body.id] @ own @ axes[body.id].T
+        compiled[body.id] = False
+    absent = {body.id: file for body, file in settled.absent.items()}
+    return Source(path, model, mass, model.body_ipos.copy(), inertia, compiled, absent, meshes, notes)
+
+
+def _say_mass_of_shapes(spec: mujoco.MjSpec, source: Source) -> Iterator[str]:
+    """A URDF's link without <inertial> has no mass elsewhere; in MuJoCo its collision shapes have."""
+    bodies = [body for body in spec.bodies[1:] if not body.explicitinertial and source.mass[body.id] > 0]
+    moving = [body for body in bodies if source.model.body_weldid[body.id]]
+    if moving:
+        masses = [f"{body.name} ({source.mass[body.id]:.3g} kg)" for body in moving]
+        yield f"links without <inertial>: MuJoCo takes mass from their collision shapes, {listed(masses)}"

@@ -1,0 +1,163 @@
+"""The bodies of a robot of which only some joints move, as MJCF: what moves as one is one body."""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Collection, Iterator, Sequence
+
+import mujoco
+import numpy as np
+
+from frictionzoo.bench.robot_file.links import HERE, LEAST, Link, Place, add_up, physical
+from frictionzoo.bench.robot_file.source import Source, listed
+
+_KINDS = {int(mujoco.mjtJoint.mjJNT_HINGE): "hinge", int(mujoco.mjtJoint.mjJNT_SLIDE): "slide"}
+_SOLREF, _SOLIMP = np.array([0.02, 1.0]), np.array([0.9, 0.95, 0.001, 0.5, 2.0])
+"""MuJoCo's defaults, which nothing has to say."""
+
+
+def numbers(values: float | np.ndarray) -> str:
+    """Numbers as an MJCF has them, at full precision."""
+    return " ".join(repr(float(value)) for value in np.atleast_1d(values))
+
+
+class Tree:
+    """Which bodies move as one when only these joints move; every other joint stands at its reference position.
+
+    Attributes:
+        links: All that move, and those kept by name, in MuJoCo's order.
+
+    Args:
+        source: The robot's file.
+        joints: Indices of the joints that move.
+        kept: Names of bodies that are to stay bodies of their own.
+        apart: Whether all bodies are.
+    """
+
+    def __init__(self, source: Source, joints: Sequence[int], kept: Collection[str], apart: bool) -> None:
+        self._source, self._joints = source, list(joints)
+        model = source.model
+        jointed = {int(model.jnt_bodyid[joint]) for joint in joints}
+        self._moves = np.zeros(model.nbody, bool)
+        self._owner, self._place = np.zeros(model.nbody, int), [HERE] * model.nbody
+        for body in range(1, model.nbody):
+            parent = int(model.body_parentid[body])
+            self._moves[body] = self._moves[parent] or body in jointed
+            mine = body in jointed or apart or model.body(body).name in kept or self._lifted(body, parent)
+            self._owner[body] = body if mine else self._owner[parent]
+            if not mine:
+                self._place[body] = self._place[parent].of(self._own_place(body))
+        self._jointed = jointed
+        self._refuse_unknown()
+        self.links: tuple[Link, ...] = tuple(self._link(body) for body in self._bodies())
+
+    def moves(self, body: int) -> bool:
+        """Whether a chosen joint moves a body."""
+        return bool(self._moves[body])
+
+    def together(self, body: int, other: int) -> bool:
+        """Whether no chosen joint is between two bodies."""
+        return self._anchor(body) == self._anchor(other)
+
+    def write(self, limits: bool) -> ET.Element:
+        """The `<worldbody>`, without geoms."""
+        elements = {0: ET.Element("worldbody")}
+        for body, link in zip(self._bodies(), self.links, strict=True):
+            parent = int(self._source.model.body_parentid[body])
+            elements[body] = self._body(body, link, self._place[parent].of(self._own_place(body)), limits)
+            elements[int(self._owner[parent])].append(elements[body])
+        self._source.notes += self._say_massless()
+        return elements[0]
+
+    def _body(self, body: int, link: Link, place: Place, limits: bool) -> ET.Element:
+        model = self._source.model
+        attributes = {"pos": numbers(place.position), "quat": numbers(place.quaternion)}
+        if model.body_gravcomp[body]:
+            attributes["gravcomp"] = numbers(model.body_gravcomp[body])
+        element = ET.Element("body", ({"name": link.name} if link.name else {}) | attributes)
+        element.extend(self._joint(joint, limits) for joint in self._joints if model.jnt_bodyid[joint] == body)
+        if link.mass > 0 or link.inertia.any() or body in self._jointed:
+            element.append(self._inertial(body, link))
+        return element
+
+    def _say_massless(self) -> Iterator[str]:
+        jointed = [link for body, link in zip(self._bodies(), self.links, strict=True) if body in self._jointed]
+        without = [link.name for link in jointed if link.mass < LEAST or np.linalg.norm(link.inertia) < LEAST]
+        if without:
+            yield (
+                f"{len(without)} moving links have no mass or no inertia ({listed(without)}): they get {LEAST:g} kg "
+                "and kg m^2, because MuJoCo wants some"
+            )
+
+    def _bodies(self) -> list[int]:
+        return [body for body in range(1, len(self._owner)) if self._owner[body] == body]
+
+    def _members(self, body: int) -> list[int]:
+        return [member for member in range(1, len(self._owner)) if self._owner[member] == body]
+
+    def _anchor(self, body: int) -> int:
+        while body and body not in self._jointed:
+            body = int(self._source.model.body_parentid[body])
+        return body
+
+    def _own_place(self, body: int) -> Place:
+        return Place(self._source.model.body_pos[body].copy(), self._source.model.body_quat[body].copy())
+
+    def _lifted(self, body: int, parent: int) -> bool:
+        """Whether gravity acts otherwise on a body than on what it is fixed to."""
+        lift, owner = self._source.model.body_gravcomp, self._owner[parent]
+        return bool(self._moves[body] and self._source.mass[body] > 0 and lift[body] != lift[owner])
+
+    def _refuse_unknown(self) -> None:
+        for body, file in self._source.absent.items():
+            if self._moves[body]:
+                self._source.fail(
+                    f"the inertia of body {self._source.name(body)} would come from the mesh {file}, which is not "
+                    "there or no STL or OBJ; give the body an <inertial>, or put the mesh where the file says"
+                )
+
+    def _link(self, body: int) -> Link:
+        source, members = self._source, self._members(body)
+        weighing = [member for member in members if source.mass[member] or source.inertia[member].any()]
+        centres = np.array([self._place[member].point(source.centre[member]) for member in weighing]).reshape(-1, 3)
+        inertias = np.array([self._place[member].turned(source.inertia[member]) for member in weighing])
+        mass, centre, inertia = add_up(source.mass[weighing], centres, inertias.reshape(-1, 3, 3))
+        names = tuple(source.model.body(member).name for member in members)
+        return Link(names[0], names, mass, centre, inertia)
+
+    def _inertial(self, body: int, link: Link) -> ET.Element:
+        model = self._source.model
+        weighing = [member for member in self._members(body) if self._source.mass[member]]
+        if weighing == [body] and self._source.compiled[body]:  # to the last bit
+            mass, centre = model.body_mass[body], model.body_ipos[body]
+            principal, quaternion = model.body_inertia[body], model.body_iquat[body]
+        else:
+            centre = link.centre
+            mass, principal, quaternion, changed = physical(link.mass, link.inertia)
+            if changed:
+                had = ", ".join(f"{moment:.3g}" for moment in np.linalg.eigvalsh(link.inertia))
+                self._source.notes.append(
+                    f"the inertia of link {link.name} is that of no body of matter (principal moments {had} kg m^2), "
+                    f"which MuJoCo refuses: taken as {', '.join(f'{moment:.3g}' for moment in np.sort(principal))}"
+                )
+        inertial = {"pos": centre, "quat": quaternion, "mass": mass, "diaginertia": principal}
+        return ET.Element("inertial", {name: numbers(value) for name, value in inertial.items()})
+
+    def _joint(self, joint: int, limits: bool) -> ET.Element:
+        model, dof = self._source.model, self._source.dof(joint)
+        address = int(model.jnt_qposadr[joint])
+        said = {"pos": model.jnt_pos[joint], "axis": model.jnt_axis[joint]}
+        if model.qpos0[address]:
+            said["ref"] = model.qpos0[address]
+        if model.jnt_stiffness[joint]:
+            said |= {"stiffness": model.jnt_stiffness[joint], "springref": model.qpos_spring[address]}
+        if (model.dof_solimp[dof] != _SOLIMP).any():
+            said["solimpfriction"] = model.dof_solimp[dof]
+        if limits and model.jnt_limited[joint]:
+            said |= {"range": model.jnt_range[joint], "margin": model.jnt_margin[joint]}
+            said |= {"solreflimit": model.jnt_solref[joint], "solimplimit": model.jnt_solimp[joint]}
+        attributes = {"name": model.joint(joint).name, "type": _KINDS[int(model.jnt_type[joint])]}
+        attributes |= {name: numbers(value) for name, value in said.items()}
+        if limits and model.jnt_limited[joint]:
+            attributes["limited"] = "true"
+        if model.jnt_actgravcomp[joint]:
+            attributes["actuatorgravcomp"] = "true"
+        return ET.Element("joint", attributes)

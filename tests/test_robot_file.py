@@ -1,0 +1,256 @@
+"""Robots' own files: what is read of them moves as MuJoCo C moves the file itself."""
+
+import importlib.util
+import re
+from collections.abc import Iterator
+from importlib.metadata import PackageNotFoundError, distribution
+from pathlib import Path
+from types import ModuleType
+
+import mujoco
+import numpy as np
+import pytest
+from conftest import DATA, ROOT, needs_data
+from robot_texts import ARM, GRIPPER, LEG, TENDON, TWO, body, changed, compiled, read, save
+
+from frictionzoo.bench.robot_file import read_robot
+from frictionzoo.core.errors import BenchError, ConfigError
+
+SAME = 1e-10  # of a step, as a share of the state
+
+
+@pytest.fixture(scope="module")
+def makers() -> Iterator[ModuleType]:
+    """The benchmark that compares with MuJoCo C."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(ROOT / "benchmarks")
+        spec = importlib.util.spec_from_file_location("robot_files", ROOT / "benchmarks" / "robot_files.py")
+        assert spec is not None and spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        yield module
+
+
+CASES = {
+    "a leg, all joints": (LEG, None),
+    "a leg, one joint": (LEG, "knee"),
+    "a leg, by pattern": (LEG, "hip|knee"),
+    "an arm": (ARM, None),
+    "an arm, its elbow": (ARM, ["elbow"]),
+    "a gripper whose fingers move together": (GRIPPER, None),
+    "geoms before <inertial>": (
+        changed(
+            LEG,
+            ('<geom type="mesh" mesh="shell"/>', '<geom size="0.05" group="1"/><geom size="1" group="3"/>'),
+            ('angle="degree"', 'angle="degree" inertiafromgeom="true" inertiagrouprange="0 1"'),
+        ),
+        None,
+    ),
+    "a mass in all": (
+        changed(LEG, ('"degree"', '"degree" settotalmass="7"'), ('type="mesh" mesh="shell" material="m"', 'size=".1"')),
+        None,
+    ),
+    "a tendon with a spring": (changed(LEG, ("<sensor>", TENDON + "<sensor>")), ["hip", "toe"]),
+    "without gravity": (
+        changed(
+            LEG, ("<option", '<option integrator="implicitfast"'), ('9.7"/>', '9.7"><flag gravity="disable"/></option>')
+        ),
+        None,
+    ),
+}
+
+
+@pytest.mark.filterwarnings("ignore:compiler attribute 'settotalmass'")
+@pytest.mark.parametrize("case", CASES)
+def test_a_step_is_that_of_the_makers_file(case: str, tmp_path: Path, makers: ModuleType) -> None:
+    text, joint = CASES[case]
+    robot = read(tmp_path, text, joint)
+    path = tmp_path / ("robot.urdf" if text.startswith("<robot") else "robot.xml")
+    reference = makers.reference(path, robot)
+    assert reference.nv == len(robot.joints)
+    assert makers.difference(reference, makers.written(robot, reference), states=30) < SAME
+
+
+def test_what_a_file_says_of_a_joint_is_read_at_the_joint(tmp_path: Path) -> None:
+    robot = read(tmp_path, LEG)
+    assert robot.joints == ("hip", "knee", "toe")
+    np.testing.assert_allclose(robot.values["armature"], [36 * 0.001, 0.03, 0], rtol=1e-15)
+    np.testing.assert_allclose(robot.values["damping"], [0.3 + 36 * 0.002, 0.3, 0.3], rtol=1e-15)
+    np.testing.assert_array_equal(robot.values["frictionloss"], [0.2, 0.2, 0.2])
+    hip, knee, toe = robot.actuators
+    assert hip is not None and knee is not None and toe is not None
+    assert (hip.kind, hip.gain, hip.bias1, hip.bias2) == ("motor", 6, 0, 0)
+    assert (hip.ctrlrange, hip.forcerange) == ((-2, 2), (-9, 6))
+    assert (knee.kind, knee.gain, knee.bias1, knee.bias2) == ("position", -30, -30, -0.4)
+    assert (toe.kind, toe.gain, toe.bias2) == ("velocity", 1, -1)
+    np.testing.assert_allclose(robot.ranges, np.deg2rad([[-40, 90], [np.nan, np.nan], [np.nan, np.nan]]), rtol=1e-15)
+    np.testing.assert_array_equal(robot.forceranges, [[-9, 6], [np.nan, np.nan], [np.nan, np.nan]])
+
+
+def test_a_template_has_none_of_what_is_identified(tmp_path: Path) -> None:
+    model = compiled(read(tmp_path, LEG))
+    assert not model.dof_armature.any() and not model.dof_frictionloss.any() and not model.dof_damping.any()
+    assert (model.nu, model.nsensor, model.nkey, model.ngeom, model.nmesh) == (0, 0, 0, 0, 0)
+    assert not model.jnt_limited.any()
+
+
+def test_bodies_that_move_as_one_become_one(tmp_path: Path) -> None:
+    robot = read(tmp_path, LEG, ["hip", "knee"])
+    assert [(link.name, link.fused) for link in robot.links] == [
+        ("thigh", ("thigh", "pad")),
+        ("shin", ("shin",)),
+        ("foot", ("foot",)),  # gravity acts otherwise on it
+        ("toe", ("toe",)),
+    ]
+    assert robot.links[0].mass == pytest.approx(1000 * 8 * 0.03 * 0.02 * 0.01 + 400 * np.pi * 0.03**2 * (0.2 + 0.04))
+    kept = read(tmp_path, LEG, ["hip", "knee"], keep=["toe", "pad"])
+    assert [link.name for link in kept.links] == ["thigh", "pad", "shin", "foot", "toe"]
+    with pytest.raises(BenchError, match=r"robot\.xml: no body tow; did you mean toe\?"):
+        read(tmp_path, LEG, keep=["tow"])
+
+
+def test_a_urdf_says_friction_and_torque(tmp_path: Path) -> None:
+    robot = read(tmp_path, ARM)
+    np.testing.assert_array_equal(robot.values["damping"], [0.7, 0])
+    np.testing.assert_array_equal(robot.values["frictionloss"], [0.4, 0])
+    np.testing.assert_array_equal(robot.forceranges, [[-40, 40], [np.nan, np.nan]])
+    assert robot.actuators == (None, None)
+    assert [link.fused for link in robot.links] == [("upper",), ("lower", "tool")]
+    assert "a second <origin> of <joint shoulder> is left out" in robot.notes
+    assert "left out, for MuJoCo does not read them in a URDF: 1 <transmission>, 1 <gazebo>" in robot.notes
+    np.testing.assert_array_equal(compiled(robot).body_pos[1], [0, 0, 0.3])
+
+
+def test_patterns_come_in_the_order_of_the_file(tmp_path: Path) -> None:
+    assert read(tmp_path, LEG, ["toe", "h.*"]).joints == ("hip", "toe")
+    assert read(tmp_path, LEG, "[hk].*").joints == ("hip", "knee")
+
+
+def test_the_step_can_be_another(tmp_path: Path) -> None:
+    assert compiled(read(tmp_path, LEG)).opt.timestep == 0.004
+    assert compiled(read(tmp_path, LEG, timestep=0.001)).opt.timestep == 0.001
+    with pytest.raises(ConfigError, match=r"bench\.timestep=0\.0; expected a positive number"):
+        read(tmp_path, LEG, timestep=0.0)
+
+
+def test_limits_and_contacts_are_kept_on_request(tmp_path: Path) -> None:
+    """Two links that fall onto the floor and each other, and swing to their limits."""
+    geom = '<geom name="{}" type="capsule" size="0.05" fromto="0 0 0 0 0 0.2" priority="1" friction="0.3"/>'
+    tip = changed(
+        TWO, ('axis="0 1 0"', 'axis="0 1 0" limited="true" range="-60 60"'), ("</body>", geom.format("tip") + "</body>")
+    )
+    text = body(
+        geom.format("link") + f'<body name="fixed" pos="0.1 0 0"><geom name="knob" size="0.05"/>{tip}</body>',
+        '<contact><exclude body1="link" body2="tip"/>'
+        '<pair geom1="knob" geom2="floor" friction="0.1 0.1 0.01 0.01 0.01"/></contact>',
+    ).replace(
+        "<worldbody>",
+        '<option cone="elliptic" impratio="3"/><worldbody>'
+        '<geom name="floor" type="plane" size="1 1 1" pos="0 0 -0.2"/>',
+    )
+    makers = mujoco.MjModel.from_xml_path(save(tmp_path, text))
+    ours = compiled(read_robot(str(tmp_path / "robot.xml"), contacts="keep", limits="keep"))
+    touched, limited = 0, 0
+    rng = np.random.default_rng(0)
+    for _ in range(100):
+        states = rng.uniform(-3, 3, (2, 2))
+        reached = []
+        for model in (makers, ours):
+            data = mujoco.MjData(model)
+            data.qpos[:], data.qvel[:] = states
+            mujoco.mj_step(model, data)
+            reached.append(data.qvel.copy())
+        touched, limited = touched + data.ncon, limited + data.nl
+        np.testing.assert_allclose(reached[1], reached[0], rtol=1e-8, atol=1e-8)  # the solver stops at its tolerance
+    assert touched > 20 and limited > 20
+
+
+def test_a_still_joint_has_its_part_in_a_tendon(tmp_path: Path) -> None:
+    text = changed(
+        LEG,
+        ("<sensor>", TENDON + "<sensor>"),
+        ('<geom type="hfield" hfield="hills"/>', ""),
+        ('<geom type="mesh" mesh="shell" material="m"/>', '<geom size="0.1"/>'),
+        ('<geom type="mesh" mesh="shell" mass="0" contype="0" conaffinity="0"/>', ""),
+        ('<geom type="mesh" mesh="shell"/>', ""),
+        (' material="m"', ""),
+    )
+    ours = compiled(read(tmp_path, text, "hip"))
+    makers = mujoco.MjModel.from_xml_string(re.sub("<asset>.*</asset>", "", text, flags=re.S))
+    data, whole = mujoco.MjData(ours), mujoco.MjData(makers)
+    data.qpos[0], whole.qpos[7] = 0.4, 0.4
+    mujoco.mj_forward(ours, data)
+    mujoco.mj_forward(makers, whole)
+    assert data.qfrc_spring[0] == pytest.approx(whole.qfrc_spring[6], rel=1e-12)
+    assert data.qfrc_spring[0] != 0
+
+
+def test_includes_and_meshes_lie_beside_the_file(tmp_path: Path) -> None:
+    """A body whose inertia comes from a mesh that is there, in a file that includes another."""
+    corners = np.array([[0, 0, 0], [0.3, 0, 0], [0, 0.2, 0], [0, 0, 0.1]])
+    faces = ["1 3 2", "1 2 4", "1 4 3", "2 3 4"]
+    (tmp_path / "meshes").mkdir()
+    lines = [*(f"v {' '.join(map(str, corner))}" for corner in corners), *(f"f {face}" for face in faces)]
+    (tmp_path / "meshes" / "wedge.obj").write_text("\n".join(lines))
+    (tmp_path / "joint.xml").write_text('<mujocoinclude><joint name="hinge" axis="0 1 0"/></mujocoinclude>')
+    text = (
+        '<mujoco><compiler meshdir="meshes"/><asset><mesh file="wedge.obj"/></asset><worldbody><body name="wedge">'
+        '<include file="joint.xml"/><geom type="mesh" mesh="wedge"/></body></worldbody></mujoco>'
+    )
+    makers = mujoco.MjModel.from_xml_path(save(tmp_path, text))
+    ours = compiled(read_robot(str(tmp_path / "robot.xml")))
+    np.testing.assert_array_equal(ours.body_inertia, makers.body_inertia)
+    np.testing.assert_array_equal(ours.body_ipos, makers.body_ipos)
+    assert ours.body_mass[1] == pytest.approx(1000 * 0.3 * 0.2 * 0.1 / 6)
+
+
+PUBLISHED = {
+    "go2/go2.xml": 12,
+    "go2/go2_published.xml": 12,
+    "kuka_lwr4/kuka_lwr4.urdf": 7,
+    "kuka_lwr4/kuka_lwr4_cogimon.urdf": 7,
+}
+
+
+@needs_data
+@pytest.mark.parametrize("file", PUBLISHED)
+def test_robots_of_the_recordings(file: str, makers: ModuleType) -> None:
+    row = makers.describe(Path(str(DATA)) / file, None)
+    assert row["joints"] == PUBLISHED[file]
+    assert row["difference"] < SAME
+
+
+@needs_data
+def test_robots_that_mujoco_alone_refuses() -> None:
+    """A last link without inertia, and inertias of no body of matter."""
+    folder = Path(str(DATA))
+    tx40 = read_robot(str(folder / "tx40" / "tx40.urdf"))
+    assert compiled(tx40).nv == 6
+    np.testing.assert_array_equal(tx40.forceranges[0], [-131.84, 131.84])
+    kuka = read_robot(str(folder / "kuka_lwr4" / "kuka_lwr4_identified.urdf"))
+    assert compiled(kuka).nv == 7
+    assert sum("no body of matter" in note for note in kuka.notes) == 7
+    assert kuka.links[0].inertia[2, 2] == pytest.approx(1.198399e-06)
+    assert kuka.values["frictionloss"].min() == 0
+
+
+PACKAGES = {  # name: where in it the models of robots lie
+    "example-robot-data": "cmeel.prefix/share/example-robot-data/robots/*/*/*.urdf",
+    "robosuite": "robosuite/models/assets/robots/*/robot.xml",
+    "robosuite-models": "robosuite_models/assets/robots/*/robot.xml",
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("package", PACKAGES)
+def test_robots_of_packages(package: str, makers: ModuleType) -> None:
+    """All are taken, and move as MuJoCo C moves them where it takes them by itself."""
+    try:
+        files = sorted(Path(str(distribution(package).locate_file(""))).glob(PACKAGES[package]))
+    except PackageNotFoundError:
+        pytest.skip(f"{package} is not installed")
+    rows = [makers.describe(path, None) for path in files]
+    differences = [row["difference"] for row in rows if row["difference"] is not None]
+    assert len(differences) >= 10 and max(differences) < SAME
+    for row in rows:
+        assert row["answer"].startswith(("taken", "no hinge and no slide is chosen")), row
