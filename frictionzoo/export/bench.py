@@ -8,7 +8,6 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from frictionzoo.bench import Actuator
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.params import UNITS
 from frictionzoo.export.base import Target, measure, register_target
@@ -104,11 +103,11 @@ def run_bench(model: mujoco.MjModel, fitted: Identified) -> Float[np.ndarray, "b
 
 def say_limits(fitted: Identified, nearest: Nearest) -> tuple[str, ...]:
     """What a user of the bench's MJCF has to know."""
-    law, limits = type(fitted.bench.actuator), [nearest.remark] if nearest.remark else []
-    if law.control is not Actuator.control:
+    law, limits = fitted.bench.actuator, [nearest.remark] if nearest.remark else []
+    if law.has_controller:
         late = f", from commands that are {_list(fitted, 'delay')} s late" if "delay" in fitted.bench.params else ""
         limits.append(
-            f"MuJoCo's actuator has no {law.__name__}: `ctrl` is what the law's controller makes of the command, and "
+            f"MuJoCo's actuator has no {type(law).__name__}: `ctrl` is what the law's controller makes of the command, and "
             f"the caller computes it in each step{late}, as for the difference above; target=mujoco writes it."
         )
     if fitted.bench.payload is not None:

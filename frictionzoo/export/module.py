@@ -10,7 +10,6 @@ import jinja2
 import numpy as np
 
 from frictionzoo import __version__
-from frictionzoo.bench import Actuator
 from frictionzoo.core.errors import ExportError
 from frictionzoo.core.params import UNITS
 from frictionzoo.export.graph import signals
@@ -86,7 +85,7 @@ def _describe(fitted: Identified, values: str, weights: bool) -> Mapping[str, An
 
 def controls(fitted: Identified) -> bool:
     """Whether what MuJoCo's actuator gets is something else than the command."""
-    return "delay" in fitted.values["bench"] or type(fitted.bench.actuator).control is not Actuator.control
+    return "delay" in fitted.values["bench"] or fitted.bench.actuator.has_controller
 
 
 def load_module(path: Path) -> ModuleType:
