@@ -107,8 +107,8 @@ def say_limits(fitted: Identified, nearest: Nearest) -> tuple[str, ...]:
     if law.has_controller:
         late = f", from commands that are {_list(fitted, 'delay')} s late" if "delay" in fitted.bench.params else ""
         limits.append(
-            f"MuJoCo's actuator has no {type(law).__name__}: `ctrl` is what the law's controller makes of the command, and "
-            f"the caller computes it in each step{late}, as for the difference above; target=mujoco writes it."
+            f"MuJoCo's actuator has no {type(law).__name__}: `ctrl` is what the law's controller makes of the command, "
+            f"and the caller computes it in each step{late}, as for the difference above; target=mujoco writes it."
         )
     if fitted.bench.payload is not None:
         limits.append(PAYLOADS)
