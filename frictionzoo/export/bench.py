@@ -91,7 +91,7 @@ def run_bench(model: mujoco.MjModel, fitted: Identified) -> Float[np.ndarray, "b
 
     def fill_history(model: mujoco.MjModel, data: mujoco.MjData, rollout: int) -> None:
         """Put the commands before the first state where MuJoCo's late actuators look for them."""
-        held = commands_before(fitted, rollout)
+        held = commands_before(fitted, rollout).ctrl
         for actuator in range(model.nu):
             if count := int(model.actuator_history[actuator, 0]):
                 steps = np.arange(-count, 0)

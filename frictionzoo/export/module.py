@@ -70,6 +70,8 @@ def _describe(fitted: Identified, values: str, weights: bool) -> Mapping[str, An
         "joints": repr(fitted.bench.joints),
         "timestep": repr(fitted.timestep),
         "inputs": repr(tuple(fitted.bench.actuator.inputs)),
+        "commands": fitted.bench.actuator.commands,
+        "without": dict(fitted.bench.actuator.optional_inputs),
         "observed": fitted.bench.observed,
         "signals": signals(model),
         "example_inputs": "".join(f', {{"{name}": ...}}' for name in fitted.bench.inputs[:1]),
