@@ -297,9 +297,9 @@ def _refuse_opposed(log: Log, of: str, bench: Bench, joint: int, cleaned: Mappin
 def _work(log: Log, bench: Bench) -> Float[np.ndarray, "nv"]:
     """Net work that the commands did on each joint, as a share of what they exchanged.
 
-    The actuator's torque with initial values, its damping left out, as if the joint stood still. Over a recording, friction and damping take what
-    the command gives, but for what the drive stores between its first and its last state; so the net work is not
-    negative, however late the drive follows, up to half a period.
+    The actuator's torque with initial values, its damping left out, as if the joint stood still. Over a recording,
+    friction and damping take what the commands give, but for what the drive stores between its first and its last
+    state; so the net work is not negative, however late the drive follows, up to half a period.
     """
     values = bench.initial_values()
     still = np.zeros_like(log.qvel)

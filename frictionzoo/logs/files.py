@@ -20,7 +20,7 @@ from frictionzoo.logs.source import Source, register_source
 from frictionzoo.logs.split import Split
 from frictionzoo.logs.units import ratio
 
-UPRIGHT = dict.fromkeys(TURNED, 1)
+UPRIGHT: Mapping[str, int] = dict.fromkeys(TURNED, 1)
 """Each signal with its own sign."""
 AS_IT_IS = Cleaning()
 """The cleaning that a recording gets of which nothing is said."""

@@ -60,7 +60,12 @@ class JointPD(Actuator):
         self, xp: Any, values: Mapping[str, Any], qpos: Any, qvel: Any, command: Any, inputs: Mapping[str, Any]
     ) -> Any:
         """See `Actuator.control`."""
-        aim = command + (values["kd"] * inputs["ctrl_velocity"] + inputs["ctrl_torque"]) / values["kp"]
+        aim = aim_at(values, command, inputs)
         wanted = values["kp"] * (aim - qpos) - values["kd"] * qvel
         given = saturate(xp, values, wanted)
         return aim if given is wanted else aim + (given - wanted) / values["kp"]
+
+
+def aim_at(values: Mapping[str, Any], command: Any, inputs: Mapping[str, Any]) -> Any:
+    """The one desired position that asks for the same torque as all commands together."""
+    return command + (values["kd"] * inputs["ctrl_velocity"] + inputs["ctrl_torque"]) / values["kp"]
