@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from frictionzoo.bench.actuators.dc_motor_pd import DcMotorPD
     from frictionzoo.bench.actuators.force import Force
+    from frictionzoo.bench.actuators.joint_pd import JointPD
     from frictionzoo.bench.actuators.position_pd import PositionPD
+    from frictionzoo.bench.actuators.recorded_pd import RecordedPD
     from frictionzoo.bench.actuators.voltage_servo import VoltageServo
     from frictionzoo.bench.base import Bench
     from frictionzoo.comparison.compared import Compared
@@ -33,10 +35,12 @@ __all__ = [
     "FrictionModel",
     "FrictionTerms",
     "Identified",
+    "JointPD",
     "Log",
     "Logs",
     "Param",
     "PositionPD",
+    "RecordedPD",
     "Split",
     "VoltageServo",
     "check_model",
@@ -51,7 +55,8 @@ __all__ = [
 __version__ = "0.1.0"
 
 _HOMES = {
-    **dict.fromkeys(("Bench", "DcMotorPD", "Force", "PositionPD", "VoltageServo"), "frictionzoo.bench"),
+    **dict.fromkeys(("Bench", "DcMotorPD", "Force", "JointPD"), "frictionzoo.bench"),
+    **dict.fromkeys(("PositionPD", "RecordedPD", "VoltageServo"), "frictionzoo.bench"),
     **dict.fromkeys(("compare", "identify", "law", "load", "read"), "frictionzoo.library"),
     **dict.fromkeys(("DriveState", "FrictionTerms"), "frictionzoo.core.state"),
     **dict.fromkeys(("FrictionModel", "register_model"), "frictionzoo.models"),

@@ -137,10 +137,10 @@ def read(
         test: Paths of recordings that only test.
         name: Of them all.
         format: Name of the files' format; `auto` to go by the file.
-        columns: Header or headers of each signal (`time`, `qpos`, `qvel`, `ctrl`, `supply`, `enable`, `temperature`);
-            where nothing is said, those that the headers suggest.
+        columns: Header or headers of each signal (`time`, `qpos`, `qvel`, `ctrl`, `ctrl_velocity`, `ctrl_torque`, `kp`,
+            `kd`, `torque`, `supply`, `enable`, `temperature`); where nothing is said, those that the headers suggest.
         units: Unit of each signal in the recordings; where nothing is said, what headers and numbers suggest.
-        sign: 1 or -1 for qpos, qvel and ctrl.
+        sign: 1 or -1 for qpos, qvel, ctrl, ctrl_velocity, ctrl_torque and torque.
         fields: What is said of all recordings: gains, payload.
         fields_from_name: Regular expression with named groups, which become fields, for the files' names.
         where: Values of fields that are kept.

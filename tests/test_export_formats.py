@@ -68,8 +68,9 @@ def fit(law: str, *overrides: str, kind: type[Identified] = Identified) -> Ident
     sampling = bench.sampling(interval)
     samples = sampling.history + 50
     phase = 5 * interval * np.arange(samples)[:, None] + np.arange(2)[:, None, None]
-    known = {"gain": 16.0, "supply": 12.0, "enable": 1.0}
-    inputs = {name: np.full((2, samples, 1), known[name]) for name in bench.actuator.inputs}
+    known = {"gain": 16.0, "supply": 12.0, "enable": 1.0, "kp": 20.0, "kd": 1.0}
+    known |= {"ctrl_velocity": 2.5 * np.cos(phase), "ctrl_torque": 0.5 * np.sin(3 * phase)}
+    inputs = {name: np.zeros((2, samples, 1)) + known[name] for name in bench.actuator.inputs}
     observed = {name: value + 10 * np.cos(phase) for name, value in model.inputs.items()}
     signals = Signals(0.5 * np.sin(phase), inputs, observed)
     qpos, qvel = rng.normal(size=(2, 2, 51, 1))
@@ -231,6 +232,16 @@ DC_MOTOR = (
     ),
 )
 LATE = "+bench.params.delay={init:0.012,low:0,high:0.05,scale:1.0,identify:false}"
+SIZE = "{{init: {}, low: 0.1, high: 100, scale: log, identify: false}}"
+ROBOT = (
+    "bench.actuator._target_=frictionzoo.bench.JointPD",
+    *(f"+bench.actuator.params.torque_{name}={SIZE.format(size)}" for name, size in (("gain", 0.8), ("limit", 4.0))),
+)
+RECORDED = (
+    "bench.actuator._target_=frictionzoo.bench.RecordedPD",
+    *(f"~bench.actuator.params.{name}" for name in ("kp", "kd")),
+    f"+bench.actuator.params.torque_saturation={SIZE.format(5.0)}",
+)
 READERS = {"mjlab": Mjlab().read, "isaaclab": IsaacLab().read}
 CONFIGURED = [
     ("mjlab", "BuiltinPositionActuatorCfg", (LATE,)),
@@ -238,6 +249,8 @@ CONFIGURED = [
     ("isaaclab", "ImplicitActuatorCfg", ()),
     ("isaaclab", "DCMotorCfg", DC_MOTOR),
     ("mjlab", "DcMotorActuatorCfg", STS3215),
+    ("isaaclab", "IdealPDActuatorCfg", ROBOT),
+    ("mjlab", "BuiltinPositionActuatorCfg", RECORDED),
 ]
 
 
@@ -245,8 +258,8 @@ CONFIGURED = [
 def test_a_configuration_moves_as_the_drive(
     damped: tuple[str, ...], tmp_path: Path, target: str, cls: str, drive: tuple[str, ...]
 ) -> None:
-    """Those that are late move; of the others the file is read."""
-    moves = drive in ((LATE,), STS3215)
+    """Some move; of the others the file is read."""
+    moves = drive in ((LATE,), STS3215, ROBOT)
     fitted = (fit if moves else draw)("mujoco_default", *(damped if drive == STS3215 else drive))
     export = write(target, fitted, tmp_path)
     text = (tmp_path / export.files[0]).read_text()
@@ -290,19 +303,33 @@ def test_a_delay_is_rounded_to_whole_steps() -> None:
         assert lag(late, 0) == steps
 
 
-@pytest.mark.parametrize("drive", [(), DC_MOTOR, STS3215], ids=["position", "dc motor", "voltage servo"])
+@pytest.mark.parametrize("drive", [(), DC_MOTOR, STS3215, ROBOT], ids=["position", "dc motor", "servo", "robot"])
 def test_a_motor_is_the_actuator_law(drive: tuple[str, ...]) -> None:
     """At a given supply and gain, limited voltage and back-EMF are a torque-speed line."""
     fitted, given = draw("mujoco_default", *drive), {"gain": 8.0, "supply": 7.0, "enable": 1.0}
+    given |= {"ctrl_velocity": 0.0, "ctrl_torque": 0.0}
     law, values = fitted.bench.actuator, fitted.values["bench"]
     (motor,) = motors(fitted, read_inputs(fitted, {"gain": "8", "supply": "7"}))
     affine = law.affine(values)
     # Driven faster than it runs free, a DC motor brakes here and gives nothing in our law.
-    fastest = {(): 10.0, DC_MOTOR: 8.0}.get(drive, 2 * motor.velocity_limit)
+    fastest = {(): 10.0, ROBOT: 10.0, DC_MOTOR: 8.0}.get(drive, 2 * motor.velocity_limit)
     for ctrl, qpos, speed in np.random.default_rng(0).uniform(-1, 1, size=(50, 3)):
         volts = law.control(np, values, qpos, fastest * speed, 3 * ctrl, given)
         torque = affine.gain * volts + affine.bias0 + affine.bias1 * qpos + affine.bias2 * fastest * speed
         assert motor.torque(3 * ctrl, qpos, fastest * speed) == pytest.approx(torque[0], abs=1e-12)
+
+
+def test_what_a_configuration_lacks_of_a_robots_commands_is_told(tmp_path: Path) -> None:
+    said = " ".join(write("mjlab", draw("mujoco_default", *ROBOT), tmp_path).limits)
+    assert "have ctrl_velocity and ctrl_torque: give ctrl + (kd ctrl_velocity + ctrl_torque) / kp as position" in said
+    assert "times torque_gain, 0.8." in said and "saturation" not in said
+    fitted = draw("mujoco_default", *RECORDED)
+    assert "no smooth saturation" in " ".join(write("mjlab", fitted, tmp_path).limits)
+    segments = fitted.segments
+    inputs = segments.signals.inputs | {"kp": segments.signals.inputs["kp"] + segments.signals.ctrl**2}
+    changing = replace(fitted, segments=replace(segments, signals=segments.signals._replace(inputs=inputs)))
+    with pytest.raises(ExportError, match=r"^kp of \w+ is 20 to 20\.\d+ in the recordings, expected one gain above 0"):
+        write("mjlab", changing, tmp_path)
 
 
 def test_a_force_drive_is_refused(tmp_path: Path) -> None:

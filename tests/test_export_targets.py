@@ -108,6 +108,12 @@ def make_fitted(model: str | FrictionModel, *overrides: str, steps: int = 150) -
     time = interval * np.arange(-history, steps)[:, None]
     swings = np.stack([0.5 * np.sin(30 * time + phase + np.arange(bench.nv)) for phase in (0.3, 2.0)])
     inputs = {"gain": 20.0, "supply": 48.0, "enable": 1.0, "temperature": 40 + 10 * np.sin(20 * time)}
+    inputs |= {
+        "kp": 20 + np.cos(9 * time),
+        "kd": 1.0,
+        "ctrl_velocity": np.cos(30 * time),
+        "ctrl_torque": np.sin(9 * time),
+    }
     recorded = {name: np.full_like(swings, inputs[name]) for name in bench.inputs}
     states = np.random.default_rng(0).normal(scale=0.2, size=(2, 2, steps + 1, bench.nv))
     load = None if bench.payload is None else np.stack(2 * [bench.load(PAYLOAD)])
@@ -129,6 +135,9 @@ LATE = "bench.params.delay={init: 0.0034, low: 0.0, high: 0.02, scale: 0.01, ide
 STIFF = "bench.solreffriction=[0.01,1.0]"
 NETWORK = ("history_network",)  # it remembers
 SERVO = ("temperature_linear", "bench=xl330")  # with a payload, at a temperature
+LIMIT = "{init: 6.0, low: 1.0, high: 9.0, scale: log, identify: false}"
+JOINT = ("mujoco_default", LATE, "bench.actuator._target_=frictionzoo.bench.JointPD")
+LIMITED = (*JOINT, f"+bench.actuator.params.torque_limit={LIMIT}")
 
 
 def write_drive(law, folder, target):
@@ -166,8 +175,11 @@ def test_a_modules_law_is_the_fitted_one(law, tmp_path):
 
 @pytest.mark.parametrize(
     ("target", "drive"),
-    [(MujocoC, NETWORK), (MujocoC, SERVO), pytest.param(Mjx, SERVO, marks=pytest.mark.slow)],
-    ids=["mujoco-network", "mujoco-servo", "mjx-servo"],
+    [
+        *((MujocoC, NETWORK), (MujocoC, SERVO), (MujocoC, LIMITED), (Mjcf, JOINT)),
+        *(pytest.param(Mjx, drive, marks=pytest.mark.slow) for drive in (SERVO, LIMITED)),
+    ],
+    ids=["mujoco-network", "mujoco-servo", "mujoco-joint", "mjcf-joint", "mjx-servo", "mjx-joint"],
 )
 def test_a_module_moves_the_bench_as_it_was_fitted(target, drive, tmp_path):
     fitted = make_fitted(*drive)

@@ -363,11 +363,14 @@ def test_a_unit_is_worth_what_its_name_says():
     turn = 6.283185307179586  # rad
     lengths = {"rad": 1, "mrad": 1e-3, "deg": turn / 360, "rev": turn, "m": 1, "mm": 1e-3, "um": 1e-6}
     speeds = {"rad/s": 1, "deg/s": turn / 360, "rev/s": turn, "rpm": turn / 60, "m/s": 1, "mm/s": 1e-3}
-    efforts = {"N m": 1, "mN m": 1e-3, "N": 1, "A": 1, "mA": 1e-3, "V": 1, "mV": 1e-3, "%": 0.01, "1": 1}
+    torques = {"N m": 1, "mN m": 1e-3, "N": 1}
+    efforts = torques | {"A": 1, "mA": 1e-3, "V": 1, "mV": 1e-3, "%": 0.01, "1": 1}
     worth = {
         **{"time": {"s": 1, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}, "qpos": lengths, "qvel": speeds},
         **{"ctrl": lengths | speeds | efforts, "supply": {"V": 1, "mV": 1e-3}, "enable": {"1": 1}},
-        "temperature": {"degC": 1},
+        **{"temperature": {"degC": 1}, "ctrl_velocity": speeds, "ctrl_torque": torques, "torque": torques},
+        "kp": {"N m/rad": 1, "N m/deg": 360 / turn, "N/m": 1, "N/mm": 1e3},
+        "kd": {"N m s/rad": 1, "N m s/deg": 360 / turn, "N s/m": 1, "N s/mm": 1e3},
     }
     ones = np.ones(1)
     found = {signal: {unit: to_si(ones, ratio(signal, unit)).item() for unit in known} for signal, known in SI.items()}

@@ -632,6 +632,59 @@ def test_names_tell_signals_and_units(header, signal, unit):
     assert proposal.units.get(signal) == unit
 
 
+HIP, KNEE = "FL_hip", "FL_knee"
+ROBOTS = {
+    "mit": (
+        ("t", "q", "dq", "q_des", "dq_des", "tau_ff", "tau_est", "kp", "kd", "ddq_des"),
+        {"time": "t", "qpos": "q", "qvel": "dq", "ctrl": "q_des", "ctrl_velocity": "dq_des", "ctrl_torque": "tau_ff"}
+        | {"torque": "tau_est", "kp": "kp", "kd": "kd"},
+    ),
+    "joint-states": (
+        ("/state/position[a]", "/state/effort[a]", "/cmd/position[a]", "/cmd/velocity[a]", "/cmd/effort[a]"),
+        {"qpos": "/state/position[a]", "torque": "/state/effort[a]", "ctrl": "/cmd/position[a]"}
+        | {"ctrl_velocity": "/cmd/velocity[a]", "ctrl_torque": "/cmd/effort[a]"},
+    ),
+    # Without a desired position, a torque or a velocity is the command; two torques leave doubt.
+    "velocity": (("time", "pos", "target_velocity"), {"time": "time", "qpos": "pos", "ctrl": "target_velocity"}),
+    "torque": (("time", "pos", "tau"), {"time": "time", "qpos": "pos", "ctrl": "tau"}),
+    "doubt": (("time", "q", "qcmd", "tau", "tau2_raw"), {"time": "time", "qpos": "q", "ctrl": "qcmd"}),
+    "external": (("time", "q", "qcmd", "tau_ext"), {"time": "time", "qpos": "q", "ctrl": "qcmd"}),
+    # Two encoders of one joint are not two joints.
+    "encoders": (
+        ("time", "motor_pos", "load_pos", "motor_cmd"),
+        {"time": "time", "qpos": "motor_pos", "ctrl": "motor_cmd"},
+    ),
+}
+
+
+@pytest.mark.parametrize(("headers", "expected"), ROBOTS.values(), ids=ROBOTS)
+def test_a_robots_commands_are_told_apart(headers, expected):
+    proposal = propose(table(**{header: [0, 0.01, 0.02] for header in headers}))
+    assert {signal: found[0] for signal, found in proposal.columns.items()} == expected
+
+
+@pytest.mark.parametrize("form", ["{}_{}", "{1}_{0}"])
+def test_names_of_joints_make_lists_in_the_order_of_the_positions(form):
+    order = {"qpos": (HIP, KNEE), "ctrl": (KNEE, HIP), "ctrl_vel": (HIP, KNEE), "tau_est": (KNEE, HIP), "qvel": (HIP,)}
+    headers = ["time", *(form.format(signal, joint) for signal, joints in order.items() for joint in joints)]
+    columns = propose(table(**{header: [0, 0.01, 0.02] for header in headers})).columns
+    names = {"qpos": "qpos", "ctrl": "ctrl", "ctrl_velocity": "ctrl_vel", "torque": "tau_est"}
+    for signal, name in names.items():
+        assert columns[signal] == (form.format(name, HIP), form.format(name, KNEE))
+
+
+def test_a_torque_that_would_cost_samples_is_not_proposed():
+    columns = {"time": [0, 0.01, 0.02], "q": [0, 1, 2], "qcmd": [0, 1, 2], "tau": [0, np.nan, 1]}
+    assert "torque" not in propose(table(**columns)).columns
+    assert "torque" not in propose(table(time=[0, 0.01], qpos=[0, 1], ctrl=[0, 1], torque=[np.nan, 0])).columns
+
+
+def test_a_desired_velocity_in_degrees_shows_in_the_numbers():
+    columns = motion()
+    degrees = 180 / np.pi * np.cos(columns["time"])
+    assert propose(table(**columns, velocity_des=degrees)).units == {"ctrl_velocity": "deg/s"}
+
+
 def test_overrides_survive_a_shell_and_hydra(tmp_path):
     headers = ["t [ms]", "joint's position[knee]", "joint's position[hip]", "goal, left $HOME", "x=y speed"]
     proposal = propose(table(**{header: [0, 1, 2] for header in headers}))

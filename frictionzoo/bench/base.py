@@ -1,7 +1,6 @@
 """A bench: the MJCF around the drive, the joints that are identified, and the actuator that drives them."""
 
 import copy
-import logging
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -14,7 +13,7 @@ from jaxtyping import Float
 from frictionzoo.bench.actuators import Actuator
 from frictionzoo.bench.branches import number_branches
 from frictionzoo.bench.compiled import INERTIAL, NO_PAYLOAD, combine, put_inertial
-from frictionzoo.bench.signals import pick_inputs, pick_observed
+from frictionzoo.bench.signals import pick_inputs, pick_observed, say_lacking
 from frictionzoo.bench.template import Template, in_full
 from frictionzoo.core.described import Described
 from frictionzoo.core.errors import BenchError, ConfigError, closest, refuse_unlike
@@ -22,8 +21,6 @@ from frictionzoo.core.log import Dataset, Log, Payload
 from frictionzoo.core.params import Param, group_joints, read_params, read_tie
 from frictionzoo.core.segments import Sampling
 from frictionzoo.core.state import DriveState
-
-_log = logging.getLogger(__name__)
 
 _TIMESTEP_TOLERANCE = 0.01  # share by which the log's interval may differ from a whole number of simulation steps
 _MOST_SUBSTEPS = 10_000  # simulation steps from sample to sample
@@ -136,7 +133,7 @@ class Bench(Described):
                 f"bench.params.delay: up to {latest:g} s, which are {history} samples, expected at most "
                 f"{_MOST_HISTORY}; lower its init or high"
             )
-        return Sampling(interval, self._substeps(interval), history)
+        return Sampling(interval, self._substeps(interval), history, self.actuator.commands)
 
     def initial_values(self) -> dict[str, np.ndarray]:
         """Initial value of each parameter, of shape (nv,)."""
@@ -275,21 +272,14 @@ class Bench(Described):
         """The same data set with each log accepted.
 
         What the friction law looks at has to be in all of its recordings or in none. In none, the law acts as at the
-        value of `observed`, and what it says of other values is not identifiable.
+        value of `observed`, and what it says of other values is not identifiable. So it is with what the actuator law
+        can do without.
 
         Raises:
-            BenchError: A log is not accepted, or some have what the friction law looks at and others do not.
+            BenchError: A log is not accepted, or some have what a law looks at and others do not.
         """
-        for name, value in self.observed.items():
-            having = [log.name for log in dataset.logs if name in log.extras]
-            lacking = [log.name for log in dataset.logs if name not in log.extras]
-            if having and lacking:
-                raise BenchError(
-                    f"{lacking[0]}: no {name}, which {having[0]} has and the friction law looks at; map a column "
-                    f"(data.columns.{name}), leave out one of them, or take another model"
-                )
-            if lacking:
-                _log.info("%s: no %s in it; the friction law acts as at %g throughout", dataset.name, name, value)
+        say_lacking(dataset, self.observed, "friction law", ", or take another model")
+        say_lacking(dataset, self.actuator.optional_inputs, "actuator law")
         train, test = (tuple(map(self.accept, logs)) for logs in (dataset.train, dataset.test))
         return Dataset(dataset.name, train, test)
 
@@ -359,7 +349,7 @@ class Bench(Described):
         None for an actuator law with a controller of its own: late commands meet the present state in it, and MuJoCo's
         actuator must not delay what comes out.
         """
-        if "delay" not in values or type(self.actuator).control is not Actuator.control:
+        if "delay" not in values or self.actuator.has_controller:
             return {}
         delay = float(values["delay"][index])
         # Between two steps MuJoCo interpolates: of a command that is held, that is the mean over the step.

@@ -32,7 +32,7 @@ SHORT = 100  # samples; in fewer, signals are not compared with each other
 LARGER = 5.0  # times; a position moves no more, and while it follows no less, than it is told to
 APART = 0.5  # times the motion that position and command are apart at the least
 OPPOSED = 0.0  # share of the work that a command exchanges with the drive from which on it takes energy
-DAMPING = ("kd", "kt2_over_r")  # parameters of actuator laws that only take energy
+GAINS = ("kp", "kd")  # commands that move nothing by themselves
 SLOWEST, FASTEST = 0.5, 2e-5  # s; no recording of a drive has longer or shorter sample intervals
 STATES = 2000  # recorded states at which contacts and limits are looked for
 
@@ -114,13 +114,28 @@ def _doubt_joint(log: Log, of: str, joint: int, bench: Bench) -> Iterator[tuple[
         _refuse_wrapping(log.name, of, qpos)
     yield from _doubt_frozen(of, qpos)
     yield from _doubt_velocity(log, of, qpos, qvel)
-    to_position = bool({"stiffness", "1/position"} & set(bench.actuator.dimensions.values()))
+    yield from _doubt_commands(log, of, joint, bench, {"qpos": qpos, "qvel": qvel, "ctrl": ctrl})
+
+
+def _doubt_commands(
+    log: Log, of: str, joint: int, bench: Bench, cleaned: Mapping[str, np.ndarray]
+) -> Iterator[tuple[str, str]]:
+    """What the command says, and others that a robot's drive gets beside it, each with the position."""
+    qpos, ctrl, actuator = cleaned["qpos"], cleaned["ctrl"], bench.actuator
     on = np.ravel(log.extras.get("enable", np.ones(1))) > 0
-    yield from _doubt_command(of, ctrl, qpos[on if len(on) == len(qpos) else ...] if to_position and on.any() else None)
-    if len(qpos) > SHORT and np.ptp(ctrl) > 0:
-        if to_position:
+    on = on if len(on) == len(qpos) else np.full(len(qpos), on.any())
+    to_position = bool({"stiffness", "1/position"} & set(actuator.dimensions.values()))
+    if "kp" in actuator.inputs:
+        stiff = log.inputs["kp"][:, joint] > 0
+        to_position, on = bool(stiff.any()), on & stiff
+    told = np.ptp(ctrl) > 0
+    beside = any(np.ptp(log.inputs[name][:, joint]) > 0 for name in actuator.commands if name not in GAINS)
+    if told or not beside:
+        yield from _doubt_command(of, ctrl, qpos[on] if to_position and on.any() else None)
+    if len(qpos) > SHORT and (told or beside):
+        if told and to_position:
             yield from _doubt_position_command(log, of, qpos, ctrl)
-        _refuse_opposed(log, of, bench, joint, {"qpos": qpos, "qvel": qvel, "ctrl": ctrl})
+        _refuse_opposed(log, of, bench, joint, cleaned)
 
 
 def _isolated(name: str, values: np.ndarray) -> Bool[np.ndarray, "time"]:
@@ -280,13 +295,13 @@ def _refuse_opposed(log: Log, of: str, bench: Bench, joint: int, cleaned: Mappin
 
 
 def _work(log: Log, bench: Bench) -> Float[np.ndarray, "nv"]:
-    """Net work that the command did on each joint, as a share of what it exchanged.
+    """Net work that the commands did on each joint, as a share of what they exchanged.
 
-    The actuator's torque with initial values, its damping left out. Over a recording, friction and damping take what
-    the command gives, but for what the drive stores between its first and its last state; so the net work is not
-    negative, however late the drive follows, up to half a period.
+    The actuator's torque with initial values, its damping left out, as if the joint stood still. Over a recording,
+    friction and damping take what the commands give, but for what the drive stores between its first and its last
+    state; so the net work is not negative, however late the drive follows, up to half a period.
     """
-    values = {name: 0 * value if name in DAMPING else value for name, value in bench.initial_values().items()}
+    values = bench.initial_values()
     still = np.zeros_like(log.qvel)
     ctrl = bench.actuator.control(np, values, log.qpos, still, log.ctrl, log.inputs)
     affine = bench.actuator.affine(values)

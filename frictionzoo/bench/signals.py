@@ -1,5 +1,6 @@
 """The signals of a recording that the actuator law and the friction law need besides state and command."""
 
+import logging
 from collections.abc import Mapping
 
 import numpy as np
@@ -7,8 +8,10 @@ from jaxtyping import Float
 
 from frictionzoo.bench.actuators import Actuator
 from frictionzoo.core.errors import BenchError
-from frictionzoo.core.log import Log
+from frictionzoo.core.log import Dataset, Log
 from frictionzoo.logs.clean import EXTRAS
+
+_log = logging.getLogger(__name__)
 
 
 def pick_inputs(log: Log, actuator: Actuator, nv: int) -> dict[str, Float[np.ndarray, "time nv"]]:
@@ -18,13 +21,13 @@ def pick_inputs(log: Log, actuator: Actuator, nv: int) -> dict[str, Float[np.nda
         BenchError: The recording lacks one, or has another number of columns of it, or values that are not finite.
     """
     for name in actuator.inputs:
-        if name not in log.extras:
+        if name not in log.extras and name not in actuator.optional_inputs:
             column = f"map a column (data.columns.{name}), or " if name in EXTRAS else ""
             raise BenchError(
                 f"{log.name}: no {name}, which {type(actuator).__name__} needs; {column}give a field or a number "
                 f"('data.inputs={{{name}: VALUE}}')"
             )
-    return {name: _for_each_joint(log, name, nv) for name in actuator.inputs}
+    return _pick(log, {name: actuator.optional_inputs.get(name, 0.0) for name in actuator.inputs}, nv)
 
 
 def pick_observed(log: Log, observed: Mapping[str, float], nv: int) -> dict[str, Float[np.ndarray, "time nv"]]:
@@ -33,9 +36,38 @@ def pick_observed(log: Log, observed: Mapping[str, float], nv: int) -> dict[str,
     Raises:
         BenchError: The recording has another number of columns of one, or values that are not finite.
     """
+    return _pick(log, observed, nv)
+
+
+def say_lacking(dataset: Dataset, wanted: Mapping[str, float], whose: str, otherwise: str = "") -> None:
+    """Tell what no recording of a data set has, and is taken as the number beside its name.
+
+    Args:
+        dataset: The recordings.
+        wanted: Signals by name.
+        whose: The law that looks at them.
+        otherwise: What else a user may do where some have one and others do not.
+
+    Raises:
+        BenchError: Some have one and others do not.
+    """
+    for name, value in wanted.items():
+        having = [log.name for log in dataset.logs if name in log.extras]
+        lacking = [log.name for log in dataset.logs if name not in log.extras]
+        if having and lacking:
+            raise BenchError(
+                f"{lacking[0]}: no {name}, which {having[0]} has and the {whose} looks at; map a column "
+                f"(data.columns.{name}), leave out one of them{otherwise}"
+            )
+        if lacking:
+            _log.info("%s: no %s in it; the %s acts as at %g throughout", dataset.name, name, whose, value)
+
+
+def _pick(log: Log, wanted: Mapping[str, float], nv: int) -> dict[str, Float[np.ndarray, "time nv"]]:
+    """Signals by name, each what the recording has of it, or else the number that it has here."""
     return {
         name: _for_each_joint(log, name, nv) if name in log.extras else np.full(log.qpos.shape, value)
-        for name, value in observed.items()
+        for name, value in wanted.items()
     }
 
 

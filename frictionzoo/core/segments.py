@@ -80,11 +80,13 @@ class Sampling(NamedTuple):
         substeps: Simulation steps in it.
         history: Samples of the command before a segment's first state that may still act in it, however late commands
             act.
+        commands: Inputs of the actuator law that are commands too, and as late.
     """
 
     interval: float
     substeps: int
     history: int
+    commands: tuple[str, ...] = ()
 
 
 def cut_segments(logs: Sequence[Log], count: int | None = 20_000, length: int = 5, history: int = 0) -> Segments:

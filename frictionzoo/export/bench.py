@@ -8,7 +8,6 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from frictionzoo.bench import Actuator
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.params import UNITS
 from frictionzoo.export.base import Target, measure, register_target
@@ -92,7 +91,7 @@ def run_bench(model: mujoco.MjModel, fitted: Identified) -> Float[np.ndarray, "b
 
     def fill_history(model: mujoco.MjModel, data: mujoco.MjData, rollout: int) -> None:
         """Put the commands before the first state where MuJoCo's late actuators look for them."""
-        held = commands_before(fitted, rollout)
+        held = commands_before(fitted, rollout).ctrl
         for actuator in range(model.nu):
             if count := int(model.actuator_history[actuator, 0]):
                 steps = np.arange(-count, 0)
@@ -104,12 +103,12 @@ def run_bench(model: mujoco.MjModel, fitted: Identified) -> Float[np.ndarray, "b
 
 def say_limits(fitted: Identified, nearest: Nearest) -> tuple[str, ...]:
     """What a user of the bench's MJCF has to know."""
-    law, limits = type(fitted.bench.actuator), [nearest.remark] if nearest.remark else []
-    if law.control is not Actuator.control:
+    law, limits = fitted.bench.actuator, [nearest.remark] if nearest.remark else []
+    if law.has_controller:
         late = f", from commands that are {_list(fitted, 'delay')} s late" if "delay" in fitted.bench.params else ""
         limits.append(
-            f"MuJoCo's actuator has no {law.__name__}: `ctrl` is what the law's controller makes of the command, and "
-            f"the caller computes it in each step{late}, as for the difference above; target=mujoco writes it."
+            f"MuJoCo's actuator has no {type(law).__name__}: `ctrl` is what the law's controller makes of the command, "
+            f"and the caller computes it in each step{late}, as for the difference above; target=mujoco writes it."
         )
     if fitted.bench.payload is not None:
         limits.append(PAYLOADS)

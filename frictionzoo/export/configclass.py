@@ -95,7 +95,8 @@ def list_motor(fitted: Identified, motor: Motor) -> list[Field]:
         Field("damping", motor.damping, f"{units['damping']}, of the controller"),
     ]
     if not np.isfinite(motor.saturation_effort):
-        return gains
+        limited = np.isfinite(motor.effort_limit)
+        return gains + ([Field("effort_limit", motor.effort_limit, units["torque"])] if limited else [])
     said = (f"{units['torque']}, at standstill", f"{units['velocity']}, without load", units["torque"])
     return gains + [Field(name, getattr(motor, name), unit) for name, unit in zip(_LIMITS, said, strict=True)]
 

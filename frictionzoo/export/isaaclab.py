@@ -21,7 +21,7 @@ _STICKS = (
 
 @register_target("isaaclab")
 class IsaacLab(ConfigFile):
-    """A Python file with Isaac Lab's implicit, delayed or DC motor actuator and PhysX's joint friction.
+    """A Python file with Isaac Lab's implicit, ideal, delayed or DC motor actuator and PhysX's joint friction.
 
     Source: documentation of Isaac Lab 2.3, `isaaclab.actuators`.
     """
@@ -38,7 +38,8 @@ ArticulationCfg(actuators=ACTUATORS); set joint names to those of your robot.
         units, cls, late = UNITS[fitted.bench.joint_type], "DCMotorCfg", []
         if not np.isfinite(motor.saturation_effort):
             late = list_delay(fitted, joint, "min_delay", "max_delay")
-            cls = "DelayedPDActuatorCfg" if late else "ImplicitActuatorCfg"
+            at_once = "IdealPDActuatorCfg" if np.isfinite(motor.effort_limit) else "ImplicitActuatorCfg"
+            cls = "DelayedPDActuatorCfg" if late else at_once
         dynamic = nearest.frictionloss[joint]
         at_rest = max(dynamic, fitted.values["friction"].get("static_torque", nearest.frictionloss)[joint])
         return cls, [

@@ -48,12 +48,14 @@ def _run(folder: Path, fitted: Identified) -> Float[np.ndarray, "batch time nv"]
     model = mujoco.MjModel.from_xml_path(str(folder / BENCH))
     segments, remembers = fitted.segments, fitted.model.memory > 0
 
-    def act(before: Any, signals: Signals) -> tuple[Any, Any, Mapping[str, Any]]:
-        before = jnp.concatenate([before[1:], signals.ctrl[None]])
-        return before, module.late(before, fitted.timestep), signals.inputs | signals.observed
+    def act(before: Signals, signals: Signals) -> tuple[Any, Any, Mapping[str, Any]]:
+        now = Signals(signals.ctrl, {name: signals.inputs[name] for name in before.inputs})
+        before = jax.tree.map(lambda old, new: jnp.concatenate([old[1:], new[None]]), before, now)
+        late = before.map(lambda command: module.late(command, fitted.timestep))
+        return before, late.ctrl, signals.inputs | late.inputs | signals.observed
 
     @jax.jit
-    def rollout(model: mjx.Model, data: mjx.Data, driven: tuple[Signals, Any]) -> Any:
+    def rollout(model: mjx.Model, data: mjx.Data, driven: tuple[Signals, Signals]) -> Any:
         def step(state: tuple[Any, ...], signals: Signals) -> tuple[Any, Any]:
             before, *drive = state
             before, *acting = act(before, signals)
@@ -77,9 +79,8 @@ def _run(folder: Path, fitted: Identified) -> Float[np.ndarray, "batch time nv"]
     return np.stack(found)[:, substeps - 1 :: substeps]
 
 
-def _signals(fitted: Identified, number: int, kept: int) -> tuple[Signals, Any]:
+def _signals(fitted: Identified, number: int, kept: int) -> tuple[Signals, Signals]:
     """What drives each step of a rollout, and the commands in so many steps before."""
     now = fitted.acting(late=False).map(lambda signal: jnp.asarray(signal[number].reshape(-1, fitted.bench.nv)))
-    before = commands_before(fitted, number)
-    before = np.concatenate([np.repeat(before[:1], kept, axis=0), before])[-kept:]
-    return now, jnp.asarray(before)
+    held = commands_before(fitted, number)
+    return now, held.map(lambda of: jnp.asarray(np.concatenate([np.repeat(of[:1], kept, axis=0), of])[-kept:]))

@@ -10,7 +10,6 @@ import jinja2
 import numpy as np
 
 from frictionzoo import __version__
-from frictionzoo.bench import Actuator
 from frictionzoo.core.errors import ExportError
 from frictionzoo.core.params import UNITS
 from frictionzoo.export.graph import signals
@@ -71,6 +70,8 @@ def _describe(fitted: Identified, values: str, weights: bool) -> Mapping[str, An
         "joints": repr(fitted.bench.joints),
         "timestep": repr(fitted.timestep),
         "inputs": repr(tuple(fitted.bench.actuator.inputs)),
+        "commands": fitted.bench.actuator.commands,
+        "without": dict(fitted.bench.actuator.optional_inputs),
         "observed": fitted.bench.observed,
         "signals": signals(model),
         "example_inputs": "".join(f', {{"{name}": ...}}' for name in fitted.bench.inputs[:1]),
@@ -86,7 +87,7 @@ def _describe(fitted: Identified, values: str, weights: bool) -> Mapping[str, An
 
 def controls(fitted: Identified) -> bool:
     """Whether what MuJoCo's actuator gets is something else than the command."""
-    return "delay" in fitted.values["bench"] or type(fitted.bench.actuator).control is not Actuator.control
+    return "delay" in fitted.values["bench"] or fitted.bench.actuator.has_controller
 
 
 def load_module(path: Path) -> ModuleType:

@@ -10,7 +10,9 @@ from jaxtyping import Float
 
 from frictionzoo.bench import Actuator
 from frictionzoo.bench.actuators.dc_motor_pd import DcMotorPD
+from frictionzoo.bench.actuators.joint_pd import JointPD, aim_at
 from frictionzoo.bench.actuators.position_pd import PositionPD
+from frictionzoo.bench.actuators.recorded_pd import RecordedPD
 from frictionzoo.bench.actuators.voltage_servo import VoltageServo
 from frictionzoo.core.errors import ExportError
 from frictionzoo.core.params import UNITS
@@ -90,12 +92,32 @@ def motors(fitted: Identified, inputs: Mapping[str, float]) -> list[Motor]:
         ExportError: The actuator law is none of a position-controlled motor.
     """
     law, values = fitted.bench.actuator, fitted.values["bench"]
+    if isinstance(law, RecordedPD):
+        values = {**values, **_constant_gains(fitted)}
     return [_motor(law, {name: float(v[j]) for name, v in values.items()}, inputs) for j in range(fitted.bench.nv)]
+
+
+def _constant_gains(fitted: Identified) -> dict[str, Float[np.ndarray, "nv"]]:
+    """Recorded gains of each joint; ExportError where they change, or no position is controlled."""
+    gains = {name: fitted.segments.acting.inputs[name] for name in ("kp", "kd")}
+    for name, of in gains.items():
+        low, high = of.min(axis=(0, 1)), of.max(axis=(0, 1))
+        if (high > low).any() or (name == "kp" and (low <= 0).any()):
+            joint = int(np.argmax((high > low) | (low <= 0)))
+            raise ExportError(
+                f"{name} of {fitted.bench.joints[joint]} is {low[joint]:g} to {high[joint]:g} in the recordings, "
+                "expected one gain above 0, as a configuration has it; write target=mujoco or mjx"
+            )
+    return {name: of[0, 0] for name, of in gains.items()}
 
 
 def _motor(law: Actuator, values: Mapping[str, float], inputs: Mapping[str, float]) -> Motor:
     if isinstance(law, PositionPD):
         return Motor(values["kp"], values["kd"])
+    if isinstance(law, JointPD | RecordedPD):
+        gain = values["torque_gain"]
+        limit = min(values.get(name, np.inf) for name in ("torque_limit", "torque_saturation"))
+        return Motor(gain * values["kp"], gain * values["kd"], effort_limit=gain * limit)
     if isinstance(law, DcMotorPD):
         limits = (values["stall_torque"], values["no_load_velocity"], values["torque_limit"])
         return Motor(values["kp"], values["kd"], *limits)
@@ -122,7 +144,7 @@ def run_joints(fitted: Identified, nearest: Nearest, joints: Sequence[Joint]) ->
     delay = np.array([joint.lag * fitted.timestep for joint in joints])
     late = {"delay": delay} if "delay" in fitted.values["bench"] else {}
     written = replace(fitted, values={**fitted.values, "bench": {**nearest.bench, **late}})
-    return simulate(_compile(fitted, nearest, joints), written, _step(joints))
+    return simulate(_compile(fitted, nearest, joints), written, _step(fitted, joints))
 
 
 def _compile(fitted: Identified, nearest: Nearest, joints: Sequence[Joint]) -> mujoco.MjModel:
@@ -135,10 +157,15 @@ def _compile(fitted: Identified, nearest: Nearest, joints: Sequence[Joint]) -> m
     return model
 
 
-def _step(joints: Sequence[Joint]) -> Step:
+def _step(fitted: Identified, joints: Sequence[Joint]) -> Step:
+    law = fitted.bench.actuator
+    told = isinstance(law, JointPD | RecordedPD)
+    gains = _constant_gains(fitted) if isinstance(law, RecordedPD) else fitted.values["bench"]
+
     def step(model: mujoco.MjModel, data: mujoco.MjData, signals: Signals) -> None:
+        aims = aim_at(gains, signals.ctrl, signals.inputs) if told else signals.ctrl
         for index, joint in enumerate(joints):
-            state = float(signals.ctrl[index]), float(data.qpos[index]), float(data.qvel[index])
+            state = float(aims[index]), float(data.qpos[index]), float(data.qvel[index])
             data.ctrl[index] = joint.motor.torque(*state)
         mujoco.mj_step(model, data)
 
@@ -153,7 +180,8 @@ def say_common(fitted: Identified, nearest: Nearest, inputs: Mapping[str, float]
         "of their class in MuJoCo C.",
         *([nearest.remark] if nearest.remark else []),
     ]
-    if inputs:
+    said += _say_commands(fitted)
+    if inputs.keys() & INPUTS.keys():
         listed = ", ".join(f"{name} {value:g}" for name, value in inputs.items() if name in INPUTS)
         said.append(
             f"The servo's inputs are fixed: {listed}, always enabled; the stiffness is that of this gain. Braking adds "
@@ -168,4 +196,23 @@ def say_common(fitted: Identified, nearest: Nearest, inputs: Mapping[str, float]
             f"The position offset, {listed} {units['position']}, is not in the file: add it to measured positions and "
             "to commands."
         )
+    return said
+
+
+def _say_commands(fitted: Identified) -> list[str]:
+    """What configurations of position-controlled motors lack of a robot's commands and limits."""
+    law, values, said = fitted.bench.actuator, fitted.values["bench"], []
+    if not isinstance(law, JointPD | RecordedPD):
+        return said
+    driven = [name for name in ("ctrl_velocity", "ctrl_torque") if np.any(fitted.segments.acting.inputs[name])]
+    if driven:
+        said.append(
+            f"The recordings have {' and '.join(driven)}: give ctrl + (kd ctrl_velocity + ctrl_torque) / kp as "
+            "position target, as for the difference, with kp and kd as they were commanded."
+        )
+    if (values["torque_gain"] != 1).any():
+        listed = ", ".join(f"{value:.4g}" for value in values["torque_gain"])
+        said.append(f"Gains and limits in the file are those of the controller times torque_gain, {listed}.")
+    if "torque_saturation" in values:
+        said.append("It has no smooth saturation: the torque that this approaches is a hard limit in the file.")
     return said

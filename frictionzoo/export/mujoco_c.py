@@ -48,7 +48,8 @@ def _run(folder: Path, fitted: Identified) -> np.ndarray:
     drive = module.Drive(model)
 
     def prepare(model: mujoco.MjModel, data: mujoco.MjData, rollout: int) -> None:
-        drive.start_late(commands_before(fitted, rollout))
+        before = commands_before(fitted, rollout)
+        drive.start_late(before.ctrl, before.inputs)
 
     def step(model: mujoco.MjModel, data: mujoco.MjData, signals: Signals) -> None:
         drive.step(data, signals.ctrl, signals.inputs | signals.observed)

@@ -60,8 +60,12 @@ def step_with_control(fitted: Identified) -> Step:
     return step
 
 
-def commands_before(fitted: Identified, rollout: int) -> Float[np.ndarray, "steps nv"]:
-    """The commands in the steps before the first state of a rollout of this number, the newest last; at least one."""
+def commands_before(fitted: Identified, rollout: int) -> Signals:
+    """The commands in the steps before the first state of a rollout of this number, the newest last; at least one.
+
+    Each of shape (steps, nv); `inputs` has those that are commands alone.
+    """
     segments = fitted.segments
-    known = segments.signals.ctrl[rollout, : max(segments.history, 1)]
-    return np.repeat(known, fitted.sampling.substeps, axis=0)
+    inputs = {name: segments.signals.inputs[name] for name in fitted.sampling.commands}
+    known = Signals(segments.signals.ctrl, inputs).map(lambda signal: signal[rollout, : max(segments.history, 1)])
+    return known.map(lambda signal: np.repeat(signal, fitted.sampling.substeps, axis=0))

@@ -19,7 +19,7 @@ from frictionzoo.core.described import Described
 from frictionzoo.core.errors import ConfigError, LogError, closest
 from frictionzoo.core.log import JITTER, Log
 from frictionzoo.logs.diagnose import refuse_incomplete
-from frictionzoo.logs.recording import HELD, Recording
+from frictionzoo.logs.recording import COMMANDS, HELD, SIGNALS, Recording
 from frictionzoo.logs.signals import (
     Signal,
     check_filter,
@@ -36,8 +36,8 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "spikes": ("repair", "drop", "keep"),
     "velocity": ("measured", "estimated", "auto"),
 }
-RESAMPLED = {"ctrl": "mean", "enable": "held"}  # how these are found on another grid
-EXTRAS = ("supply", "enable", "temperature")
+RESAMPLED = {**dict.fromkeys(COMMANDS, "mean"), "enable": "held"}  # how these are found on another grid
+EXTRAS = tuple(signal for signal in SIGNALS if signal not in ("time", "qpos", "qvel", "ctrl"))
 FOLLOWED = 1e-6  # share of the median interval by which the same instant may differ in two clocks
 COMPARED = 200  # samples from which on a measured velocity is compared with the position
 MOST_FINER = 1000.0  # factor by which resampling may make an interval shorter; more adds nothing but length
@@ -53,8 +53,8 @@ class Cleaning(Described):
         step: Sample interval of the logs [s]; None for a recording's own, which is the median interval where it varies
             by more than a log tolerates. Recordings that a fit takes together need the same.
         resample: How positions, velocities and extra signals are found between samples: `linear`, or `cubic` splines.
-            The drive's enable signal is held; a command becomes the mean of what was held until the next sample, which
-            neither delays nor advances it.
+            The drive's enable signal is held; commands become the mean of what was held until the next sample, which
+            neither delays nor advances them.
         gap: An interval longer than this many medians splits a recording, and so does a longer run of NaN; shorter ones
             are interpolated.
         wrap: Turn within which the positions are an angle, which goes on instead [rad]; None for positions as they are.
@@ -230,10 +230,10 @@ def _fill_nan(piece: Piece) -> Piece:
 
 
 def _repair_spikes(piece: Piece) -> Piece:
-    """Without the spikes of all signals that cannot jump and come back, and outliers of a held command."""
+    """Without the spikes of all signals that cannot jump and come back, and outliers of held commands."""
     repaired, sentences = dict(piece.signals), []
     for name, values in piece.signals.items():
-        if name == "ctrl":
+        if name in COMMANDS:
             far = _each(find_outliers, values)
             before = np.maximum.accumulate(np.where(far, 0, np.arange(len(values))[:, None]), axis=0)
             if far.any():
@@ -298,7 +298,8 @@ def _resample(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
     }
     missing = int((np.round(steps[steps > 1.5 * interval] / interval) - 1).sum())
     rates = f"from about {1 / interval:.4g} to {1 / step:.4g} samples/s"
-    sentence = f"resampled {rates}, {cleaning.resample}; ctrl: mean of the held command"
+    commands = ", ".join(name for name in COMMANDS if name in signals)
+    sentence = f"resampled {rates}, {cleaning.resample}; {commands}: mean of the held command"
     if missing:
         sentence += f"; missing samples interpolated: {missing}"
     return Piece(grid, signals, (*piece.repairs, sentence))

@@ -57,7 +57,7 @@ def to_recording(table: Table, columns: Mapping[str, Any], units: Mapping[str, s
 def _refuse_unread(table: Table, columns: Mapping[str, Any]) -> None:
     """LogError where a column that is called like a signal holds no numbers; without it another would stand for it."""
     for signal in SIGNALS:
-        for header in (signal, BAM[signal]):
+        for header in (signal, BAM.get(signal, signal)):
             if header in table.refused and columns.get(signal) is None and signal not in table.columns:
                 without = "" if signal in NEEDED else ", to [] to do without"
                 raise LogError(f"{table.refused[header]}; or set data.columns.{signal}{without}")

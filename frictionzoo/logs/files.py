@@ -14,13 +14,13 @@ from frictionzoo.logs.clean import Cleaning, clean, summarise_repairs
 from frictionzoo.logs.columns import Proposal, list_names, propose, to_recording
 from frictionzoo.logs.formats import find_files, format_names, read_tables
 from frictionzoo.logs.logs import InMemory, Logs
-from frictionzoo.logs.recording import SIGNALS, Recording, Table
+from frictionzoo.logs.recording import SIGNALS, TURNED, Recording, Table
 from frictionzoo.logs.select import Selection, choose_payloads
 from frictionzoo.logs.source import Source, register_source
 from frictionzoo.logs.split import Split
 from frictionzoo.logs.units import ratio
 
-UPRIGHT = {"qpos": 1, "qvel": 1, "ctrl": 1}
+UPRIGHT: Mapping[str, int] = dict.fromkeys(TURNED, 1)
 """Each signal with its own sign."""
 AS_IT_IS = Cleaning()
 """The cleaning that a recording gets of which nothing is said."""
@@ -213,8 +213,8 @@ def _mapping(option: str, given: Any) -> dict[str, Any]:
 
 def _signs(given: Mapping[str, Any]) -> dict[str, int]:
     for signal, sign in given.items():
-        if signal not in ("qpos", "qvel", "ctrl"):
-            raise ConfigError(f"data.sign.{signal}: unknown signal; {closest(str(signal), ('qpos', 'qvel', 'ctrl'))}")
+        if signal not in TURNED:
+            raise ConfigError(f"data.sign.{signal}: unknown signal; {closest(str(signal), TURNED)}")
         if sign not in (1, -1):
             raise ConfigError(f"data.sign.{signal}={sign}: expected 1 or -1")
     return dict(given)

@@ -3,7 +3,7 @@
 import math
 import re
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,16 +17,27 @@ BAM = {
     **{"supply": "input_volts", "enable": "torque_enable", "temperature": "temp"},
 }
 # Words of a header, the most telling first: a goal_position is a command, and torque_enable no torque.
+COMMANDED = "goal cmd target ctrl command commands commanded reference ref setpoint desired des action u ff feedforward"
+VELOCITY = "dq qd qvel vel velocity speed omega qdot"
+EFFORT = "torque tau effort current voltage pwm duty vir force"
 WORDS = (
+    ("kp", "kp"),
+    ("kd", "kd"),
     ("enable", "enable enabled"),
     ("temperature", "temp temperature"),
     ("supply", "volts vin vbus supply battery"),
-    ("ctrl", "goal cmd target ctrl command commands commanded reference ref setpoint desired des action u"),
+    ("ctrl", COMMANDED),
     ("time", "t time timestamp timestamps stamp clock seconds"),
-    ("qvel", "dq qd qvel vel velocity speed omega qdot"),
+    ("qvel", VELOCITY),
     ("qpos", "q qpos pos position angle theta state qm"),
-    ("ctrl", "torque tau effort current voltage pwm duty vir force"),
+    ("effort", EFFORT),
 )
+TORQUE = frozenset(("torque", "tau", "effort"))
+OTHER_TORQUE = frozenset(("ext", "external", "gravity", "friction", "model", "limit", "max", "min", "error"))
+MEASURED = frozenset(("est", "estimated", "meas", "measured", "actual", "act", "sensor"))
+ACCELERATION = frozenset(("acc", "accel", "acceleration", "ddq", "qdd", "qacc"))
+JOINED = re.compile(r"(q|dq|qd|tau|pos|vel)(cmd|des|ref|ff|est|meas)")  # a word of two: qcmd
+BESIDE = ("ctrl_velocity", "ctrl_torque", "kp", "kd", "torque")  # what no recording needs, and few have
 SPELLINGS = {
     **{"sec": "s", "secs": "s", "seconds": "s", "degree": "deg", "degrees": "deg", "radians": "rad", "nm": "N m"},
     **{"dps": "deg/s", "deg_s": "deg/s", "rad_s": "rad/s", "radps": "rad/s", "mm_s": "mm/s", "m_s": "m/s"},
@@ -70,6 +81,7 @@ def propose(table: Table) -> Proposal:
     for known in ({signal: signal for signal in SIGNALS}, BAM):
         if all(known[signal] in table.columns for signal in ("time", "qpos", "ctrl")):
             columns = {signal: (header,) for signal, header in known.items() if header in table.columns}
+            columns = {signal: found for signal, found in columns.items() if _is_usable(table, signal, found)}
             units, reasons = _units(table, columns)
             reason = f"{', '.join(h for (h,) in columns.values())}: by their names"
             return Proposal(columns, units, (reason, *reasons), certain=not units)
@@ -80,33 +92,128 @@ def propose(table: Table) -> Proposal:
 
 def _find(table: Table) -> tuple[dict[str, tuple[str, ...]], list[str]]:
     """For each signal the headers that speak for it, and a sentence on them."""
-    families: dict[str, dict[tuple[int, str], list[str]]] = {}
-    for header in table.columns:
-        if header not in table.times.values() and (role := _role(header)):
-            signal, rank = role
-            # Joints of one signal differ in what stands in brackets, or in a number.
-            stem = re.sub(r"\[[^]]*\]|\d+", "#", header)
-            families.setdefault(signal, {}).setdefault((rank, stem), []).append(header)
     columns, reasons = {}, []
+    families = _families(table)
     for signal in SIGNALS:
         found = families.get(signal)
         if found:
             best = min(found, key=lambda key: key[0])
-            columns[signal] = tuple(found[best][:1] if signal == "time" else found[best])
+            headers = tuple(found[best][:1] if signal == "time" else found[best])
+            if signal in BESIDE and len(headers) not in (1, len(columns.get("qpos", ()))):
+                continue
+            columns[signal] = headers
             others = [headers[0] for key, headers in found.items() if key != best]
             also = f"; {', '.join(others)} could be as well" if others else ""
-            reasons.append(f"{signal}: {', '.join(columns[signal])}, by name{also}")
+            reasons.append(f"{signal}: {', '.join(headers)}, by name{also}")
     own = table.times.get(columns.get("qpos", ("",))[0])
     return ({**columns, "time": (own,)} if own else columns), reasons
 
 
+Families = dict[tuple[int, str], list[str]]
+"""Headers that differ in the joint alone, by how plainly they speak of their signal, and what they have in common."""
+
+
+def _families(table: Table) -> dict[str, Families]:
+    """The headers that speak for each signal."""
+    families: dict[str, Families] = {}
+    joints = _find_joints(table)
+    for header in sorted(table.columns, key=lambda header: joints.get(header, ("", 0))[1]):
+        # Joints of one signal differ in their names, or in what stands in brackets, or in a number.
+        stem = joints[header][0] if header in joints else re.sub(r"\[[^]]*\]|\d+", "#", header)
+        if header not in table.times.values() and (role := _role(stem if header in joints else header)):
+            signal, rank = role
+            families.setdefault(signal, {}).setdefault((rank, stem), []).append(header)
+    efforts = families.pop("effort", {})
+    if "ctrl" not in families:  # a drive that is told a velocity or a torque, or whose torque is what drives it
+        commands = families.pop("ctrl_velocity", {}) | families.pop("ctrl_torque", {}) | efforts
+        return families | ({"ctrl": commands} if commands else {})
+    usable = {signal: _keep_usable(table, signal, families.get(signal, {})) for signal in BESIDE}
+    usable["torque"] = _keep_usable(table, "torque", _pick_torque(efforts))
+    return {**families, **usable}
+
+
+def _keep_usable(table: Table, signal: str, found: Families) -> Families:
+    return {key: headers for key, headers in found.items() if _is_usable(table, signal, headers)}
+
+
+def _is_usable(table: Table, signal: str, headers: Sequence[str]) -> bool:
+    """Whether a signal that no recording needs would not cost samples: of a torque, none may be missing."""
+    finite = [np.isfinite(table.columns[header]) for header in headers]
+    return signal not in BESIDE or all(of.all() if signal == "torque" else of.any() for of in finite)
+
+
+def _pick_torque(efforts: Families) -> Families:
+    """What can only be the measured torque of the joints."""
+    found = {key: headers for key, headers in efforts.items() if TORQUE & {*_words(key[1])}}
+    found = {key: headers for key, headers in found.items() if not OTHER_TORQUE & {*_words(key[1])}}
+    plain = {key: headers for key, headers in found.items() if MEASURED & {*_words(key[1])}}
+    return found if len(found) == 1 else plain if len(plain) == 1 else {}
+
+
+def _find_joints(table: Table) -> dict[str, tuple[str, int]]:
+    """Of headers with a joint's name in them, what they have in common, and the joint's number in the order of qpos.
+
+    Names are what is left of headers of positions, if headers of commands have the same: FL_hip of qpos_FL_hip and
+    ctrl_FL_hip.
+    """
+    best: dict[str, tuple[str, int]] = {}
+    for names in _candidates(table).values():
+        shared = [_stems(table, name) for name in names]
+        stems = set.intersection(*map(set, shared))
+        told = {role[0] for role in map(_role, stems) if role}
+        if told & {"ctrl", "ctrl_velocity", "ctrl_torque", "effort"} and len(names) > 1:
+            found = {of[stem]: (stem, number) for number, of in enumerate(shared) for stem in stems}
+            best = found if len(found) > len(best) else best
+    return best
+
+
+def _candidates(table: Table) -> dict[str, list[str]]:
+    """What may be names of joints: what stands before or after the word of a position, by all else in the header."""
+    names: dict[str, list[str]] = {}
+    positions = dict(WORDS)["qpos"].split()
+    for header in table.columns:
+        role = _role(header)
+        for word in re.finditer(r"[A-Za-z]+", header) if role and role[0] == "qpos" else ():
+            if word.group().lower() in positions:
+                for part in (header[: word.start()], header[word.end() :]):
+                    name = part.strip("_ ./-")
+                    if re.fullmatch(r"[\w.-]*[A-Za-z][\w.-]*", name):
+                        names.setdefault(header.replace(name, "*", 1), []).append(name)
+    return names
+
+
+def _stems(table: Table, name: str) -> dict[str, str]:
+    """The headers with this name in them, by what they are without it."""
+    place = re.compile(rf"(?<![A-Za-z0-9]){re.escape(name)}(?![A-Za-z0-9])")
+    return {place.sub("*", header, count=1): header for header in table.columns if place.search(header)}
+
+
+def _words(header: str) -> list[str]:
+    words = re.findall(r"[a-z]+", re.sub(r"([a-z])([A-Z])", r"\1_\2", header).lower())
+    joined = {word: found.groups() for word in words if (found := JOINED.fullmatch(word))}
+    return [part for word in words for part in joined.get(word, (word,))]
+
+
 def _role(header: str) -> tuple[str, int] | None:
     """The signal of which a header speaks, and how plainly: the lower the number, the plainer."""
-    words = re.findall(r"[a-z]+", re.sub(r"([a-z])([A-Z])", r"\1_\2", header).lower())
+    words = _words(header)
+    if not ACCELERATION.isdisjoint(words):
+        return None
     for place, (signal, telling) in enumerate(WORDS):
-        if not set(words).isdisjoint(telling.split()):
-            return signal, 10 * place + len(words)
+        if set(words).isdisjoint(telling.split()) or (signal == "qpos" and not TORQUE.isdisjoint(words)):
+            continue  # state.tau_est is no position
+        signal = _commanded({*words}) if telling is COMMANDED else signal
+        return (signal, 10 * place + len(words)) if signal else None
     return None
+
+
+def _commanded(words: set[str]) -> str | None:
+    """What a command is a command of; None where it is something that is fed forward, and what is not said."""
+    if not words.isdisjoint(VELOCITY.split()):
+        return "ctrl_velocity"
+    if TORQUE & words:
+        return "ctrl_torque"
+    return None if words & {"ff", "feedforward"} else "ctrl"
 
 
 @np.errstate(all="ignore")  # numbers as they come: what overflows or is infinite leaves no guess
@@ -118,7 +225,7 @@ def _units(table: Table, columns: Mapping[str, tuple[str, ...]]) -> tuple[dict[s
         if unit is not None and not table.units.get(headers[0]):
             units[signal] = unit
             reasons.append(f"{signal} in {unit}: its header {headers[0]} says so")
-    for guess in (_guess_time, _guess_rate, _guess_turns, _guess_command):
+    for guess in (_guess_time, _guess_rate, _guess_turns, _guess_command, _guess_command_rate):
         for signal, unit, reason in guess(table, columns, units):
             units[signal] = unit
             reasons.append(f"{signal} in {unit}: {reason}")
@@ -193,22 +300,33 @@ def _guess_turns(table: Table, columns: Columns, units: Mapping[str, str]) -> Gu
 
 
 def _guess_command(table: Table, columns: Columns, units: Mapping[str, str]) -> Guess:
-    """The unit of a command that the position follows, by the ratio of the two."""
-    if "ctrl" in units or columns.get("ctrl", ("",))[0] in table.units:
+    """The unit of a command that the position follows."""
+    return _guess_followed(table, columns, units, "qpos", "ctrl", ("rad", "deg"))
+
+
+def _guess_command_rate(table: Table, columns: Columns, units: Mapping[str, str]) -> Guess:
+    """The unit of a desired velocity that the velocity follows."""
+    return _guess_followed(table, columns, units, "qvel", "ctrl_velocity", ("rad/s", "deg/s"))
+
+
+def _guess_followed(
+    table: Table, columns: Columns, units: Mapping[str, str], signal: str, told: str, possible: tuple[str, ...]
+) -> Guess:
+    """The unit of a command that a signal follows, by the ratio of the two."""
+    if told in units or columns.get(told, ("",))[0] in table.units:
         return []
-    signals = _values(table, columns, ("qpos", "ctrl"))
+    signals = _values(table, columns, (signal, told))
     if signals is None:
         return []
-    position, command = signals
-    known = units.get("qpos") or table.units.get(columns["qpos"][0], "rad")
-    size = _ratio(position, command, of_same=True)
+    known = units.get(signal) or table.units.get(columns[signal][0], possible[0])
+    size = _ratio(*signals, of_same=True)
     if size is None:
         return []
-    distance, unit = min((abs(math.log(size * _si("qpos", known) / _si("qpos", u))), u) for u in ("rad", "deg"))
+    distance, unit = min((abs(math.log(size * _si(signal, known) / _si(signal, u))), u) for u in possible)
     # A position that falls short of its command is no other unit, as one of 57 times less is.
-    if distance > 10 * NEAR or _si("qpos", unit) == 1:
+    if distance > 10 * NEAR or _si(signal, unit) == 1:
         return []
-    return [("ctrl", unit, f"{columns['qpos'][0]} follows it at {size:.3g} times its size")]
+    return [(told, unit, f"{columns[signal][0]} follows it at {size:.3g} times its size")]
 
 
 def _values(table: Table, columns: Columns, signals: tuple[str, ...]) -> list[Signal] | None:

@@ -7,10 +7,16 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Real
 
-SIGNALS = ("time", "qpos", "qvel", "ctrl", "supply", "enable", "temperature")
+COMMANDS = ("ctrl", "ctrl_velocity", "ctrl_torque", "kp", "kd")
+"""What a drive was told: the command, and beside it desired velocity, feed-forward torque and gains."""
+
+SIGNALS = ("time", "qpos", "qvel", *COMMANDS, "torque", "supply", "enable", "temperature")
 """What a column may stand for. Needed: time, qpos, ctrl; the others where the file has them."""
 
-HELD = ("ctrl", "enable")
+TURNED = ("qpos", "qvel", "ctrl", "ctrl_velocity", "ctrl_torque", "torque")
+"""Signals that have a direction."""
+
+HELD = (*COMMANDS, "enable")
 """Signals that keep their value until the next sample; the others go on in between."""
 
 
@@ -47,7 +53,9 @@ class Recording:
         name: Where it came from, for messages.
         time: Sample times since the first [s].
         signals: Samples of each of `SIGNALS` that there is besides time, of shape (time, columns): qpos [rad or m],
-            qvel [rad/s or m/s], ctrl in the actuator law's unit, supply [V], enable (0 or 1), temperature [degC].
+            qvel [rad/s or m/s], ctrl in the actuator law's unit, ctrl_velocity [rad/s or m/s], ctrl_torque [N m or N],
+            kp [N m/rad or N/m], kd [N m s/rad or N s/m], torque as measured [N m or N], supply [V], enable (0 or 1),
+            temperature [degC].
         fields: What the source says of the whole recording.
         sha256: Hash of what was read.
         simulated: Whether a simulator made it.

@@ -19,8 +19,10 @@ VELOCITY: Mapping[str, Ratio] = {
     **{"rad/s": (1.0, 1.0), "deg/s": (math.pi, 180.0), "rev/s": (math.tau, 1.0), "rpm": (math.tau, 60.0)},
     **{"m/s": (1.0, 1.0), "mm/s": (1.0, 1e3)},
 }
+TORQUE: Mapping[str, Ratio] = {"N m": (1.0, 1.0), "mN m": (1.0, 1e3), "N": (1.0, 1.0)}
 EFFORT: Mapping[str, Ratio] = {
-    **{"N m": (1.0, 1.0), "mN m": (1.0, 1e3), "N": (1.0, 1.0), "A": (1.0, 1.0), "mA": (1.0, 1e3)},
+    **TORQUE,
+    **{"A": (1.0, 1.0), "mA": (1.0, 1e3)},
     **{"V": (1.0, 1.0), "mV": (1.0, 1e3), "%": (1.0, 100.0), "1": (1.0, 1.0)},
 }
 UNITS: Mapping[str, Mapping[str, Ratio]] = {
@@ -28,6 +30,11 @@ UNITS: Mapping[str, Mapping[str, Ratio]] = {
     "qpos": POSITION,
     "qvel": VELOCITY,
     "ctrl": {**POSITION, **VELOCITY, **EFFORT},
+    "ctrl_velocity": VELOCITY,
+    "ctrl_torque": TORQUE,
+    "kp": {"N m/rad": (1.0, 1.0), "N m/deg": (180.0, math.pi), "N/m": (1.0, 1.0), "N/mm": (1e3, 1.0)},
+    "kd": {"N m s/rad": (1.0, 1.0), "N m s/deg": (180.0, math.pi), "N s/m": (1.0, 1.0), "N s/mm": (1e3, 1.0)},
+    "torque": TORQUE,
     "supply": {"V": (1.0, 1.0), "mV": (1.0, 1e3)},
     "enable": {"1": (1.0, 1.0)},
     "temperature": {"degC": (1.0, 1.0)},

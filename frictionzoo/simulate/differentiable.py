@@ -49,7 +49,8 @@ def rollout(
         parameters: Values of the bench's parameters, of shape (nv,) or a single one, by name; the others are as the
             bench has them.
         signals: What the actuator law needs besides the command and what the friction law looks at (`bench.inputs`,
-            `law.inputs`), by name, each of shape (batch, time, nv). What the friction law looks at may be left out.
+            `law.inputs`), by name, each of shape (batch, time, nv). What the friction law looks at may be left out, and
+            what the actuator law can do without.
         interval: Of the samples [s], a whole number of simulation steps; None for one step.
         payload: What the bench carries; None for nothing.
         engine: `auto`, `specialised` or `mjx`.
@@ -124,10 +125,11 @@ def _name(
         raise BenchError(f"signals.{name}: neither law looks at it; {closest(name, bench.inputs)}")
     shapes = {"qpos": (batch, bench.nv), "qvel": (batch, bench.nv)}
     parts = {"ctrl": ctrl}
+    without = {**bench.actuator.optional_inputs, **law.inputs}
     for name in bench.inputs:
-        if name not in signals and name not in law.inputs:
+        if name not in signals and name not in without:
             raise BenchError(f"signals.{name}: missing, and the bench's actuator needs it; give it in each sample")
-        parts[name] = signals[name] if name in signals else torch.full_like(ctrl, law.inputs[name])
+        parts[name] = signals[name] if name in signals else torch.full_like(ctrl, without[name])
     shapes |= dict.fromkeys(parts, (batch, time, bench.nv))
     for name, tensor in {"qpos": qpos, "qvel": qvel, **parts}.items():
         if tuple(tensor.shape) != shapes[name]:

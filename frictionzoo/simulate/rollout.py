@@ -124,7 +124,7 @@ def make_observer(engine: Engine, sampling: Sampling) -> Callable[..., DriveStat
 
 
 def applied(values: Values, signals: Signals, sampling: Sampling) -> Signals:
-    """What acts in each simulation step: the commands, late by the bench's delay, and the other inputs.
+    """What acts in each simulation step: all commands, late by the bench's delay, and the other inputs.
 
     A command is held until the next one. Within the step in which a late command takes over, the mean of both acts, so
     that the rollout depends continuously on the delay, by fractions of a sample and of a step.
@@ -137,13 +137,13 @@ def applied(values: Values, signals: Signals, sampling: Sampling) -> Signals:
     Returns:
         Each of shape (batch, time, substeps, nv).
     """
-    interval, substeps, history = sampling
+    interval, substeps, history, commands = sampling
 
     def hold(signal: Float[Array, "batch samples nv"]) -> Float[Array, "batch time substeps nv"]:
         now = signal[:, history:]
         return jnp.broadcast_to(now[:, :, None], (*now.shape[:2], substeps, now.shape[2]))
 
-    held, ctrl = signals.map(hold), signals.ctrl
+    held = signals.map(hold)
     delay = values["bench"].get("delay")
     if delay is None:
         return held
@@ -154,7 +154,11 @@ def applied(values: Values, signals: Signals, sampling: Sampling) -> Signals:
     step = jnp.arange(substeps)[:, None] + whole.astype(int)
     sample = history + jnp.arange(held.ctrl.shape[1])[:, None, None]
     joint = jnp.arange(len(delay))
-    late = (1 - later) * ctrl[:, sample + step // substeps, joint]
-    known = jnp.concatenate([ctrl, ctrl[:, -1:]], axis=1)  # without delay, the last step has no part in a later one
-    late += later * known[:, sample + (step + 1) // substeps, joint]
-    return held._replace(ctrl=late)
+
+    def act(command: Float[Array, "batch samples nv"]) -> Float[Array, "batch time substeps nv"]:
+        late = (1 - later) * command[:, sample + step // substeps, joint]
+        known = jnp.concatenate([command, command[:, -1:]], axis=1)  # without delay, no part in a later step
+        return late + later * known[:, sample + (step + 1) // substeps, joint]
+
+    late = {name: act(signals.inputs[name]) for name in commands}
+    return held._replace(ctrl=act(signals.ctrl), inputs=held.inputs | late)

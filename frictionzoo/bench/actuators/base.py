@@ -37,7 +37,11 @@ class Actuator(Described, ABC):
     Attributes:
         name: Set by `register_actuator`.
         dimensions: Dimension of each parameter, a key of `frictionzoo.core.params.UNITS`.
-        inputs: What the controller needs in each sample besides the command; recordings have it among their `extras`.
+        optional: Parameters that need not be given, and that are left out then: what they stand for is not there.
+        defaults: Section of each parameter that is known where nothing is said of it.
+        inputs: What the controller needs in each sample besides `ctrl`; recordings have it among their `extras`.
+        optional_inputs: What those among them are that a recording may lack.
+        commands: Those among them that are commands as `ctrl` is: they act as late.
         params: Each parameter's value or initial value, bounds and scale.
 
     Args:
@@ -51,13 +55,23 @@ class Actuator(Described, ABC):
 
     name: ClassVar[str]
     dimensions: ClassVar[Mapping[str, str]]
+    optional: ClassVar[tuple[str, ...]] = ()
+    defaults: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     inputs: ClassVar[tuple[str, ...]] = ()
+    optional_inputs: ClassVar[Mapping[str, float]] = {}
+    commands: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, params: Mapping[str, Mapping[str, Any]] | None = None, **values: Any) -> None:
         owner, sections = type(self).__name__, dict(params or {})
         for name in sections.keys() & values.keys():
             raise ConfigError(f"{owner}: {name} is given twice, expected a value or a section; leave one out")
-        self.params: dict[str, Param] = read_params(owner, self.dimensions, {**sections, **values})
+        given = {**sections, **values}
+        self.params: dict[str, Param] = read_params(owner, self.dimensions, given, self.optional, self.defaults)
+
+    @property
+    def has_controller(self) -> bool:
+        """Whether MuJoCo's actuator gets something else than the command."""
+        return type(self).control is not Actuator.control
 
     @abstractmethod
     def affine(self, values: Mapping[str, Any]) -> Affine:
@@ -73,7 +87,7 @@ class Actuator(Described, ABC):
             values: Value of each parameter.
             qpos: Position [rad or m].
             qvel: Velocity [rad/s or m/s].
-            command: As recorded.
+            command: As recorded, `ctrl`.
             inputs: Each of `inputs`.
         """
         return command

@@ -1,18 +1,41 @@
-"""A drive whose command is its force, but for a factor and a constant."""
+"""A drive whose command is its force, but for a factor, a constant and a limit."""
 
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from frictionzoo.bench.actuators.base import Actuator, Affine, register_actuator
+from frictionzoo.bench.actuators.saturation import LIMITS, saturate
 
 
 @register_actuator("force")
 class Force(Actuator):
-    """Force drive: force = force_gain ctrl + force_offset, ctrl in the unit that was recorded (volts, newtons)."""
+    """Force drive: force = sat(force_gain ctrl + force_offset), ctrl in the unit that was recorded (volts, newtons).
 
-    dimensions: ClassVar[Mapping[str, str]] = {"force_gain": "torque/command", "force_offset": "torque"}
+    Where nothing is said, the command is the force or torque itself. A motor's current times its torque constant is a
+    known `force_gain`. sat is there where `torque_limit` or `torque_saturation` say so, as in `JointPD`.
+    """
+
+    dimensions: ClassVar[Mapping[str, str]] = {"force_gain": "torque/command", "force_offset": "torque", **LIMITS}
+    optional: ClassVar[tuple[str, ...]] = tuple(LIMITS)
+    defaults: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "force_gain": {"init": 1.0, "low": 0.1, "high": 10.0, "scale": "log", "identify": False},
+        "force_offset": {"init": 0.0, "low": -1.0, "high": 1.0, "scale": 1.0, "identify": False},
+    }
+
+    @property
+    def has_controller(self) -> bool:
+        """See `Actuator.has_controller`: a limit is one."""
+        return not LIMITS.keys().isdisjoint(self.params)
 
     def affine(self, values: Mapping[str, Any]) -> Affine:
         """See `Actuator.affine`."""
         zero = 0 * values["force_gain"]
         return Affine(values["force_gain"], values["force_offset"], zero, zero)
+
+    def control(
+        self, xp: Any, values: Mapping[str, Any], qpos: Any, qvel: Any, command: Any, inputs: Mapping[str, Any]
+    ) -> Any:
+        """See `Actuator.control`."""
+        wanted = values["force_gain"] * command + values["force_offset"]
+        given = saturate(xp, values, wanted)
+        return command if given is wanted else command + (given - wanted) / values["force_gain"]

@@ -1,0 +1,71 @@
+"""The impedance controller of robots' joints."""
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+
+from frictionzoo.bench.actuators.base import Actuator, Affine, register_actuator
+from frictionzoo.bench.actuators.saturation import LIMITS, saturate
+from frictionzoo.core.errors import ConfigError
+
+GAIN: Mapping[str, Any] = {"init": 1.0, "low": 0.5, "high": 2.0, "scale": "log", "identify": False}
+"""Section of a `torque_gain` of which nothing is said: the torque is what the controller asks for."""
+
+
+@register_actuator("joint_pd")
+class JointPD(Actuator):
+    """Impedance controller of a robot's joint: position, velocity and torque are commanded at once.
+
+        torque = torque_gain sat(kp (ctrl - qpos) + kd (ctrl_velocity - qvel) + ctrl_torque)
+
+    with kp [N m/rad or N/m], kd [N m s/rad or N s/m], the desired position ctrl [rad or m], the desired velocity
+    ctrl_velocity [rad/s or m/s] and the feed-forward torque ctrl_torque [N m or N], both 0 where recordings lack them.
+    torque_gain [1] is what the joint gives of the torque that the controller asks for. sat is there where parameters
+    say so: torque_saturation [N m or N] is kappa of kappa tanh(torque / kappa), torque_limit [N m or N] cuts off.
+
+    MuJoCo's actuator is its position actuator with these gains; its `ctrl` is ctrl + (kd ctrl_velocity + ctrl_torque) /
+    kp, and with a limit what makes it give the torque within. The integrator implicitfast treats kd as implicit at the
+    limit as well.
+
+    Source: B. Katz, "A low cost modular actuator for dynamic robots", MIT, 2018, the controller of the MIT Mini
+    Cheetah's motors, which Unitree's and others' motors have too; the hyperbolic tangent: arXiv 2505.14266, 2025.
+
+    Raises:
+        ConfigError: As of every actuator law, or kp is not above 0.
+    """
+
+    dimensions: ClassVar[Mapping[str, str]] = {"kp": "stiffness", "kd": "damping", "torque_gain": "1", **LIMITS}
+    optional: ClassVar[tuple[str, ...]] = tuple(LIMITS)
+    defaults: ClassVar[Mapping[str, Mapping[str, Any]]] = {"torque_gain": GAIN}
+    inputs: ClassVar[tuple[str, ...]] = ("ctrl_velocity", "ctrl_torque")
+    optional_inputs: ClassVar[Mapping[str, float]] = {"ctrl_velocity": 0.0, "ctrl_torque": 0.0}
+    commands: ClassVar[tuple[str, ...]] = inputs
+
+    def __init__(self, params: Mapping[str, Mapping[str, Any]] | None = None, **values: Any) -> None:
+        super().__init__(params, **values)
+        init: Any = self.params["kp"].init
+        if not np.all(np.array([*init.values()] if isinstance(init, Mapping) else init) > 0):
+            raise ConfigError(
+                f"JointPD: kp={init}; expected above 0; take Force for commands of torque alone, RecordedPD for gains "
+                "that recordings have"
+            )
+
+    def affine(self, values: Mapping[str, Any]) -> Affine:
+        """See `Actuator.affine`."""
+        stiffness, damping = (values["torque_gain"] * values[name] for name in ("kp", "kd"))
+        return Affine(stiffness, 0 * stiffness, -stiffness, -damping)
+
+    def control(
+        self, xp: Any, values: Mapping[str, Any], qpos: Any, qvel: Any, command: Any, inputs: Mapping[str, Any]
+    ) -> Any:
+        """See `Actuator.control`."""
+        aim = aim_at(values, command, inputs)
+        wanted = values["kp"] * (aim - qpos) - values["kd"] * qvel
+        given = saturate(xp, values, wanted)
+        return aim if given is wanted else aim + (given - wanted) / values["kp"]
+
+
+def aim_at(values: Mapping[str, Any], command: Any, inputs: Mapping[str, Any]) -> Any:
+    """The one desired position that asks for the same torque as all commands together."""
+    return command + (values["kd"] * inputs["ctrl_velocity"] + inputs["ctrl_torque"]) / values["kp"]
