@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from frictionzoo.bench.actuators.recorded_pd import RecordedPD
     from frictionzoo.bench.actuators.voltage_servo import VoltageServo
     from frictionzoo.bench.base import Bench
+    from frictionzoo.bench.robot import Robot
     from frictionzoo.comparison.compared import Compared
     from frictionzoo.core.log import Log
     from frictionzoo.core.params import Param
@@ -41,6 +42,7 @@ __all__ = [
     "Param",
     "PositionPD",
     "RecordedPD",
+    "Robot",
     "Split",
     "VoltageServo",
     "check_model",
@@ -55,7 +57,7 @@ __all__ = [
 __version__ = "0.1.0"
 
 _HOMES = {
-    **dict.fromkeys(("Bench", "DcMotorPD", "Force", "JointPD"), "frictionzoo.bench"),
+    **dict.fromkeys(("Bench", "Robot", "DcMotorPD", "Force", "JointPD"), "frictionzoo.bench"),
     **dict.fromkeys(("PositionPD", "RecordedPD", "VoltageServo"), "frictionzoo.bench"),
     **dict.fromkeys(("compare", "identify", "law", "load", "read"), "frictionzoo.library"),
     **dict.fromkeys(("DriveState", "FrictionTerms"), "frictionzoo.core.state"),

@@ -224,6 +224,8 @@ def identify(
     given |= {"seed": seed, "dtype": dtype, "engine": engine, "device": device, "compilation_cache": compilation_cache}
     settings = _compose(given)
     model = _make_law(law, bench.nv, {k: settings[k] for k in ("scale", "seed")}) if isinstance(law, str) else law
+    if isinstance(law, str):
+        model.begin(bench.initial_friction(model.params))
     described = {name: value for name, value in describe(model).items() if name != "nv"}
     settings |= {"bench": describe(bench), "data": dict(recordings.section), "fit": describe(fit), "model": described}
     with computing(dtype, device, compilation_cache) as place:

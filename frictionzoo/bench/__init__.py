@@ -2,8 +2,9 @@
 
 from frictionzoo.bench.actuators.base import REGISTRY, Actuator, Affine, register_actuator
 from frictionzoo.bench.base import Bench
+from frictionzoo.bench.robot import Robot
 
-__all__ = ["Actuator", "Affine", "Bench", "register_actuator"]
+__all__ = ["Actuator", "Affine", "Bench", "Robot", "register_actuator"]
 
 
 def __getattr__(name: str) -> type[Actuator]:

@@ -48,6 +48,7 @@ class Bench(Described):
         timestep: Simulation step [s].
         own_damping: The template's own damping of each joint [N m s/rad or N s/m].
         payload: Index of the body that carries payloads, or None.
+        notes: What a robot's file has and the bench has not, a line each.
         observed: What the friction law looks at besides the state, a name among `Log.extras` each, and what it is where
             recordings lack it; see `observing`.
 
@@ -94,14 +95,15 @@ class Bench(Described):
                 "damping ratio, or two below 0, as MuJoCo reads them"
             )
         self._solreffriction = [float(number) for number in solreffriction]
-        self._template = Template(mjcf, joint, timestep)
+        self.notes: tuple[str, ...] = ()
+        self._template = self._open(mjcf, joint, timestep)
         self.joints: tuple[str, ...] = self._template.joints
-        given = {**read_params("bench", _PARAMS, params or {}, _OPTIONAL, DEFAULTS), **actuator.params}
+        self._tie = read_tie("bench.tie", tie)
+        group_joints("bench.tie", self._tie, self.joints)  # refuses what fits no joint
+        given = self._fill({**read_params("bench", _PARAMS, params or {}, _OPTIONAL, DEFAULTS), **actuator.params})
         self.params: dict[str, Param] = {name: param.for_joints(self.joints) for name, param in given.items()}
         if "delay" in self.params and (earliest := float(self.params["delay"].each("low", self.nv).min())) < 0:
             raise ConfigError(f"bench.params.delay.low={earliest:g}; expected 0 s or more")
-        self._tie = read_tie("bench.tie", tie)
-        group_joints("bench.tie", self._tie, self.joints)  # refuses what fits no joint
         model = self.compile(constraint=False)
         self._template.refuse_unfit(model, moved="position_offset" in self.params)
         self.joint_type: str = self._template.joint_type(model)
@@ -110,6 +112,17 @@ class Bench(Described):
         self.payload: int | None = None if payload is None else self._template.find_body(model, payload)
         self.observed: dict[str, float] = {}
         self._loads: dict[Payload, np.ndarray] = {}  # many recordings have the same
+
+    def _open(self, mjcf: str, joint: str | Sequence[str] | None, timestep: float | None) -> Template:
+        return Template(mjcf, joint, timestep)
+
+    def _fill(self, params: Mapping[str, Param]) -> Mapping[str, Param]:
+        """What a bench knows of parameters without a value; a test stand knows nothing."""
+        return params
+
+    def initial_friction(self, params: Mapping[str, Param]) -> dict[str, Float[np.ndarray, "nv"]]:
+        """Where the fit of a law of these parameters begins, by name, of those that the bench's file speaks of."""
+        return {}
 
     @property
     def nv(self) -> int:

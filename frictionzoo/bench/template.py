@@ -45,6 +45,13 @@ class Template:
         self.joints: tuple[str, ...] = self._choose_joints(joint)
         self._refuse_clashes()
 
+    @classmethod
+    def of(cls, source: str, root: ET.Element, joints: Sequence[str]) -> "Template":
+        """One that was made from the file `source` already, with these joints identified."""
+        made = object.__new__(cls)
+        made.source, made._root, made.joints = source, root, tuple(joints)
+        return made
+
     @property
     def has_radians(self) -> bool:
         """Whether positions of hinges are in radians: MuJoCo's default is degrees."""

@@ -12,6 +12,9 @@ from frictionzoo.core.errors import ConfigError, closest
 AT_BOUND = 1e-4
 """Share of the bounds' distance, in the optimiser's coordinate, that counts as reaching a bound."""
 
+LARGEST = 1e12
+"""Bound of a known value that a robot's file is to say, in any unit."""
+
 _UNITS = {
     "position": ("rad", "m"),
     "velocity": ("rad/s", "m/s"),
@@ -54,7 +57,7 @@ class Param:
     Attributes:
         name: MuJoCo's or the literature's word.
         dimension: A key of `UNITS`; the unit follows from the joint's type.
-        init: Initial value, and the value for good where `identify` is false.
+        init: Initial value, and the value for good where `identify` is false; None where a robot's file is to say it.
         low: Lower bound.
         high: Upper bound.
         scale: `log`: the optimiser moves the logarithm, so that a step is a share of the value (needs low > 0); or a
@@ -68,7 +71,7 @@ class Param:
 
     name: str
     dimension: str
-    init: PerJoint
+    init: PerJoint | None
     low: PerJoint
     high: PerJoint
     scale: str | float
@@ -117,7 +120,7 @@ class Param:
     @property
     def is_resolved(self) -> bool:
         """Whether nothing in it depends on joints' names."""
-        return not any(isinstance(part, Mapping) for part in (self.init, self.low, self.high, self.identify))
+        return not any(part is None or isinstance(part, Mapping) for part in self._parts().values())
 
     @property
     def is_identified(self) -> bool:
@@ -131,11 +134,12 @@ class Param:
         Raises:
             ConfigError: A list has another length, a joint fits no pattern, or `init` is outside the bounds then.
         """
-        parts = {
-            what: _resolve(f"{self.name}.{what}", getattr(self, what), joints)
-            for what in ("init", "low", "high", "identify")
-        }
+        parts = {what: _resolve(f"{self.name}.{what}", part, joints) for what, part in self._parts().items()}
         return replace(self, **parts)
+
+    def _parts(self) -> dict[str, Any]:
+        """What may differ from joint to joint."""
+        return {what: getattr(self, what) for what in ("init", "low", "high", "identify")}
 
     def each(self, what: str, nv: int) -> np.ndarray:
         """One of `init`, `low`, `high` and `identify` of each joint, of shape (nv,)."""
@@ -143,10 +147,8 @@ class Param:
 
     def only(self, joints: Sequence[int]) -> "Param":
         """The same of the joints of these indices alone."""
-        parts = {what: getattr(self, what) for what in ("init", "low", "high", "identify")}
-        return replace(
-            self, **{n: tuple(g[i] for i in joints) if isinstance(g, tuple) else g for n, g in parts.items()}, tie=None
-        )
+        parts = {n: tuple(g[i] for i in joints) if isinstance(g, tuple) else g for n, g in self._parts().items()}
+        return replace(self, **parts, tie=None)
 
     def to_coordinate(self, value: Any, xp: Any) -> Any:
         """The optimiser's coordinate of a physical value; `xp` is the array namespace."""
@@ -206,7 +208,9 @@ def _truth(value: Any) -> bool:
 
 
 def _per_joint(given: Any, read: Callable[[Any], Any]) -> Any:
-    """A number for all joints, a tuple with one for each, or one for each pattern."""
+    """A number for all joints, a tuple with one for each, or one for each pattern; None is none."""
+    if given is None:
+        return None
     if isinstance(given, Mapping):
         return {str(pattern): read(value) for pattern, value in given.items()}
     if isinstance(given, Sequence) and not isinstance(given, str):
@@ -224,6 +228,8 @@ def read_tie(option: str, given: Any) -> Tie:
 
 
 def _resolve(option: str, given: Any, joints: Sequence[str | None]) -> Any:
+    if given is None:
+        raise ConfigError(f"{option}: null, expected a value; only bench=robot takes one from its file; give it")
     if isinstance(given, tuple) and len(given) != len(joints):
         raise ConfigError(f"{option}: {len(given)} values, expected {len(joints)}, one a joint, or one for all")
     if not isinstance(given, Mapping):
@@ -247,6 +253,8 @@ def _complete(section: Any, defaults: Mapping[str, Any]) -> Any:
     init = section["init"] if alone else section
     by_pattern = alone and isinstance(init, Mapping)
     known: list[Any] = list(init.values() if by_pattern else init if isinstance(init, list | tuple) else [init])
+    if known == [None] and alone:
+        return {"init": None, "low": -LARGEST, "high": LARGEST, "scale": 1.0, "identify": False}
     if known and all(isinstance(value, int | float) and not isinstance(value, bool) for value in known):
         reach = max(abs(value) for value in known) or 1.0
         bounds = {"low": min(known) - reach, "high": max(known) + reach}
@@ -285,4 +293,4 @@ def read_params(
 
 
 def _is_zero(given: Any) -> bool:
-    return not any(given.values() if isinstance(given, Mapping) else np.atleast_1d(given))
+    return given is not None and not any(given.values() if isinstance(given, Mapping) else np.atleast_1d(given))

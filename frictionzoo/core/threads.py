@@ -18,6 +18,12 @@ def count_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def usable_threads() -> int:
+    """Threads that this process may take, by its cores and by what `limit_threads` has set."""
+    limit = os.environ.get(_VARIABLES[0], "")
+    return min(count_cores(), int(limit)) if limit.isdigit() and int(limit) else count_cores()
+
+
 def threads_each(threads: int | None) -> int:
     """Threads of one job where several run at a time: what the option `threads` asks for, else one."""
     return threads or 1

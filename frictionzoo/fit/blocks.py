@@ -14,7 +14,7 @@ from frictionzoo.simulate.rollout import Rollout
 from frictionzoo.simulate.torch_rollout import TorchRollout
 
 BLOCK_STATES = 25_000
-"""States that are simulated at once: they fit into a processor's cache, and memory does not grow with the log."""
+"""States of a joint that are simulated at once: they fit into a processor's cache, and memory does not grow."""
 
 MOST_STRETCHES = 50
 """Stretches into which the segments are divided at most, in their order in time."""
@@ -55,7 +55,7 @@ def each(data: Blocks) -> Iterator[Blocks]:
 
 def into_blocks(segments: Segments, stretches: int, dtype: Any, devices: list[Any]) -> Blocks:
     """Equal blocks; where the segments do not fill the last, its rest repeats the last segment with no weight."""
-    largest = max(1, BLOCK_STATES // segments.length)
+    largest = max(1, BLOCK_STATES // (segments.length * segments.qpos.shape[2]))
     blocks = -(-segments.count // largest)
     size = -(-segments.count // blocks)
     size = -(-size // len(devices)) * len(devices)

@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import jax
@@ -13,6 +14,7 @@ from jaxtyping import Array, Float
 
 from frictionzoo.core.errors import ConfigError, closest
 from frictionzoo.core.segments import Segments
+from frictionzoo.core.threads import usable_threads
 from frictionzoo.fit.blocks import MOST_STRETCHES, Blocks, devices_of, each, into_blocks
 from frictionzoo.fit.space import Space
 from frictionzoo.fit.sparsity import Sparsity
@@ -234,16 +236,20 @@ class Objective:
 
     def _compile_equations(self, exact: bool) -> Callable[[np.ndarray], tuple[NormalEquations, np.ndarray]]:
         if exact not in self._programs:
-            traced = self.compile(
-                lambda vector, data: jax.lax.map(lambda block: self._block_equations(vector, block, exact), data),
-                FORWARD,
-            )
-            self._programs[exact] = traced.lower(self.spread(self.space.start), self.data).compile()
+            traced = self.compile(lambda vector, block: self._block_equations(vector, block, exact), FORWARD)
+            self._programs[exact] = traced.lower(self.spread(self.space.start), next(each(self.data))).compile()
         compiled = self._programs[exact]
 
         def evaluate(vector: Float[np.ndarray, "coordinates"]) -> tuple[NormalEquations, np.ndarray]:
-            parts = compiled(self.spread(jnp.asarray(vector, self.space.start.dtype)), self.data)
-            loss, scores, hessian = (np.asarray(part, np.float64).sum(axis=0) for part in parts)
+            moved = self.spread(jnp.asarray(vector, self.space.start.dtype))
+
+            def of_block(block: Blocks) -> list[Float[np.ndarray, "..."]]:
+                return [np.asarray(part, np.float64) for part in compiled(moved, block)]
+
+            # A block's operations are too small for several threads; blocks side by side are not. Devices have their own.
+            with ThreadPoolExecutor(usable_threads() if self.devices == 1 else 1) as pool:
+                parts = list(pool.map(of_block, each(self.data)))
+            loss, scores, hessian = (np.stack(part).sum(axis=0) for part in zip(*parts, strict=True))
             return NormalEquations(float(loss), scores.sum(axis=0), hessian), scores
 
         return evaluate

@@ -68,6 +68,8 @@ class Problem:
         began = time.perf_counter()
         bench, dataset = build(settings["bench"]), build(settings["data"]).load()
         model = build(settings["model"], nv=bench.nv)
+        model.bind(bench.joints)
+        model.begin(bench.initial_friction(model.params))
         problem = cls.pose(bench, model, dataset, build(settings["fit"]), settings)
         return replace(problem, seconds=time.perf_counter() - began)
 

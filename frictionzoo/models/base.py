@@ -4,6 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
+import numpy as np
 import torch
 
 from frictionzoo.core.described import Described
@@ -61,6 +62,11 @@ class FrictionModel(Described, torch.nn.Module, ABC):
         self.params: dict[str, Param] = read_params(type(self).__name__, self.dimensions, params or {})
         for name, param in self.params.items():
             self.register_parameter(name, torch.nn.Parameter(_initial(param, nv), requires_grad=param.is_identified))
+
+    def begin(self, values: Mapping[str, Any]) -> None:
+        """Let parameters begin with these values, each of shape (nv,), by name."""
+        for name, value in values.items():
+            self.get_parameter(name).data.copy_(torch.as_tensor(np.asarray(value)))
 
     def bind(self, joints: Sequence[str]) -> None:
         """Give each joint what parameters say by patterns of joints' names; what has a value already keeps it.

@@ -12,7 +12,7 @@ from frictionzoo.simulate.specialised import SpecialisedEngine
 
 _CHOICES = ("auto", "mjx", "specialised")
 _MEASURED_JOINTS = 7
-"""Up to so many joints `specialised` was measured, and is faster."""
+"""Up to so many joints of a branch `specialised` was measured, and is faster."""
 
 
 def make_engine(choice: str, bench: Bench, friction: Friction, constraint: bool) -> Engine:
@@ -55,8 +55,9 @@ def naming_what_mjx_lacks(bench: Bench) -> Iterator[None]:
 def _make_engine(choice: str, bench: Bench, friction: Friction, constraint: bool) -> Engine:
     if choice == "mjx":
         return MjxEngine(bench, friction, constraint)
-    reason = f"{bench.nv} joints are more than the {_MEASURED_JOINTS} that were measured"
-    if choice == "specialised" or bench.nv <= _MEASURED_JOINTS:
+    most = max(bench.branches.count(number) for number in bench.branches)
+    reason = f"{most} joints that move each other are more than the {_MEASURED_JOINTS} that were measured"
+    if choice == "specialised" or most <= _MEASURED_JOINTS:
         try:
             return SpecialisedEngine(bench, friction, constraint)
         except CannotSpecialiseError as error:

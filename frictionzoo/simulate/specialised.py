@@ -131,7 +131,7 @@ class _Group(NamedTuple):
     inputs: Callable[[Values, Array], ModelInputs]
     reduced: Specialised
 
-    def dynamics(self, values: Mapping[str, Array], load: Array, qpos: Array, qvel: Array, ctrl: Array) -> Dynamics:
+    def dynamics(self, values: Mapping[str, Any], load: Array, qpos: Array, qvel: Array, ctrl: Array) -> Dynamics:
         """Of one branch."""
         return self.reduced(self.inputs({"bench": values}, load), qpos, qvel, ctrl)
 

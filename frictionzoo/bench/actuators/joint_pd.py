@@ -45,7 +45,7 @@ class JointPD(Actuator):
     def __init__(self, params: Mapping[str, Mapping[str, Any]] | None = None, **values: Any) -> None:
         super().__init__(params, **values)
         init: Any = self.params["kp"].init
-        if not np.all(np.array([*init.values()] if isinstance(init, Mapping) else init) > 0):
+        if init is not None and not np.all(np.array([*init.values()] if isinstance(init, Mapping) else init) > 0):
             raise ConfigError(
                 f"JointPD: kp={init}; expected above 0; take Force for commands of torque alone, RecordedPD for gains "
                 "that recordings have"
