@@ -246,7 +246,7 @@ class Objective:
             def of_block(block: Blocks) -> list[Float[np.ndarray, "..."]]:
                 return [np.asarray(part, np.float64) for part in compiled(moved, block)]
 
-            # A block's operations are too small for several threads; blocks side by side are not. Devices have their own.
+            # A block's operations are too small for several threads, blocks side by side are not. Devices have theirs.
             with ThreadPoolExecutor(usable_threads() if self.devices == 1 else 1) as pool:
                 parts = list(pool.map(of_block, each(self.data)))
             loss, scores, hessian = (np.stack(part).sum(axis=0) for part in zip(*parts, strict=True))

@@ -129,9 +129,9 @@ def _parse(path: str, notes: list[str]) -> tuple[mujoco.MjSpec, bool]:
     try:
         root = ET.fromstring(Path(path).read_bytes())
     except OSError as error:
-        raise BenchError(f"{path}: cannot be read ({error.strerror}); set bench.file to an MJCF or a URDF") from None
+        raise BenchError(f"{path}: cannot be read ({error.strerror}); set bench.mjcf to an MJCF or a URDF") from None
     except (ET.ParseError, UnicodeError, LookupError) as error:
-        raise BenchError(f"{path}: not XML ({error}); set bench.file to an MJCF or a URDF") from None
+        raise BenchError(f"{path}: not XML ({error}); set bench.mjcf to an MJCF or a URDF") from None
     if root.tag == "mujoco":
         return mujoco.MjSpec.from_file(path), False
     if root.tag != "robot":
