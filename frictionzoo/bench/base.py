@@ -49,6 +49,8 @@ class Bench(Described):
         own_damping: The template's own damping of each joint [N m s/rad or N s/m].
         payload: Index of the body that carries payloads, or None.
         notes: What a robot's file has and the bench has not, a line each.
+        unlimited: Limits of the joints' positions that a robot's file has and the bench has not [rad or m], of shape
+            (nv, 2); NaN where there are none.
         observed: What the friction law looks at besides the state, a name among `Log.extras` each, and what it is where
             recordings lack it; see `observing`.
 
@@ -98,6 +100,7 @@ class Bench(Described):
         self.notes: tuple[str, ...] = ()
         self._template = self._open(mjcf, joint, timestep)
         self.joints: tuple[str, ...] = self._template.joints
+        self.unlimited: np.ndarray = np.full((self.nv, 2), np.nan)
         self._tie = read_tie("bench.tie", tie)
         group_joints("bench.tie", self._tie, self.joints)  # refuses what fits no joint
         given = self._fill({**read_params("bench", _PARAMS, params or {}, _OPTIONAL, DEFAULTS), **actuator.params})

@@ -52,6 +52,25 @@ def doubt_recordings(dataset: Dataset, bench: Bench) -> list[str]:
 
 
 def doubt_motion(dataset: Dataset, bench: Bench) -> list[str]:
+    """What the drive and the simulation may not have in common at the recorded positions: limits, contacts."""
+    return [*_doubt_limits(dataset, bench), *_doubt_pushes(dataset, bench)]
+
+
+def _doubt_limits(dataset: Dataset, bench: Bench) -> Iterator[str]:
+    """Motion beyond limits that were left out."""
+    qpos = np.concatenate([log.qpos for log in dataset.logs])
+    for joint, (low, high), positions in zip(bench.joints, bench.unlimited, qpos.T, strict=True):
+        beyond = (positions < low) | (positions > high)
+        if beyond.any():
+            share = f"{100 * beyond.mean():.2g} % of the recorded positions"
+            yield (
+                f"joint {joint} is beyond its limits in the file, {low:.4g} to {high:.4g}, in {share}, which span "
+                f"{positions.min():.4g} to {positions.max():.4g}: a stop may have pushed there, or zero and sign of the joint are not the file's (data.sign, "
+                "bench.limits=keep)"
+            )
+
+
+def _doubt_pushes(dataset: Dataset, bench: Bench) -> list[str]:
     """What MuJoCo C does at the recorded positions and the drive may not have done: touch a limit, make contact."""
     model = bench.compile(constraint=False)
     limited = model.jnt_limited.any() or model.tendon_limited.any()

@@ -78,6 +78,8 @@ class Robot(Bench):
         more: dict[str, Any] = {"solreffriction": solreffriction, "payload": payload, "tie": tie}
         super().__init__(mjcf, self.file.joints, actuator=actuator, params=sections, **more)
         self.notes = tuple(self.file.notes)
+        if limits == "leave_out":
+            self.unlimited = self.file.ranges
         for note in self.notes:
             _log.info("%s: %s", mjcf, note)
 
@@ -106,10 +108,9 @@ class Robot(Bench):
         limits = replace(param, init=param.low).for_joints(self.joints)
         low, high = (limits.to_coordinate(limits.each(side, self.nv), np) for side in ("low", "high"))
         inside = _INSIDE * (high - low)
-        positive = np.maximum(shared, limits.each("low", self.nv)) if limits.scale == "log" else shared
+        nearest = (limits.from_coordinate(end, np) for end in (low + inside, high - inside))
         free = limits.each("identify", self.nv)
-        started = limits.from_coordinate(np.clip(limits.to_coordinate(positive, np), low + inside, high - inside), np)
-        return replace(limits, init=tuple(np.where(free, started, shared).tolist()))
+        return replace(limits, init=tuple(np.where(free, np.clip(shared, *nearest), shared).tolist()))
 
     def initial_friction(self, params: Mapping[str, Param]) -> dict[str, Float[np.ndarray, "nv"]]:
         """See `Bench.initial_friction`: frictionloss and damping that the file has."""
