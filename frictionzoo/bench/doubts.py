@@ -65,8 +65,8 @@ def _doubt_limits(dataset: Dataset, bench: Bench) -> Iterator[str]:
             share = f"{100 * beyond.mean():.2g} % of the recorded positions"
             yield (
                 f"joint {joint} is beyond its limits in the file, {low:.4g} to {high:.4g}, in {share}, which span "
-                f"{positions.min():.4g} to {positions.max():.4g}: a stop may have pushed there, or zero and sign of the joint are not the file's (data.sign, "
-                "bench.limits=keep)"
+                f"{positions.min():.4g} to {positions.max():.4g}: a stop may have pushed there, or zero and sign of "
+                "the joint are not the file's (data.sign, bench.limits=keep)"
             )
 
 
