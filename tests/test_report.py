@@ -404,7 +404,14 @@ def curves_of(rollout, **values):
 
 
 def of_joints(result, *joints):
-    return result | {"joints": list(joints)}
+    """The same of joints of these names, all with the values and the errors of its one."""
+    several = copy.deepcopy(result) | {"joints": list(joints)}
+    for parameter in (*several["parameters"], *several["reference"]):
+        (row,) = parameter["by_joint"]
+        parameter["by_joint"] = [row | {"name": name, "joints": [name]} for name in joints]
+        parameter["value"] = [row["value"]] * len(joints) if len(joints) > 1 else row["value"]
+    several["by_joint"] = [{**copy.deepcopy(result["by_joint"][0]), "joint": name} for name in joints]
+    return several
 
 
 def draw_history(result, **values):
