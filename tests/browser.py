@@ -27,7 +27,8 @@ const isDark = () => brightness(getComputedStyle(document.body).backgroundColor)
 DRAWN = "return await allDrawn() ? shown().length : 0;"  # how many figures there are, if all are drawn
 WIDTHS = """await allDrawn();
   return [innerWidth, document.documentElement.scrollWidth,
-    ...[...document.querySelectorAll(".main-svg")].filter(svg => !svg.closest("details:not([open])")).map(svg => Math.ceil(svg.getBoundingClientRect().right))];"""
+    ...shown().flatMap(canvas => [...canvas.querySelectorAll(".main-svg")])
+      .map(svg => Math.ceil(svg.getBoundingClientRect().right))];"""
 
 
 class Browser:

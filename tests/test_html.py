@@ -127,7 +127,10 @@ def test_hostile_names_stay_text(record, tmp_path):
     record["notes"] = [HOSTILE]
     curves = {f"bench.{HOSTILE}": np.ones((3, 2))}
     source = report(tmp_path / "report.html", record, joints=(HOSTILE, "<b>other</b>"), **curves)
-    page, plain = Page(source), Page(report(tmp_path / "plain.html", record | {"model": "plain"}, joints=("a", "b"), **curves))
+    page, plain = (
+        Page(source),
+        Page(report(tmp_path / "plain.html", record | {"model": "plain"}, joints=("a", "b"), **curves)),
+    )
     assert not page.with_attribute("onerror")
     assert [tag for tag, _ in page.elements].count("script") == [tag for tag, _ in plain.elements].count("script") == 3
     assert "img" not in [tag for tag, _ in page.elements]

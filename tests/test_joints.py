@@ -134,6 +134,8 @@ def test_each_joint_is_found_with_gains_of_its_own(leg: Callable[..., Bench], re
     found = identify(bench, recorded, friction(high={"hip": 1.0, "knee": 2.0}))
     for name in ("bench.armature", "friction.frictionloss", "friction.damping"):
         np.testing.assert_allclose(found.parameters[name].value, TRUTH[name.partition(".")[2]], rtol=1e-4)
+    errors = [found.by_joint[joint]["test"].position_mae for joint in ("hip", "knee")]
+    assert np.mean(errors) == pytest.approx(found.metrics["test"].position_mae, rel=1e-12)
     row = next(row for row in found.result["parameters"] if row["name"] == "damping")
     assert (row["low"], row["high"]) == (1e-4, [1.0, 2.0])
 
