@@ -16,7 +16,8 @@ needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on the 
 TOOLS = """
 const pause = time => new Promise(resolve => setTimeout(resolve, time));
 const until = async (holds, times = 400) => { while (times-- && !holds()) await pause(25); return holds(); };
-const shown = () => [...document.querySelectorAll("[data-figure]")].filter(canvas => canvas.clientWidth);
+const shown = () => [...document.querySelectorAll("[data-figure]")]
+  .filter(canvas => canvas.clientWidth && !canvas.closest("details:not([open])"));
 const isDrawn = canvas => canvas.querySelector(".main-svg path.js-line, .main-svg .point path, .main-svg .points path");
 const allDrawn = () => until(() => shown().every(isDrawn));
 const brightness = color => color.match(/\\d+/g).slice(0, 3).reduce((sum, part) => sum + Number(part), 0);
@@ -26,7 +27,8 @@ const isDark = () => brightness(getComputedStyle(document.body).backgroundColor)
 DRAWN = "return await allDrawn() ? shown().length : 0;"  # how many figures there are, if all are drawn
 WIDTHS = """await allDrawn();
   return [innerWidth, document.documentElement.scrollWidth,
-    ...[...document.querySelectorAll(".main-svg")].map(svg => Math.ceil(svg.getBoundingClientRect().right))];"""
+    ...shown().flatMap(canvas => [...canvas.querySelectorAll(".main-svg")])
+      .map(svg => Math.ceil(svg.getBoundingClientRect().right))];"""
 
 
 class Browser:

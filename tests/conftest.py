@@ -412,28 +412,36 @@ def _make_run(place: int, label: str, joints: int, diverged: bool, grid: bool) -
 
 def _make_result(place: int, label: str, curves: Curves, grid: bool) -> dict[str, Any]:
     joints, damping = curves.qpos.shape[2], curves.history["friction.damping"][-1]
+    names = [f"joint {i}" for i in range(joints)]
+    fitted = {"low": 0.1, "high": 100.0, "identified": True, "at_bound": False, "interval": None, "identifiable": None}
     metrics = {
         part: _measure(curves.test_mae * share) for part, share in (("train", 0.8), ("test", 1), ("baseline", 2))
     }
+    kept = "position_mae", "position_rmse", "velocity_rmse"
+    errors = {part: {key: row[key] for key in kept} for part, row in metrics.items()}
     paper = {"model": metrics["test"], "baseline": metrics["baseline"]}
     log = {"samples": 500, "sha256": 64 * "a", "payload": None}
     return {
         "model": label.split()[0],
-        "joints": [f"joint {i}" for i in range(joints)],
+        "joints": names,
         "data": {
             **{"name": "waves", "sha256": 64 * "a", "simulated": True, "timestep": 0.01, "samples": 1000},
             "logs": [{"name": part, "part": part, **log} for part in ("train", "test")],
         },
         "parameters": [
             {
-                **{"name": "damping", "owner": "friction", "unit": "N m s/rad", "low": 0.1, "high": 100.0},
+                **{"name": "damping", "owner": "friction", "unit": "N m s/rad", **fitted},
                 "value": damping.tolist() if joints > 1 else float(damping[0]),
-                **{"identified": True, "at_bound": False, "interval": None, "identifiable": None},
+                "by_joint": [
+                    {"name": name, "joints": [name], "value": float(value), **fitted}
+                    for name, value in zip(names, damping, strict=True)
+                ],
             }
         ],
         **{"indistinct": [], "no_intervals": "nobody asked", "network": None},
         "metrics": metrics,
         "by_horizon": [{"horizon": 0.5, **metrics}],
+        "by_joint": [{"joint": name, **errors} for name in names],
         "paper": {"a": paper, "b": paper},
         "evaluation": {"sha256": 64 * "b", "window": 0.1},
         "fit": {

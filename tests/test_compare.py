@@ -61,7 +61,8 @@ def save(record, tmp_path):
     def save(name, law, errors, identified=(), **changes):
         result = json.loads(json.dumps(record)) | {"model": law}
         for parameter in result["parameters"]:
-            parameter["identified"] = parameter["name"] in ("armature", *identified)
+            (knee,) = parameter["by_joint"]
+            parameter["identified"] = knee["identified"] = parameter["name"] in ("armature", *identified)
         finite = np.asarray(errors)[np.isfinite(errors)]
         result["metrics"]["test"] |= {
             "position_mae": float(finite.mean()) if len(finite) else None,
@@ -119,7 +120,8 @@ def test_what_the_recommended_law_leaves_open_is_named(zoo):
     path = zoo / "1_simple" / "result.json"
     result = json.loads(path.read_text())
     for parameter in result["parameters"]:
-        parameter["identifiable"] = parameter["name"] != "static_torque"
+        (knee,) = parameter["by_joint"]
+        parameter["identifiable"] = knee["identifiable"] = parameter["name"] != "static_torque"
     path.write_text(json.dumps(result))
     recommendation = compare(zoo)["recommendation"]
     assert recommendation["run"] == "simple" and recommendation["unidentifiable"] == ["friction.static_torque"]
@@ -256,8 +258,8 @@ def test_other_rollouts_are_refused(save, settings, text):
         ("result.json", b"{", "not JSON"),
         ("result.json", b"\xff", "not JSON"),
         ("result.json", b"[]", "list, expected an object"),
-        ("result.json", b'{"schema_version": 1}', "schema_version 1, expected 4; run it again"),
-        ("result.json", b'{"schema_version": 4}', "is a required property"),
+        ("result.json", b'{"schema_version": 1}', "schema_version 1, expected 5; run it again"),
+        ("result.json", b'{"schema_version": 5}', "is a required property"),
         ("curves.safetensors", b"", "expected the file that this version writes"),
         ("curves.safetensors", b"\x80\x04pickle", "expected the file that this version writes"),
         ("failure.json", b"7", "int, expected an object"),

@@ -12,7 +12,7 @@ import plotly.graph_objects as go
 import pytest
 from browser import WIDTHS, needs_browser, open_page
 from test_html import HOSTILE, Page, figures_of, judge_targets
-from test_report import bench, dataset, evaluation, model, result  # noqa: F401
+from test_report import bench, dataset, evaluation, model, of_joints, result  # noqa: F401
 
 from frictionzoo.comparison.record import compare_runs
 from frictionzoo.comparison.runs import Failure, Run
@@ -53,14 +53,12 @@ def make_curves(error, joints, rollouts, seed):
 
 
 def make_run(folder, result, label, error, joints=("knee",), rollouts=10, seed=0):  # noqa: F811
-    record = copy.deepcopy(result) | {"model": label.partition(" ")[0], "joints": list(joints)}
+    record = of_joints(result, *joints) | {"model": label.partition(" ")[0]}
     record["fit"]["stopped"] = "finished"
     curves = make_curves(error, len(joints), rollouts, seed)
     for part in ("train", "test"):
         errors = {"position_mae": float(curves.test_mae.mean()), "position_mae_std": float(curves.test_mae.std())}
         record["metrics"][part] |= errors | {"rollouts": rollouts}
-    for parameter in record["parameters"]:
-        parameter["value"] = [parameter["value"]] * len(joints) if len(joints) > 1 else parameter["value"]
     return Run(label, folder / f"{seed}_{record['model']}", record, curves)
 
 
@@ -227,7 +225,7 @@ def test_hostile_names_stay_text(runs, result, tmp_path):  # noqa: F811
     (hostile.folder / "report.html").touch()
     for run in (hostile, *runs):
         run.result["data"]["name"] = run.result["data"]["logs"][0]["name"] = HOSTILE
-        run.result["joints"] = [HOSTILE]
+        run.result.update(of_joints(run.result, HOSTILE))
     hostile.result["parameters"][0]["name"] = HOSTILE
     hostile.result["settings"]["loss"] = {HOSTILE: HOSTILE}
     source, _ = show(tmp_path / "comparison.html", [hostile, *runs], [Failure(HOSTILE, HOSTILE, HOSTILE)])

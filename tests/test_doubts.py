@@ -2,16 +2,17 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from conftest import needs_data
 
-from frictionzoo.bench import Bench
+from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.bench.doubts import doubt_motion, doubt_recordings
 from frictionzoo.core.errors import LogError
 from frictionzoo.core.log import Dataset, Log
-from frictionzoo.core.params import read_params
 from frictionzoo.logs.twin import Twin
 from frictionzoo.result.verdict import doubt_gain, doubt_reference, doubt_sizes, explain_failure, list_moving
 
@@ -145,7 +146,8 @@ def test_what_mujoco_would_touch_on_the_way_is_told(recorded: tuple[Log, Bench],
 
 
 def test_a_fit_at_its_bounds_that_gains_little_did_not_identify_the_drive() -> None:
-    parameters = [{"owner": "bench", "name": name, "at_bound": True} for name in ("armature", "kp")]
+    ended = {"owner": "bench", "at_bound": True, "by_joint": [{"name": "knee", "at_bound": True}]}
+    parameters = [{**ended, "name": name} for name in ("armature", "kp")]
     metrics = {"test": {"position_mae": 0.04}, "baseline": {"position_mae": 0.1}}
     result = {"parameters": parameters, "metrics": metrics, "warnings": ["qvel is late"]}
     why, first, *_ = explain_failure(result) or [""]
@@ -157,17 +159,18 @@ def test_a_fit_at_its_bounds_that_gains_little_did_not_identify_the_drive() -> N
 
 
 def test_a_parameter_that_moves_when_the_fit_ends_is_named() -> None:
-    rest, drift = np.full((100, 1), 2.0), np.linspace(1, 2, 100)[:, None]
-    history = {"loss": np.ones(100), "friction.damping": rest, "bench.armature": drift}
+    rest, drift = np.full(100, 2.0), np.linspace(1, 2, 100)
+    history = {"friction.damping": rest, "bench.armature": drift}
     assert list_moving(history, {}) == ["bench.armature"]
     # From the mean over one twentieth to that over the next it moves by 0.05.
     for half, moving in ((0.14, ["bench.armature"]), (0.16, [])):
-        assert list_moving(history, {"bench.armature": np.array([[2 - half, 2 + half]])}) == moving
+        assert list_moving(history, {"bench.armature": np.array([2 - half, 2 + half])}) == moving
     assert list_moving({"bench.armature": drift[:9]}, {}) == []  # too few iterations to tell
 
 
 def test_a_drive_without_friction_at_a_bound_is_no_reference() -> None:
-    row = {"owner": "bench", "name": "armature", "low": 1.0, "high": 1000.0, "unit": "kg", "at_bound": True}
+    knee = {"name": "knee", "low": 1.0, "high": 1000.0, "at_bound": True}
+    row = {"owner": "bench", "name": "armature", "unit": "kg", "at_bound": True, "by_joint": [knee]}
     said = doubt_reference([row])
     assert said is not None and "bench.armature at its bound of [1, 1000] kg" in said
     assert doubt_reference([row | {"at_bound": False}]) is None
@@ -180,10 +183,16 @@ def test_a_law_that_explains_next_to_nothing_is_told() -> None:
     assert doubt_gain({"model": "stribeck", "metrics": metrics | {"test": {"position_mae": 0.05}}}) is None
 
 
-def test_a_value_of_another_size_than_it_began_with_is_told() -> None:
-    armature = read_params("bench", {"armature": "inertia"}, {"armature": ARMATURE})
-    (said,) = doubt_sizes(armature, {"armature": np.array([1.6])}, "slide")
+def test_a_value_of_another_size_than_it_began_with_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "cart.xml"
+    path.write_text(
+        '<mujoco><worldbody><body><joint name="j" type="slide"/><geom size=".1"/></body></worldbody></mujoco>'
+    )
+
+    def stand(**changes: Any) -> Bench:
+        return Bench(str(path), actuator=PositionPD(kp=1, kd=1), params={"armature": ARMATURE | changes})
+
+    (said,) = doubt_sizes(stand(), {"armature": np.array([1.6])})
     assert said.startswith("bench.armature went from 50 to 1.6 kg, 31 times: look at the units")
-    assert doubt_sizes(armature, {"armature": np.array([5.0])}, "slide") == []
-    known = read_params("bench", {"armature": "inertia"}, {"armature": ARMATURE | {"identify": False}})
-    assert doubt_sizes(known, {"armature": np.array([1.6])}, "slide") == []
+    assert doubt_sizes(stand(), {"armature": np.array([5.0])}) == []
+    assert doubt_sizes(stand(identify=False), {"armature": np.array([1.6])}) == []

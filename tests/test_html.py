@@ -11,7 +11,7 @@ import numpy as np
 import plotly.graph_objects as go
 import pytest
 from browser import DRAWN, WIDTHS, needs_browser, open_page
-from test_report import FIT, bench, curves_of, dataset, evaluation, make_rollout, model, result  # noqa: F401
+from test_report import FIT, bench, curves_of, dataset, evaluation, make_rollout, model, of_joints, result  # noqa: F401
 
 from frictionzoo.result.evaluate import Prediction
 from frictionzoo.show.run_page import check_result, write_report
@@ -48,9 +48,10 @@ class Page(HTMLParser):
 
 
 def report(path, record, joints=("knee",), rollout=None, **more):
-    values = {"bench.armature": np.array([0.1, 0.05, 0.04]), "friction.static_torque": np.ones(3)} | more
+    course = np.outer([0.1, 0.05, 0.04], np.ones(len(joints)))
+    values = {"bench.armature": course, "friction.static_torque": np.ones((3, len(joints)))} | more
     curves = curves_of(rollout or make_rollout(nv=len(joints)), **values)
-    write_report(path, record | {"joints": list(joints)}, curves)
+    write_report(path, record if len(record["joints"]) > 1 else of_joints(record, *joints), curves)
     return path.read_text(encoding="utf-8")
 
 
@@ -79,12 +80,10 @@ def test_the_page_answers_the_three_questions(record, tmp_path):
 
 
 def test_intervals_stand_beside_the_values(record, tmp_path):
-    record["parameters"][0] |= {"value": [0.04, 0.05], "interval": [[0.03, 0.07], None], "identifiable": False}
-    record["parameters"][3] |= {"interval": [0.25, 0.35], "identifiable": True}
-    curves = {"bench.armature": np.ones((3, 2))}
-    page = Page(report(tmp_path / "report.html", record, joints=("a", "b"), **curves))
-    assert page.text.count("0.03 to 0.07") == page.text.count("0.25 to 0.35") == 1
-    assert page.text.count("not identifiable on these data") == 1
+    record["parameters"][0]["by_joint"][0] |= {"identifiable": False}
+    record["parameters"][3]["by_joint"][0] |= {"interval": [0.25, 0.35], "identifiable": True}
+    page = Page(report(tmp_path / "report.html", record))
+    assert page.text.count("0.25 to 0.35") == page.text.count("not identifiable on these data") == 1
 
 
 def test_every_figure_has_a_heading_and_a_text(record, tmp_path):
@@ -125,10 +124,13 @@ def test_long_curves_keep_their_extremes_and_lose_the_rest(record, tmp_path):
 def test_hostile_names_stay_text(record, tmp_path):
     record["model"] = record["data"]["name"] = record["data"]["logs"][0]["name"] = HOSTILE
     record["parameters"][0]["name"] = HOSTILE
-    record["parameters"][0]["value"] = [0.1, 0.2]
+    record["notes"] = [HOSTILE]
     curves = {f"bench.{HOSTILE}": np.ones((3, 2))}
     source = report(tmp_path / "report.html", record, joints=(HOSTILE, "<b>other</b>"), **curves)
-    page, plain = Page(source), Page(report(tmp_path / "plain.html", record | {"model": "plain"}, joints=("a", "b")))
+    page, plain = (
+        Page(source),
+        Page(report(tmp_path / "plain.html", record | {"model": "plain"}, joints=("a", "b"), **curves)),
+    )
     assert not page.with_attribute("onerror")
     assert [tag for tag, _ in page.elements].count("script") == [tag for tag, _ in plain.elements].count("script") == 3
     assert "img" not in [tag for tag, _ in page.elements]
@@ -180,10 +182,13 @@ def test_no_doubts_about_a_good_run(record):
         ),
         ({"parameters.0.at_bound": True}, "Bounds", "caution", "bench.armature ended at a bound of [0.001, 1] kg m²"),
         (
-            {"no_intervals": None},
+            {
+                **{"no_intervals": None, "parameters.0.identifiable": False},
+                "parameters.0.by_joint.0.identifiable": False,
+            },
             "Identifiability",
             "caution",
-            "Not identifiable on these data: bench.armature, friction.",
+            "Not identifiable on these data: bench.armature. Do",
         ),
         ({"indistinct": [["a.b", "c.d"]], "no_intervals": None}, "Identifiability", "caution", "apart a.b and c.d."),
         ({"metrics.train.position_mae": 1e-3}, "Test against train", "caution", "learnt its own data"),
@@ -237,7 +242,9 @@ def test_a_browser_draws_every_figure_in_the_colours_that_are_preferred(record, 
     path = tmp_path / "report.html"
     page = figures_of(report(path, record, joints=(HOSTILE, "knee")))
     browser = open_page(path, scheme="dark")
-    assert browser.run(DRAWN) == len(page["figures"])
+    assert browser.run(DRAWN) == len(page["figures"]) - 1  # the trajectory of the other joint is folded
+    opened = "document.querySelectorAll('details').forEach(fold => (fold.open = true)); await pause(100);"
+    assert browser.run(opened + DRAWN) == len(page["figures"])
     assert browser.run("return isDark()")
     browser.prefer("light")
     assert browser.run("return until(() => !isDark())")
@@ -245,10 +252,11 @@ def test_a_browser_draws_every_figure_in_the_colours_that_are_preferred(record, 
 
 
 @needs_browser
-def test_a_phone_shows_the_page_without_scrolling_sideways(record, tmp_path):
+@pytest.mark.parametrize("joints", [("knee",), ("FL_hip_joint", "FL_thigh_joint", "FL_calf_joint")], ids=len)
+def test_a_phone_shows_the_page_without_scrolling_sideways(record, tmp_path, joints):
     name = "report-of-a-recording-with-a-very-long-name-that-cannot-be-broken-anywhere"
     record["data"]["name"] = record["data"]["logs"][0]["name"] = name
-    report(tmp_path / "report.html", record)
+    report(tmp_path / "report.html", record, joints=joints)
     inner, page, *drawings = open_page(tmp_path / "report.html", width=390).run(WIDTHS)
     assert inner == 390 and page <= inner
     assert drawings and max(drawings) <= inner

@@ -80,8 +80,8 @@ def test_coordinates_are_those_of_the_joints_that_are_identified(leg: Callable[.
     bench = leg(params={"armature": {"init": [0.02, 0.05], "identify": {"hip": False, ".*": True}}})
     space = Space(bench, friction(high=[1.0, 2.0]), "float32")
     assert space.labels == [
-        "bench.armature",
-        *(f"friction.{p}/{i}" for p in ("frictionloss", "damping") for i in (0, 1)),
+        "bench.armature/knee",
+        *(f"friction.{p}/{joint}" for p in ("frictionloss", "damping") for joint in ("hip", "knee")),
     ]
     np.testing.assert_allclose(np.exp(space.high), [1, 1, 2, 1, 2], rtol=1e-6)
     values = space.values(space.start + np.log(2).astype(np.float32))
@@ -94,15 +94,13 @@ def test_joints_that_are_tied_share_a_coordinate(leg: Callable[..., Bench]) -> N
     bench = leg(tie={"motor": ".*"}, params={"position_offset": offset})
     space = Space(bench, friction(), "float64")
     # The offset is an encoder's, not a motor's.
-    assert [*space.labels[:3]] == ["bench.armature", "bench.position_offset/0", "bench.position_offset/1"]
+    assert [*space.labels[:3]] == ["bench.armature", "bench.position_offset/hip", "bench.position_offset/knee"]
     assert len(space.start) == 5
     values = space.values(space.start.at[0].set(np.log(0.07)))
     np.testing.assert_allclose(values["bench"]["armature"], [0.07, 0.07])
     own = Space(leg(tie=True), friction(tie=False), "float64")
     assert len(own.start) == 1 + 4
-    with pytest.raises(
-        ConfigError, match=r"friction.frictionloss.init: 0.1 of joint 0 and 0.2 of joint 1, which share"
-    ):
+    with pytest.raises(ConfigError, match=r"friction.frictionloss.init: 0.1 of hip and 0.2 of knee, which share"):
         Space(bench, friction(init=[0.1, 0.2]), "float64")
     with pytest.raises(ConfigError, match=r"bench.tie.hop=.*_hop: no joint of that name; "):
         leg(tie={"hop": ".*_hop"})
@@ -136,6 +134,8 @@ def test_each_joint_is_found_with_gains_of_its_own(leg: Callable[..., Bench], re
     found = identify(bench, recorded, friction(high={"hip": 1.0, "knee": 2.0}))
     for name in ("bench.armature", "friction.frictionloss", "friction.damping"):
         np.testing.assert_allclose(found.parameters[name].value, TRUTH[name.partition(".")[2]], rtol=1e-4)
+    errors = [found.by_joint[joint]["test"].position_mae for joint in ("hip", "knee")]
+    assert np.mean(errors) == pytest.approx(found.metrics["test"].position_mae, rel=1e-12)
     row = next(row for row in found.result["parameters"] if row["name"] == "damping")
     assert (row["low"], row["high"]) == (1e-4, [1.0, 2.0])
 
@@ -150,7 +150,12 @@ def test_a_known_joint_stays_and_a_shared_value_is_one(leg: Callable[..., Bench]
     armature = found.parameters["bench.armature"]
     assert armature.value[0] == TRUTH["armature"][0] and np.isnan(armature.interval[0]).all()
     assert armature.value[1] != TRUTH["armature"][1] and np.isfinite(armature.interval[1]).all()
+    told = {"hip": (False, None), "knee": (True, True)}
+    assert {row["name"]: (row["identified"], row["identifiable"]) for row in armature.by_joint} == told
     damping = found.parameters["friction.damping"]
+    (shared,) = damping.by_joint
+    assert (shared["name"], shared["joints"]) == ("all joints", ["hip", "knee"])
+    assert shared["interval"] == damping.interval[0].tolist()
     assert damping.value[0] == damping.value[1]
     np.testing.assert_array_equal(damping.interval[0], damping.interval[1])
     assert TRUTH["damping"][0] < damping.value[0] < TRUTH["damping"][1]

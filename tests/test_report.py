@@ -19,7 +19,6 @@ from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.core.errors import OutputError
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.output import write_atomically
-from frictionzoo.core.params import Param
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import Signals
 from frictionzoo.fit.uncertainty import Uncertainty
@@ -27,7 +26,7 @@ from frictionzoo.models.coulomb_stribeck import CoulombStribeck
 from frictionzoo.models.neural_friction import NeuralFriction
 from frictionzoo.result.curves import Curves
 from frictionzoo.result.evaluate import Evaluation, Prediction
-from frictionzoo.result.record import Findings, _list_parameters, build_result, read_schema, write_result
+from frictionzoo.result.record import Findings, build_result, read_schema, write_result
 from frictionzoo.show.figure import Sheet
 from frictionzoo.show.run_plots import draw_rollout, plot_run, write_figures
 from frictionzoo.show.terminal import summarise
@@ -153,7 +152,7 @@ def test_result_is_valid(result, tmp_path):
     assert json.loads((tmp_path / "result.json").read_text()) == result
 
 
-def test_result_says_what_was_done(result):
+def test_result_says_what_was_done(result, bench):
     assert result["model"] == "coulomb_stribeck"
     assert result["data"]["simulated"] is True
     assert result["data"]["samples"] == 800
@@ -173,6 +172,12 @@ def test_result_says_what_was_done(result):
         "at_bound": False,
         "interval": None,
         "identifiable": None,
+        "by_joint": [
+            {
+                **{"name": bench.joints[0], "joints": list(bench.joints), "value": 0.3, "low": 1e-3, "high": 1.0},
+                **{"identified": True, "at_bound": False, "interval": None, "identifiable": None},
+            }
+        ],
     }
     assert parameters["bench", "armature"]["unit"] == "kg m^2"
     assert result["network"] is None
@@ -345,8 +350,8 @@ def test_summary_warns_at_a_bound(bench, model, dataset, evaluation):
 def test_a_result_says_what_the_data_determine(bench, model, dataset, evaluation):
     name, group = "friction.static_torque", ("friction.kinetic_torque", "friction.stribeck_velocity")
     intervals = {name: np.array([[0.25, 0.35]])} | dict.fromkeys(group, np.full((1, 2), np.nan))
-    identifiable = {name: True} | dict.fromkeys(group, False)
-    found = Uncertainty(intervals, identifiable, (group,))
+    determined = {name: np.ones(1, bool)} | dict.fromkeys(group, np.zeros(1, bool))
+    found = Uncertainty(intervals, determined, (group,))
     result = build(bench, model, dataset, evaluation, VALUES, uncertainty=found)
     validate(result)
     told = {p["name"]: (p["interval"], p["identifiable"]) for p in result["parameters"]}
@@ -360,22 +365,6 @@ def test_a_result_says_what_the_data_determine(bench, model, dataset, evaluation
     assert lines["friction.kinetic_torque"].endswith("not identifiable")
     assert f"warning: not identifiable on these data: {', '.join(group)}" in lines
     assert f"the data cannot tell apart {' and '.join(group)}" in text
-
-
-def test_each_joint_has_its_interval(result):
-    record = copy.deepcopy(result)
-    ends = {"bench.armature": np.array([[0.03, 0.05], [np.nan, np.nan]])}
-    (row,) = _list_parameters(
-        "bench",
-        {"armature": Param.from_config("armature", "inertia", ARMATURE["armature"])},
-        {"armature": np.array([0.04, 0.03])},
-        "hinge",
-        Uncertainty(ends, {"bench.armature": False}),
-    )
-    assert row["interval"] == [[0.03, 0.05], None]
-    record["parameters"][0] = row
-    validate(record)
-    assert "0.03 to 0.05, none" in summarise(record, Path("run"))
 
 
 def history(**values):
@@ -415,7 +404,14 @@ def curves_of(rollout, **values):
 
 
 def of_joints(result, *joints):
-    return result | {"joints": list(joints)}
+    """The same of joints of these names, all with the values and the errors of its one."""
+    several = copy.deepcopy(result) | {"joints": list(joints)}
+    for parameter in (*several["parameters"], *several["reference"]):
+        (row,) = parameter["by_joint"]
+        parameter["by_joint"] = [row | {"name": name, "joints": [name]} for name in joints]
+        parameter["value"] = [row["value"]] * len(joints) if len(joints) > 1 else row["value"]
+    several["by_joint"] = [{**copy.deepcopy(result["by_joint"][0]), "joint": name} for name in joints]
+    return several
 
 
 def draw_history(result, **values):

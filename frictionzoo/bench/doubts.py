@@ -115,7 +115,7 @@ def _doubt_log(log: Log, bench: Bench) -> Iterator[tuple[str, str]]:
             "recording; set data.units.time"
         )
     for joint in range(log.qpos.shape[1]):
-        of = f" of joint {joint + 1}" if log.qpos.shape[1] > 1 else ""
+        of = f" of {bench.joints[joint]}" if log.qpos.shape[1] > 1 else ""
         for kind, sentence in _doubt_joint(log, of, joint, bench):
             yield f"{kind}{of}", sentence
 

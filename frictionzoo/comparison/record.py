@@ -23,9 +23,10 @@ from frictionzoo.comparison.statistics import (
     resample,
 )
 from frictionzoo.core.output import to_json
+from frictionzoo.result.names import label_values, name_unidentifiable
 from frictionzoo.result.verdict import doubt_reference
 
-SCHEMA_VERSION: Final = 3
+SCHEMA_VERSION: Final = 4
 LONGEST_LAG = 0.5  # s, of the residuals' autocorrelation
 FEW = 8  # rollouts below which an interval over them says little
 
@@ -84,9 +85,9 @@ def _rank(run: Run) -> tuple[int, float, int]:
 
 def _count_identified(run: Run) -> int:
     """Numbers that the fit chose."""
-    values = [p["value"] for p in run.result["parameters"] if p["identified"]]
+    values = [value["identified"] for p in run.result["parameters"] for value in p["by_joint"]]
     network = run.result["network"]
-    return sum(np.size(value) for value in values) + (network["weights"] if network else 0)
+    return sum(values) + (network["weights"] if network else 0)
 
 
 def _compare_pairs(runs: Sequence[Run]) -> dict[tuple[str, str], Difference]:
@@ -115,8 +116,9 @@ def _recommend(ranked: Sequence[Run], pairs: Mapping[tuple[str, str], Difference
 
 
 def _list_unidentifiable(run: Run) -> list[str]:
-    """Full names of the parameters that the run's data do not determine."""
-    return [f"{p['owner']}.{p['name']}" for p in run.result["parameters"] if p["identifiable"] is False]
+    """Labels of the values that the run's data do not determine."""
+    labelled = (label_values(parameter) for parameter in run.result["parameters"])
+    return [label for values in labelled for label, row in values.items() if row["identifiable"] is False]
 
 
 def _explain(chosen: Run, best: Run, close: Sequence[Run], pairs: Mapping[tuple[str, str], Difference]) -> str:
@@ -139,7 +141,7 @@ def _explain(chosen: Run, best: Run, close: Sequence[Run], pairs: Mapping[tuple[
         text = f"{error}, the lowest, and all others are worse by more than noise over {rollouts} paired rollouts"
     if chosen.result["network"]:
         text += ". It is a network: it predicts, and its physical parameters need not be the drive's"
-    doubtful = _list_unidentifiable(chosen)
+    doubtful = name_unidentifiable(chosen.result["parameters"])
     doubt = f" Not identifiable on these data, and no property of the drive: {', '.join(doubtful)}." if doubtful else ""
     failed = chosen.result["not_identified"]
     doubt += f" It did not identify the drive: {failed[0]}." if failed else ""
@@ -156,6 +158,7 @@ def _describe(run: Run, reference: Run | None) -> rows.RunRow:
         "identified": _count_identified(run),
         "train": result["metrics"]["train"],
         "test": result["metrics"]["test"],
+        "by_joint": result["by_joint"],
         "change": {"train": _change(run, reference, "train"), "test": _change(run, reference, "test")},
         "rollout_mae": run.curves.test_mae.tolist(),
         "by_horizon": [

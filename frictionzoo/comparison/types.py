@@ -6,6 +6,7 @@ from frictionzoo.result.types import (
     Count,
     DataRow,
     FitRow,
+    JointRow,
     Joints,
     MetricsRow,
     Natural,
@@ -47,7 +48,8 @@ class RecommendationRow(TypedDict):
     best: str
     """Label of the run with the lowest test error."""
     unidentifiable: list[str]
-    """Parameters of the run to take that its data do not determine, as `owner.name`."""
+    """Parameters of the run to take that its data do not determine, as `owner.name`, of several joints
+    `owner.name/JOINT`."""
     not_identified: list[Text] | None
     """Null, or that the fit did not identify the drive: why that is said, and the likely reasons, the likeliest
     first."""
@@ -105,11 +107,14 @@ class RunRow(TypedDict):
     model: str
     """The chosen model, a file of conf/model."""
     identified: Natural
-    """How many numbers the fit chose: parameters, for each joint, and a network's weights."""
+    """How many numbers the fit chose: parameters, for each joint or group of joints that share them, and a network's
+    weights."""
     train: MetricsRow
     """Main rollouts on the logs that the fit saw."""
     test: MetricsRow
     """Main rollouts on the logs that it did not see."""
+    by_joint: Annotated[list[JointRow], ("minItems", 1)]
+    """Errors of each joint in the main rollouts, in the order of `joints`."""
     change: ChangeRow
     rollout_mae: Numbers
     """Error of each main test rollout; the runs' entries belong together in pairs."""
@@ -221,7 +226,7 @@ class Comparison(TypedDict):
     position MAE in `unit`.
     """
 
-    schema_version: Literal[3]
+    schema_version: Literal[4]
     """Raised by every change that a reader of this file could notice."""
     data: DataRow
     joints: Joints

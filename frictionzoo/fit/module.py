@@ -201,9 +201,7 @@ class FitModule(pl.LightningModule):
 
     def _log_rows(self, before: int, trace: Trace) -> None:
         columns = {"loss": trace.loss, "grad_norm": trace.grad_norm}
-        for name, values in trace.params.items():
-            joints = values.shape[1]
-            columns |= {name if joints == 1 else f"{name}/{joint}": values[:, joint] for joint in range(joints)}
+        columns |= self._objective.space.pick({name: values.T for name, values in trace.params.items()})
         for row in range(len(trace.loss)):
             for logger in self.loggers:
                 logger.log_metrics({name: float(column[row]) for name, column in columns.items()}, step=before + row)

@@ -1,6 +1,6 @@
 """What a fit moves: coordinates, and the physical values that they stand for."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -23,7 +23,7 @@ class Place(NamedTuple):
         joints: Index of each joint whose value is identified.
         group: Number of that joint's coordinate, among the parameter's own; joints that share a value have the same.
         first: Index of the first joint of each coordinate.
-        names: Of each coordinate: the joint's number, or the name of the group.
+        names: Of each coordinate: the joint's name, or that of the joints that share it.
     """
 
     joints: Int[np.ndarray, "identified"]
@@ -43,8 +43,8 @@ class Space:
         places: Where their coordinates are among the joints, by the same names.
         names: All that is identified, physical parameters first, then a network's weights.
         weights: The network's weights among them.
-        labels: Name of each coordinate of a physical parameter: its full name; of several with `/` and the joint's
-            number, or the name of the joints that share it.
+        labels: Name of each coordinate of a physical parameter: its full name, which of several joints that do not all
+            share it is followed by `/` and the joint's name, or that of the joints that share it.
         start: Coordinates of the initial values, as one vector.
         low: Lower bound of each coordinate; minus infinity where there is none.
         high: Upper bound of each coordinate.
@@ -67,16 +67,16 @@ class Space:
         self.params: dict[str, Param] = {name: param for name, param in specs.items() if param.is_identified}
         free = [f"friction.{name}" for name, tensor in model.named_parameters() if tensor.requires_grad]
         self.places: dict[str, Place] = {
-            name: _place(name, param, bench.groups(param), np.asarray(self._get(self._values, name)))
+            name: _place(name, param, bench, np.asarray(self._get(self._values, name)))
             for name, param in self.params.items()
         }
         self.weights: list[str] = [name for name in free if name not in specs]
         self.names: list[str] = [*self.params, *self.weights]
         coordinates = [self._to_coordinate(name, self._get(self._values, name)) for name in self.names]
         self.labels: list[str] = [
-            name if len(place.names) == 1 else f"{name}/{own}"
+            name if np.sum(place.group == own) == bench.nv else f"{name}/{place.names[own]}"
             for name, place in self.places.items()
-            for own in place.names
+            for own in range(len(place.names))
         ]
         start, self._unravel = ravel_pytree(coordinates)
         self.start: Array = jnp.asarray(start, dtype)  # of no coordinates, ravel_pytree makes float32
@@ -95,6 +95,13 @@ class Space:
         """Physical values of the identified parameters by full name; a network's weights are left out."""
         values = self.values(vector)
         return {name: self._get(values, name) for name in self.params}
+
+    def pick(self, rows: Mapping[str, Shaped[np.ndarray, "nv ..."]]) -> dict[str, Shaped[np.ndarray, "..."]]:
+        """Of arrays with a row a joint, by full name, the row of each coordinate, by its label; others are left out."""
+        found = [(name, joint) for name, place in self.places.items() for joint in place.first.tolist()]
+        return {
+            label: rows[name][joint] for label, (name, joint) in zip(self.labels, found, strict=True) if name in rows
+        }
 
     def split(self, vector: Shaped[np.ndarray, "coordinates ..."]) -> dict[str, Shaped[np.ndarray, "own ..."]]:
         """Entries of an array with one row a coordinate, by the full name of the physical parameter they belong to."""
@@ -181,8 +188,8 @@ class Space:
         return values[owner][key]
 
 
-def _place(name: str, param: Param, groups: Sequence[str], values: Float[np.ndarray, "nv"]) -> Place:
-    nv = len(groups)
+def _place(name: str, param: Param, bench: Bench, values: Float[np.ndarray, "nv"]) -> Place:
+    groups, nv = bench.groups(param), bench.nv
     free = np.flatnonzero(param.each("identify", nv))
     numbers: dict[str, int] = {}
     group = np.array([numbers.setdefault(groups[joint], len(numbers)) for joint in free.tolist()], int)
@@ -192,10 +199,8 @@ def _place(name: str, param: Param, groups: Sequence[str], values: Float[np.ndar
         other = groups.index(of)
         for what, given in alike.items():
             if given[joint] != given[other]:
-                came = f"{given[other]:g} of joint {other} and {given[joint]:g} of joint {joint}"
+                came = f"{given[other]:g} of {bench.joints[other]} and {given[joint]:g} of {bench.joints[joint]}"
                 raise ConfigError(
                     f"{name}.{what}: {came}, which share a value ({of}); expected the same, or another tie"
                 )
-    alone = [list(groups).count(of) == 1 for of in numbers]
-    names = tuple(str(joint) if own else of for of, joint, own in zip(numbers, first.tolist(), alone, strict=True))
-    return Place(free, group, first, names)
+    return Place(free, group, first, tuple(numbers))

@@ -36,16 +36,20 @@ class Uncertainty:
     Attributes:
         intervals: Lower and upper end of the 95 % interval of each identified parameter by full name, `bench.armature`,
             in its unit, of shape (nv, 2); NaN where there is none.
-        identifiable: Whether the data determine the parameter, in all joints.
-        indistinct: Groups of parameters that the data cannot tell apart. Of several joints, a name ends in `/` and the
-            joint's number.
+        determined: Whether the data determine it in each joint, of shape (nv,), by the same names; true where known.
+        indistinct: Groups of parameters that the data cannot tell apart, as `Space.labels` has them.
         missing: Why there are no intervals at all; None where there are.
     """
 
     intervals: Mapping[str, Float[np.ndarray, "nv 2"]] = field(default_factory=dict)
-    identifiable: Mapping[str, bool] = field(default_factory=dict)
+    determined: Mapping[str, Bool[np.ndarray, "nv"]] = field(default_factory=dict)
     indistinct: tuple[tuple[str, ...], ...] = ()
     missing: str | None = None
+
+    @property
+    def identifiable(self) -> dict[str, bool]:
+        """Whether the data determine each identified parameter in all joints."""
+        return {name: bool(joints.all()) for name, joints in self.determined.items()}
 
 
 def estimate_uncertainty(objective: Objective, vector: Float[np.ndarray, "coordinates"]) -> Uncertainty:
@@ -127,7 +131,7 @@ def assess(
 
     return Uncertainty(
         space.physical(np.clip(ends, low[:, None], high[:, None])),
-        {name: bool(value.all()) for name, value in space.split(identifiable).items()},
+        {name: space.spread(name, own, known=True) for name, own in space.split(identifiable).items()},
         tuple(tuple(space.labels[seen[i]] for i in group) for group in groups),
     )
 

@@ -64,7 +64,7 @@ def solve(
         judgement=judgement,
         baseline=baseline,
         reference=reference["bench"],
-        fit=_describe_fit(outcome, uncertainty),
+        fit=_describe_fit(problem.objective.space, outcome, uncertainty),
         timing=_describe_timing(problem, outcome, began, asked, judged),
         settings=problem.settings,
         engine=problem.drive.engine.name,
@@ -148,16 +148,17 @@ def _motor_torque(problem: Problem, segments: Segments) -> Float[np.ndarray, "ba
     return np.asarray(state.motor_torque, np.float64)
 
 
-def _describe_fit(outcome: Outcome, uncertainty: Uncertainty) -> FitRow:
+def _describe_fit(space: Space, outcome: Outcome, uncertainty: Uncertainty) -> FitRow:
     # Iterations of a search are no path, and what converged or diverged says so itself.
     descended = outcome.stopped == "finished" and outcome.method != "grid"
+    history = space.pick({name: values.T for name, values in outcome.history.items()})
     return {
         "method": outcome.method,
         "iterations": outcome.iterations,
         "best_iteration": outcome.best_iteration,
         "loss": outcome.loss,
         "stopped": outcome.stopped,
-        "moving": list_moving(outcome.history, uncertainty.intervals) if descended else [],
+        "moving": list_moving(history, space.pick(uncertainty.intervals)) if descended else [],
     }
 
 

@@ -48,6 +48,21 @@ class Metrics:
 
 
 @dataclass(frozen=True)
+class JointErrors:
+    """Errors of one joint in open-loop rollouts, diverged ones left out; NaN where all diverged.
+
+    Attributes:
+        position_mae: Mean absolute position error [rad or m]; its mean over the joints is that of `Metrics`.
+        position_rmse: Root mean square position error [rad or m].
+        velocity_rmse: Root mean square velocity error [rad/s or m/s].
+    """
+
+    position_mae: float
+    position_rmse: float
+    velocity_rmse: float
+
+
+@dataclass(frozen=True)
 class Prediction:
     """Simulated states of some segments, after each step.
 
@@ -94,13 +109,24 @@ def measure(prediction: Prediction, segments: Segments, joint_type: str) -> Metr
     )
 
 
+def measure_joints(prediction: Prediction, segments: Segments) -> tuple[JointErrors, ...]:
+    """Errors of simulated against measured states of each joint."""
+    kept = ~prediction.diverged
+    position = prediction.qpos[kept] - segments.qpos[kept, 1:]
+    velocity = prediction.qvel[kept] - segments.qvel[kept, 1:]
+    return tuple(
+        JointErrors(float(np.abs(q).mean()) if q.size else np.nan, _rms(q), _rms(v))
+        for q, v in zip(np.moveaxis(position, 2, 0), np.moveaxis(velocity, 2, 0), strict=True)
+    )
+
+
 def rollout_mae(prediction: Prediction, segments: Segments) -> Float[np.ndarray, "batch"]:
     """Absolute position error of each rollout, averaged over time and joints [rad or m]; NaN where it diverged."""
     error = np.abs(prediction.qpos - segments.qpos[:, 1:])
     return np.where(prediction.diverged, np.nan, error.mean(axis=(1, 2)))
 
 
-def _rms(error: Float[np.ndarray, "batch time nv"]) -> float:
+def _rms(error: Float[np.ndarray, "..."]) -> float:
     return float(np.sqrt(np.square(error).mean())) if error.size else np.nan
 
 
@@ -110,6 +136,7 @@ class Judgement:
 
     Attributes:
         by_horizon: Metrics of each horizon, the main one first, for the parts `train` and `test`.
+        by_joint: Errors of each joint at the main horizon, for the parts `train` and `test`.
         rollout_mae: Position MAE of each rollout of the main horizon, for the parts `train` and `test` [rad or m].
         trajectory: The paper's evaluation (a): one long test rollout.
         places: The paper's evaluation (b): test rollouts at random places.
@@ -118,6 +145,7 @@ class Judgement:
     """
 
     by_horizon: tuple[Mapping[str, Metrics], ...]
+    by_joint: Mapping[str, tuple[JointErrors, ...]]
     rollout_mae: Mapping[str, Float[np.ndarray, "rollouts"]]
     trajectory: Metrics
     places: Metrics
@@ -219,6 +247,7 @@ class Evaluation:
         long, unit = predict(rollout, values, self.trajectories), self.joint_type
         return Judgement(
             by_horizon=tuple({part: measure(*pair, unit) for part, pair in parts.items()} for parts in predicted),
+            by_joint={part: measure_joints(*pair) for part, pair in predicted[0].items()},
             rollout_mae={part: rollout_mae(*pair) for part, pair in predicted[0].items()},
             trajectory=measure(long.first, self.trajectories.first, unit),
             places=measure(predict(rollout, values, self._places), self._places, unit),

@@ -2,7 +2,7 @@
 
 import copy
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -28,9 +28,9 @@ from frictionzoo.export.written import Written
 from frictionzoo.models import FrictionModel
 from frictionzoo.result.curves import FILE as CURVES
 from frictionzoo.result.curves import Curves, write_curves
-from frictionzoo.result.evaluate import Metrics, Prediction, Values
+from frictionzoo.result.evaluate import JointErrors, Metrics, Prediction, Values
 from frictionzoo.result.record import read_run, write_result
-from frictionzoo.result.types import Result
+from frictionzoo.result.types import Result, ValueRow
 from frictionzoo.simulate import Engine
 from frictionzoo.simulate.drive import Drive
 from frictionzoo.simulate.proof import Proof, Recorded, prove
@@ -48,7 +48,9 @@ class Parameter(NamedTuple):
         unit: Its unit.
         identified: Whether the fit chose it; else it was known.
         interval: Lower and upper end of the 95 % interval of each joint; NaN where there is none.
-        identifiable: Whether the data determine it; None where that was not asked.
+        identifiable: Whether the data determine it in all joints; None where that was not asked.
+        by_joint: The same as `result.json` has it: an entry for each joint, or for joints that share a value, with its
+            `name`, its `joints`, and whether it is `identified`, `at_bound` and `identifiable`.
     """
 
     value: Float[np.ndarray, "nv"]
@@ -56,6 +58,7 @@ class Parameter(NamedTuple):
     identified: bool
     interval: Float[np.ndarray, "nv 2"]
     identifiable: bool | None
+    by_joint: Sequence[ValueRow]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -160,8 +163,8 @@ class Identified:
             ends: Any = interval if interval is not None and isinstance(value, list) else [interval]
             ends = np.array([(np.nan, np.nan) if pair is None else pair for pair in ends], np.float64)
             arrays = np.broadcast_to(np.asarray(value, np.float64), nv), np.broadcast_to(ends, (nv, 2))
-            parameter = Parameter(arrays[0], row["unit"], row["identified"], arrays[1], row["identifiable"])
-            found[f"{row['owner']}.{row['name']}"] = parameter
+            known = row["identified"], arrays[1], row["identifiable"], row["by_joint"]
+            found[f"{row['owner']}.{row['name']}"] = Parameter(arrays[0], row["unit"], *known)
         return found
 
     @property
@@ -169,6 +172,15 @@ class Identified:
         """Errors of open-loop rollouts: of `train`, of `test`, and of `baseline`, the test part without friction."""
         rows, nan = cast(Mapping[str, Mapping[str, Any]], self.result["metrics"]), cast(Any, np.nan)
         return {part: Metrics(**{k: nan if v is None else v for k, v in row.items()}) for part, row in rows.items()}
+
+    @property
+    def by_joint(self) -> dict[str, dict[str, JointErrors]]:
+        """Errors of each joint by its name, on the same parts as `metrics`."""
+        nan, found = cast(Any, np.nan), {}
+        for row in cast(list[dict[str, Any]], self.result["by_joint"]):
+            parts = {part: {k: nan if v is None else v for k, v in row[part].items()} for part in self.metrics}
+            found[row["joint"]] = {part: JointErrors(**errors) for part, errors in parts.items()}
+        return found
 
     def plot(self) -> Figure:
         """Measured and simulated motion of the first long test rollout, with and without friction.

@@ -23,10 +23,12 @@ from frictionzoo.models.base import FrictionModel
 from frictionzoo.result import types
 from frictionzoo.result.curves import Curves, read_curves
 from frictionzoo.result.evaluate import Evaluation, Judgement, Metrics, Values
+from frictionzoo.result.names import label_values
+from frictionzoo.result.values import list_values
 from frictionzoo.result.verdict import doubt_sizes, explain_failure
 from frictionzoo.simulate.proof import Proof
 
-SCHEMA_VERSION: Final = 4
+SCHEMA_VERSION: Final = 5
 PACKAGES = ("frictionzoo", "mujoco", "mujoco-mjx", "jax", "torch", "optax", "lightning", "numpy")
 
 
@@ -80,22 +82,22 @@ class Findings:
 
 def build_result(found: Findings) -> types.Result:
     """The record of a run, ready for JSON: no NaN, no numpy types."""
-    bench, joint_type, uncertainty = found.bench, found.bench.joint_type, found.uncertainty
+    bench, uncertainty = found.bench, found.uncertainty
     weights = sum(tensor.numel() for name, tensor in found.model.named_parameters() if name not in found.model.params)
     by_horizon: list[types.HorizonRow] = [
         {"horizon": fitted["test"].horizon, **_describe_parts(fitted["train"], fitted["test"], without["test"])}
         for fitted, without in zip(found.judgement.by_horizon, found.baseline.by_horizon, strict=True)
     ]
     # Without friction, inertia makes up for it.
-    sizes = [] if found.name == "baseline" else doubt_sizes(bench.params, found.values["bench"], joint_type)
+    sizes = [] if found.name == "baseline" else doubt_sizes(bench, found.values["bench"])
     result: types.Result = {
         "schema_version": SCHEMA_VERSION,
         "model": found.name,
         "joints": list(bench.joints),
         "data": describe_data(found.dataset),
         "parameters": [
-            *_list_parameters("bench", bench.params, found.values["bench"], joint_type, uncertainty),
-            *_list_parameters("friction", found.model.params, found.values["friction"], joint_type, uncertainty),
+            *_list_parameters("bench", bench, bench.params, found.values["bench"], uncertainty),
+            *_list_parameters("friction", bench, found.model.params, found.values["friction"], uncertainty),
         ],
         "indistinct": [list(group) for group in uncertainty.indistinct],
         "no_intervals": uncertainty.missing,
@@ -106,8 +108,10 @@ def build_result(found: Findings) -> types.Result:
             "a": _contrast(found.judgement.trajectory, found.baseline.trajectory),
             "b": _contrast(found.judgement.places, found.baseline.places),
         },
+        "by_joint": _list_joints(bench.joints, found.judgement, found.baseline),
         "reference": [
-            _describe_value(name, param, found.reference[name], joint_type) for name, param in bench.params.items()
+            _describe_value("bench", bench, name, param, found.reference[name], Uncertainty())
+            for name, param in bench.params.items()
         ],
         "evaluation": {"sha256": found.evaluation.sha256, "window": found.evaluation.window},
         "fit": found.fit,
@@ -117,6 +121,7 @@ def build_result(found: Findings) -> types.Result:
         "engine": cast(types.Simulator, found.engine),
         "proof": cast(types.ProofRow, asdict(found.proof)),
         "warnings": [*found.warnings, *sizes],
+        "notes": list(bench.notes),
         "device": found.device,
         "versions": _read_versions(),
         "settings": dict(found.settings),
@@ -135,11 +140,8 @@ def pick_metrics(result: types.Result) -> dict[str, float]:
         "fit/seconds": result["timing"]["fit"],
     }
     for parameter in result["parameters"]:
-        if parameter["identified"]:
-            name = f"identified/{parameter['owner']}.{parameter['name']}"
-            values = parameter["value"]
-            several = isinstance(values, list)
-            picked |= {f"{name}/{joint}": value for joint, value in enumerate(values)} if several else {name: values}
+        values = label_values(parameter)
+        picked |= {f"identified/{label}": row["value"] for label, row in values.items() if row["identified"]}
     return {name: value for name, value in picked.items() if value is not None}
 
 
@@ -207,33 +209,46 @@ def _describe_log(log: Log, part: Literal["train", "test"]) -> types.LogRow:
 
 def _list_parameters(
     owner: Literal["bench", "friction"],
+    bench: Bench,
     params: Mapping[str, Param],
     values: Mapping[str, np.ndarray],
-    joint_type: str,
     uncertainty: Uncertainty,
 ) -> list[types.ParameterRow]:
+    identifiable = uncertainty.identifiable
     return [
         {
-            **_describe_value(name, param, values[name], joint_type),
+            **_describe_value(owner, bench, name, param, values[name], uncertainty),
             "owner": owner,
             "interval": _interval(uncertainty.intervals.get(f"{owner}.{name}")),
-            "identifiable": uncertainty.identifiable.get(f"{owner}.{name}"),
+            "identifiable": identifiable.get(f"{owner}.{name}"),
         }
         for name, param in params.items()
     ]
 
 
-def _describe_value(name: str, param: Param, value: np.ndarray, joint_type: str) -> types.ReferenceRow:
+def _describe_value(
+    owner: str, bench: Bench, name: str, param: Param, value: np.ndarray, uncertainty: Uncertainty
+) -> types.ReferenceRow:
+    by_joint = list_values(bench, param, f"{owner}.{name}", value, uncertainty)
     return {
         "name": name,
         "owner": "bench",
         "value": _one_or_all(np.atleast_1d(np.asarray(value, np.float64)).tolist()),
-        "unit": param.unit(joint_type),
+        "unit": param.unit(bench.joint_type),
         "low": _as_given(param.low),
         "high": _as_given(param.high),
         "identified": param.is_identified,
-        "at_bound": bool((np.asarray(param.identify) & param.is_at_bound(value)).any()),
+        "at_bound": any(row["at_bound"] for row in by_joint),
+        "by_joint": by_joint,
     }
+
+
+def _list_joints(joints: Sequence[str], judged: Judgement, without: Judgement) -> list[types.JointRow]:
+    parts = judged.by_joint["train"], judged.by_joint["test"], without.by_joint["test"]
+    return [
+        cast(types.JointRow, {"joint": joint, "train": asdict(train), "test": asdict(test), "baseline": asdict(none)})
+        for joint, train, test, none in zip(joints, *parts, strict=True)
+    ]
 
 
 def _as_given(bound: Any) -> Any:

@@ -55,6 +55,30 @@ class DataRow(TypedDict):
     """Every recording or block of one."""
 
 
+class ValueRow(TypedDict):
+    """A parameter's value of one joint, or of joints that share it."""
+
+    name: Text
+    """The joint, or the group of joints: its name in `tie`, or `all joints`. Of known values, joints of a group that do
+    not have the same one are told apart."""
+    joints: Joints
+    """Names of the joints that have the value."""
+    value: float
+    """In the parameter's unit."""
+    low: float
+    """Lower bound of the fit."""
+    high: float
+    """Upper bound of the fit."""
+    identified: bool
+    """True: the fit chose the value. False: it was given."""
+    at_bound: bool
+    """The fit ended at a bound; false for a known value."""
+    interval: Interval | None
+    """Lower and upper end of the 95 % interval; null: none."""
+    identifiable: bool | None
+    """Whether the data determine it; null: known, or nobody asked."""
+
+
 class ReferenceRow(TypedDict):
     """One parameter of the bench without friction."""
 
@@ -73,8 +97,10 @@ class ReferenceRow(TypedDict):
     identified: bool
     """True: the fit chose the value, of several joints that of one at least. False: it was given."""
     at_bound: bool
-    """It ended at a bound: then errors without friction are those of no drive, and a change against them says
-    little."""
+    """It ended at a bound, in one joint at least: then errors without friction are those of no drive, and a change
+    against them says little."""
+    by_joint: Annotated[list[ValueRow], ("minItems", 1)]
+    """The same joint by joint, in their order; joints that share a value are one entry."""
 
 
 class ParameterRow(TypedDict):
@@ -95,8 +121,8 @@ class ParameterRow(TypedDict):
     identified: bool
     """True: the fit chose the value, of several joints that of one at least. False: it was given."""
     at_bound: bool
-    """The fit ended at a bound, so that the data may ask for more than the bounds allow; false for known
-    parameters."""
+    """The fit ended at a bound, in one joint at least, so that the data may ask for more than the bounds allow; false
+    for known parameters."""
     interval: Interval | Intervals | None
     """Lower and upper end of the 95 % interval, by the spread between stretches of the training data and within the
     bounds; for several joints a list of them in their order. null: none, for a known parameter, at a bound, and where
@@ -104,6 +130,8 @@ class ParameterRow(TypedDict):
     identifiable: bool | None
     """Whether the data determine it. False: it has no interval, or one that reaches a bound or is too wide, in any
     joint. null: known, or there are no intervals."""
+    by_joint: Annotated[list[ValueRow], ("minItems", 1)]
+    """The same joint by joint, in their order; joints that share a value are one entry."""
 
 
 class NetworkRow(TypedDict):
@@ -147,6 +175,30 @@ class PartsRow(TypedDict):
     test: MetricsRow
     """On the logs that it did not see."""
     baseline: MetricsRow
+    """The same bench identified without friction on the same segments, judged on the rollouts of `test`."""
+
+
+class JointErrorsRow(TypedDict):
+    """Errors of one joint in the rollouts of one part, those that diverged left out."""
+
+    position_mae: NotNegative | None
+    """Mean absolute position error [unit]; its mean over the joints is `metrics.PART.position_mae`."""
+    position_rmse: NotNegative | None
+    """Root mean square position error [unit]."""
+    velocity_rmse: NotNegative | None
+    """Root mean square velocity error [velocity_unit]."""
+
+
+class JointRow(TypedDict):
+    """Errors of one joint on each part of the data, in the rollouts and units of `metrics`."""
+
+    joint: Text
+    """Its name."""
+    train: JointErrorsRow
+    """On the logs that the fit saw."""
+    test: JointErrorsRow
+    """On the logs that it did not see."""
+    baseline: JointErrorsRow
     """The same bench identified without friction on the same segments, judged on the rollouts of `test`."""
 
 
@@ -204,8 +256,8 @@ class FitRow(TypedDict):
     stopped: Text
     """Why the fit ended: converged, finished (all iterations made), patience, or diverged."""
     moving: list[str]
-    """Parameters, as `owner.name`, that still moved in the last tenth of the iterations: by more than a third of half
-    their interval, or 1 % of their value where they have none."""
+    """Parameters, as `owner.name`, of several joints `owner.name/JOINT`, that still moved in the last tenth of the
+    iterations: by more than a third of half their interval, or 1 % of their value where they have none."""
 
 
 class TimingRow(TypedDict):
@@ -262,7 +314,7 @@ class Result(TypedDict):
     fitted). A run writes this file last: where it exists, the run's other files do too.
     """
 
-    schema_version: Literal[4]
+    schema_version: Literal[5]
     """Raised by every change that a reader of this file could notice."""
     model: Text
     """The chosen model, a file of conf/model."""
@@ -273,14 +325,16 @@ class Result(TypedDict):
     """Physical parameters of bench and friction law. A network's weights are in friction.safetensors."""
     indistinct: list[Annotated[list[str], ("minItems", 2)]]
     """Groups of parameters that the data cannot tell apart, by their full names OWNER.NAME, of several joints
-    OWNER.NAME/JOINT with the joint's number from 0. Only a combination of a group is determined, so make all but one
-    of it known."""
+    OWNER.NAME/JOINT with the name of the joint, or of the joints that share the value. Only a combination of a group is
+    determined, so make all but one of it known."""
     no_intervals: str | None
     """Why no parameter has an interval; null where the data were asked for them."""
     network: NetworkRow | None
     """The law's trained network; null for a law without one."""
     metrics: PartsRow
     """Open-loop rollouts at the main horizon, the first of `by_horizon`."""
+    by_joint: Annotated[list[JointRow], ("minItems", 1)]
+    """Errors of each joint in the rollouts of `metrics`, in the order of `joints`."""
     reference: list[ReferenceRow]
     """Parameters of the bench without friction, whose errors `metrics.baseline` holds."""
     by_horizon: Annotated[list[HorizonRow], ("minItems", 1)]
@@ -302,6 +356,8 @@ class Result(TypedDict):
     warnings: list[Text]
     """What in the recordings, in the recorded motion of the model, or in the size of what was identified makes the
     result doubtful, a sentence each with what mends it."""
+    notes: list[Text]
+    """What a robot's file has that was left out or changed, a sentence each."""
     not_identified: list[Text] | None
     """Null, or that the fit did not identify the drive: why that is said, and the likely reasons, the likeliest
     first."""

@@ -3,9 +3,10 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Float, Shaped
+from jaxtyping import Float
 
-from frictionzoo.core.params import Param
+from frictionzoo.bench.base import Bench
+from frictionzoo.result.names import name_some, name_where, say_bounds
 from frictionzoo.result.types import ParameterRow, ReferenceRow, Result
 
 BOUNDS = 2  # identified parameters at bounds from which on that is doubted
@@ -23,7 +24,7 @@ def explain_failure(result: Result) -> list[str] | None:
     It did not if several parameters ended at a bound and the test error is still more than a third of that without
     friction: then the law makes up for something else with values that no drive has.
     """
-    ended = [f"{p['owner']}.{p['name']}" for p in result["parameters"] if p["at_bound"]]
+    ended = [name_where(p, at_bound=True) for p in result["parameters"] if p["at_bound"]]
     error, without = (result["metrics"][part]["position_mae"] for part in ("test", "baseline"))
     gained_little = error is None or (without is not None and error > LITTLE * without)
     if len(ended) < BOUNDS or not gained_little:
@@ -49,10 +50,28 @@ def doubt_gain(result: Result) -> str | None:
     )
 
 
-def doubt_sizes(params: Mapping[str, Param], values: Mapping[str, Float[np.ndarray, "nv"]], unit: str) -> list[str]:
-    """Identified values of a bench, on a `hinge` or `slide`, of another size than a user expected, a sentence each."""
+def doubt_joints(result: Result) -> str | None:
+    """Which joints of several the law does not improve on test data; None where it improves all of them."""
+    joints = result["by_joint"]
+    if result["model"] == "baseline" or len(joints) == 1:
+        return None
+    worse = []
+    for joint in joints:
+        error, without = (joint[part]["position_mae"] for part in ("test", "baseline"))
+        if error is not None and without and error >= without:
+            worse.append(f"{joint['joint']} (+{100 * (error / without - 1):.0f} %)")
+    if not worse:
+        return None
+    return (
+        f"on test data {len(worse)} of {len(joints)} joints {'is' if len(worse) == 1 else 'are'} no better than "
+        f"without friction: {name_some(worse)}"
+    )
+
+
+def doubt_sizes(bench: Bench, values: Mapping[str, Float[np.ndarray, "nv"]]) -> list[str]:
+    """Identified values of a bench of another size than a user expected, a sentence each."""
     doubts = []
-    for name, param in params.items():
+    for name, param in bench.params.items():
         if not param.is_identified or param.scale != "log":
             continue
         found = np.ravel(values[name])
@@ -60,16 +79,18 @@ def doubt_sizes(params: Mapping[str, Param], values: Mapping[str, Float[np.ndarr
         times = np.exp(np.abs(np.log(found / began)))
         joint = int(times.argmax())
         if times[joint] > FAR:
-            moved = f"from {began[joint]:g} to {found[joint]:.4g} {param.unit(unit)}, {times[joint]:.2g} times"
+            of = f" of {bench.joints[joint]}" if len(found) > 1 else ""
+            unit = param.unit(bench.joint_type)
+            moved = f"from {began[joint]:g} to {found[joint]:.4g} {unit}, {times[joint]:.2g} times"
             doubts.append(
-                f"bench.{name} went {moved}: look at the units of time, qpos and ctrl (data.units) and at the bench's "
-                f"gains, or begin elsewhere (bench.params.{name}.init)"
+                f"bench.{name}{of} went {moved}: look at the units of time, qpos and ctrl (data.units) and at the "
+                f"bench's gains, or begin elsewhere (bench.params.{name}.init)"
             )
     return doubts
 
 
 def list_moving(
-    history: Mapping[str, Shaped[np.ndarray, "iterations ..."]], intervals: Mapping[str, Float[np.ndarray, "nv 2"]]
+    history: Mapping[str, Float[np.ndarray, "iterations"]], intervals: Mapping[str, Float[np.ndarray, "2"]]
 ) -> list[str]:
     """Names of the parameters that still moved when the fit ended.
 
@@ -77,19 +98,17 @@ def list_moving(
     the parameter's 95 % interval, or by 1 % of its value where it has none.
 
     Args:
-        history: An array with an entry an iteration by full name, `bench.armature`.
-        intervals: By full name.
+        history: Its values by the parameter's label, `bench.armature`, of several joints `bench.armature/knee`.
+        intervals: By label.
     """
     moving = []
     for name, values in history.items():
         half = int(LATE * len(values)) // 2
-        if "." not in name or not half:
+        if not half:
             continue
-        before, last = values[-2 * half : -half].mean(axis=0), values[-half:].mean(axis=0)
-        ends = intervals.get(name, np.full((1, 2), np.nan))
-        width = MOVING * (ends[:, 1] - ends[:, 0]) / 2
-        allowed = np.where(np.isfinite(width), width, MOVING_BLINDLY * np.abs(last))
-        if (np.abs(last - before) > allowed).any():
+        before, last = values[-2 * half : -half].mean(), values[-half:].mean()
+        width = MOVING * np.ptp(intervals.get(name, np.full(2, np.nan))) / 2
+        if abs(last - before) > (width if np.isfinite(width) else MOVING_BLINDLY * abs(last)):
             moving.append(name)
     return moving
 
@@ -97,13 +116,10 @@ def list_moving(
 def doubt_reference(parameters: Sequence[ParameterRow | ReferenceRow]) -> str | None:
     """That the drive without friction, by which others are judged, is none by its parameters; None where it may be."""
     ended = [
-        f"{p['owner']}.{p['name']} at its bound of {say_bounds(p)} {p['unit']}" for p in parameters if p["at_bound"]
+        f"{name_where(p, at_bound=True)} at its bound of {say_bounds(p)} {p['unit']}"
+        for p in parameters
+        if p["at_bound"]
     ]
     if not ended:
         return None
     return f"the drive without friction ended with {' and '.join(ended)}: a change against its error says little"
-
-
-def say_bounds(parameter: ParameterRow | ReferenceRow) -> str:
-    """The bounds of a parameter, of several joints from the lowest to the highest."""
-    return f"[{np.min(parameter['low']):g}, {np.max(parameter['high']):g}]"

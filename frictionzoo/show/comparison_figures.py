@@ -7,6 +7,7 @@ from frictionzoo.comparison.runs import Run
 from frictionzoo.comparison.types import Comparison
 from frictionzoo.show.comparison_plots import plot_comparison
 from frictionzoo.show.figure import Sheet
+from frictionzoo.show.run_plots import COLUMNS
 from frictionzoo.show.with_matplotlib import LINE, draw, save_figure
 
 FORMATS = ("png", "pdf")
@@ -41,16 +42,18 @@ def arrange(comparison: Comparison, runs: Sequence[Run]) -> dict[str, Sheet]:
     friction = f"Friction identified from {data}\nband: 10 % to 90 % of recorded states, where friction depends on more"
     names = max((len(figure.panels[0].marks) // 2 for figure in drawn["parameters"]), default=0)
     rows = (drawn["mae"][0].height or 0) / PIXELS
-    columns = 2 if joints == 1 else joints
+    columns = min(joints, COLUMNS)
     return {
-        "figure3_parameters": Sheet(fits, drawn["parameters"], 2.1 + LINE * names, columns, apart=True),
-        "figure4_trajectories": Sheet(one, drawn["trajectories"], 5.4, joints, headings=True),
+        "figure3_parameters": Sheet(
+            fits, drawn["parameters"], 2.1 + LINE * names, 2 if joints == 1 else columns, apart=True
+        ),
+        "figure4_trajectories": Sheet(one, drawn["trajectories"], 5.4, columns, headings=True),
         "figure5_error": Sheet(f"{one}\n{window}", drawn["error"], 3.4),
         "figure6_mae": Sheet(f"{short}\nmean and standard deviation over rollouts", drawn["mae"], rows),
         "error_by_horizon": Sheet(long, drawn["by_horizon"], 3.0),
         "error_by_speed": Sheet(local, drawn["by_speed"], 3.0),
         "error_by_load": Sheet(local, drawn["by_load"], 3.0),
-        "friction": Sheet(f"{friction} than the velocity", drawn["friction"], 3.2, joints, headings=True),
+        "friction": Sheet(f"{friction} than the velocity", drawn["friction"], 3.2, columns, headings=True),
         "autocorrelation": Sheet(long, drawn["autocorrelation"], 3.0),
         "differences": Sheet(f"{short}\nmean of paired differences and its 95 % interval", drawn["differences"], rows),
     }

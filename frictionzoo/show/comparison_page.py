@@ -6,12 +6,15 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+import numpy as np
+
 from frictionzoo import __version__
 from frictionzoo.comparison.record import FEW
 from frictionzoo.comparison.runs import Run
 from frictionzoo.comparison.statistics import MATTERS
 from frictionzoo.comparison.types import Comparison, DifferenceRow, RolloutsRow, RunRow
 from frictionzoo.core.output import write_atomically
+from frictionzoo.result.types import ParameterRow, ValueRow
 from frictionzoo.show.colors import DARK
 from frictionzoo.show.comparison_plots import Look, choose_looks, plot_comparison
 from frictionzoo.show.page import Check, render_page
@@ -54,6 +57,8 @@ def write_page(path: Path, comparison: Comparison, runs: Sequence[Run]) -> None:
         comparison=comparison,
         rows=rows,
         joints=tuple(comparison["joints"]),
+        errors=list_errors_by_joint(comparison),
+        worst=_find_worst(comparison["runs"][0]),
         matters=MATTERS,
         recommended=best,
         parameters=list(_list_parameters(comparison["runs"])),
@@ -85,7 +90,6 @@ def _describe(index: int, run: Run, comparison: Comparison, look: Look, folder: 
         "recommended": bool(recommendation) and recommendation["run"] == run.label,
         "verdict": "" if recommendation is None else VERDICTS[pair["verdict"]] if pair else "best",
         "pair": pair,
-        "several": any(isinstance(parameter["value"], list) for parameter in entry["parameters"]),
         "errors": list(_list_errors(entry)),
         "method": str(METHODS.get(entry["fit"]["method"], entry["fit"]["method"])).removeprefix("The "),
         "stopped": STOPPED.get(entry["fit"]["stopped"], entry["fit"]["stopped"]),
@@ -114,8 +118,33 @@ def _list_parameters(entries: Sequence[RunRow]) -> Iterator[dict[str, Any]]:
     held = [{(p["owner"], p["name"], p["unit"]): p for p in entry["parameters"]} for entry in entries]
     keys = [key for parameters in held for key in parameters]
     for key in sorted(dict.fromkeys(keys), key=lambda key: -keys.count(key)):
-        values = [parameters.get(key) for parameters in held]
-        yield dict(zip(("owner", "name", "unit"), key, strict=True)) | {"values": values}
+        found = [parameters.get(key) for parameters in held]
+        values = [p and {**p, "value": float(np.mean(p["value"]))} for p in found]
+        joints = [
+            {"name": row["joint"], "values": [p and _pick_value(p, row["joint"]) for p in found]}
+            for row in entries[0]["by_joint"]
+        ]
+        yield dict(zip(("owner", "name", "unit"), key, strict=True)) | {"values": values, "by_joint": joints}
+
+
+def _pick_value(parameter: ParameterRow, joint: str) -> ValueRow:
+    return next(row for row in parameter["by_joint"] if joint in row["joints"])
+
+
+def list_errors_by_joint(comparison: Comparison) -> list[dict[str, Any]]:
+    """Each joint with its position error on test data in all runs, and the place of the lowest; None where none has."""
+    found = []
+    for rows in zip(*(entry["by_joint"] for entry in comparison["runs"]), strict=True):
+        errors = [row["test"]["position_mae"] for row in rows]
+        known = [error for error in errors if error is not None]
+        best = errors.index(min(known)) if known else None
+        found.append({"name": rows[0]["joint"], "values": errors, "best": best})
+    return found
+
+
+def _find_worst(entry: RunRow) -> int:
+    """Place of the joint with the largest error on test data."""
+    return int(np.argmax([row["test"]["position_mae"] or 0.0 for row in entry["by_joint"]]))
 
 
 def _list_files(folder: Path) -> dict[str, str]:

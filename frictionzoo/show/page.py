@@ -6,10 +6,12 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
+import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from plotly.offline import get_plotlyjs
 
-from frictionzoo.result.types import ParameterRow
+from frictionzoo.result.names import merge_known
+from frictionzoo.result.types import ParameterRow, ValueRow
 from frictionzoo.show import with_plotly
 from frictionzoo.show.colors import DARK
 from frictionzoo.show.figure import Figure
@@ -84,12 +86,28 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters |= {"number": format_number, "unit": format_unit, "place": _place, "change": format_change}
+    environment.filters |= {"merge_known": merge_known, "overview": _overview}
     return environment
 
 
-def _place(value: float, parameter: ParameterRow, joint: int) -> float:
-    """Where a joint's value lies between its bounds, from 0 to 100; in decades where the bounds are positive."""
-    low, high = (end[joint] if isinstance(end, list) else end for end in (parameter["low"], parameter["high"]))
+def _overview(parameter: ParameterRow) -> dict[str, Any]:
+    """A parameter of several joints in one line: the mean or the range, and what is doubtful."""
+    values, rows = np.ravel(parameter["value"]), [row for row in parameter["by_joint"] if row["identified"]]
+    ended = sum(row["at_bound"] for row in rows)
+    vague = sum(row["identifiable"] is False and not row["at_bound"] for row in rows)
+    counts = (ended, "at a bound"), (vague, "not identifiable")
+    low, high = format_number(float(values.min())), format_number(float(values.max()))
+    spread = low if low == high else f"{low} to {high}"
+    return {
+        "value": format_number(float(values.mean())) if rows else spread,
+        "said": ("shared by all joints" if len(parameter["by_joint"]) == 1 else spread) if rows else "known",
+        "doubt": ", ".join(what if len(rows) == 1 else f"{n} of {len(rows)} {what}" for n, what in counts if n),
+    }
+
+
+def _place(row: ValueRow) -> float:
+    """Where a value lies between its bounds, from 0 to 100; in decades where the bounds are positive."""
+    value, low, high = row["value"], row["low"], row["high"]
     if low > 0:
         low, high, value = math.log(low), math.log(high), math.log(max(value, low))
     return round(100 * min(1.0, max(0.0, (value - low) / (high - low))), 1)

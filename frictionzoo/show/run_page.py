@@ -9,8 +9,9 @@ from jaxtyping import Shaped
 
 from frictionzoo.core.output import write_atomically
 from frictionzoo.result.curves import Curves
-from frictionzoo.result.types import DataRow, FitRow, PartsRow, Result, TimingRow
-from frictionzoo.result.verdict import doubt_gain, doubt_reference
+from frictionzoo.result.names import name_unidentifiable, name_where, reached_bounds
+from frictionzoo.result.types import DataRow, FitRow, ParameterRow, PartsRow, Result, TimingRow, ValueRow
+from frictionzoo.result.verdict import doubt_gain, doubt_joints, doubt_reference
 from frictionzoo.show.page import Check, render_page
 from frictionzoo.show.run_plots import plot_run
 from frictionzoo.show.terminal import ERRORS
@@ -47,7 +48,7 @@ def write_report(path: Path, result: Result, curves: Curves) -> None:
         plot_run(result, curves),
         list(check_result(result, curves.history)),
         result=result,
-        joints=result["joints"] if any(isinstance(p["value"], list) for p in result["parameters"]) else ("value",),
+        joints=list_joints(result) if len(result["joints"]) > 1 else [],
         headline=_say_headline(result),
         errors=list(_list_errors(result["metrics"])),
         evaluations=list(_list_evaluations(result)),
@@ -66,6 +67,8 @@ def check_result(result: Result, history: Mapping[str, Shaped[np.ndarray, "itera
     for sentence in result["warnings"]:
         yield Check("caution", "Recordings", f"{sentence}.")
     yield _check_gain(result)
+    if len(result["joints"]) > 1 and result["model"] != "baseline":
+        yield _check_joints(result)
     if doubt := doubt_reference(result["reference"]):
         yield Check("caution", "Reference", f"{doubt[0].upper()}{doubt[1:]}.")
     yield check_held_out(result["data"])
@@ -92,6 +95,13 @@ def _check_gain(result: Result) -> Check:
         return Check("caution", "Gain", f"{doubt[0].upper()}{doubt[1:]}.")
     text = f"On test data the model's position error is {baseline / test:.3g} times smaller than without friction."
     return Check("good", "Gain", text)
+
+
+def _check_joints(result: Result) -> Check:
+    if doubt := doubt_joints(result):
+        return Check("caution", "Joint by joint", f"{doubt[0].upper()}{doubt[1:]}.")
+    text = "On test data the model's position error is smaller than without friction in each of the"
+    return Check("good", "Joint by joint", f"{text} {len(result['joints'])} joints.")
 
 
 def check_held_out(data: DataRow) -> Check:
@@ -149,8 +159,8 @@ def _check_bounds(result: Result) -> Check:
     identified = [parameter for parameter in result["parameters"] if parameter["identified"]]
     ended = []
     for p in (p for p in identified if p["at_bound"]):
-        bounds = f"[{format_number(p['low'])}, {format_number(p['high'])}] {format_unit(p['unit'])}"
-        ended.append(f"{p['owner']}.{p['name']} ended at a bound of {bounds}")
+        low, high = map(format_number, reached_bounds(p))
+        ended.append(f"{name_where(p, at_bound=True)} ended at a bound of [{low}, {high}] {format_unit(p['unit'])}")
     if ended:
         return Check("caution", "Bounds", f"{'; '.join(ended)}. Widen the bounds or doubt the model.")
     return Check("good", "Bounds", f"No identified parameter, of {len(identified)}, ended at a bound.")
@@ -160,7 +170,7 @@ def _check_identifiability(result: Result) -> Check:
     if result["no_intervals"] is not None:
         return Check("note", "Identifiability", f"No parameter has an interval: {result['no_intervals']}.")
     identified = [parameter for parameter in result["parameters"] if parameter["identified"]]
-    doubtful = [f"{p['owner']}.{p['name']}" for p in identified if not p["identifiable"]]
+    doubtful = name_unidentifiable(identified)
     text = [f"Not identifiable on these data: {', '.join(doubtful)}. Do not read a property of the drive into them."]
     text = text if doubtful else [f"The data determine each of the {len(identified)} identified parameters."]
     text += [f"They cannot tell apart {' and '.join(group)}." for group in result["indistinct"]]
@@ -206,6 +216,33 @@ def _list_errors(metrics: PartsRow) -> Iterator[dict[str, Any]]:
     test, baseline = metrics["test"], metrics["baseline"]
     for name, (key, unit) in ERRORS.items():
         yield {"name": name, "unit": test[unit], "model": test[key], "baseline": baseline[key]}
+
+
+def list_joints(result: Result) -> list[dict[str, Any]]:
+    """Each of several joints: its errors beside those without friction, its parameters, and what is doubtful."""
+    test = result["metrics"]["test"]
+    largest = max(result["by_joint"], key=lambda row: row["test"]["position_mae"] or 0.0)
+    found = []
+    for row in result["by_joint"]:
+        errors = [
+            {"name": name, "unit": test[unit], "model": row["test"][key], "baseline": row["baseline"][key]}
+            for name, (key, unit) in ERRORS.items()
+            if key in row["test"]
+        ]
+        values = [
+            (p, value) for p in result["parameters"] for value in p["by_joint"] if row["joint"] in value["joints"]
+        ]
+        # What all joints share is no matter of this one.
+        doubts = [_doubt_value(p, value) for p, value in values if len(p["by_joint"]) > 1]
+        shown = {"name": row["joint"], "errors": errors, "parameters": values, "open": row is largest}
+        found.append({**shown, "doubt": "; ".join(filter(None, doubts))})
+    return found
+
+
+def _doubt_value(parameter: ParameterRow, value: ValueRow) -> str:
+    if value["at_bound"]:
+        return f"{parameter['name']} at a bound"
+    return f"{parameter['name']} not identifiable" if value["identifiable"] is False else ""
 
 
 def _list_evaluations(result: Result) -> Iterator[dict[str, Any]]:

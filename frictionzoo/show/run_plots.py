@@ -16,6 +16,7 @@ from frictionzoo.show.figure import Axis, Bars, Curve, Figure, Mark, Panel, Shee
 from frictionzoo.show.rollouts import Drive, draw_errors, draw_motion
 from frictionzoo.show.text import format_number, format_unit
 
+COLUMNS = 4  # joints beside each other on a sheet
 REPORTED: Mapping[str, Any] = {"width": 0.0, "marker": "diamond", "size": 8.0, "color": BEST}  # what a fit reports
 
 
@@ -60,7 +61,7 @@ def draw_rollout(result: Result, curves: Curves) -> Drawing:
 
 def _arrange(result: Result, trajectories: list[Figure]) -> Sheet:
     title = _describe(result, "one rollout of the test part")
-    return Sheet(title, trajectories, 6.0, columns=len(trajectories), headings=True)
+    return Sheet(title, trajectories, 6.0, columns=min(len(trajectories), COLUMNS), headings=True)
 
 
 def _describe(result: Result, what: str) -> str:
@@ -81,26 +82,40 @@ def _plot_history(result: Result, curves: Curves) -> Iterator[Figure]:
     iteration, best = history["iteration"].astype(np.float64), result["fit"]["best_iteration"]
     at = int(np.flatnonzero(iteration == best)[0])
     for name in names:
-        columns = np.reshape(history[name], (len(iteration), -1)).T.astype(np.float64)
+        lines = _name_lines(result, name)
+        columns = np.reshape(history[name], (len(iteration), -1)).T.astype(np.float64)[list(lines.values())]
         label, unit = name.rpartition(".")[2], units.get(name, "")
-        reached = ", ".join(format_number(value) for value in columns[:, at])
+        reached = _say_reached(columns[:, at])
         y = Axis(unit=unit) if name in units else scale_values("", "", columns.ravel(), apart=10.0)
-        marks = list(_draw_courses(iteration, columns, at, result))
+        marks = list(_draw_courses(iteration, dict(zip(lines, columns, strict=True)), at, result))
         panel = Panel(marks, Axis("iteration"), y, note=reached if len(columns) == 1 else "")
         text = f"{label} over {len(iteration)} iterations; {reached} {unit}".rstrip()
         yield Figure(label, f"{text} at iteration {best}, which is reported and marked.", (panel,), small=True)
 
 
-def _draw_courses(iteration: np.ndarray, columns: np.ndarray, at: int, result: Result) -> Iterator[Mark]:
-    """A line a joint, points of a grid search, and the reported values."""
-    best, several = float(iteration[at]), len(columns) > 1
+def _name_lines(result: Result, name: str) -> dict[str, int]:
+    """The columns of a history by what they are of: the joints, or one of those that share an identified value."""
+    rows = [row for p in result["parameters"] if f"{p['owner']}.{p['name']}" == name for row in p["by_joint"]]
+    joints = {row["name"]: result["joints"].index(row["joints"][0]) for row in rows if row["identified"]}
+    return joints if len(joints) > 1 else {"value": next(iter(joints.values()), 0)}
+
+
+def _say_reached(values: np.ndarray) -> str:
+    if len(values) <= len(JOINTS):
+        return ", ".join(format_number(value) for value in values)
+    return f"{format_number(values.min())} to {format_number(values.max())}, a line a joint,"
+
+
+def _draw_courses(iteration: np.ndarray, columns: Mapping[str, np.ndarray], at: int, result: Result) -> Iterator[Mark]:
+    """A line a joint, or joints that share a value; points of a grid search; and the reported values."""
+    best, several = float(iteration[at]), 1 < len(columns) <= len(JOINTS)
     points: dict[str, Any] = {"width": 0.0, "marker": "circle", "size": 4.0}
     look = points if result["fit"]["method"] == "grid" else {}
     yield Stripe(low=best, high=best, color=BEST, dash=(4.0, 3.0))
-    for joint, column in enumerate(columns):
-        name = result["joints"][joint] if several else "value"
-        yield Curve(x=iteration, y=column, name=name, legend=several, color=JOINTS[joint % len(JOINTS)], **look)
-    yield Curve(x=np.full(len(columns), best), y=columns[:, at], name="reported", legend=several, **REPORTED)
+    for i, (name, column) in enumerate(columns.items()):
+        yield Curve(x=iteration, y=column, name=name, legend=several, color=JOINTS[i % len(JOINTS)], **look)
+    reached = np.array([column[at] for column in columns.values()])
+    yield Curve(x=np.full(len(columns), best), y=reached, name="reported", legend=several, **REPORTED)
 
 
 def _plot_trajectories(result: Result, curves: Curves) -> Iterator[Figure]:

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from frictionzoo.comparison.types import Comparison
-from frictionzoo.result.types import DataRow, MetricsRow, ParameterRow, Result
-from frictionzoo.result.verdict import doubt_gain, doubt_reference, say_bounds
+from frictionzoo.result.names import merge_known, name_unidentifiable, name_where, say_bounds
+from frictionzoo.result.types import DataRow, MetricsRow, ParameterRow, Result, ValueRow
+from frictionzoo.result.verdict import doubt_gain, doubt_joints, doubt_reference
 from frictionzoo.show.text import format_number
 
 Rows = Sequence[Sequence[str]]
@@ -58,6 +59,7 @@ def _arrange(
         say(f"{result['model']} on {_say_data(result['data'])}"),
         tabulate(_list_parameters(result)),
         tabulate(_list_errors(metrics["test"], metrics["baseline"], ("this model", "no friction"))),
+        *([tabulate(_list_joints(result))] if len(result["joints"]) > 1 else []),
         *map(say, [*_warn(result), *([f"files: {folder}"] if folder else [])]),
     ]
     return "\n\n".join(blocks)
@@ -135,13 +137,31 @@ def _say_data(data: DataRow) -> str:
 
 
 def _list_parameters(result: Result) -> Rows:
-    rows = [("parameter", "value", "95 % interval", "unit", "")]
+    """A row a parameter; of several joints a row for each, or for those that share the value."""
+    several = len(result["joints"]) > 1
+    rows = [("parameter", *(["joint"] if several else []), "value", "95 % interval", "unit", "")]
     for parameter in result["parameters"]:
         name = f"{parameter['owner']}.{parameter['name']}"
-        value, interval = _format_value(parameter["value"]), format_interval(parameter["interval"])
-        rows.append((name, value, interval, parameter["unit"], say_status(parameter)))
+        for row in merge_known(parameter["by_joint"]) if several else [parameter]:
+            joint, status = [row["name"]] if several else [], say_status(row)
+            status = "at a bound" if several and row["at_bound"] else status
+            found = _format_value(row["value"]), format_interval(row["interval"])
+            rows.append((name, *joint, *found, parameter["unit"], status))
+            name = ""  # once for all its joints
     if result["network"]:
-        rows.append(("friction network", str(result["network"]["weights"]), "", "weights", "identified"))
+        joint = ["all joints"] if several else []
+        rows.append(("friction network", *joint, str(result["network"]["weights"]), "", "weights", "identified"))
+    return rows
+
+
+def _list_joints(result: Result) -> Rows:
+    """A row a joint with its error beside that without friction."""
+    unit = result["metrics"]["test"]["unit"]
+    rows = [("position MAE by joint", "this model", "no friction", "unit", "change")]
+    for row in result["by_joint"]:
+        error, without = (row[part]["position_mae"] for part in ("test", "baseline"))
+        change = _format_change(error, without)
+        rows.append((row["joint"], _format_value(error), _format_value(without), unit, change))
     return rows
 
 
@@ -159,13 +179,12 @@ def _warn(result: Result) -> list[str]:
     """What is doubtful: of the recordings, of parameters at a bound, not identifiable or indistinct, and of it all."""
     lines = [f"warning: {sentence}" for sentence in result["warnings"]]
     lines += [
-        f"warning: {p['owner']}.{p['name']} ended at a bound of {say_bounds(p)} {p['unit']}; widen the "
+        f"warning: {name_where(p, at_bound=True)} ended at a bound of {say_bounds(p)} {p['unit']}; widen the "
         "bounds or doubt the model"
         for p in result["parameters"]
         if p["at_bound"]
     ]
-    doubtful = [f"{p['owner']}.{p['name']}" for p in result["parameters"] if p["identifiable"] is False]
-    if doubtful:
+    if doubtful := name_unidentifiable(result["parameters"]):
         lines.append(f"warning: not identifiable on these data: {', '.join(doubtful)}")
     lines += [
         f"warning: the data cannot tell apart {' and '.join(group)}; make all but one of them known, or record others"
@@ -173,7 +192,7 @@ def _warn(result: Result) -> list[str]:
     ]
     if moving := ", ".join(result["fit"]["moving"]):
         lines.append(f"warning: still moving when the fit ended: {moving}; raise fit.iterations")
-    doubts = doubt_gain(result), doubt_reference(result["reference"])
+    doubts = doubt_gain(result), doubt_joints(result), doubt_reference(result["reference"])
     lines += [f"warning: {doubt}" for doubt in doubts if doubt]
     if result["not_identified"]:
         why, *reasons = result["not_identified"]
@@ -182,7 +201,7 @@ def _warn(result: Result) -> list[str]:
     return ["\n".join(lines)] if lines else []
 
 
-def say_status(parameter: ParameterRow) -> str:
+def say_status(parameter: ParameterRow | ValueRow) -> str:
     """Where the value of a parameter, as in `result.json`, comes from, and whether the data determine it."""
     if not parameter["identified"]:
         return "known"
@@ -190,12 +209,8 @@ def say_status(parameter: ParameterRow) -> str:
 
 
 def format_interval(interval: Sequence[Any] | None) -> str:
-    """A parameter's interval, or those of its joints, as in `result.json`; empty where there is none."""
-    if interval is None:
-        return ""
-    if not isinstance(interval[0], int | float):
-        return ", ".join(format_interval(joint) or "none" for joint in interval)
-    return f"{interval[0]:.4g} to {interval[1]:.4g}"
+    """The interval of a value, as in `result.json`; empty where there is none."""
+    return "" if interval is None else f"{interval[0]:.4g} to {interval[1]:.4g}"
 
 
 def _format_change(value: float | None, reference: float | None) -> str:

@@ -1,0 +1,60 @@
+"""Parameters joint by joint: one entry a joint, or a group of joints that share a value."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from frictionzoo.bench.base import Bench
+from frictionzoo.core.params import Param
+from frictionzoo.fit.uncertainty import Uncertainty
+from frictionzoo.result.types import ValueRow
+
+ALL = "all joints"
+
+
+def list_values(bench: Bench, param: Param, full: str, value: np.ndarray, uncertainty: Uncertainty) -> list[ValueRow]:
+    """The entries of a parameter, in the order of the joints.
+
+    Args:
+        bench: Its joints, and which of them share the value.
+        param: The parameter.
+        full: Its full name, `bench.armature`.
+        value: Of each joint.
+        uncertainty: How far the data determine what was identified.
+    """
+    nv = bench.nv
+    value = np.broadcast_to(np.asarray(value, np.float64), nv)
+    free, low, high = (param.each(what, nv) for what in ("identify", "low", "high"))
+    reached = free & param.is_at_bound(value)
+    ends = uncertainty.intervals.get(full, np.full((nv, 2), np.nan))
+    determined = uncertainty.determined.get(full)
+
+    def describe(name: str, joints: Sequence[int]) -> ValueRow:
+        first = joints[0]
+        return {
+            "name": name,
+            "joints": [bench.joints[joint] for joint in joints],
+            "value": float(value[first]),
+            "low": float(low[first]),
+            "high": float(high[first]),
+            "identified": bool(free[first]),
+            "at_bound": bool(reached[first]),
+            "interval": ends[first].tolist() if np.isfinite(ends[first]).all() else None,
+            "identifiable": bool(determined[first]) if determined is not None and free[first] else None,
+        }
+
+    return [describe(*group) for group in _group(bench, param, value).items()]
+
+
+def _group(bench: Bench, param: Param, value: np.ndarray) -> dict[str, list[int]]:
+    """Joints by the name of their group, in the order of the first of each."""
+    groups = bench.groups(param)
+    if not param.is_identified:
+        # Nothing holds known values of a group together.
+        alike = {group: {value[i] for i, of in enumerate(groups) if of == group} for group in groups}
+        groups = [of if len(alike[of]) == 1 else bench.joints[i] for i, of in enumerate(groups)]
+        groups = [ALL] * bench.nv if bench.nv > 1 and (value == value[0]).all() else groups
+    found: dict[str, list[int]] = {}
+    for joint, group in enumerate(groups):
+        found.setdefault(group, []).append(joint)
+    return found

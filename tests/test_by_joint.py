@@ -1,0 +1,167 @@
+"""Results of several joints: which one is at a bound, vague or worse, in the record, on a terminal and on a page."""
+
+import copy
+import json
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+from test_report import FIT, PROOF, SETTINGS, TIMESTEP, TIMING, curves_of, make_rollout
+
+from frictionzoo.bench import Bench, PositionPD
+from frictionzoo.core.log import Dataset, Log
+from frictionzoo.fit.uncertainty import Uncertainty
+from frictionzoo.models.mujoco_default import MujocoDefault
+from frictionzoo.result.evaluate import Evaluation
+from frictionzoo.result.names import label_values, merge_known, name_some
+from frictionzoo.result.record import Findings, build_result, pick_metrics, read_schema
+from frictionzoo.result.verdict import doubt_joints, explain_failure
+from frictionzoo.show.run_page import check_result, write_report
+from frictionzoo.show.terminal import summarise
+
+SECTION: dict[str, Any] = {"init": 0.1, "low": 0.01, "high": 1.0, "scale": "log", "identify": True}
+JOINTS = ("FL_hip", "FL_knee", "FR_hip", "FR_knee")
+MJCF = """<mujoco><option timestep="0.001"/><worldbody><body name="base">{}</body></worldbody></mujoco>"""
+LIMB = """<body><joint name="{0}_hip" axis="0 1 0"/><inertial pos="0 0 -.1" mass="1" diaginertia=".01 .01 .01"/>
+<body pos="0 0 -.2"><joint name="{0}_knee" axis="0 1 0"/><inertial pos="0 0 -.1" mass="1" diaginertia=".01 .01 .01"/>
+</body></body>"""
+ENDS = [[0.05, 0.2], [np.nan, np.nan], [0.05, 0.2], [0.01, 1.0]]
+
+
+def follow(values: Any, qpos: Any, qvel: Any, signals: Any, load: Any) -> tuple[np.ndarray, np.ndarray]:
+    """A drive that follows its command, each joint with an offset of its own."""
+    return signals.ctrl + values["bench"]["offset"], np.zeros_like(signals.ctrl)
+
+
+@pytest.fixture(scope="module")
+def findings(tmp_path_factory: pytest.TempPathFactory) -> Findings:
+    """Four joints: armature is tied by motor, and frictionloss is at a bound in one joint and vague in another."""
+    path = tmp_path_factory.mktemp("by_joint") / "legs.xml"
+    path.write_text(MJCF.format(LIMB.format("FL") + LIMB.format("FR")))
+    armature = {**SECTION, "tie": {"hips": ".*_hip", "knees": ".*_knee"}}
+    gains = PositionPD(kp=[20, 40, 20, 40], kd=1)
+    bench = Bench(str(path), JOINTS, actuator=gains, params={"armature": armature})
+    bench.notes = ("contacts are left out",)
+    law = MujocoDefault(4, {"frictionloss": SECTION, "damping": {**SECTION, "identify": {"FL_.*": True, ".*": False}}})
+    law.bind(bench.joints)
+    time = TIMESTEP * np.arange(400)
+    wave = np.sin(3 * time)[:, None] * np.ones(4)
+    log = Log("waves", time, wave, 3 * np.cos(3 * time)[:, None] * np.ones(4), wave, sha256=64 * "a", simulated=True)
+    dataset = Dataset("waves", (log,), (log,))
+    evaluation = Evaluation(dataset, "hinge", [0.1], 4, trajectory=0.3, window=0.02, places=3, local=0.05)
+    values = {"bench": bench.initial_values(), "friction": {n: np.full(4, 0.1) for n in ("frictionloss", "damping")}}
+    values["friction"]["frictionloss"][1] = 1.0
+
+    def judge(*offset: float) -> Any:
+        return evaluation.judge(follow, {"bench": {"offset": np.array(offset)}})
+
+    determined = {"bench.armature": [True] * 4, "friction.frictionloss": [True, False, True, False]}
+    found = Uncertainty(
+        {"bench.armature": np.full((4, 2), [0.05, 0.2]), "friction.frictionloss": np.array(ENDS)},
+        {name: np.array(joints) for name, joints in determined.items()},
+        (("friction.frictionloss/FL_knee", "friction.frictionloss/FR_knee"),),
+    )
+    return Findings(
+        **{"name": "mujoco_default", "bench": bench, "model": law, "values": values, "dataset": dataset},
+        **{"evaluation": evaluation, "judgement": judge(0.01, 0.02, 0.03, 0.1), "baseline": judge(*[0.05] * 4)},
+        **{"reference": bench.initial_values(), "fit": FIT, "timing": TIMING, "settings": SETTINGS, "engine": "mjx"},
+        **{"proof": PROOF, "warnings": [], "device": "cpu", "uncertainty": found},
+    )
+
+
+@pytest.fixture
+def result(findings: Findings) -> Any:
+    return build_result(findings)
+
+
+def of(result: Any, name: str) -> dict[str, Any]:
+    return next(row for row in result["parameters"] if row["name"] == name)
+
+
+def test_the_record_tells_which_joint(result: Any) -> None:
+    jsonschema.Draft202012Validator(read_schema()).validate(json.loads(json.dumps(result)))
+    loss = of(result, "frictionloss")
+    assert (loss["at_bound"], loss["identifiable"]) == (True, False)
+    assert [row["at_bound"] for row in loss["by_joint"]] == [False, True, False, False]
+    assert [row["identifiable"] for row in loss["by_joint"]] == [True, False, True, False]
+    assert [row["interval"] for row in loss["by_joint"]] == [[0.05, 0.2], None, [0.05, 0.2], [0.01, 1.0]]
+    assert loss["interval"] == [[0.05, 0.2], None, [0.05, 0.2], [0.01, 1.0]]
+    shared = {row["name"]: row["joints"] for row in of(result, "armature")["by_joint"]}
+    assert shared == {"hips": ["FL_hip", "FR_hip"], "knees": ["FL_knee", "FR_knee"]}
+    assert [row["identified"] for row in of(result, "damping")["by_joint"]] == [True, True, False, False]
+    assert [row["name"] for row in of(result, "kd")["by_joint"]] == ["all joints"]
+    assert [row["name"] for row in of(result, "kp")["by_joint"]] == list(JOINTS)
+    assert result["notes"] == ["contacts are left out"]
+
+
+def test_the_errors_of_the_joints_have_the_mean_of_all(result: Any, findings: Findings) -> None:
+    assert [row["joint"] for row in result["by_joint"]] == list(JOINTS)
+    for part, metrics in result["metrics"].items():
+        errors = [row[part] for row in result["by_joint"]]
+        assert np.mean([e["position_mae"] for e in errors]) == pytest.approx(metrics["position_mae"], rel=1e-12)
+        for key in ("position_rmse", "velocity_rmse"):
+            assert np.sqrt(np.mean(np.square([e[key] for e in errors]))) == pytest.approx(metrics[key], rel=1e-12)
+    # Between the command and the sample that it is compared with, the joint moves on by up to 3 mrad.
+    found = [row["test"]["position_mae"] for row in result["by_joint"]]
+    np.testing.assert_allclose(found, [0.01, 0.02, 0.03, 0.1], atol=0.003)
+
+
+def test_labels_name_the_joint_or_the_joints_that_share(result: Any) -> None:
+    assert [*label_values(of(result, "armature"))] == ["bench.armature/hips", "bench.armature/knees"]
+    assert [*label_values(of(result, "kd"))] == ["bench.kd"]
+    picked = {name for name in pick_metrics(result) if name.startswith("identified/friction.damping")}
+    assert picked == {"identified/friction.damping/FL_hip", "identified/friction.damping/FL_knee"}
+    gains = merge_known(of(result, "kp")["by_joint"])
+    assert [(row["name"], row["value"]) for row in gains] == [("FL_hip, FR_hip", 20.0), ("FL_knee, FR_knee", 40.0)]
+    assert name_some([*"abcdef"]) == "a, b, c, d and 2 more"
+
+
+def test_the_terminal_has_a_row_a_joint(result: Any) -> None:
+    text = summarise(result, None)
+    table, _, joints = (block.splitlines() for block in text.split("\n\n")[1:4])
+    rows = [line.split() for line in table]
+    assert rows[0] == ["parameter", "joint", "value", "95", "%", "interval", "unit"]
+    assert rows[1][:3] == ["bench.armature", "hips", "0.1"] and rows[2][:2] == ["knees", "0.1"]
+    assert [line for line in table if "FL_knee" in line and line.endswith("at a bound")]
+    assert [line for line in table if "FR_knee" in line and line.endswith("not identifiable")]
+    assert [line.split()[0] for line in joints] == ["position", *JOINTS]
+    assert "friction.frictionloss (FL_knee) ended at a bound of [0.01, 1] N m" in text
+    assert "not identifiable on these data: friction.frictionloss (FL_knee, FR_knee)" in text
+    assert "cannot tell apart friction.frictionloss/FL_knee and friction.frictionloss/FR_knee" in text
+    assert "1 of 4 joints is no better than without friction: FR_knee (+" in text
+
+
+def test_a_verdict_names_the_joints(result: Any) -> None:
+    said = doubt_joints(result)
+    assert said is not None and said.startswith(
+        "on test data 1 of 4 joints is no better than without friction: FR_knee"
+    )
+    better = copy.deepcopy(result)
+    better["by_joint"][3]["test"]["position_mae"] = 0.01
+    assert doubt_joints(better) is None and doubt_joints(result | {"model": "baseline"}) is None
+    assert doubt_joints(result | {"by_joint": result["by_joint"][3:]}) is None  # one joint has its gain told already
+    ended = copy.deepcopy(result)
+    row = of(ended, "damping")
+    row["at_bound"] = row["by_joint"][0]["at_bound"] = True
+    why, *_ = explain_failure(ended) or [""]
+    assert "friction.frictionloss (FL_knee) and friction.damping (FL_hip) ended at their bounds" in why
+    checks = {check.title: check for check in check_result(result, {"loss": np.array([3.0, 1.0, 2.0])})}
+    assert checks["Joint by joint"].state == checks["Bounds"].state == checks["Identifiability"].state == "caution"
+
+
+def test_the_page_has_means_first_and_folds_the_joints(result: Any, tmp_path: Path) -> None:
+    courses = {name: np.ones((3, 4)) for name in ("bench.armature", "friction.frictionloss", "friction.damping")}
+    write_report(tmp_path / "report.html", result, curves_of(make_rollout(nv=4), **courses))
+    page = (tmp_path / "report.html").read_text(encoding="utf-8").split('<script type="application/json"')[0]
+    assert "mean over joints" in page and "1 of 4 at a bound, 1 of 4 not identifiable" in page
+    opened = [part.split("</summary>")[0] for part in page.split("<details open>")[1:]]
+    assert len(opened) == 1 and "FR_knee" in opened[0]  # the largest error
+    assert page.count("shared by hips") == page.count("shared by knees") == 2
+    assert page.count("Trajectory of ") == 4 and "contacts are left out" in page
+    # A line for each value: two of armature, four of frictionloss, two of damping.
+    drawn = (tmp_path / "report.html").read_text(encoding="utf-8")
+    figures = json.loads(drawn.split('id="figures">')[1].split("</script>")[0])["figures"]
+    lines = [[t["name"] for t in figure["data"]] for figure in figures if len(figure["data"]) < 6]
+    assert ["hips", "knees", "reported"] in lines and ["FL_hip", "FL_knee", "reported"] in lines
