@@ -39,11 +39,10 @@ ROBOT = changed(
 FREE = {"init": 0.1, "low": 1e-6, "high": 10.0, "scale": "log", "identify": True}
 
 
-def fit(path: str | Path, joint: Any = None, offset: float = 0.0, **more: Any) -> Identified:
+def fit(path: str | Path, joint: Any = None, **more: Any) -> Identified:
     """A drive as if identified, each joint another, and two rollouts of it."""
-    pull = {"torque_offset": {"init": offset}} if offset else {}
-    actuator = JointPD({"kp": {"init": 20.0}, "kd": {"init": 1.0}, **pull}) if "actuator" not in more else None
-    bench: Bench = Robot(str(path), joint, **({"actuator": actuator} | more)).observing({})
+    options: dict[str, Any] = {"actuator": JointPD({"kp": {"init": 20.0}, "kd": {"init": 1.0}}), **more}
+    bench: Bench = Robot(str(path), joint, **options)
     law = MujocoDefault(bench.nv, {"frictionloss": FREE, "damping": FREE}).double()
     one_each = 1 + np.arange(bench.nv) / 7
     friction = {"frictionloss": 0.1 * one_each, "damping": 0.03 * one_each}
@@ -51,8 +50,8 @@ def fit(path: str | Path, joint: Any = None, offset: float = 0.0, **more: Any) -
     values = {"bench": bench.initial_values() | {"armature": 0.02 * one_each}, "friction": friction}
     swings = np.sin(3 * bench.timestep * np.arange(30)[:, None] + np.arange(bench.nv))
     signals = Signals(np.stack(2 * [swings]), {name: np.zeros((2, 30, bench.nv)) for name in bench.inputs})
-    states = np.random.default_rng(0).normal(scale=0.2, size=(2, 2, 31, bench.nv))
-    segments = Segments(*states, signals, bench.timestep)
+    qpos, qvel = np.random.default_rng(0).normal(scale=0.2, size=(2, 2, 31, bench.nv))
+    segments = Segments(qpos, qvel, signals, bench.timestep)
     result: Any = {"settings": {}, "model": law.name}
     sampling = bench.sampling(bench.timestep)
     return Identified(None, result, bench, law, {}, values, segments, sampling, trace_nothing(segments))
@@ -60,9 +59,10 @@ def fit(path: str | Path, joint: Any = None, offset: float = 0.0, **more: Any) -
 
 def lines(before: str, after: str) -> tuple[list[str], list[str]]:
     """What was taken out and put in, element by element."""
-    split = [re.split(r"(?<=>)", text) for text in (before, after)]
-    found = [line for line in difflib.ndiff(*split) if line[:2] in ("- ", "+ ")]
-    return tuple([line[2:].strip() for line in found if line.startswith(sign)] for sign in "-+")  # pyright: ignore
+    old, new = (re.split(r"(?<=>)", text) for text in (before, after))
+    found = [line for line in difflib.ndiff(old, new) if line[:2] in ("- ", "+ ")]
+    gone, come = ([line[2:].strip() for line in found if line.startswith(sign)] for sign in "-+")
+    return gone, come
 
 
 def test_a_robots_joints_have_the_drive_and_every_other_byte_is_the_makers(tmp_path: Path) -> None:
@@ -105,9 +105,8 @@ def test_the_bench_beside_it_is_what_was_simulated(tmp_path: Path) -> None:
 
 def put(fitted: Identified) -> Equipped:
     """The drive in the robot's own file, its friction as it is."""
-    nearest = Nearest(
-        dict(fitted.values["bench"]), *(fitted.values["friction"][n] for n in ("frictionloss", "damping"))
-    )
+    friction = fitted.values["friction"]
+    nearest = Nearest(dict(fitted.values["bench"]), friction["frictionloss"], friction["damping"])
     bench = write_bench(fitted, nearest)
     return put_into(Path(fitted.bench.source), fitted.bench.joints, "identified", fitted, nearest, bench)
 
@@ -188,7 +187,8 @@ def test_a_robot_that_mujoco_compiles_is_compiled_with_the_drive(tmp_path: Path)
 
 @pytest.mark.parametrize("target", [Mjlab, IsaacLab])
 def test_configurations_list_every_joint(target: Any, tmp_path: Path) -> None:
-    fitted = fit(save(tmp_path, ROBOT), ["hip", "knee"], offset=0.4)
+    pulling = JointPD({name: {"init": size} for name, size in {"kp": 20.0, "kd": 1.0, "torque_offset": 0.4}.items()})
+    fitted = fit(save(tmp_path, ROBOT), ["hip", "knee"], actuator=pulling)
     export = target().write(fitted, tmp_path, {})
     joints = target().read((tmp_path / target.file).read_text())
     np.testing.assert_array_equal([joint.armature for joint in joints], fitted.values["bench"]["armature"])

@@ -4,6 +4,7 @@ import re
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
@@ -87,14 +88,14 @@ class InPlace:
                 text = text[: end.start()] + said + text[end.start() :]
         self.changes.append((tag.start, tag.opened, text))
 
-    def replace(self, tag: Tag, element: ET.Element) -> None:
+    def replace(self, tag: Tag, element: "ET.Element[Any]") -> None:
         """Put another element in the place of an element, with all that is in it."""
         end = tag.opened
         if tag.closing > tag.opened or not self.content[: tag.opened].endswith(b"/>"):
             end = self.content.index(b">", tag.closing) + 1
         self.changes.append((tag.start, end, _write(element)))
 
-    def append(self, tag: Tag, element: ET.Element) -> None:
+    def append(self, tag: Tag, element: "ET.Element[Any]") -> None:
         """Put an element at the end of another one, on a line of its own where the end is on one."""
         if self.content[: tag.opened].endswith(b"/>"):
             said = b">" + _write(element) + _encode(f"</{tag.name}>")
@@ -120,7 +121,7 @@ class InPlace:
         return b"".join([*parts, self.content[done:]])
 
 
-def _write(element: ET.Element) -> bytes:
+def _write(element: "ET.Element[Any]") -> bytes:
     return _encode(ET.tostring(element, encoding="unicode").replace(" />", "/>"))
 
 
