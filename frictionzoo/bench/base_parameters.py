@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -49,7 +50,7 @@ class BaseParameters:
                 text += f" {'+' if row[index] > 0 else '-'} {factor}{self.names[index]}"
         return text
 
-    def _pick(self, chosen: np.ndarray) -> tuple[str, ...]:
+    def _pick(self, chosen: Any) -> tuple[str, ...]:
         return tuple(name for name, taken in zip(self.names, chosen, strict=True) if taken)
 
 

@@ -131,14 +131,14 @@ def _ask(objective: Objective, state: State, tolerance: float) -> State:
         if not _is_finite(equations):
             return np.full(len(vector) + 1, np.inf)  # the solver takes it back and tries a shorter step
         finite.append(equations)
-        return _compress(equations, unit)[0]
+        return compress(equations, unit)[0]
 
     finite: list[NormalEquations] = []
     try:
         found = scipy.optimize.least_squares(
             residuals,
             np.clip(start, low, high),
-            jac=lambda vector: _compress(finite[-1], unit)[1],  # pyright: ignore[reportArgumentType] - one of its kinds
+            jac=lambda vector: compress(finite[-1], unit)[1],  # pyright: ignore[reportArgumentType] - one of its kinds
             bounds=(low, high),
             x_scale="jac",
             ftol=tolerance,
@@ -155,7 +155,7 @@ def _is_finite(equations: NormalEquations) -> bool:
     return all(np.isfinite(part).all() for part in equations)
 
 
-def _compress(
+def compress(
     equations: NormalEquations, unit: float
 ) -> tuple[Float[np.ndarray, "compressed"], Float[np.ndarray, "compressed coordinates"]]:
     """N + 1 residuals and their Jacobian with the same loss, gradient and J' J.
