@@ -1,16 +1,23 @@
 """The interface of a fit method: where it begins, one iteration, and whether there is more to gain."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from frictionzoo.core.described import Described
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.registry import KINDS, Registry
 from frictionzoo.fit.blocks import Blocks
-from frictionzoo.fit.objective import Objective
+from frictionzoo.fit.objective import NormalEquations, Objective
+
+Scores = Callable[
+    [Float[np.ndarray, "coordinates"]], tuple[NormalEquations, Float[np.ndarray, "stretches coordinates"]]
+]
+"""From a vector to the normal equations there, and the part of the gradient that comes from each stretch of time."""
 
 
 class Seen(NamedTuple):
@@ -77,6 +84,10 @@ class Fit(Described, ABC):
 
     def prepare(self, objective: Objective) -> None:
         """Compile what `step` calls, where the loop does not compile it as a whole."""
+
+    def compile_scores(self, objective: Objective) -> Scores:
+        """What intervals of the result are taken from: the objective's own, unless the method has another loss."""
+        return objective.compile_scores()
 
 
 class Search(Fit):

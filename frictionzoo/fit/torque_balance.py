@@ -49,7 +49,9 @@ class Links:
         """Parameters of the maker's bodies."""
         return self.around.parameters(np.zeros_like(self.spread))
 
-    def pulled(self, parameters: Float[np.ndarray, "bodies 10"]) -> tuple[np.ndarray, Float[np.ndarray, "bodies 10 10"]]:
+    def pulled(
+        self, parameters: Float[np.ndarray, "bodies 10"]
+    ) -> tuple[np.ndarray, Float[np.ndarray, "bodies 10 10"]]:
         """Coordinates of bodies as shares of the prior's deviation, and their derivative by the parameters."""
         coordinates = self.around.coordinates(parameters)
         slopes = np.linalg.inv(self.around.slopes(coordinates))
@@ -135,7 +137,7 @@ def balance(
     """
     equation = _Equation(lack, slope, links, moving, box)
     at = equation.start
-    sigma = _deviation(equation.left(at), moving, 0)
+    sigma = _deviation(equation.left(at), moving, 0.0)
     for _ in range(_PASSES):
         at, before = _descend(equation, at, sigma), sigma
         sigma = _deviation(equation.left(at), moving, len(at) / len(before))

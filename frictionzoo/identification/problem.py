@@ -16,6 +16,7 @@ from frictionzoo.core.log import Dataset
 from frictionzoo.core.segments import Sampling, Segments, cut_segments
 from frictionzoo.core.state import DriveState
 from frictionzoo.fit import Fit, Objective, Space
+from frictionzoo.fit.objective import Recordings
 from frictionzoo.models import FrictionModel
 from frictionzoo.result.evaluate import Evaluation
 from frictionzoo.result.identified import Identified
@@ -104,6 +105,7 @@ class Problem:
         drive.model.prepare(samples)
         space = Space(bench, drive.model, settings["dtype"])
         objective = Objective(space, drive.rollout, segments, **settings["loss"])
+        objective.recordings = Recordings(bench, drive.model, dataset.train)
         seconds = time.perf_counter() - began
         posed = (bench, dataset, doubts, sampling, segments, evaluation, drive, proof, samples, objective)
         return cls(*posed, fit.choose(objective), settings, seconds)
