@@ -19,8 +19,7 @@ from frictionzoo.core.segments import Segments
 from frictionzoo.fit import LevenbergMarquardt
 from frictionzoo.fit import blocks as blocks_module
 from frictionzoo.fit import objective as objective_module
-from frictionzoo.fit.lm import compress
-from frictionzoo.fit.objective import NormalEquations
+from frictionzoo.fit.normal_equations import NormalEquations, compress
 
 LM = LevenbergMarquardt(100, 1e-12)
 ADAM = ("fit=adam", "fit.iterations=5", "fit.learning_rate=1e-3")

@@ -12,7 +12,9 @@ from frictionzoo.core.described import Described
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.registry import KINDS, Registry
 from frictionzoo.fit.blocks import Blocks
-from frictionzoo.fit.objective import NormalEquations, Objective
+from frictionzoo.fit.link_inertia import LinkInertia
+from frictionzoo.fit.normal_equations import NormalEquations
+from frictionzoo.fit.objective import Objective, Recordings
 
 Scores = Callable[
     [Float[np.ndarray, "coordinates"]], tuple[NormalEquations, Float[np.ndarray, "stretches coordinates"]]
@@ -47,6 +49,10 @@ class Fit(Described, ABC):
 
     name: ClassVar[str]
     traced: ClassVar[bool] = True
+
+    def revise(self, recordings: Recordings) -> LinkInertia | None:
+        """What the method finds of the test stand itself, before anything is simulated; None: it stays as it is."""
+        return None
 
     def choose(self, objective: Objective) -> "Fit":
         """The method that does the work for this objective: this one, unless it leaves the choice to the law."""

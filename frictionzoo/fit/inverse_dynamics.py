@@ -1,17 +1,23 @@
 """Parameters from measured torque, without a simulation: the inverse dynamics identification model."""
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.fit.base import Fit, Scores, Seen, refuse_nothing, refuse_torch, register_method
 from frictionzoo.fit.blocks import Blocks
+from frictionzoo.fit.link_inertia import LinkInertia, identify_links, spread_of
 from frictionzoo.fit.lm import MOST_COORDINATES
 from frictionzoo.fit.motion import Filtering
-from frictionzoo.fit.objective import Objective
+from frictionzoo.fit.objective import Objective, Recordings
+from frictionzoo.fit.space import Space
 from frictionzoo.fit.torque_balance import balance
 from frictionzoo.fit.torque_equation import TorqueEquation
+
+PRIOR: Mapping[str, float] = {"mass": 0.1, "centre": 0.02, "size": 0.3}
 
 
 @register_method("inverse_dynamics")
@@ -38,6 +44,10 @@ class InverseDynamics(Fit):
         slow: Share of a joint's root mean square speed below which a sample does not count.
         held: Whether a recorded command acts until the next sample, as in a simulation; if not, at its instant alone,
             as a measured torque or current does.
+        links: Bodies whose inertia is identified along, by name or by regular expressions that match whole names. It is
+            found first, together with all else, and takes the place of the model file's in all that follows.
+        prior: Standard deviations of that inertia from the model file's, which pull it there: of the mass and of the
+            spread about the centre as shares, `mass` and `size`, and of the `centre` [m].
 
     Raises:
         ConfigError: An argument is out of range.
@@ -52,9 +62,23 @@ class InverseDynamics(Fit):
         order: int = 4,
         slow: float = 0.025,
         held: bool = True,
+        links: str | Sequence[str] = (),
+        prior: Mapping[str, float] = PRIOR,
     ) -> None:
         self._filtering = Filtering(bandwidth, cutoff, order, slow)
         self._held = held
+        self._links = [links] if isinstance(links, str) else list(links)
+        spread_of(prior)  # refuses what makes no sense
+        self._prior = dict(prior)
+
+    def revise(self, recordings: Recordings) -> LinkInertia | None:
+        """See `Fit.revise`: link inertias, where some are to be identified."""
+        if not self._links:
+            return None
+        bench, model, _ = recordings
+        space = Space(bench, model, jnp.result_type(float))
+        equation = TorqueEquation(space, recordings, self._filtering, self._held)
+        return identify_links(equation, space, bench.compile(constraint=False), self._links, self._prior)
 
     def total(self, objective: Objective) -> int:
         """See `Fit.total`; not for a network, nor for a law only in torch, nor without recordings."""

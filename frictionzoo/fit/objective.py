@@ -18,6 +18,7 @@ from frictionzoo.core.log import Log
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.threads import usable_threads
 from frictionzoo.fit.blocks import MOST_STRETCHES, Blocks, devices_of, each, into_blocks
+from frictionzoo.fit.normal_equations import NormalEquations
 from frictionzoo.fit.space import Space
 from frictionzoo.fit.sparsity import Sparsity
 from frictionzoo.models import FrictionModel
@@ -36,20 +37,6 @@ _ROBUST: Mapping[str, Callable[[Any], Any]] = {
     "cauchy": jnp.log1p,
 }
 """Losses of a squared residual over the squared scale, as in scipy.optimize.least_squares."""
-
-
-class NormalEquations(NamedTuple):
-    """The objective near a vector, as a linear least-squares problem; arrays in float64.
-
-    Attributes:
-        loss: The objective.
-        gradient: Half its gradient, J' r.
-        hessian: Half of Gauss's and Newton's approximation of its second derivative, J' J.
-    """
-
-    loss: float
-    gradient: Float[np.ndarray, "coordinates"]
-    hessian: Float[np.ndarray, "coordinates coordinates"]
 
 
 class Recordings(NamedTuple):

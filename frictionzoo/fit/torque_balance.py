@@ -13,8 +13,7 @@ import scipy.optimize
 from jaxtyping import Bool, Float
 
 from frictionzoo.bench.inertia import LogCholesky, is_consistent
-from frictionzoo.fit.lm import compress
-from frictionzoo.fit.objective import NormalEquations
+from frictionzoo.fit.normal_equations import NormalEquations, compress
 
 Lack = Callable[[Float[np.ndarray, "coordinates"]], Float[np.ndarray, "rows nv"]]
 Slope = Callable[[Float[np.ndarray, "coordinates"]], Float[np.ndarray, "rows nv coordinates"]]

@@ -11,7 +11,8 @@ from scipy.sparse.csgraph import connected_components
 
 from frictionzoo.fit.base import Fit
 from frictionzoo.fit.lm import MOST_COORDINATES
-from frictionzoo.fit.objective import NormalEquations, Objective
+from frictionzoo.fit.normal_equations import NormalEquations
+from frictionzoo.fit.objective import Objective
 from frictionzoo.fit.space import Space
 
 LEVEL = 0.95
