@@ -46,6 +46,7 @@ class Robot(Bench):
         solreffriction: As of `Bench`.
         payload: As of `Bench`.
         timestep: Simulation step [s]; None for the file's.
+        inertia: As of `Bench`.
         tie: As of `Bench`; of values that the file has different in joints of a group, the mean counts.
 
     Raises:
@@ -68,6 +69,7 @@ class Robot(Bench):
         payload: str | None = None,
         timestep: float | None = None,
         tie: Tie = None,
+        inertia: Mapping[str, Sequence[float]] | None = None,
     ) -> None:
         keep = () if payload is None else (payload,)
         choices = {"base": base, "contacts": contacts, "limits": limits, "others": others}
@@ -75,7 +77,7 @@ class Robot(Bench):
         sections = {**(params or {})}
         sections["armature"] = {"init": None, **_section(sections.get("armature", {}))}
         actuator = _read_actuator(mjcf, self.file) if actuator is None else actuator
-        more: dict[str, Any] = {"solreffriction": solreffriction, "payload": payload, "tie": tie}
+        more: dict[str, Any] = {"solreffriction": solreffriction, "payload": payload, "tie": tie, "inertia": inertia}
         super().__init__(mjcf, self.file.joints, actuator=actuator, params=sections, **more)
         self.notes = tuple(self.file.notes)
         if limits == "leave_out":
