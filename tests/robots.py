@@ -41,7 +41,7 @@ def record(
     path: Path,
     mjcf: str,
     truth: Mapping[str, Sequence[float]],
-    gains: Mapping[str, float],
+    gains: Mapping[str, float | Sequence[float]],
     headers: Mapping[str, Sequence[str]],
     *,
     seconds: float = 10.0,
@@ -54,7 +54,8 @@ def record(
         joint.armature, joint.frictionloss = truth["armature"][index], truth["frictionloss"][index]
         joint.damping = [truth["damping"][index], 0.0, 0.0]
         actuator = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-        actuator.set_to_position(kp=gains["kp"], kv=gains["kd"])
+        kp, kd = (float(np.broadcast_to(gains[gain], len(spec.joints))[index]) for gain in ("kp", "kd"))
+        actuator.set_to_position(kp=kp, kv=kd)
     model = spec.compile()
     data, rng, time = mujoco.MjData(model), np.random.default_rng(seed), np.arange(0, seconds, model.opt.timestep)
     frequencies, phases = rng.uniform(0.5, 9.0, (4, model.nv)), rng.uniform(0, 2 * np.pi, (4, model.nv))

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from conftest import needs_data
 
 ROOT = Path(__file__).parent.parent
 BENCHMARKS = ROOT / "benchmarks"
@@ -20,6 +21,7 @@ QUICKEST = {  # script: its arguments, and the rows that it has to give
         6,
     ),
     "torch_only": ("--quick --engines specialised", 3),
+    "robot": ("--variants torque --parts legs --segments 4 --length 10 --iterations 2 --seconds 0.5", 3),
     "growth": ("--samples 1e4 --lengths 50 --widths 16 --segments 200", 3),
 }
 # Errors, and what needs no compiling; everything else is a time, a size or a count.
@@ -28,7 +30,7 @@ MAY_BE_ZERO = {"difference", "armature_error", "compile"}
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("in_haste")
-@pytest.mark.parametrize("script", QUICKEST)
+@pytest.mark.parametrize("script", [pytest.param(s, marks=needs_data) if s == "robot" else s for s in QUICKEST])
 def test_a_benchmark_measures(script: str, tmp_path: Path) -> None:
     arguments, rows = QUICKEST[script]
     out = tmp_path / "results" / "measured.json"

@@ -16,7 +16,7 @@ from frictionzoo.bench.branches import group_alike
 from frictionzoo.core.segments import Sampling, Segments
 from frictionzoo.core.state import DriveState, FrictionTerms, Signals
 from frictionzoo.fit import Objective, Space
-from frictionzoo.fit.objective import NormalEquations
+from frictionzoo.fit.normal_equations import NormalEquations
 from frictionzoo.models import FrictionModel
 from frictionzoo.models.mujoco_default import MujocoDefault
 from frictionzoo.simulate.drive import Drive

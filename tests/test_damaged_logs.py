@@ -271,7 +271,7 @@ def test_a_zip_that_says_less_than_it_holds(tmp_path):
     content = bytearray((tmp_path / "a.zip").read_bytes())
     struct.pack_into("<I", content, content.rindex(b"PK\x01\x02") + 24, 40)
     (tmp_path / "a.zip").write_bytes(content)
-    assert "not readable as a zip of JSON files" in str(read(tmp_path / "a.zip"))
+    assert "not readable as a zip of logs" in str(read(tmp_path / "a.zip"))
 
 
 def test_a_zip_that_says_much_less_than_it_holds(tmp_path):

@@ -210,9 +210,9 @@ def test_a_robots_joint_gets_the_drive_and_nothing_else_changes(tmp_path):
     assert hip.damping[0] == 0.5 and hip.frictionloss == 0 and hip.armature == 0
     np.testing.assert_array_equal(model.body_mass, before.body_mass)  # to the last digit
     assert "<!-- mine -->" in path.read_text()
-    servo = model.actuator("servo")  # keeps its name and its range
+    servo = model.actuator("servo")  # keeps its name, and its range for a joint that moves without gear
     assert servo.gainprm[0] == 20 and servo.gear[0] == 1
-    np.testing.assert_array_equal(servo.ctrlrange, [-9, 9])
+    np.testing.assert_array_equal(servo.ctrlrange, [-3, 3])
     assert export.differences[1].quantity == "torque"
     assert export.differences[1].largest < EXACT
     assert any("time step is 0.002 s" in limit for limit in export.limits)
@@ -347,7 +347,7 @@ def test_a_law_that_cannot_be_written_down_says_why(tmp_path):
         "twice": ({"into": "robot.xml", "joint": "knee,knee"}, r"expected each joint once"),
         "no robot": ({"into": "notes.xml"}, r"into=notes.xml: <notes>, expected <mujoco>"),
         "broken": ({"into": "broken.xml"}, r"into=broken.xml: not XML"),
-        "uncompiled": ({"into": "empty.xml"}, r"into=empty.xml: MuJoCo does not compile it"),
+        "uncompiled": ({"into": "empty.xml"}, r"empty.xml: MuJoCo does not take it"),
         "slide": ({"into": "slide.xml"}, r"joint=knee: another type of joint .*expected a hinge"),
         "actuator": ({"into": "robot.xml", "actuator": "mine"}, r"actuator=mine: expected identified or keep"),
         "include": ({"into": "parts.xml"}, r"into=parts.xml: it has an <include>"),
@@ -365,7 +365,7 @@ def test_a_robot_that_cannot_take_the_drive_is_refused(options, message, tmp_pat
         "twice": ROBOT.replace("</actuator>", '<motor joint="knee"/></actuator>'),
         "slide": ROBOT.replace('name="knee"', 'name="knee" type="slide"'),
     }
-    texts["empty"] = '<mujoco><worldbody><body><joint name="knee"/></body></worldbody></mujoco>'
+    texts["empty"] = '<mujoco><worldbody><body><joint name="knee" mass="1"/></body></worldbody></mujoco>'
     for name, text in texts.items():
         Path(f"{name}.xml").write_text(text)
     with pytest.raises(FrictionzooError, match=message) as caught:

@@ -19,8 +19,7 @@ from frictionzoo.core.segments import Segments
 from frictionzoo.fit import LevenbergMarquardt
 from frictionzoo.fit import blocks as blocks_module
 from frictionzoo.fit import objective as objective_module
-from frictionzoo.fit.lm import _compress
-from frictionzoo.fit.objective import NormalEquations
+from frictionzoo.fit.normal_equations import NormalEquations, compress
 
 LM = LevenbergMarquardt(100, 1e-12)
 ADAM = ("fit=adam", "fit.iterations=5", "fit.learning_rate=1e-3")
@@ -87,7 +86,7 @@ def test_compressed_residuals_have_the_same_loss_gradient_and_curvature() -> Non
     rng = np.random.default_rng(0)
     jacobian, residuals = rng.normal(size=(50, 4)) * [1.0, 1e3, 1e-4, 1.0], rng.normal(size=50)
     equations = NormalEquations(residuals @ residuals, jacobian.T @ residuals, jacobian.T @ jacobian)
-    short, slopes = _compress(equations, 1.0)
+    short, slopes = compress(equations, 1.0)
     assert short.shape == (5,) and slopes.shape == (5, 4)
     assert short @ short == pytest.approx(equations.loss, rel=1e-12)
     np.testing.assert_allclose(slopes.T @ short, equations.gradient, rtol=1e-8)
@@ -98,7 +97,7 @@ def test_what_cannot_be_identified_does_not_break_it() -> None:
     jacobian = np.array([[1.0, 1.0, 0.0], [2.0, 2.0, 0.0]])
     residuals = np.array([1.0, 3.0])
     equations = NormalEquations(residuals @ residuals, jacobian.T @ residuals, jacobian.T @ jacobian)
-    short, slopes = _compress(equations, 1.0)
+    short, slopes = compress(equations, 1.0)
     np.testing.assert_allclose(slopes.T @ short, equations.gradient, atol=1e-12)
     assert np.isfinite(short).all()
 

@@ -1,6 +1,7 @@
 """The Python of the tutorials and of the page on Python runs as it stands, and finds the drives that it speaks of."""
 
 import re
+import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from conftest import ROOT
 from robots import GAINS, HEADERS, TRUTH, arm, record
 
 import frictionzoo as fz
+from frictionzoo.bench.robot_file import read_robot
 from frictionzoo.models.registry import REGISTRY
 
 DOCS = ROOT / "docs"
@@ -33,8 +35,10 @@ def write_robots(folder: Path) -> None:
     """The leg and the arm of the tutorials, and a recording of each."""
     (leg,) = blocks_of("tutorials/leg.md", "xml")
     headers = {signal: [f"{signal}_hip", f"{signal}_knee"] for signal in ("qpos", "qvel", "ctrl")}
-    (folder / "leg.xml").write_text(leg)
-    record(folder / "leg.csv", leg, LEG, {"kp": 25, "kd": 0.6}, headers, seconds=20.0, noise=ENCODER)
+    (folder / "robot.xml").write_text(leg)
+    fixed = ET.tostring(read_robot(str(folder / "robot.xml")).root, encoding="unicode")
+    gains = {"kp": [25, 40], "kd": [0.6, 1.0]}
+    record(folder / "leg.csv", fixed, LEG, gains, headers, seconds=20.0, noise=ENCODER)
     (folder / "arm.xml").write_text(arm())
     record(folder / "arm.csv", arm(), TRUTH, GAINS, HEADERS)
 

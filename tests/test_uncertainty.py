@@ -21,7 +21,7 @@ from frictionzoo.core.state import Signals
 from frictionzoo.fit import Objective, Space, estimate_uncertainty
 from frictionzoo.fit import blocks as blocks_module
 from frictionzoo.fit import objective as objective_module
-from frictionzoo.fit.objective import NormalEquations
+from frictionzoo.fit.normal_equations import NormalEquations
 from frictionzoo.fit.uncertainty import Uncertainty, assess
 from frictionzoo.simulate import friction_of, make_engine
 from frictionzoo.simulate.rollout import Rollout, make_rollout

@@ -49,6 +49,8 @@ class Bench(Described):
         own_damping: The template's own damping of each joint [N m s/rad or N s/m].
         payload: Index of the body that carries payloads, or None.
         notes: What a robot's file has and the bench has not, a line each.
+        unlimited: Limits of the joints' positions that a robot's file has and the bench has not [rad or m], of shape
+            (nv, 2); NaN where there are none.
         observed: What the friction law looks at besides the state, a name among `Log.extras` each, and what it is where
             recordings lack it; see `observing`.
 
@@ -64,6 +66,8 @@ class Bench(Described):
             (0.02, 1); a shorter time constant makes sticking stiffer.
         payload: Name of the body that carries the payloads of recordings; None for recordings without.
         timestep: Simulation step [s]; None for the template's.
+        inertia: Ten parameters of bodies by name, as `frictionzoo.bench.inertia` has them, in place of those of the
+            template: what `fit=inverse_dynamics` found with `fit.links`, or another's identification.
         tie: Joints that share the values of every parameter but the position offset, which is an encoder's: pattern of
             their names by the group's name, or true for all. A parameter's own `tie` comes first.
 
@@ -83,6 +87,7 @@ class Bench(Described):
         payload: str | None = None,
         timestep: float | None = None,
         tie: Mapping[str, str] | bool | None = None,
+        inertia: Mapping[str, Sequence[float]] | None = None,
     ) -> None:
         refuse_unlike("bench.actuator", actuator, Actuator, "an actuator law, as in PositionPD(kp=15, kd=0.5)")
         self.source = mjcf
@@ -96,8 +101,9 @@ class Bench(Described):
             )
         self._solreffriction = [float(number) for number in solreffriction]
         self.notes: tuple[str, ...] = ()
-        self._template = self._open(mjcf, joint, timestep)
+        self._template = self._open(mjcf, joint, timestep).with_inertia(inertia or {})
         self.joints: tuple[str, ...] = self._template.joints
+        self.unlimited: np.ndarray = np.full((self.nv, 2), np.nan)
         self._tie = read_tie("bench.tie", tie)
         group_joints("bench.tie", self._tie, self.joints)  # refuses what fits no joint
         given = self._fill({**read_params("bench", _PARAMS, params or {}, _OPTIONAL, DEFAULTS), **actuator.params})
@@ -179,6 +185,15 @@ class Bench(Described):
         other.params = {name: param.only(joints) for name, param in self.params.items()}
         other._start = {name: value[list(joints)] for name, value in self._start.items()}
         other.own_damping = self.own_damping[list(joints)]
+        return other
+
+    def with_inertia(self, inertia: Mapping[str, Sequence[float]]) -> "Bench":
+        """The same test stand with other link inertias, by the names of bodies, as the argument `inertia` has them."""
+        args, kwargs = getattr(self, "_given")  # noqa: B009 - of `Described`, so that a record tells it
+        other = copy.copy(self)
+        other._template, other._loads = self._template.with_inertia(inertia), {}
+        given = {**(kwargs.get("inertia") or {}), **{name: list(map(float, own)) for name, own in inertia.items()}}
+        object.__setattr__(other, "_given", (args, {**kwargs, "inertia": given}))
         return other
 
     def restarted(self, values: Mapping[str, Float[np.ndarray, "nv"]]) -> "Bench":

@@ -32,6 +32,7 @@ SHORT = 100  # samples; in fewer, signals are not compared with each other
 LARGER = 5.0  # times; a position moves no more, and while it follows no less, than it is told to
 APART = 0.5  # times the motion that position and command are apart at the least
 OPPOSED = 0.0  # share of the work that a command exchanges with the drive from which on it takes energy
+CARRIED = -0.5  # the same of a joint that others move: it may brake what they do, but not most of the time
 GAINS = ("kp", "kd")  # commands that move nothing by themselves
 SLOWEST, FASTEST = 0.5, 2e-5  # s; no recording of a drive has longer or shorter sample intervals
 STATES = 2000  # recorded states at which contacts and limits are looked for
@@ -52,6 +53,25 @@ def doubt_recordings(dataset: Dataset, bench: Bench) -> list[str]:
 
 
 def doubt_motion(dataset: Dataset, bench: Bench) -> list[str]:
+    """What the drive and the simulation may not have in common at the recorded positions: limits, contacts."""
+    return [*_doubt_limits(dataset, bench), *_doubt_pushes(dataset, bench)]
+
+
+def _doubt_limits(dataset: Dataset, bench: Bench) -> Iterator[str]:
+    """Motion beyond limits that were left out."""
+    qpos = np.concatenate([log.qpos for log in dataset.logs])
+    for joint, (low, high), positions in zip(bench.joints, bench.unlimited, qpos.T, strict=True):
+        beyond = (positions < low) | (positions > high)
+        if beyond.any():
+            share = f"{100 * beyond.mean():.2g} % of the recorded positions"
+            yield (
+                f"joint {joint} is beyond its limits in the file, {low:.4g} to {high:.4g}, in {share}, which span "
+                f"{positions.min():.4g} to {positions.max():.4g}: a stop may have pushed there, or zero and sign of "
+                "the joint are not the file's (data.sign, bench.limits=keep)"
+            )
+
+
+def _doubt_pushes(dataset: Dataset, bench: Bench) -> list[str]:
     """What MuJoCo C does at the recorded positions and the drive may not have done: touch a limit, make contact."""
     model = bench.compile(constraint=False)
     limited = model.jnt_limited.any() or model.tendon_limited.any()
@@ -286,7 +306,7 @@ def _refuse_opposed(log: Log, of: str, bench: Bench, joint: int, cleaned: Mappin
     for name, values in cleaned.items():
         signals[name][:, joint] = values
     work = float(_work(replace(log, **signals), bench)[joint])
-    if work < OPPOSED:
+    if work < (OPPOSED if bench.branches.count(bench.branches[joint]) == 1 else CARRIED):
         raise LogError(
             f"{log.name}: ctrl{of} takes energy from the drive all along ({100 * work:.0f} % of what it exchanges), "
             "expected to give it; set data.sign.ctrl=-1, or the sign of both qpos and qvel, or look whether qpos and "

@@ -46,6 +46,7 @@ class Robot(Bench):
         solreffriction: As of `Bench`.
         payload: As of `Bench`.
         timestep: Simulation step [s]; None for the file's.
+        inertia: As of `Bench`.
         tie: As of `Bench`; of values that the file has different in joints of a group, the mean counts.
 
     Raises:
@@ -68,6 +69,7 @@ class Robot(Bench):
         payload: str | None = None,
         timestep: float | None = None,
         tie: Tie = None,
+        inertia: Mapping[str, Sequence[float]] | None = None,
     ) -> None:
         keep = () if payload is None else (payload,)
         choices = {"base": base, "contacts": contacts, "limits": limits, "others": others}
@@ -75,9 +77,11 @@ class Robot(Bench):
         sections = {**(params or {})}
         sections["armature"] = {"init": None, **_section(sections.get("armature", {}))}
         actuator = _read_actuator(mjcf, self.file) if actuator is None else actuator
-        more: dict[str, Any] = {"solreffriction": solreffriction, "payload": payload, "tie": tie}
+        more: dict[str, Any] = {"solreffriction": solreffriction, "payload": payload, "tie": tie, "inertia": inertia}
         super().__init__(mjcf, self.file.joints, actuator=actuator, params=sections, **more)
         self.notes = tuple(self.file.notes)
+        if limits == "leave_out":
+            self.unlimited = self.file.ranges
         for note in self.notes:
             _log.info("%s: %s", mjcf, note)
 
@@ -106,10 +110,9 @@ class Robot(Bench):
         limits = replace(param, init=param.low).for_joints(self.joints)
         low, high = (limits.to_coordinate(limits.each(side, self.nv), np) for side in ("low", "high"))
         inside = _INSIDE * (high - low)
-        positive = np.maximum(shared, limits.each("low", self.nv)) if limits.scale == "log" else shared
+        nearest = (limits.from_coordinate(end, np) for end in (low + inside, high - inside))
         free = limits.each("identify", self.nv)
-        started = limits.from_coordinate(np.clip(limits.to_coordinate(positive, np), low + inside, high - inside), np)
-        return replace(limits, init=tuple(np.where(free, started, shared).tolist()))
+        return replace(limits, init=tuple(np.where(free, np.clip(shared, *nearest), shared).tolist()))
 
     def initial_friction(self, params: Mapping[str, Param]) -> dict[str, Float[np.ndarray, "nv"]]:
         """See `Bench.initial_friction`: frictionloss and damping that the file has."""

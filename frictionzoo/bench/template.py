@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from frictionzoo.bench.compiled import NO_FRICTION_CONSTRAINT
+from frictionzoo.bench.inertia import SYMBOLS, from_parameters, is_consistent, to_parameters
 from frictionzoo.core.errors import BenchError, ConfigError, closest
 
 _JOINT_TYPES = {mujoco.mjtJoint.mjJNT_HINGE: "hinge", mujoco.mjtJoint.mjJNT_SLIDE: "slide"}
@@ -57,6 +58,26 @@ class Template:
         """Whether positions of hinges are in radians: MuJoCo's default is degrees."""
         units = [compiler.get("angle") for compiler in self._root.findall("compiler") if compiler.get("angle")]
         return units[-1:] == ["radian"]
+
+    def with_inertia(self, inertia: Mapping[str, Sequence[float]]) -> "Template":
+        """The same with other link inertias: ten parameters of each body, by name, as `bench.inertia` has them.
+
+        Raises:
+            BenchError: No body of that name, not ten numbers, or no body of matter has them.
+        """
+        other = copy.copy(self)
+        other._root = copy.deepcopy(self._root)
+        if any(compiler.get("inertiafromgeom") == "true" for compiler in other._root.findall("compiler")):
+            self._fail('inertiafromgeom="true", but bench.inertia gives inertias; remove it from the MJCF')
+        bodies = {body.get("name"): body for body in other._root.findall("./worldbody//body")}
+        for name, parameters in inertia.items():
+            if name not in bodies:
+                self._fail(f"no body {name}; {closest(name, filter(None, bodies))}; set bench.inertia")
+            for old in bodies[name].findall("inertial"):
+                bodies[name].remove(old)
+            written = {key: " ".join(map(in_full, np.ravel(value))) for key, value in _inertial(name, parameters)}
+            bodies[name].insert(0, ET.Element("inertial", written))
+        return other
 
     def write(
         self, joints: Sequence[Mapping[str, str]], actuators: Sequence[Mapping[str, str]], comments: Sequence[str] = ()
@@ -247,6 +268,18 @@ def _read(source: str) -> ET.Element:
 def _describe(element: ET.Element) -> str:
     name = element.get("name") or element.get("class")
     return f"<{element.tag}{f' {name}' if name else ''}>"
+
+
+def _inertial(name: str, parameters: Sequence[float]) -> Iterator[tuple[str, float | np.ndarray]]:
+    """What an <inertial> says of a body with these ten parameters."""
+    numbers = np.array(parameters, np.float64)
+    if numbers.shape != (10,) or not is_consistent(numbers):
+        raise BenchError(
+            f"bench.inertia.{name}={list(parameters)}: expected {', '.join(SYMBOLS)} of a body of matter, the inertia "
+            "about its frame's origin; correct it"
+        )
+    mass, centre, inertia = from_parameters(numbers)
+    yield from {"pos": centre, "mass": mass, "fullinertia": to_parameters(mass, np.zeros(3), inertia)[4:]}.items()
 
 
 def _section(root: ET.Element, tag: str) -> ET.Element:

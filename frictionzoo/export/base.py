@@ -72,6 +72,11 @@ def measure(
     return Difference(quantity, unit, float(distance.max()), float(distance.mean()), over or fitted.over)
 
 
+def list_values(values: Float[np.ndarray, "nv"]) -> str:
+    """Numbers of the joints for a line, one number where all are the same."""
+    return f"{values[0]:.4g}" if (values == values[0]).all() else ", ".join(f"{value:.4g}" for value in values)
+
+
 def read_number(options: Mapping[str, Any], name: str) -> float | None:
     """An option as a number; None where it was not given.
 

@@ -17,7 +17,7 @@ from frictionzoo.bench.actuators.voltage_servo import VoltageServo
 from frictionzoo.core.errors import ExportError
 from frictionzoo.core.params import UNITS
 from frictionzoo.core.state import Signals
-from frictionzoo.export.base import read_number
+from frictionzoo.export.base import list_values, read_number
 from frictionzoo.export.nearest import Nearest
 from frictionzoo.export.simulate import Step, simulate
 from frictionzoo.result.identified import Identified
@@ -161,9 +161,11 @@ def _step(fitted: Identified, joints: Sequence[Joint]) -> Step:
     law = fitted.bench.actuator
     told = isinstance(law, JointPD | RecordedPD)
     gains = _constant_gains(fitted) if isinstance(law, RecordedPD) else fitted.values["bench"]
+    pull = fitted.values["bench"].get("torque_offset", 0.0) if told else 0.0  # of OFFSET in joint_pd
+    moved = pull / np.array([joint.motor.stiffness for joint in joints])
 
     def step(model: mujoco.MjModel, data: mujoco.MjData, signals: Signals) -> None:
-        aims = aim_at(gains, signals.ctrl, signals.inputs) if told else signals.ctrl
+        aims = (aim_at(gains, signals.ctrl, signals.inputs) if told else signals.ctrl) + moved
         for index, joint in enumerate(joints):
             state = float(aims[index]), float(data.qpos[index]), float(data.qvel[index])
             data.ctrl[index] = joint.motor.torque(*state)
@@ -188,10 +190,11 @@ def say_common(fitted: Identified, nearest: Nearest, inputs: Mapping[str, float]
             "back-EMF to the torque at standstill: effort_limit lies above saturation_effort for that reason."
         )
     if "delay" in values:
-        rounded = ", ".join(f"{lag(fitted, j)} for {exact:.4g} s" for j, exact in enumerate(values["delay"]))
+        delays = dict.fromkeys(f"{lag(fitted, j)} for {exact:.4g} s" for j, exact in enumerate(values["delay"]))
+        rounded = ", ".join(delays)
         said.append(f"Delays are whole steps of {fitted.timestep:g} s: {rounded}.")
     if "position_offset" in values:
-        listed = ", ".join(f"{value:.4g}" for value in values["position_offset"])
+        listed = list_values(values["position_offset"])
         said.append(
             f"The position offset, {listed} {units['position']}, is not in the file: add it to measured positions and "
             "to commands."
@@ -211,8 +214,15 @@ def _say_commands(fitted: Identified) -> list[str]:
             "position target, as for the difference, with kp and kd as they were commanded."
         )
     if (values["torque_gain"] != 1).any():
-        listed = ", ".join(f"{value:.4g}" for value in values["torque_gain"])
+        listed = list_values(values["torque_gain"])
         said.append(f"Gains and limits in the file are those of the controller times torque_gain, {listed}.")
+    if "torque_offset" in values and values["torque_offset"].any():
+        listed = list_values(values["torque_offset"])
+        unit = UNITS[fitted.bench.joint_type]["torque"]
+        said.append(
+            f"The constant torque, {listed} {unit}, is not in the file: add it, divided by the stiffness, to position "
+            "targets, as for the difference."
+        )
     if "torque_saturation" in values:
         said.append("It has no smooth saturation: the torque that this approaches is a hard limit in the file.")
     return said

@@ -1,51 +1,63 @@
-"""An identified drive put into the joints of a user's own robot, MJCF or URDF."""
+"""An identified drive put into the joints of a robot's own file, MJCF or URDF."""
 
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from xml.parsers import expat
 
 import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from frictionzoo.bench import Affine
+from frictionzoo.bench.robot_file.actuators import read_actuators, read_armature, read_damping
+from frictionzoo.bench.robot_file.source import Source, load
+from frictionzoo.bench.template import in_full
 from frictionzoo.core.errors import ConfigError, ExportError, closest
 from frictionzoo.core.state import DriveState
 from frictionzoo.export.base import measure
-from frictionzoo.export.nearest import Nearest
+from frictionzoo.export.in_place import InPlace, Tag
+from frictionzoo.export.nearest import Nearest, say_exact
+from frictionzoo.export.ranges import list_limits
 from frictionzoo.export.written import Difference
 from frictionzoo.result.identified import Identified
 
 _JOINT = ("armature", "solreffriction", "frictionloss", "damping")
-_KEPT = ("name", "group", "ctrlrange", "ctrllimited", "forcerange", "forcelimited")  # of an actuator that is replaced
 _PLAIN = {"dyntype": "none", "gaintype": "fixed", "gear": "1 0 0 0 0 0"}  # whatever the robot's defaults are
 _STATES = 200  # recorded states in which torques are compared
+_NAMED = 3  # joints up to which a line names them
+_SAME = 1e-12  # share by which a value that is read back may differ
 ACTUATORS = ("identified", "keep")
 
 
 @dataclass(frozen=True)
-class Robot:
-    """A robot's description with identified joints.
+class Equipped:
+    """A robot's file with identified joints.
 
     Attributes:
-        text: The file.
+        content: The file.
         urdf: Whether it is URDF, else MJCF.
         joints: Names of the joints that were identified.
         column: Column of the drive's values of each of them.
-        model: The description, compiled.
+        model: The file compiled, with every joint and actuator; without meshes, sensors and keyframes.
+        notes: What a user has to know of what was changed, a sentence each.
     """
 
-    text: str
+    content: bytes
     urdf: bool
     joints: tuple[str, ...]
     column: tuple[int, ...]
     model: mujoco.MjModel
+    notes: tuple[str, ...]
 
 
 def put_into(
     path: Path, joints: Sequence[str], actuators: str, fitted: Identified, nearest: Nearest, bench: str
-) -> Robot:
-    """The user's robot with the drive in some of its joints; all else stays as it is, to the last digit.
+) -> Equipped:
+    """A robot's file with the drive in some of its joints; all else stays as it is, byte by byte.
+
+    Meshes need not be there. What was written is read back as the file of a bench is.
 
     Args:
         path: Of the robot, MJCF or URDF.
@@ -57,28 +69,45 @@ def put_into(
 
     Raises:
         ConfigError: The file or a joint does not exist, or an option makes no sense.
-        ExportError: MuJoCo does not compile the robot, or a joint is of another type.
+        BenchError: MuJoCo does not take the robot.
+        ExportError: A joint is of another type, or the file cannot hold the drive.
     """
     if actuators not in ACTUATORS:
         raise ConfigError(f"actuator={actuators}: expected {' or '.join(ACTUATORS)}")
-    root, urdf = _read(path)
-    found = {str(element.get("name")): element for element in root.iter("joint") if element.get("name")}
-    columns = _match(path, joints, found, fitted)
-    before = _compile(ET.tostring(root, encoding="unicode"), path)
-    _refuse_other_types(before, path, joints, fitted.bench.joint_type)
+    file, urdf = _read(path)
+    tags = {name: tag for tag in file.tags if _is_joint(tag) and (name := tag.attributes.get("name"))}
+    columns = _match(path, joints, list(tags), fitted)
+    before, notes = load(str(path), file.content), list[str]()
+    _refuse_other_types(before.model, path, joints, fitted.bench.joint_type)
+    template = ET.fromstring(bench)
     for name, column in zip(joints, columns, strict=True):
         if urdf:
-            _write_dynamics(found[name], nearest, fitted.bench.own_damping, column)
-        else:
-            _write_joint(root, found[name], bench, column, actuators, before.opt.timestep)
-    text = ('<?xml version="1.0"?>\n' if urdf else "") + ET.tostring(root, encoding="unicode") + "\n"
-    return Robot(text, urdf, tuple(joints), columns, _compile(text, path))
+            _write_dynamics(file, tags[name], nearest, fitted.bench.own_damping, column)
+            continue
+        general = template.findall("./actuator/general")[column]
+        own = next(element for element in template.iter("joint") if element.get("name") == general.get("joint"))
+        file.set(tags[name], {attribute: own.get(attribute, "0") for attribute in _JOINT})
+        if actuators == "identified":
+            notes += _write_actuator(file, path, name, general, before)
+    what = "armature, frictionloss, damping, solreffriction" + (" and actuator" if actuators == "identified" else "")
+    remark = nearest.remark or say_exact(fitted.model)
+    file.remark(f"frictionzoo: {'dynamics' if urdf else what} of {_say_joints(joints)} identified. {remark}")
+    after = load(str(path), file.write())
+    _refuse_keys(file, path, before.model, after.model)
+    robot = Equipped(file.write(), urdf, tuple(joints), columns, after.model, tuple(dict.fromkeys(notes)))
+    _refuse_unlike(after, robot, fitted, nearest, actuators == "identified" and not urdf)
+    return robot
 
 
-def compare_torque(robot: Robot, fitted: Identified, nearest: Nearest, actuators: bool) -> Difference:
+def compare_torque(
+    robot: Equipped, fitted: Identified, nearest: Nearest, actuators: bool
+) -> tuple[Difference, tuple[str, ...]]:
     """The robot's own actuator and damping in MuJoCo C, at recorded states, against those that were identified.
 
     Without the identified `actuators`, the damping alone.
+
+    Returns:
+        The difference; and a sentence where limits of the robot are a part of it.
     """
     states = _pick_states(fitted)
     data, column = mujoco.MjData(robot.model), list(robot.column)
@@ -86,8 +115,49 @@ def compare_torque(robot: Robot, fitted: Identified, nearest: Nearest, actuators
     rows = [states.map(lambda signal, row=row: signal[row, column]) for row in range(len(expected))]
     came = [_torque_in(robot, data, state, actuators) for state in rows]
     what = "actuator and damping" if actuators else "damping"
-    over = f"{what} of {', '.join(robot.joints)} in {len(expected)} recorded states"
-    return measure("torque", fitted, np.array(came), expected[:, column], over)
+    over = f"{what} of {_say_joints(robot.joints)} in {len(expected)} recorded states"
+    said = _say_cut(robot, states.motor_torque[:, column]) if actuators else ()
+    return measure("torque", fitted, np.array(came), expected[:, column], over), said
+
+
+def _say_cut(robot: Equipped, torque: Float[np.ndarray, "states joints"]) -> tuple[str, ...]:
+    """Whether limits of actuators and joints, which the bench has not, act in these states."""
+    model, cut = robot.model, np.zeros(len(torque), bool)
+    ids = [model.joint(name).id for name in robot.joints]
+    limits = [(model.jnt_actfrcrange[ids], model.jnt_actfrclimited[ids], ids)]
+    limits += [(model.actuator_forcerange, model.actuator_forcelimited, model.actuator_trnid[:, 0])]
+    for ranges, limited, owners in limits:
+        for (low, high), acts, joint in zip(ranges, limited, owners, strict=True):
+            if acts and joint in ids:
+                own = torque[:, ids.index(joint)]
+                cut |= (own < low) | (own > high)
+    lasting = "the robot's own limits of force, which bench.xml has not"
+    return (f"In {cut.sum()} of {len(cut)} recorded states {lasting}, cut the torque.",) if cut.any() else ()
+
+
+def say_whole(path: Path, robot: Equipped) -> tuple[str, ...]:
+    """A sentence where MuJoCo does not compile the file as a whole, with its meshes, nor the original.
+
+    Raises:
+        ExportError: It does compile the original.
+    """
+    failure = _compile(robot.content, path)
+    if failure is None:
+        return ()
+    if _compile(path.read_bytes(), path) is None:
+        raise ExportError(f"into={path}: with the drive in it, MuJoCo does not compile it ({failure}); mend it")
+    return (f"MuJoCo does not compile it here, nor the original ({failure}): it was checked without meshes.",)
+
+
+def _compile(content: bytes, path: Path) -> str | None:
+    """Why MuJoCo does not compile a file that lies at this place; None where it does."""
+    try:
+        spec = mujoco.MjSpec.from_string(ET.tostring(ET.fromstring(content), encoding="unicode"))
+        spec.modelfiledir = str(path.resolve().parent)
+        spec.compile()
+    except (ValueError, RuntimeError) as error:
+        return " ".join(str(error).split())
+    return None
 
 
 def _pick_states(fitted: Identified) -> DriveState:
@@ -100,7 +170,7 @@ def _pick_states(fitted: Identified) -> DriveState:
     return samples._replace(ctrl=ctrl).map(lambda signal: np.asarray(signal)[::every])
 
 
-def _torque_in(robot: Robot, data: mujoco.MjData, state: DriveState, actuators: bool) -> Float[np.ndarray, "joints"]:
+def _torque_in(robot: Equipped, data: mujoco.MjData, state: DriveState, actuators: bool) -> Float[np.ndarray, "joints"]:
     """Of the identified joints' actuators and dampers in one state."""
     model = robot.model
     ids = [model.joint(name).id for name in robot.joints]
@@ -120,20 +190,26 @@ def _torque_in(robot: Robot, data: mujoco.MjData, state: DriveState, actuators: 
     return data.qfrc_damper[dof] + (data.qfrc_actuator[dof] if actuators else 0.0)
 
 
-def _read(path: Path) -> tuple[ET.Element, bool]:
+def _read(path: Path) -> tuple[InPlace, bool]:
     try:
-        root = ET.fromstring(path.read_bytes(), ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))
-    except (OSError, ET.ParseError) as error:
+        file = InPlace.read(path.read_bytes())
+    except (OSError, expat.ExpatError) as error:
         why = error.strerror if isinstance(error, OSError) else f"not XML ({error})"
         raise ConfigError(f"into={path}: {why}; expected an MJCF or URDF file; name one") from None
-    if root.tag not in ("mujoco", "robot"):
-        raise ConfigError(f"into={path}: <{root.tag}>, expected <mujoco> (MJCF) or <robot> (URDF); name such a file")
-    if root.find(".//include") is not None:
+    root = file.tags[0].name
+    if root not in ("mujoco", "robot"):
+        raise ConfigError(f"into={path}: <{root}>, expected <mujoco> (MJCF) or <robot> (URDF); name such a file")
+    if any(tag.name == "include" for tag in file.tags):
         raise ConfigError(f"into={path}: it has an <include>, expected one self-contained file; flatten it first")
-    return root, root.tag == "robot"
+    return file, root == "robot"
 
 
-def _match(path: Path, joints: Sequence[str], found: Mapping[str, ET.Element], fitted: Identified) -> tuple[int, ...]:
+def _is_joint(tag: Tag) -> bool:
+    """Whether it is a joint of the robot, not of its equalities, tendons, defaults or transmissions."""
+    return tag.name == "joint" and (tag.path[:2] == ("mujoco", "worldbody") or tag.path == ("robot",))
+
+
+def _match(path: Path, joints: Sequence[str], found: Sequence[str], fitted: Identified) -> tuple[int, ...]:
     """Column of the drive's values for each joint."""
     for name in joints:
         if name not in found:
@@ -150,15 +226,8 @@ def _match(path: Path, joints: Sequence[str], found: Mapping[str, ET.Element], f
     return tuple(range(fitted.bench.nv))
 
 
-def _compile(text: str, path: Path) -> mujoco.MjModel:
-    """The model, with files that it refers to looked for where the original lies."""
-    try:
-        spec = mujoco.MjSpec.from_string(text)
-        spec.modelfiledir = str(path.resolve().parent)
-        return spec.compile()
-    except ValueError as error:
-        said = " ".join(str(error).split())
-        raise ExportError(f"into={path}: MuJoCo does not compile it ({said}); mend it") from None
+def _say_joints(joints: Sequence[str]) -> str:
+    return f"{len(joints)} joints" if len(joints) > _NAMED else ", ".join(joints)
 
 
 def _refuse_other_types(model: mujoco.MjModel, path: Path, joints: Sequence[str], kind: str) -> None:
@@ -169,37 +238,75 @@ def _refuse_other_types(model: mujoco.MjModel, path: Path, joints: Sequence[str]
             )
 
 
-def _write_dynamics(joint: ET.Element, nearest: Nearest, own_damping: np.ndarray, column: int) -> None:
+def _write_dynamics(file: InPlace, joint: Tag, nearest: Nearest, own_damping: np.ndarray, column: int) -> None:
     """URDF: friction and damping; the armature as a comment, which is all that URDF has for it."""
-    dynamics = joint.find("dynamics")
-    dynamics = ET.SubElement(joint, "dynamics") if dynamics is None else dynamics
-    dynamics.set("damping", repr(float(nearest.damping[column] + own_damping[column])))
-    dynamics.set("friction", repr(float(nearest.frictionloss[column])))
-    joint.append(ET.Comment(f" armature {float(nearest.bench['armature'][column])!r}: URDF has no place for it "))
+    said = {
+        "damping": in_full(nearest.damping[column] + own_damping[column]),
+        "friction": in_full(nearest.frictionloss[column]),
+    }
+    dynamics = next((tag for tag in file.tags if tag.owner is joint and tag.name == "dynamics"), None)
+    if dynamics is None:
+        file.append(joint, ET.Element("dynamics", said))
+    else:
+        file.set(dynamics, said)
+    armature = in_full(nearest.bench["armature"][column])
+    file.append(joint, ET.Comment(f" armature {armature}: URDF has no place for it "))
 
 
-def _write_joint(root: ET.Element, joint: ET.Element, bench: str, column: int, actuators: str, timestep: float) -> None:
-    """MJCF: the joint's attributes, and its actuator, as the bench has them."""
-    template = ET.fromstring(bench)
-    general = template.findall("./actuator/general")[column]
-    source = next(element for element in template.iter("joint") if element.get("name") == general.get("joint"))
-    for name in _JOINT:
-        joint.set(name, source.get(name, "0"))
-    if actuators == "identified":
-        _write_actuator(root, str(joint.get("name")), general, timestep)
-
-
-def _write_actuator(root: ET.Element, joint: str, general: ET.Element, timestep: float) -> None:
-    section = root.find("actuator")
-    section = ET.SubElement(root, "actuator") if section is None else section
-    old = [element for element in section if element.get("joint") == joint]
+def _write_actuator(file: InPlace, path: Path, joint: str, general: ET.Element, before: Source) -> list[str]:
+    """MJCF: the joint's actuator as the bench has it, within the limits of the robot's own."""
+    sections = [tag for tag in file.tags if tag.path == ("mujoco",) and tag.name == "actuator"]
+    inside = [tag for tag in file.tags if any(tag.owner is section for section in sections)]
+    old = [tag for tag in inside if joint in (tag.attributes.get("joint"), tag.attributes.get("jointinparent"))]
     if len(old) > 1:
         raise ConfigError(f"joint={joint}: {len(old)} actuators, expected one at most; set actuator=keep")
-    kept = {key: old[0].attrib[key] for key in _KEPT if key in old[0].attrib} if old else {"name": joint}
-    attributes = {key: value for key, value in general.attrib.items() if key not in ("name", "joint")}
-    if "delay" in attributes:
-        attributes["nsample"] = str(int(np.ceil(float(attributes["delay"]) / timestep)) + 2)
-    new = old[0] if old else ET.SubElement(section, "general")
-    tail = new.tail
-    new.clear()
-    new.tag, new.tail, new.attrib = "general", tail, {**kept, "joint": joint, **_PLAIN, **attributes}
+    law = {key: value for key, value in general.attrib.items() if key not in ("name", "joint")}
+    if "delay" in law:
+        law["nsample"] = str(int(np.ceil(float(law["delay"]) / before.model.opt.timestep)) + 2)
+    kept = {key: old[0].attributes[key] for key in ("name",) if key in old[0].attributes} if old else {"name": joint}
+    limits, notes = list_limits(before, joint, law)
+    new = ET.Element("general", {**kept, "joint": joint, **limits, **_PLAIN, **law})
+    if old:
+        file.replace(old[0], new)
+    elif sections:
+        file.append(sections[-1], new)
+    else:
+        section = ET.Element("actuator")
+        section.append(new)
+        file.append(file.tags[0], section)
+    return notes
+
+
+def _refuse_keys(file: InPlace, path: Path, before: mujoco.MjModel, after: mujoco.MjModel) -> None:
+    """Keyframes of other numbers of commands and activations, which MuJoCo would refuse."""
+    for attribute, number, now in (("ctrl", before.nu, after.nu), ("act", before.na, after.na)):
+        keys = [tag for tag in file.tags if tag.name == "key" and attribute in tag.attributes]
+        if keys and number != now:
+            raise ExportError(
+                f"into={path}: its keyframes have {attribute} of {number} actuators, expected {now} with the drive; "
+                f"remove {attribute} from them, or set actuator=keep"
+            )
+
+
+def _refuse_unlike(after: Source, robot: Equipped, fitted: Identified, nearest: Nearest, actuators: bool) -> None:
+    """What was written, read back, is to be what was meant, whatever the file's defaults are."""
+    ids = [after.model.joint(name).id for name in robot.joints]
+    loss = after.model.dof_frictionloss[[after.dof(joint) for joint in ids]]
+    pairs = {
+        "frictionloss": (nearest.frictionloss, loss),
+        "damping": (nearest.damping + fitted.bench.own_damping, read_damping(after, ids)),
+    }
+    if not robot.urdf:
+        pairs["armature"] = nearest.bench["armature"], read_armature(after, ids)
+    if actuators:
+        law, read = fitted.bench.actuator.affine(nearest.bench), read_actuators(after, ids)
+        for name in Affine._fields:
+            found = np.array([getattr(actuator, name, np.nan) for actuator in read])
+            pairs[f"{name} of the actuator"] = getattr(law, name), found
+    for what, (meant, found) in pairs.items():
+        for name, value, wanted in zip(robot.joints, found, meant[list(robot.column)], strict=True):
+            if not np.isclose(value, wanted, rtol=_SAME, atol=0):
+                raise ExportError(
+                    f"into={after.path}: {what} of joint {name} comes out as {value:.6g}, expected {wanted:.6g}: "
+                    "defaults or actuators of the file add to it; remove that from there"
+                )

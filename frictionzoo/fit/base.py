@@ -1,16 +1,25 @@
 """The interface of a fit method: where it begins, one iteration, and whether there is more to gain."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from frictionzoo.core.described import Described
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.registry import KINDS, Registry
 from frictionzoo.fit.blocks import Blocks
-from frictionzoo.fit.objective import Objective
+from frictionzoo.fit.link_inertia import LinkInertia
+from frictionzoo.fit.normal_equations import NormalEquations
+from frictionzoo.fit.objective import Objective, Recordings
+
+Scores = Callable[
+    [Float[np.ndarray, "coordinates"]], tuple[NormalEquations, Float[np.ndarray, "stretches coordinates"]]
+]
+"""From a vector to the normal equations there, and the part of the gradient that comes from each stretch of time."""
 
 
 class Seen(NamedTuple):
@@ -40,6 +49,10 @@ class Fit(Described, ABC):
 
     name: ClassVar[str]
     traced: ClassVar[bool] = True
+
+    def revise(self, recordings: Recordings) -> LinkInertia | None:
+        """What the method finds of the test stand itself, before anything is simulated; None: it stays as it is."""
+        return None
 
     def choose(self, objective: Objective) -> "Fit":
         """The method that does the work for this objective: this one, unless it leaves the choice to the law."""
@@ -77,6 +90,10 @@ class Fit(Described, ABC):
 
     def prepare(self, objective: Objective) -> None:
         """Compile what `step` calls, where the loop does not compile it as a whole."""
+
+    def compile_scores(self, objective: Objective) -> Scores:
+        """What intervals of the result are taken from: the objective's own, unless the method has another loss."""
+        return objective.compile_scores()
 
 
 class Search(Fit):

@@ -9,7 +9,8 @@ from jaxtyping import Float
 from frictionzoo.core.errors import ConfigError, refuse_outside
 from frictionzoo.fit.base import Fit, Seen, refuse_nothing, refuse_torch, register_method
 from frictionzoo.fit.blocks import Blocks
-from frictionzoo.fit.objective import NormalEquations, Objective
+from frictionzoo.fit.normal_equations import NormalEquations, compress
+from frictionzoo.fit.objective import Objective
 
 MOST_TRIES = 10_000  # each is remembered with its second derivative; ten are usual
 MOST_COORDINATES = 200  # a Jacobian has a column for each: more are a network's weights
@@ -131,14 +132,14 @@ def _ask(objective: Objective, state: State, tolerance: float) -> State:
         if not _is_finite(equations):
             return np.full(len(vector) + 1, np.inf)  # the solver takes it back and tries a shorter step
         finite.append(equations)
-        return _compress(equations, unit)[0]
+        return compress(equations, unit)[0]
 
     finite: list[NormalEquations] = []
     try:
         found = scipy.optimize.least_squares(
             residuals,
             np.clip(start, low, high),
-            jac=lambda vector: _compress(finite[-1], unit)[1],  # pyright: ignore[reportArgumentType] - one of its kinds
+            jac=lambda vector: compress(finite[-1], unit)[1],  # pyright: ignore[reportArgumentType] - one of its kinds
             bounds=(low, high),
             x_scale="jac",
             ftol=tolerance,
@@ -153,22 +154,3 @@ def _ask(objective: Objective, state: State, tolerance: float) -> State:
 
 def _is_finite(equations: NormalEquations) -> bool:
     return all(np.isfinite(part).all() for part in equations)
-
-
-def _compress(
-    equations: NormalEquations, unit: float
-) -> tuple[Float[np.ndarray, "compressed"], Float[np.ndarray, "compressed coordinates"]]:
-    """N + 1 residuals and their Jacobian with the same loss, gradient and J' J.
-
-    With J' J = V diag(w) V', the rows diag(sqrt(w)) V' are a Jacobian, and diag(1 / sqrt(w)) V' J' r are the residuals'
-    part within its columns' span; the last residual is the rest, which no coordinate moves.
-    """
-    scale = np.sqrt(np.maximum(np.diag(equations.hessian), np.finfo(float).tiny))
-    eigenvalues, vectors = np.linalg.eigh(equations.hessian / np.outer(scale, scale))
-    kept = eigenvalues > np.finfo(float).eps * len(scale) * max(eigenvalues[-1], 0)
-    roots = np.sqrt(np.where(kept, eigenvalues, 0.0))
-    jacobian = roots[:, None] * vectors.T * scale
-    inside = np.where(kept, vectors.T @ (equations.gradient / scale), 0.0) / np.where(kept, roots, 1.0)
-    rest = np.sqrt(max(equations.loss - inside @ inside, 0.0))
-    root = np.sqrt(unit)
-    return np.append(inside, rest) / root, np.vstack([jacobian, np.zeros(len(scale))]) / root

@@ -1,9 +1,9 @@
 """What a fit minimises."""
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -12,18 +12,23 @@ import torch
 from jax.sharding import NamedSharding, PartitionSpec
 from jaxtyping import Array, Float
 
+from frictionzoo.bench import Bench
 from frictionzoo.core.errors import ConfigError, closest
+from frictionzoo.core.log import Log
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.threads import usable_threads
 from frictionzoo.fit.blocks import MOST_STRETCHES, Blocks, devices_of, each, into_blocks
+from frictionzoo.fit.normal_equations import NormalEquations
 from frictionzoo.fit.space import Space
 from frictionzoo.fit.sparsity import Sparsity
+from frictionzoo.models import FrictionModel
 from frictionzoo.simulate import Values
 from frictionzoo.simulate.bridge import as_torch_function, to_arrays, to_tensors
 from frictionzoo.simulate.linear import solve_spd
 from frictionzoo.simulate.rollout import FORWARD, Rollout
 from frictionzoo.simulate.torch_rollout import TorchRollout
 
+T = TypeVar("T")
 _REFINEMENTS = 5  # steps for an initial state; rollouts are nearly linear in it but for sticking and sliding
 _ROBUST: Mapping[str, Callable[[Any], Any]] = {
     "none": lambda z: z,
@@ -34,18 +39,18 @@ _ROBUST: Mapping[str, Callable[[Any], Any]] = {
 """Losses of a squared residual over the squared scale, as in scipy.optimize.least_squares."""
 
 
-class NormalEquations(NamedTuple):
-    """The objective near a vector, as a linear least-squares problem; arrays in float64.
+class Recordings(NamedTuple):
+    """What the segments were cut from, for a method that looks at whole recordings.
 
     Attributes:
-        loss: The objective.
-        gradient: Half its gradient, J' r.
-        hessian: Half of Gauss's and Newton's approximation of its second derivative, J' J.
+        bench: The test stand.
+        model: The friction law, ready for the data.
+        logs: As the bench accepts them.
     """
 
-    loss: float
-    gradient: Float[np.ndarray, "coordinates"]
-    hessian: Float[np.ndarray, "coordinates coordinates"]
+    bench: Bench
+    model: FrictionModel
+    logs: tuple[Log, ...]
 
 
 class Objective:
@@ -60,6 +65,7 @@ class Objective:
         devices: How many these are.
         stretches: Into how many stretches of consecutive segments the data are divided, one after the other in time.
         compile: `jax.jit` for functions that call these.
+        recordings: What the segments were cut from; None where they follow another drive.
         torch_law: Name of the friction law if it exists only in torch, None for any other. Its functions below are
             called with arrays and cannot be compiled, and it has a gradient and no Jacobian.
 
@@ -116,7 +122,8 @@ class Objective:
         self._roots = np.sqrt([position, velocity])
         self._robust, self._scale = _ROBUST[robust], robust_scale
         self._refine = refine
-        self._programs: dict[bool, Any] = {}  # compiled equations: a fit's own serve again when it is judged
+        self.recordings: Recordings | None = None
+        self._programs: dict[Any, Any] = {}  # compiled equations: a fit's own serve again when it is judged
         self._sparsity = Sparsity.of(space, rollout.branches)
         self._terms = segments.count * (segments.length + refine) * segments.qpos.shape[2]
 
@@ -125,8 +132,14 @@ class Objective:
         other = copy.copy(self)
         other.space, other.compile, other._rollout = space, rollout.compile, rollout
         other._sparsity = Sparsity.of(space, rollout.branches)
-        other._programs = {}
+        other.recordings, other._programs = None, {}
         return other
+
+    def remember(self, what: Hashable, make: Callable[[], T]) -> T:
+        """What was made for this objective before, under the same name, or what is made now."""
+        if what not in self._programs:
+            self._programs[what] = make()
+        return self._programs[what]
 
     @property
     def torch_law(self) -> str | None:
@@ -246,7 +259,7 @@ class Objective:
             def of_block(block: Blocks) -> list[Float[np.ndarray, "..."]]:
                 return [np.asarray(part, np.float64) for part in compiled(moved, block)]
 
-            # A block's operations are too small for several threads; blocks side by side are not. Devices have their own.
+            # A block's operations are too small for several threads, blocks side by side are not. Devices have theirs.
             with ThreadPoolExecutor(usable_threads() if self.devices == 1 else 1) as pool:
                 parts = list(pool.map(of_block, each(self.data)))
             loss, scores, hessian = (np.stack(part).sum(axis=0) for part in zip(*parts, strict=True))

@@ -9,8 +9,10 @@ import scipy.special
 from jaxtyping import Bool, Float, Int
 from scipy.sparse.csgraph import connected_components
 
+from frictionzoo.fit.base import Fit
 from frictionzoo.fit.lm import MOST_COORDINATES
-from frictionzoo.fit.objective import NormalEquations, Objective
+from frictionzoo.fit.normal_equations import NormalEquations
+from frictionzoo.fit.objective import Objective
 from frictionzoo.fit.space import Space
 
 LEVEL = 0.95
@@ -52,7 +54,9 @@ class Uncertainty:
         return {name: bool(joints.all()) for name, joints in self.determined.items()}
 
 
-def estimate_uncertainty(objective: Objective, vector: Float[np.ndarray, "coordinates"]) -> Uncertainty:
+def estimate_uncertainty(
+    objective: Objective, vector: Float[np.ndarray, "coordinates"], fit: Fit | None = None
+) -> Uncertainty:
     """Intervals of the identified parameters from the curvature of the objective and the spread of its gradient.
 
     C = H^-1 (G / (G - 1) sum_g (s_g - s) (s_g - s)') H^-1,  interval = x +- t sqrt(diag C)
@@ -94,7 +98,8 @@ def estimate_uncertainty(objective: Objective, vector: Float[np.ndarray, "coordi
         return Uncertainty(missing=f"{len(vector)} numbers were identified, more than {MOST_COORDINATES}")
     if objective.stretches < 2:
         return Uncertainty(missing="there is one segment only, and no spread between segments")
-    equations, scores = objective.compile_scores()(vector)
+    compiled = objective.compile_scores() if fit is None else fit.compile_scores(objective)
+    equations, scores = compiled(vector)
     if not all(np.isfinite(part).all() for part in (equations.gradient, equations.hessian, scores)):
         return Uncertainty(missing="the derivative of the objective is not finite at the result")
     return assess(space, vector, equations, scores)

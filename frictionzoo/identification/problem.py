@@ -1,5 +1,6 @@
 """What is to be identified, from which recordings, and how: all of the input, looked at."""
 
+import logging
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -11,17 +12,22 @@ import numpy as np
 from frictionzoo.bench import Bench
 from frictionzoo.bench.doubts import doubt_motion, doubt_recordings
 from frictionzoo.core.build import build
+from frictionzoo.core.described import describe
 from frictionzoo.core.errors import RunError
 from frictionzoo.core.log import Dataset
 from frictionzoo.core.segments import Sampling, Segments, cut_segments
 from frictionzoo.core.state import DriveState
 from frictionzoo.fit import Fit, Objective, Space
+from frictionzoo.fit.link_inertia import LinkInertia
+from frictionzoo.fit.objective import Recordings
 from frictionzoo.models import FrictionModel
 from frictionzoo.result.evaluate import Evaluation
 from frictionzoo.result.identified import Identified
 from frictionzoo.result.record import describe_data
 from frictionzoo.simulate.drive import Drive
 from frictionzoo.simulate.proof import Proof, Recorded, initial_values, prove
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -42,6 +48,7 @@ class Problem:
         fit: How.
         settings: All options of the run.
         seconds: What posing it took [s].
+        links: Link inertias that were identified before, and are the bench's; None where none were.
     """
 
     bench: Bench
@@ -57,6 +64,7 @@ class Problem:
     fit: Fit
     settings: Mapping[str, Any]
     seconds: float
+    links: LinkInertia | None = None
 
     @classmethod
     def from_settings(cls, settings: Mapping[str, Any]) -> "Problem":
@@ -93,7 +101,13 @@ class Problem:
         began = time.perf_counter()
         model.bind(bench.joints)
         bench = bench.observing(model.inputs)
-        dataset = bench.accept_all(dataset)
+        accepted = bench.accept_all(dataset)
+        if links := fit.revise(Recordings(bench, model, accepted.train)):
+            for line in links.lines():
+                _log.info("%s", line)
+            bench = bench.with_inertia(links.inertia)
+            settings = {**settings, "bench": {**settings["bench"], "inertia": describe(bench)["inertia"]}}
+        dataset = bench.accept_all(dataset) if links else accepted
         doubts = doubt_recordings(dataset, bench) + doubt_motion(dataset, bench)
         sampling = bench.sampling(dataset.logs[0].timestep)
         segments = cut_segments(dataset.train, **settings["segments"], history=sampling.history)
@@ -104,9 +118,10 @@ class Problem:
         drive.model.prepare(samples)
         space = Space(bench, drive.model, settings["dtype"])
         objective = Objective(space, drive.rollout, segments, **settings["loss"])
+        objective.recordings = Recordings(bench, drive.model, dataset.train)
         seconds = time.perf_counter() - began
         posed = (bench, dataset, doubts, sampling, segments, evaluation, drive, proof, samples, objective)
-        return cls(*posed, fit.choose(objective), settings, seconds)
+        return cls(*posed, fit.choose(objective), settings, seconds, links)
 
     def following(self, teacher: Identified) -> "Problem":
         """The same problem with a fitted drive's rollouts in place of the measured segments, judged as before.

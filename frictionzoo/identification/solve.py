@@ -48,7 +48,7 @@ def solve(
     outcome = run_fit(problem.fit, problem.objective, problem.drive.model, record, **problem.settings["loop"])
 
     asked = time.perf_counter()
-    uncertainty = estimate_uncertainty(problem.objective, outcome.vector)
+    uncertainty = estimate_uncertainty(problem.objective, outcome.vector, problem.fit)
 
     judged = time.perf_counter()
     judgement = problem.evaluation.judge(problem.drive.rollout.compiled, outcome.values)

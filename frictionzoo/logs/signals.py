@@ -163,13 +163,13 @@ def check_filter(section: str, cutoff: float, order: int) -> None:
     refuse_outside(f"{section}.order", order, 1, MOST_ORDER)
 
 
-def estimate_velocity(
-    position: Signal, timestep: float, cutoff: float, order: int, name: str, option: str = "data.cutoff"
-) -> Signal:
-    """Velocity without phase lag: a zero-phase Butterworth low-pass, then central differences.
+def smooth(
+    signal: Float[np.ndarray, "time *columns"], timestep: float, cutoff: float, order: int, name: str, option: str
+) -> Float[np.ndarray, "time *columns"]:
+    """A signal, or each column of one, behind a zero-phase Butterworth low-pass.
 
     Args:
-        position: Measured position [rad or m].
+        signal: Uniform samples.
         timestep: Sample interval [s].
         cutoff: Cut-off frequency [Hz]; the filter runs forwards and backwards, so the gain there is 1/2.
         order: Order of the filter, which running it twice doubles.
@@ -187,12 +187,27 @@ def estimate_velocity(
         )
     sections = np.asarray(scipy.signal.butter(order, cutoff, fs=1 / timestep, output="sos"))
     padding = 3 * (2 * len(sections) + 1)  # scipy's default, which it refuses to use on a log that is not longer
-    if len(position) <= padding:
-        raise LogError(f"{name}: {len(position)} samples, expected more than {padding} to estimate the velocity")
+    if len(signal) <= padding:
+        raise LogError(f"{name}: {len(signal)} samples, expected more than {padding} to filter them")
     try:
-        smooth = scipy.signal.sosfiltfilt(sections, position, padlen=padding)
+        return scipy.signal.sosfiltfilt(sections, signal, axis=0, padlen=padding)
     except np.linalg.LinAlgError:  # its coefficients are 0 but for rounding
         raise ConfigError(
             f"{option}={cutoff:g}: too low for a filter of order {order} at {1 / timestep:g} samples/s; raise it"
         ) from None
-    return np.gradient(smooth, timestep)
+
+
+def estimate_velocity(
+    position: Signal, timestep: float, cutoff: float, order: int, name: str, option: str = "data.cutoff"
+) -> Signal:
+    """Velocity without phase lag: `smooth`, then central differences; arguments and errors are its own.
+
+    Args:
+        position: Measured position [rad or m].
+        timestep: Sample interval [s].
+        cutoff: Cut-off frequency [Hz].
+        order: Order of the filter.
+        name: The log's name, for messages.
+        option: Where a user sets the cut-off, for messages.
+    """
+    return np.gradient(smooth(position, timestep, cutoff, order, name, option), timestep)

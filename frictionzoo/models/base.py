@@ -66,7 +66,7 @@ class FrictionModel(Described, torch.nn.Module, ABC):
     def begin(self, values: Mapping[str, Any]) -> None:
         """Let parameters begin with these values, each of shape (nv,), by name."""
         for name, value in values.items():
-            self.get_parameter(name).data.copy_(torch.as_tensor(np.asarray(value)))
+            self.get_parameter(name).data.copy_(torch.tensor(np.asarray(value)))
 
     def bind(self, joints: Sequence[str]) -> None:
         """Give each joint what parameters say by patterns of joints' names; what has a value already keeps it.

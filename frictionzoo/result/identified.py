@@ -126,8 +126,7 @@ class Identified:
             OutputError: A file cannot be written.
         """
         # Imported here, so that what reads a run does not wait for what draws one.
-        from frictionzoo.export.bench import write_bench
-        from frictionzoo.export.nearest import find_nearest
+        from frictionzoo.export.bench import write_identified
         from frictionzoo.show.run_page import write_report
         from frictionzoo.show.run_plots import write_figures
 
@@ -143,7 +142,8 @@ class Identified:
         write_atomically(folder / LAW, safetensors.torch.save(dict(self.state), header))
         write_curves(folder, self.curves)
         # What `python -m frictionzoo.export RUN target=mjcf` writes, too.
-        write_atomically(folder / "identified.xml", write_bench(self, find_nearest(self)).encode())
+        for name, content in write_identified(self).items():
+            write_atomically(folder / name, content)
         result = copy.deepcopy(self.result)
         result["timing"]["total"] += time.perf_counter() - began
         write_report(folder / "report.html", result, self.curves)

@@ -23,7 +23,9 @@ METHODS = {"adam": "Adam", "lm": "Levenberg-Marquardt", "grid": "The grid search
 _DIVERGED = "Lower its step or start from other values."
 FILES = {  # what else a run leaves behind, by path beside the page
     "result.json": "every number of this page, for programs",
-    "identified.xml": "the test stand with the identified drive, for MuJoCo",
+    "identified.xml": "the test stand, or the robot's own file, with the identified drive, for MuJoCo",
+    "identified.urdf": "the robot's own file with the identified drive",
+    "bench.xml": "what was simulated of the robot, for MuJoCo",
     "friction.safetensors": "the friction law's values or weights",
     "figures/figure3_parameters.png": "parameters over iterations, as an image",
     "figures/figure4_trajectory.png": "the trajectory, as an image",

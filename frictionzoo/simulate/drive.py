@@ -46,12 +46,12 @@ class Drive:
             simulated = make_engine(engine, bench, AS_GIVEN, model.constraint)
             return cls(model, simulated, make_torch_rollout(simulated, model, sampling))
         simulated = make_engine(engine, bench, friction_of(model), model.constraint)
-        if any(simulated.branches) and not _looks_at_one_joint(model):
+        if any(simulated.branches) and not looks_at_one_joint(model):
             simulated.branches = (0,) * bench.nv
         return cls(model, simulated, make_rollout(simulated, sampling))
 
 
-def _looks_at_one_joint(model: FrictionModel) -> bool:
+def looks_at_one_joint(model: FrictionModel) -> bool:
     """Whether the friction of a joint depends on that joint alone, seen in states that differ in some of them."""
     rng, values = np.random.default_rng(0), {n: v.detach().double() for n, v in model.state_dict().items()}
     one, other = (torch.from_numpy(rng.normal(size=(len(DriveState._fields), 64, model.nv))) for _ in range(2))

@@ -12,17 +12,21 @@ from frictionzoo.core.errors import ConfigError
 GAIN: Mapping[str, Any] = {"init": 1.0, "low": 0.5, "high": 2.0, "scale": "log", "identify": False}
 """Section of a `torque_gain` of which nothing is said: the torque is what the controller asks for."""
 
+OFFSET: Mapping[str, str] = {"torque_offset": "torque"}
+"""Dimension of a constant torque besides the controller's, which a law may have among its `optional`."""
+
 
 @register_actuator("joint_pd")
 class JointPD(Actuator):
     """Impedance controller of a robot's joint: position, velocity and torque are commanded at once.
 
-        torque = torque_gain sat(kp (ctrl - qpos) + kd (ctrl_velocity - qvel) + ctrl_torque)
+        torque = torque_gain sat(kp (ctrl - qpos) + kd (ctrl_velocity - qvel) + ctrl_torque) + torque_offset
 
     with kp [N m/rad or N/m], kd [N m s/rad or N s/m], the desired position ctrl [rad or m], the desired velocity
     ctrl_velocity [rad/s or m/s] and the feed-forward torque ctrl_torque [N m or N], both 0 where recordings lack them.
-    torque_gain [1] is what the joint gives of the torque that the controller asks for. sat is there where parameters
-    say so: torque_saturation [N m or N] is kappa of kappa tanh(torque / kappa), torque_limit [N m or N] cuts off.
+    torque_gain [1] is what the joint gives of the torque that the controller asks for. Where parameters say so,
+    torque_offset [N m or N] acts besides: a cable that pulls, a link that is heavier than the model's; and sat is
+    there: torque_saturation [N m or N] is kappa of kappa tanh(torque / kappa), torque_limit [N m or N] cuts off.
 
     MuJoCo's actuator is its position actuator with these gains; its `ctrl` is ctrl + (kd ctrl_velocity + ctrl_torque) /
     kp, and with a limit what makes it give the torque within. The integrator implicitfast treats kd as implicit at the
@@ -35,8 +39,14 @@ class JointPD(Actuator):
         ConfigError: As of every actuator law, or kp is not above 0.
     """
 
-    dimensions: ClassVar[Mapping[str, str]] = {"kp": "stiffness", "kd": "damping", "torque_gain": "1", **LIMITS}
-    optional: ClassVar[tuple[str, ...]] = tuple(LIMITS)
+    dimensions: ClassVar[Mapping[str, str]] = {
+        "kp": "stiffness",
+        "kd": "damping",
+        "torque_gain": "1",
+        **OFFSET,
+        **LIMITS,
+    }
+    optional: ClassVar[tuple[str, ...]] = (*LIMITS, *OFFSET)
     defaults: ClassVar[Mapping[str, Mapping[str, Any]]] = {"torque_gain": GAIN}
     inputs: ClassVar[tuple[str, ...]] = ("ctrl_velocity", "ctrl_torque")
     optional_inputs: ClassVar[Mapping[str, float]] = {"ctrl_velocity": 0.0, "ctrl_torque": 0.0}
@@ -54,7 +64,7 @@ class JointPD(Actuator):
     def affine(self, values: Mapping[str, Any]) -> Affine:
         """See `Actuator.affine`."""
         stiffness, damping = (values["torque_gain"] * values[name] for name in ("kp", "kd"))
-        return Affine(stiffness, 0 * stiffness, -stiffness, -damping)
+        return Affine(stiffness, values.get("torque_offset", 0 * stiffness), -stiffness, -damping)
 
     def control(
         self, xp: Any, values: Mapping[str, Any], qpos: Any, qvel: Any, command: Any, inputs: Mapping[str, Any]

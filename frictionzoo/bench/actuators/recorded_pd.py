@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from frictionzoo.bench.actuators.base import Actuator, Affine, register_actuator
-from frictionzoo.bench.actuators.joint_pd import GAIN
+from frictionzoo.bench.actuators.joint_pd import GAIN, OFFSET
 from frictionzoo.bench.actuators.saturation import LIMITS, saturate
 
 
@@ -12,7 +12,7 @@ from frictionzoo.bench.actuators.saturation import LIMITS, saturate
 class RecordedPD(Actuator):
     """Impedance controller of a robot's joint whose gains are commands, and recorded as such.
 
-        torque = torque_gain sat(kp (ctrl - qpos) + kd (ctrl_velocity - qvel) + ctrl_torque)
+        torque = torque_gain sat(kp (ctrl - qpos) + kd (ctrl_velocity - qvel) + ctrl_torque) + torque_offset
 
     with recorded kp [N m/rad or N/m] and kd [N m s/rad or N s/m], and all else as in `JointPD`. MuJoCo's actuator gets
     the torque.
@@ -20,8 +20,8 @@ class RecordedPD(Actuator):
     Source: as of `JointPD`.
     """
 
-    dimensions: ClassVar[Mapping[str, str]] = {"torque_gain": "1", **LIMITS}
-    optional: ClassVar[tuple[str, ...]] = tuple(LIMITS)
+    dimensions: ClassVar[Mapping[str, str]] = {"torque_gain": "1", **LIMITS, **OFFSET}
+    optional: ClassVar[tuple[str, ...]] = (*LIMITS, *OFFSET)
     defaults: ClassVar[Mapping[str, Mapping[str, Any]]] = {"torque_gain": GAIN}
     inputs: ClassVar[tuple[str, ...]] = ("kp", "kd", "ctrl_velocity", "ctrl_torque")
     optional_inputs: ClassVar[Mapping[str, float]] = {"ctrl_velocity": 0.0, "ctrl_torque": 0.0}
@@ -30,7 +30,7 @@ class RecordedPD(Actuator):
     def affine(self, values: Mapping[str, Any]) -> Affine:
         """See `Actuator.affine`."""
         zero = 0 * values["torque_gain"]
-        return Affine(values["torque_gain"], zero, zero, zero)
+        return Affine(values["torque_gain"], values.get("torque_offset", zero), zero, zero)
 
     def control(
         self, xp: Any, values: Mapping[str, Any], qpos: Any, qvel: Any, command: Any, inputs: Mapping[str, Any]

@@ -32,7 +32,7 @@ def choose_joints(source: Source, joint: str | Sequence[str] | None) -> list[int
         wanted = [joint] if isinstance(joint, str) else list(joint)
     if not names or not wanted:
         source.fail(
-            "no hinge and no slide is chosen, expected joints that move; set bench.joint, or another bench.file"
+            "no hinge and no slide is chosen, expected joints that move; set bench.joint, or another bench.mjcf"
         )
     for name in wanted:
         if name not in names and not _matching(name, names):

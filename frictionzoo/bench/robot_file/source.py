@@ -70,20 +70,21 @@ def listed(names: Sequence[str]) -> str:
     return ", ".join(names[:_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
-def load(path: str) -> Source:
+def load(path: str, content: bytes | None = None) -> Source:
     """Read a robot's file, MJCF or URDF.
 
     No mesh is opened but where a body's inertia comes from it, and no texture.
 
     Args:
         path: Of the file.
+        content: What is to be read as if it were that file, without includes; None for the file itself.
 
     Raises:
         BenchError: The file cannot be read, or MuJoCo refuses it.
     """
     notes: list[str] = []
     with _collecting_warnings(notes), _in_one_line(path):
-        spec, urdf = _parse(path, notes)
+        spec, urdf = _parse(path, content, notes)
         notes += _leave_out(spec)
         meshes = sum(_needs_asset(geom) and bool(geom.contype or geom.conaffinity) for geom in spec.geoms)
         settled = _settle_inertia(spec, Path(path).parent)
@@ -124,16 +125,20 @@ def _in_one_line(path: str) -> Iterator[None]:
         raise BenchError(f"{path}: MuJoCo does not take it ({' '.join(str(error).split())}); mend the file") from None
 
 
-def _parse(path: str, notes: list[str]) -> tuple[mujoco.MjSpec, bool]:
+def _parse(path: str, content: bytes | None, notes: list[str]) -> tuple[mujoco.MjSpec, bool]:
     """What MuJoCo reads before it compiles, includes, classes and frames resolved, and whether it is a URDF."""
     try:
-        root = ET.fromstring(Path(path).read_bytes())
+        root = ET.fromstring(Path(path).read_bytes() if content is None else content)
     except OSError as error:
-        raise BenchError(f"{path}: cannot be read ({error.strerror}); set bench.file to an MJCF or a URDF") from None
+        raise BenchError(f"{path}: cannot be read ({error.strerror}); set bench.mjcf to an MJCF or a URDF") from None
     except (ET.ParseError, UnicodeError, LookupError) as error:
-        raise BenchError(f"{path}: not XML ({error}); set bench.file to an MJCF or a URDF") from None
-    if root.tag == "mujoco":
+        raise BenchError(f"{path}: not XML ({error}); set bench.mjcf to an MJCF or a URDF") from None
+    if root.tag == "mujoco" and content is None:
         return mujoco.MjSpec.from_file(path), False
+    if root.tag == "mujoco":
+        spec = mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"))
+        spec.modelfiledir = str(Path(path).parent)
+        return spec, False
     if root.tag != "robot":
         raise BenchError(f"{path}: <{root.tag}>, expected <mujoco> of an MJCF or <robot> of a URDF")
     notes += clean(path, root)

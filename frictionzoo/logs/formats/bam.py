@@ -1,15 +1,13 @@
-"""Logs of Rhoban BAM: JSON with a header and one entry a sample; one file, a folder of them or a zip of them."""
+"""Logs of Rhoban BAM: JSON with a header and one entry a sample; one file or a folder of them."""
 
-import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
 from frictionzoo.core.errors import LogError
-from frictionzoo.logs.formats.base import Format, parse_json, parsing, read_bytes, register_format, tabulate, unzip
+from frictionzoo.logs.formats.base import Format, parse_json, parsing, register_format, tabulate
 from frictionzoo.logs.recording import Table
 
 
@@ -20,27 +18,17 @@ class Bam(Format):
     Source: github.com/Rhoban/bam, Better Actuator Models.
     """
 
-    suffixes: ClassVar[tuple[str, ...]] = (".json", ".zip")
-    magic: ClassVar[tuple[bytes, ...]] = (b"PK\x03\x04",)
+    suffixes: ClassVar[tuple[str, ...]] = (".json",)
 
     def claims(self, path: Path) -> bool:
-        """A JSON file or a zip, or a folder that holds JSON files."""
+        """A JSON file, or a folder that holds JSON files."""
         return super().claims(path) or (path.is_dir() and any(path.glob("*.json")))
 
     def read(self, path: Path) -> list[Table]:
-        """The tables of a file, of a folder's files or of an archive's members, in the order of their names."""
+        """The tables of a file or of a folder's files, in the order of their names."""
         if path.is_dir():
             return [table for file in sorted(path.glob("*.json")) for table in super(Bam, self).read(file)]
-        if path.suffix.lower() != ".zip":
-            return super().read(path)
-        with parsing(str(path), "a zip of JSON files"):
-            tables = [
-                replace(self.parse(f"{path}!{member}", content), sha256=hashlib.sha256(content).hexdigest())
-                for member, content in unzip(str(path), read_bytes(path), ".json")
-            ]
-            if not tables:
-                raise LogError(f"{path}: no member ends in .json, expected logs of BAM; unpack it to read others")
-            return sorted(tables, key=lambda table: table.name)
+        return super().read(path)
 
     def parse(self, name: str, content: bytes) -> Table:
         """The entries of one JSON file."""

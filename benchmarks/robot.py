@@ -1,0 +1,254 @@
+"""A quadruped's twelve joints: frictionzoo beside mujoco.sysid, on the recordings of `conf/data/go2.yaml`.
+
+    FRICTIONZOO_DATA=FOLDER python benchmarks/robot.py
+
+Needs `pip install -e ".[sysid]"`. Both find armature, frictionloss and damping of each joint, a constant torque or an
+encoder's offset of each joint, and by how much commands act late, from the same segments, start and bounds, in steps of
+5 ms; both minimise the squared errors of position. sysid does so on finite differences of MuJoCo C: `plain` as its
+documentation has it; `whole` and `legs` with all segments side by side and a model compiled once a vector, which it
+leaves to its user, for the whole robot at once or for each leg on its own, which then has its own delay. What they find
+is judged alike: by closed-loop rollouts of whole test runs in MuJoCo C, in steps of 1 ms. Each row is a process of its
+own.
+"""
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+from measure import make_parser, report
+from mujoco import rollout as mujoco_rollout
+from omegaconf import OmegaConf
+from robot_sysid import SETTINGS, TOLERANCE, Search, aim_of, delayed, load, text_of
+
+from frictionzoo.bench import Bench, Robot
+from frictionzoo.core.build import build
+from frictionzoo.core.config import compose_config
+from frictionzoo.core.segments import Segments, cut_rollouts
+
+EXPERIMENTS = {"torque": "go2_torque", "bias": "go2"}
+"""By what a joint has besides armature, friction and the delay: a constant torque, or an encoder's offset."""
+PARTS = {"plain": ", plain", "whole": "", "legs": ", leg by leg"}
+JUDGED = 0.001  # s, simulation step of the rollouts that judge
+COLUMNS = {
+    "variant": "variant",
+    "tool": "tool",
+    "parameters": "parameters",
+    "whole": "whole [s]",
+    "cpu": "CPU [s]",
+    "setup": "setup [s]",
+    "compile": "compile [s]",
+    "fit": "fit [s]",
+    "iterations": "iterations",
+    "rollouts": "rollout sets",
+    "whole_ratio": "whole/ours",
+    "cpu_ratio": "CPU/ours",
+    "fit_ratio": "fit/ours",
+    "fit_cpu_ratio": "fit's CPU/ours",
+    "train": "train [mrad]",
+    "test": "test [mrad]",
+}
+
+Found = dict[str, list[float]]
+"""Values of each parameter, one a joint."""
+
+
+def main() -> None:
+    """A process for each identification, then one judge for all; or be such a process."""
+    options = parse()
+    if options.row is not None:
+        print(json.dumps(measure(**json.loads(options.row))))
+        return
+    rows = []
+    for variant in options.variants:
+        judge = Judge(compose(variant, options), options.seconds)
+        wanted = [("mujoco.sysid", parts, name) for parts in options.parts for name in options.optimizers]
+        found = [in_own_process(options, variant, *what) for what in [*wanted, ("frictionzoo", "whole", "lm")]]
+        found = [{**row, **judge.judge(values)} for row, values in found]
+        rows += [
+            {**row, **{f"{part}_ratio": row[part] / found[-1][part] for part in ("whole", "cpu", "fit", "fit_cpu")}}
+            for row in found
+        ]
+    rows += [{"variant": "-", "tool": "published", "parameters": 3 * judge.bench.nv, **judge.judge(published())}]
+    segments = {"segments": judge.segments.count, "length": judge.segments.length, "seconds": options.seconds}
+    report(options.out, rows, COLUMNS, **segments, settings=SETTINGS)
+
+
+def parse() -> argparse.Namespace:
+    """The command line."""
+    parser = make_parser("robot", __doc__)
+    parser.add_argument("--variants", nargs="+", choices=EXPERIMENTS, default=[*EXPERIMENTS])
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=[*PARTS], help="of sysid")
+    parser.add_argument("--optimizers", nargs="+", choices=SETTINGS, default=["scipy_parallel_fd"], help="of sysid")
+    parser.add_argument("--segments", type=int, default=150, help="that the fits compare")
+    parser.add_argument("--length", type=int, default=100, help="steps of 5 ms in each")
+    parser.add_argument("--iterations", type=int, default=100, help="of any fit, at most")
+    parser.add_argument("--seconds", type=float, default=23.4, help="of a test run that are rolled out")
+    parser.add_argument("--row", help=argparse.SUPPRESS)
+    return parser.parse_args()
+
+
+def compose(variant: str, options: argparse.Namespace) -> dict[str, Any]:
+    """The settings of the experiment, without the cache of compiled functions."""
+    cut = (f"segments.count={options.segments}", f"segments.length={options.length}")
+    fit = (f"fit.iterations={options.iterations}", f"fit.tolerance={TOLERANCE}", "loop.progress=false")
+    judged = (f"evaluation.horizons=[{options.seconds}]", f"evaluation.trajectory={options.seconds}")
+    config = compose_config(f"experiment={EXPERIMENTS[variant]}", "compilation_cache=null", *cut, *fit, *judged)
+    return cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
+
+
+def in_own_process(
+    options: argparse.Namespace, variant: str, tool: str, parts: str, method: str
+) -> tuple[dict[str, Any], Found]:
+    """What a new process measures, and what it finds.
+
+    Raises:
+        SystemExit: It failed; its message is on the standard error.
+    """
+    named = {"variant": variant, "tool": f"{tool}, {method}{PARTS[parts]}"}
+    print(*named.values(), flush=True)
+    what = {"settings": compose(variant, options), "tool": tool, "parts": parts, "method": method}
+    command = [sys.executable, __file__, "--row", json.dumps(what)]
+    environment = os.environ | {"JAX_ENABLE_COMPILATION_CACHE": "false"}  # times are those of a first run
+    clock = Clock(resource.RUSAGE_CHILDREN)
+    finished = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True)
+    if finished.returncode:
+        sys.exit(f"{named}: exit status {finished.returncode}")
+    row = json.loads(finished.stdout.splitlines()[-1])
+    values = row.pop("values")
+    took = dict(zip(("whole", "cpu"), clock.read(), strict=True))
+    return {**named, **took, **row}, values
+
+
+class Clock:
+    """Time since it was made, and what processors have worked for this process, or for those that it started, since.
+
+    What else the machine does makes the first longer, and the second hardly.
+    """
+
+    def __init__(self, whose: int = resource.RUSAGE_SELF) -> None:
+        self._whose = whose
+        self._began = self._now()
+
+    def read(self) -> tuple[float, float]:
+        """Both [s]."""
+        wall, cpu = (float(now - began) for now, began in zip(self._now(), self._began, strict=True))
+        return wall, cpu
+
+    def _now(self) -> tuple[float, float]:
+        usage = resource.getrusage(self._whose)
+        return time.perf_counter(), usage.ru_utime + usage.ru_stime
+
+
+def measure(settings: dict[str, Any], tool: str, parts: str, method: str) -> dict[str, Any]:
+    """One identification, from files to parameters."""
+    return run_ours(settings) if tool == "frictionzoo" else run_sysid(settings, parts, method)
+
+
+def run_ours(settings: dict[str, Any]) -> dict[str, Any]:
+    """frictionzoo, as `python -m frictionzoo.run` does it up to the parameters."""
+    from frictionzoo.fit import run_fit
+    from frictionzoo.identification import Problem
+    from frictionzoo.simulate.context import computing
+
+    with computing(settings["dtype"], settings["device"], settings["compilation_cache"]):
+        problem = Problem.from_settings(settings)
+        compiling = Clock()
+        problem.fit.prepare(problem.objective)
+        compiled, fitting = compiling.read(), Clock()
+        outcome = run_fit(problem.fit, problem.objective, problem.drive.model, **settings["loop"])
+        fitted = fitting.read()
+    values = {name: np.asarray(value).tolist() for part in outcome.values.values() for name, value in part.items()}
+    return {
+        "parameters": len(problem.objective.space.start),
+        "setup": problem.seconds,
+        "compile": compiled[0],
+        "fit": fitted[0],
+        "fit_cpu": fitted[1],
+        "iterations": outcome.iterations,
+        "values": values,
+    }
+
+
+def run_sysid(settings: dict[str, Any], parts: str, optimizer: str) -> dict[str, Any]:
+    """mujoco.sysid, for the robot as a whole or for each leg of its own."""
+    whole = Clock()  # imports are behind: they are this script's, not those of a user of mujoco.sysid
+    bench, params, segments, _ = load(settings)
+    branches = np.array(bench.branches if parts == "legs" else [0] * bench.nv)
+    legs = [np.flatnonzero(branches == branch) for branch in np.unique(branches)]
+    (setup, _), fitting = whole.read(), Clock()
+    searches = [Search(bench, params, segments, joints.tolist(), parts != "plain") for joints in legs]
+    found = [search.run(optimizer, settings["fit"]["iterations"]) for search in searches]
+    fitted, took = fitting.read(), whole.read()
+    values = {name: np.zeros(bench.nv) for name in params}
+    for joints, part in zip(legs, found, strict=True):
+        for name, value in part.items():
+            values[name][joints] = value
+    return {
+        "parameters": sum(search.parameters for search in searches),
+        "whole": took[0],
+        "cpu": took[1],
+        "setup": setup,
+        "compile": 0.0,
+        "fit": fitted[0],
+        "fit_cpu": fitted[1],
+        "iterations": max(search.iterations for search in searches),
+        "rollouts": sum(search.rollouts for search in searches) / len(searches),
+        "values": {name: value.tolist() for name, value in values.items()},
+    }
+
+
+class Judge:
+    """Rollouts in MuJoCo C, of the test runs in short steps and of what the fits compared."""
+
+    def __init__(self, settings: dict[str, Any], seconds: float) -> None:
+        self.fitted, _, self.segments, dataset = load(settings)
+        self.bench = build({**settings["bench"], "timestep": JUDGED})
+        history = self.bench.sampling(self.segments.timestep).history
+        # One run after the other, so that each has its error.
+        self.runs = [cut_rollouts([log], seconds, None, "consecutive", 0, history).first for log in dataset.test]
+
+    def judge(self, values: Mapping[str, Sequence[float]]) -> dict[str, float]:
+        """Root mean squares of the errors of position, over all joints [mrad]."""
+        squares = [self._squares(self.bench, values, run) for run in self.runs]
+        runs = {f"test_{number}": 1e3 * float(np.sqrt(each.mean())) for number, each in enumerate(squares)}
+        train = self._squares(self.fitted, values, self.segments)
+        joint = np.sqrt(np.mean(squares, axis=(0, 1, 2)).max())
+        return {
+            "train": 1e3 * float(np.sqrt(train.mean())),
+            "test": 1e3 * float(np.sqrt(np.mean(squares))),
+            "worst_joint": 1e3 * float(joint),
+            **runs,
+        }
+
+    def _squares(
+        self, bench: Bench, values: Mapping[str, Sequence[float]], segments: Segments
+    ) -> Float[np.ndarray, "batch time nv"]:
+        given = {name: np.array(value) for name, value in values.items()}
+        model = mujoco.MjModel.from_xml_string(text_of(bench, given))
+        late = delayed(aim_of(bench, segments), given["delay"], segments, bench.timestep)
+        begin = [np.zeros((segments.count, 1)), segments.qpos[:, 0], segments.qvel[:, 0]]
+        data = [mujoco.MjData(model) for _ in range(os.cpu_count() or 1)]
+        state, _ = mujoco_rollout.rollout(model, data, np.concatenate(begin, axis=1), late)
+        each = late.shape[1] // segments.length
+        predicted = np.asarray(state)[:, each - 1 :: each, 1 : 1 + bench.nv]
+        return np.square(predicted - segments.qpos[:, 1:])
+
+
+def published() -> Found:
+    """What the recordings' owners found with mujoco.sysid, from their file."""
+    file = Robot(str(Path(os.environ["FRICTIONZOO_DATA"]) / "go2" / "go2_published.xml")).file
+    return {**{name: value.tolist() for name, value in file.values.items()}, "delay": [0.0] * len(file.joints)}
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,210 @@
+"""Link inertia as numbers that a fit can move: the ten parameters of a body, its pseudo-inertia, and log-Cholesky.
+
+The ten are those in which a robot's inverse dynamics is linear: mass m [kg], first moments m c [kg m], and the inertia
+about the origin of the body's frame, along its axes, in the order of MuJoCo's `fullinertia`: Ixx, Iyy, Izz, Ixy, Ixz,
+Iyz [kg m^2]. In the pseudo-inertia, second moments stand in place of the inertia:
+
+    J = [[S, m c], [m c', m]],  S = trace(I) / 2 - I
+
+A body of positive mass anywhere has J positive definite, and the other way round.
+
+Source: P. Wensing, S. Kim, J.-J. Slotine, "Linear matrix inequalities for physically consistent inertial parameter
+identification", 2018.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from jaxtyping import Float, Inexact
+
+from frictionzoo.bench.compiled import put_inertial
+from frictionzoo.core.errors import BenchError
+
+SYMBOLS = ("m", "mx", "my", "mz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
+"""Name of each of the ten parameters of a body."""
+COORDINATES = ("mass", *("centre",) * 3, *("size",) * 6)
+"""What each log-Cholesky coordinate of a body changes."""
+THINNEST = 1e-3
+"""Spread of a body's mass [m] below which it is taken as this thick: a point or a rod has no logarithm."""
+_AXES = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # where a symmetric matrix's entries lie among its six numbers
+
+
+def inertial_parameters(model: mujoco.MjModel, bodies: Sequence[int]) -> Float[np.ndarray, "bodies 10"]:
+    """The ten parameters of each of these bodies, by index, as the compiled model has them."""
+    return np.stack([_parameters_of(model, body) for body in bodies])
+
+
+def _parameters_of(model: mujoco.MjModel, body: int) -> Float[np.ndarray, "10"]:
+    axes, centre = np.zeros(9), model.body_ipos[body]
+    mujoco.mju_quat2Mat(axes, model.body_iquat[body])
+    axes = axes.reshape(3, 3)
+    about_centre = (axes * model.body_inertia[body]) @ axes.T
+    return to_parameters(model.body_mass[body], centre, about_centre)
+
+
+def to_parameters(
+    mass: float, centre: Float[np.ndarray, "3"], inertia: Float[np.ndarray, "3 3"]
+) -> Float[np.ndarray, "10"]:
+    """The ten parameters of a body.
+
+    Args:
+        mass: [kg].
+        centre: Of mass, in the body's frame [m].
+        inertia: About that centre, along the axes of the frame [kg m^2].
+    """
+    about_origin = inertia + mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+    return np.concatenate([[mass], mass * centre, _six(about_origin)])
+
+
+def from_parameters(
+    parameters: Float[np.ndarray, "10"],
+) -> tuple[float, Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
+    """Mass, centre, and inertia about the centre along the frame's axes, of a body with these parameters."""
+    mass, centre = float(parameters[0]), parameters[1:4] / parameters[0]
+    about_origin = parameters[4:][_AXES]
+    return mass, centre, about_origin - mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+
+
+def put_parameters(model: mujoco.MjModel, body: int, parameters: Float[np.ndarray, "10"]) -> None:
+    """Let the body of this index of a compiled model have these ten parameters.
+
+    Raises:
+        BenchError: No body of positive mass has them.
+    """
+    if not is_consistent(parameters):
+        raise BenchError(
+            f"body {model.body(body).name}: no mass distribution has {np.array2string(parameters, precision=4)} as "
+            "m, m c, I; expected a positive definite pseudo-inertia; fit it with log-Cholesky coordinates"
+        )
+    mass, centre, inertia = from_parameters(parameters)
+    principal, frame = np.linalg.eigh(inertia)
+    frame[:, 0] *= np.linalg.det(frame)  # a rotation, not a reflection
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, frame.ravel())
+    put_inertial(model, body, np.concatenate([[mass], centre, quaternion, principal]))
+
+
+def to_pseudo_inertia(parameters: Float[np.ndarray, "*batch 10"]) -> Float[np.ndarray, "*batch 4 4"]:
+    """Pseudo-inertia of the ten parameters of bodies."""
+    inertia = parameters[..., 4:][..., _AXES]
+    trace = np.trace(inertia, axis1=-2, axis2=-1)[..., None, None]
+    second = trace / 2 * np.eye(3) - inertia
+    first, mass = parameters[..., 1:4], parameters[..., :1]
+    upper = np.concatenate([second, first[..., None]], axis=-1)
+    return np.concatenate([upper, np.concatenate([first, mass], axis=-1)[..., None, :]], axis=-2)
+
+
+def from_pseudo_inertia(pseudo: Inexact[np.ndarray, "*batch 4 4"]) -> Inexact[np.ndarray, "*batch 10"]:
+    """The ten parameters of bodies with these pseudo-inertias, real or complex."""
+    second = pseudo[..., :3, :3]
+    inertia = np.trace(second, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - second
+    return np.concatenate([pseudo[..., 3, 3:], pseudo[..., :3, 3], _six(inertia)], axis=-1)
+
+
+def is_consistent(parameters: Float[np.ndarray, "*batch 10"]) -> Any:
+    """Whether some body of positive mass has these ten parameters, for each of many."""
+    return np.linalg.eigvalsh(to_pseudo_inertia(parameters))[..., 0] > 0
+
+
+@dataclass(frozen=True)
+class LogCholesky:
+    """Coordinates of bodies' inertia in which every vector is a physical body, and zero is the maker's.
+
+    Of one body, with the maker's mass m0, centre c0 and second moments S0 = L0 L0' about the centre:
+
+        m = m0 exp(x0),  c = c0 + (x1, x2, x3),  S = exp(x0) L0 A A' L0'
+        A = [[exp(x4), x7, x8], [0, exp(x5), x9], [0, 0, exp(x6)]]
+
+    with S about the new centre and L0 upper triangular. So x0 is a share of the mass, x1 to x3 are metres, and the
+    others are shares of the body's own spread. The pseudo-inertia is U U' with U upper triangular and a diagonal above
+    0, whatever x is, and each positive definite one is reached.
+
+    Source: C. Rucker, P. Wensing, "Smooth parameterization of rigid-body inertia", 2022, relative to
+    the maker's body instead of to one of unit mass.
+
+    Attributes:
+        mass: The maker's, of shape (bodies,) [kg].
+        centre: The maker's, (bodies, 3) [m].
+        factor: L0 (bodies, 3, 3) [kg^(1/2) m].
+    """
+
+    mass: Float[np.ndarray, "bodies"]
+    centre: Float[np.ndarray, "bodies 3"]
+    factor: Float[np.ndarray, "bodies 3 3"]
+
+    @classmethod
+    def around(cls, parameters: Float[np.ndarray, "bodies 10"], names: Sequence[str]) -> "LogCholesky":
+        """Coordinates around the maker's bodies, with a least thickness of `THINNEST`.
+
+        Args:
+            parameters: Ten of each.
+            names: Of the bodies, for messages.
+
+        Raises:
+            BenchError: One has no mass, or an inertia that no body has.
+        """
+        parts = [_reference(own, name) for own, name in zip(parameters, names, strict=True)]
+        mass, centre, factor = (np.array(part) for part in zip(*parts, strict=True))
+        return cls(mass, centre, factor)
+
+    def parameters(self, coordinates: Inexact[np.ndarray, "bodies 10"]) -> Inexact[np.ndarray, "bodies 10"]:
+        """The ten parameters of each body, from its coordinates, real or complex."""
+        moved = np.moveaxis(coordinates, -1, 0)
+        ratio, (s12, s13, s23), zero = np.exp(moved[0]), moved[7:], 0 * moved[0]
+        d1, d2, d3 = np.exp(moved[4:7])
+        stretch = np.stack([d1, s12, s13, zero, d2, s23, zero, zero, d3], axis=-1).reshape(-1, 3, 3)
+        spread = self.factor @ stretch
+        mass, centre = self.mass * ratio, self.centre + moved[1:4].T
+        first = mass[:, None] * centre
+        about_origin = ratio[:, None, None] * spread @ spread.swapaxes(-1, -2)
+        about_origin = about_origin + first[:, :, None] * centre[:, None, :]
+        upper = np.concatenate([about_origin, first[..., None]], axis=-1)
+        lower = np.concatenate([first, mass[:, None]], axis=-1)[..., None, :]
+        return from_pseudo_inertia(np.concatenate([upper, lower], axis=-2))
+
+    def slopes(self, coordinates: Float[np.ndarray, "bodies 10"]) -> Float[np.ndarray, "bodies 10 10"]:
+        """Derivative of each body's ten parameters, in rows, with respect to its coordinates, in columns."""
+        # A complex step has no rounding to trade against its length: the derivative is exact.
+        steps = 1e-30j * np.eye(10)
+        moved = [self.parameters(coordinates + step).imag / 1e-30 for step in steps]
+        return np.stack(moved, axis=-1)
+
+    def coordinates(self, parameters: Float[np.ndarray, "bodies 10"]) -> Float[np.ndarray, "bodies 10"]:
+        """The coordinates of bodies with these ten parameters each, which have to be consistent."""
+        found = []
+        for own, mass0, centre0, factor0 in zip(parameters, self.mass, self.centre, self.factor, strict=True):
+            mass, centre, _ = from_parameters(own)
+            second = to_pseudo_inertia(own)[:3, :3] - mass * np.outer(centre, centre)
+            stretch = np.linalg.solve(factor0, _upper_cholesky(second * mass0 / mass))
+            sizes = np.concatenate([np.log(np.diag(stretch)), stretch[np.triu_indices(3, 1)]])
+            found.append(np.concatenate([[np.log(mass / mass0)], centre - centre0, sizes]))
+        return np.array(found)
+
+
+def _reference(
+    parameters: Float[np.ndarray, "10"], name: str
+) -> tuple[float, Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
+    if not parameters[0] > 0:
+        raise BenchError(f"body {name}: a mass of {parameters[0]:g} kg, expected more than 0; leave it out of the fit")
+    mass, centre, inertia = from_parameters(parameters)
+    moments, axes = np.linalg.eigh(np.trace(inertia) / 2 * np.eye(3) - inertia)
+    if moments[0] < -1e-6 * max(moments[-1], mass * THINNEST**2):
+        raise BenchError(
+            f"body {name}: principal inertias {np.array2string(np.linalg.eigvalsh(inertia), precision=3)} kg m^2, of "
+            "which one exceeds the sum of the others; expected what a body can have; correct its inertial"
+        )
+    moments = np.maximum(moments, mass * THINNEST**2)
+    return mass, centre, _upper_cholesky((axes * moments) @ axes.T)
+
+
+def _upper_cholesky(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
+    """U with U U' = matrix, upper triangular: numpy's lower one of the matrix read backwards, read backwards."""
+    return np.linalg.cholesky(matrix[::-1, ::-1])[::-1, ::-1]
+
+
+def _six(inertia: Any) -> Any:
+    """Ixx, Iyy, Izz, Ixy, Ixz, Iyz of symmetric matrices, of shape (..., 6)."""
+    return np.stack([inertia[..., i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))], axis=-1)

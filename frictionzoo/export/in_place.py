@@ -1,0 +1,130 @@
+"""An XML file changed where it has to be, byte by byte as it was everywhere else."""
+
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+from xml.parsers import expat
+from xml.sax.saxutils import quoteattr
+
+_START = re.compile(rb"<(?:\"[^\"]*\"|'[^']*'|[^>\"'])*>")
+_LAST_LINE = re.compile(rb"\r?\n[ \t]*\Z")
+
+
+@dataclass
+class Tag:
+    """An element of a file, where it stands.
+
+    Attributes:
+        name: Of the element.
+        attributes: As text.
+        path: Names of the elements around it, the root first.
+        owner: The element around it; None for the root.
+        start: Index of the byte at which it begins.
+        opened: Index of the byte after its start tag.
+        closing: Index of the byte at which its end tag begins; `opened` where it has none.
+    """
+
+    name: str
+    attributes: dict[str, str]
+    path: tuple[str, ...]
+    owner: "Tag | None"
+    start: int
+    opened: int
+    closing: int = -1
+
+
+@dataclass
+class InPlace:
+    """A file and what is to be changed in it.
+
+    Attributes:
+        content: The file.
+        tags: All its elements, in order.
+        changes: First byte, byte after the last one, and what comes in their place.
+    """
+
+    content: bytes
+    tags: list[Tag]
+    changes: list[tuple[int, int, bytes]] = field(default_factory=list)
+
+    @classmethod
+    def read(cls, content: bytes) -> "InPlace":
+        """Find the elements of a file.
+
+        Raises:
+            expat.ExpatError: It is not XML.
+        """
+        parser, tags, around = expat.ParserCreate(), list[Tag](), list[Tag]()
+
+        def begin(name: str, attributes: dict[str, str]) -> None:
+            start = parser.CurrentByteIndex
+            found = _START.match(content, start)
+            opened = found.end() if found else start
+            path = tuple(tag.name for tag in around)
+            tags.append(Tag(name, attributes, path, around[-1] if around else None, start, opened))
+            around.append(tags[-1])
+
+        def end(name: str) -> None:
+            tag = around.pop()
+            tag.closing = max(tag.opened, parser.CurrentByteIndex)
+
+        parser.StartElementHandler, parser.EndElementHandler = begin, end
+        parser.Parse(content, True)
+        return cls(content, tags)
+
+    def set(self, tag: Tag, attributes: Mapping[str, str]) -> None:
+        """Give an element these attributes; those that it has besides stay."""
+        text = self.content[tag.start : tag.opened]
+        for name, value in attributes.items():
+            said = _encode(f" {name}={quoteattr(value)}")
+            old = re.search(rb"\s" + re.escape(name.encode()) + rb"\s*=\s*(\"[^\"]*\"|'[^']*')", text)
+            if old:
+                text = text[: old.start(1)] + _encode(quoteattr(value)) + text[old.end(1) :]
+            else:
+                end = re.search(rb"\s*/?>\Z", text)
+                assert end is not None
+                text = text[: end.start()] + said + text[end.start() :]
+        self.changes.append((tag.start, tag.opened, text))
+
+    def replace(self, tag: Tag, element: "ET.Element[Any]") -> None:
+        """Put another element in the place of an element, with all that is in it."""
+        end = tag.opened
+        if tag.closing > tag.opened or not self.content[: tag.opened].endswith(b"/>"):
+            end = self.content.index(b">", tag.closing) + 1
+        self.changes.append((tag.start, end, _write(element)))
+
+    def append(self, tag: Tag, element: "ET.Element[Any]") -> None:
+        """Put an element at the end of another one, on a line of its own where the end is on one."""
+        if self.content[: tag.opened].endswith(b"/>"):
+            said = b">" + _write(element) + _encode(f"</{tag.name}>")
+            self.changes.append((tag.opened - 2, tag.opened, said))
+            return
+        lead = _LAST_LINE.search(self.content[tag.opened : tag.closing])
+        before = tag.closing - len(lead[0]) if lead else tag.closing
+        self.changes.append((before, before, (lead[0] + b"  " if lead else b"") + _write(element)))
+
+    def remark(self, text: str) -> None:
+        """Put a comment at the beginning of the root, on a line of its own where what follows is on one."""
+        root = self.tags[0]
+        lead = re.match(rb"(\r?\n)[ \t]*(?:\r?\n[ \t]*)*", self.content[root.opened :])
+        indent = lead[1] + lead[0].rpartition(b"\n")[2] if lead else b""
+        self.changes.append((root.opened, root.opened, indent + _encode(f"<!-- {text.replace('--', '- -')} -->")))
+
+    def write(self) -> bytes:
+        """The file with its changes."""
+        parts, done = list[bytes](), 0
+        for start, end, text in sorted(self.changes, key=lambda change: change[:2]):
+            parts += [self.content[done:start], text]
+            done = end
+        return b"".join([*parts, self.content[done:]])
+
+
+def _write(element: "ET.Element[Any]") -> bytes:
+    return _encode(ET.tostring(element, encoding="unicode").replace(" />", "/>"))
+
+
+def _encode(text: str) -> bytes:
+    """In any encoding of which ASCII is a part; a comment cannot have references, and has question marks instead."""
+    return text.encode("ascii", "replace" if text.startswith("<!--") else "xmlcharrefreplace")

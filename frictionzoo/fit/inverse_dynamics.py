@@ -1,0 +1,131 @@
+"""Parameters from measured torque, without a simulation: the inverse dynamics identification model."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from frictionzoo.core.errors import ConfigError
+from frictionzoo.fit.base import Fit, Scores, Seen, refuse_nothing, refuse_torch, register_method
+from frictionzoo.fit.blocks import Blocks
+from frictionzoo.fit.link_inertia import LinkInertia, identify_links, spread_of
+from frictionzoo.fit.lm import MOST_COORDINATES
+from frictionzoo.fit.motion import Filtering
+from frictionzoo.fit.objective import Objective, Recordings
+from frictionzoo.fit.space import Space
+from frictionzoo.fit.torque_balance import balance
+from frictionzoo.fit.torque_equation import TorqueEquation
+
+PRIOR: Mapping[str, float] = {"mass": 0.1, "centre": 0.02, "size": 0.3}
+
+
+@register_method("inverse_dynamics")
+class InverseDynamics(Fit):
+    """Weighted least squares on torque: what the drives give has to be what links, armature and friction need.
+
+    The standard of industrial robots' identification, for recordings of torque (or of whatever the actuator law makes a
+    torque of) along motions that excite all joints. Velocities and accelerations come from the positions alone; both
+    sides of the equation pass the same low-pass and are decimated; joints are weighted by what is left of their torque.
+    The loss that it reports is the geometric mean over joints of that variance [N^2 m^2 or N^2].
+
+    No rollout is simulated. So it needs no short segments where torque drives an arm, whose rollouts diverge, and gives
+    any other fit a start. What it lacks: near standstill, where the direction of friction is not known, samples do not
+    count; a law with a memory counts by what it comes down to at constant velocity.
+
+    Source: M. Gautier, "Dynamic identification of robots with power model", 1997; J. Hollerbach, W. Khalil, M. Gautier,
+    "Model identification", in: Springer Handbook of Robotics, 2016.
+
+    Args:
+        bandwidth: Frequency up to which torques are compared [Hz].
+        cutoff: Of the low-pass of the positions [Hz]; None for five times the bandwidth, or less where the sample rate
+            does not allow it.
+        order: Of that filter, which runs forwards and backwards.
+        slow: Share of a joint's root mean square speed below which a sample does not count.
+        held: Whether a recorded command acts until the next sample, as in a simulation; if not, at its instant alone,
+            as a measured torque or current does.
+        links: Bodies whose inertia is identified along, by name or by regular expressions that match whole names. It is
+            found first, together with all else, and takes the place of the model file's in all that follows.
+        prior: Standard deviations of that inertia from the model file's, which pull it there: of the mass and of the
+            spread about the centre as shares, `mass` and `size`, and of the `centre` [m].
+
+    Raises:
+        ConfigError: An argument is out of range.
+    """
+
+    traced = False
+
+    def __init__(
+        self,
+        bandwidth: float = 20.0,
+        cutoff: float | None = None,
+        order: int = 4,
+        slow: float = 0.025,
+        held: bool = True,
+        links: str | Sequence[str] = (),
+        prior: Mapping[str, float] = PRIOR,
+    ) -> None:
+        self._filtering = Filtering(bandwidth, cutoff, order, slow)
+        self._held = held
+        self._links = [links] if isinstance(links, str) else list(links)
+        spread_of(prior)  # refuses what makes no sense
+        self._prior = dict(prior)
+
+    def revise(self, recordings: Recordings) -> LinkInertia | None:
+        """See `Fit.revise`: link inertias, where some are to be identified."""
+        if not self._links:
+            return None
+        bench, model, _ = recordings
+        space = Space(bench, model, jnp.result_type(float))
+        equation = TorqueEquation(space, recordings, self._filtering, self._held)
+        return identify_links(equation, space, bench.compile(constraint=False), self._links, self._prior)
+
+    def total(self, objective: Objective) -> int:
+        """See `Fit.total`; not for a network, nor for a law only in torch, nor without recordings."""
+        refuse_nothing(objective)
+        refuse_torch(objective, self.name)
+        if objective.recordings is None:
+            raise ConfigError(
+                "fit=inverse_dynamics: another drive's rollouts to follow, expected recordings; use fit=lm"
+            )
+        coordinates = len(objective.space.start)
+        if coordinates > MOST_COORDINATES:
+            raise ConfigError(
+                f"fit=inverse_dynamics: {coordinates} coordinates ({objective.space.names[-1]} among them), expected "
+                f"at most {MOST_COORDINATES}; use fit=adam"
+            )
+        return 2
+
+    def equation(self, objective: Objective) -> TorqueEquation:
+        """The torque as a function of the objective's coordinates."""
+        recordings = objective.recordings
+        assert recordings is not None
+        return objective.remember(
+            (self._filtering, self._held),
+            lambda: TorqueEquation(objective.space, recordings, self._filtering, self._held),
+        )
+
+    def init(self, objective: Objective) -> tuple[Any, Any]:
+        """See `Fit.init`."""
+        return objective.space.start, np.asarray(0)
+
+    def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Seen, Any, Any]:
+        """See `Fit.step`: the first iteration finds the least, the second looks at it."""
+        equation = self.equation(objective)
+        found, _ = equation.scores(np.asarray(vector, np.float64))
+        seen = Seen(found.loss, 2 * found.gradient, not np.isfinite(found.loss))
+        if state == 0 and not seen.lost:
+            vector = balance(equation.lack, equation.slope, equation.box, equation.moving).vector
+        return seen, vector, state + 1
+
+    def done(self, state: Any) -> Any:
+        """See `Fit.done`."""
+        return state > 1
+
+    def prepare(self, objective: Objective) -> None:
+        """See `Fit.prepare`."""
+        self.equation(objective)
+
+    def compile_scores(self, objective: Objective) -> Scores:
+        """See `Fit.compile_scores`: of the torque."""
+        return self.equation(objective).scores

@@ -1,0 +1,172 @@
+"""Link inertia that was identified along: what was found, how far the data determine it, and what is only the prior."""
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from jaxtyping import Bool, Float
+
+from frictionzoo.bench.base_parameters import BaseParameters, find_base_parameters
+from frictionzoo.bench.inertia import COORDINATES, SYMBOLS, from_parameters
+from frictionzoo.core.errors import ConfigError, closest
+from frictionzoo.fit.space import Space
+from frictionzoo.fit.torque_balance import Balance, Links, balance, invert
+from frictionzoo.fit.torque_equation import TorqueEquation
+
+DETERMINED = 1 / 3
+"""Share of the prior's deviation below which the standard error of a combination says that the data determine it."""
+
+
+@dataclass(frozen=True)
+class LinkInertia:
+    """Inertias of links, with what the data say of them.
+
+    What recordings of torque determine are base parameters: combinations of the links' parameters, of armatures and of
+    whatever else acts on torque. What of a link lies in none of those that the data determine is only the prior.
+
+    Attributes:
+        bodies: Names of the links.
+        maker: Their ten parameters as the model file has them, of shape (bodies, 10).
+        found: As identified, of the same shape; each is that of a body of matter.
+        base: The base parameters.
+        values: Their values, of shape (base,).
+        errors: Standard error of each, by the data alone.
+        spreads: Standard deviation of the prior of each; infinite where it holds what has no prior.
+        rms: Root mean square of the torque that is left of each joint [N m or N].
+    """
+
+    bodies: tuple[str, ...]
+    maker: Float[np.ndarray, "bodies 10"]
+    found: Float[np.ndarray, "bodies 10"]
+    base: BaseParameters
+    values: Float[np.ndarray, "base"]
+    errors: Float[np.ndarray, "base"]
+    spreads: Float[np.ndarray, "base"]
+    rms: Float[np.ndarray, "nv"]
+
+    @property
+    def determined(self) -> Bool[np.ndarray, "base"]:
+        """Whether the data, and not the prior, give a base parameter its value."""
+        return self.errors < DETERMINED * np.where(np.isinf(self.spreads), np.abs(self.values), self.spreads)
+
+    @property
+    def inertia(self) -> dict[str, list[float]]:
+        """Ten parameters of each link, as `bench.inertia` has them."""
+        return {name: own.tolist() for name, own in zip(self.bodies, self.found, strict=True)}
+
+    @property
+    def prior_only(self) -> tuple[str, ...]:
+        """Parameters of links of which the data say nothing, or only in combinations that they do not determine."""
+        told = (self.base.matrix[self.determined] != 0).any(axis=0)
+        own = [f"{symbol} {body}" for body in self.bodies for symbol in SYMBOLS]
+        return tuple(name for name, tells in zip(self.base.names, told, strict=True) if name in own and not tells)
+
+    def lines(self) -> Iterator[str]:
+        """What was found, a line for each link, each base parameter and what is only the prior."""
+        for name, old, new in zip(self.bodies, self.maker, self.found, strict=True):
+            (was, before, _), (mass, centre, _) = from_parameters(old), from_parameters(new)
+            moved = 1e3 * float(np.linalg.norm(centre - before))
+            yield f"link {name}: {mass:.4g} kg, the model file's {was:.4g}; centre moved by {moved:.3g} mm"
+        for text, value, error, told in zip(
+            self.base.describe(), self.values, self.errors, self.determined, strict=True
+        ):
+            yield f"base parameter {text}: {value:.4g} +- {error:.2g}{'' if told else ', not determined by the data'}"
+        if self.prior_only:
+            yield f"only the prior: {', '.join(self.prior_only)}"
+
+
+def choose_bodies(model: mujoco.MjModel, patterns: Sequence[str]) -> list[int]:
+    """Indices of the bodies whose whole name one of these regular expressions matches, and that a joint moves.
+
+    Raises:
+        ConfigError: A pattern is none, or fits no such body.
+    """
+    moving = [body for body in range(1, model.nbody) if model.body_weldid[body] and model.body_mass[body] > 0]
+    names = {body: model.body(body).name for body in moving if model.body(body).name}
+    chosen = set[int]()
+    for pattern in patterns:
+        try:
+            found = [body for body, name in names.items() if re.fullmatch(pattern, name)]
+        except re.error as error:
+            raise ConfigError(f"fit.links: {pattern}: no pattern ({error}); expected a regular expression") from None
+        if not found:
+            raise ConfigError(f"fit.links: {pattern}: no body of that name moves; {closest(pattern, names.values())}")
+        chosen |= set(found)
+    return sorted(chosen)
+
+
+def spread_of(prior: Mapping[str, float]) -> Float[np.ndarray, "10"]:
+    """Deviation of the prior of each log-Cholesky coordinate of a body.
+
+    Args:
+        prior: Of `mass` and of `size`, shares; of `centre` [m].
+
+    Raises:
+        ConfigError: One is missing, unknown or not above 0.
+    """
+    for name in prior.keys() ^ set(COORDINATES):
+        raise ConfigError(f"fit.prior.{name}: expected mass, centre and size, a number above 0 of each")
+    for name, value in prior.items():
+        if not 0 < value < np.inf:
+            raise ConfigError(f"fit.prior.{name}={value}; expected a number above 0")
+    return np.array([float(prior[name]) for name in COORDINATES])
+
+
+def identify_links(
+    equation: TorqueEquation, space: Space, model: mujoco.MjModel, patterns: Sequence[str], prior: Mapping[str, float]
+) -> LinkInertia:
+    """Inertias of the links together with the coordinates of a space, which are found along and not kept.
+
+    Args:
+        equation: What torque is left, with the model file's links.
+        space: The coordinates.
+        model: The bench's.
+        patterns: Of the names of the links.
+        prior: As `spread_of` takes it.
+
+    Raises:
+        ConfigError: A pattern fits no body that moves, or the prior makes no sense.
+        BenchError: A body has no inertia that a body of matter has.
+    """
+    bodies = choose_bodies(model, patterns)
+    names = tuple(model.body(body).name for body in bodies)
+    links = equation.links(bodies, spread_of(prior))
+    found = balance(equation.lack, equation.slope, equation.box, equation.moving, links)
+    base, scale = _base(equation, space, found, links, names)
+    values = np.concatenate([_physical(space, found.vector), found.bodies.ravel()])
+    information = found.information / np.outer(scale, scale)
+    errors = np.sqrt(np.diag(invert(information[np.ix_(base.leading, base.leading)])))
+    rms = np.sqrt(np.mean(np.square(found.residual), axis=0))
+    spreads = _spreads(base, links, len(found.vector))
+    return LinkInertia(names, links.maker, found.bodies, base, base.matrix @ values, errors, spreads, rms)
+
+
+def _base(
+    equation: TorqueEquation, space: Space, found: Balance, links: Links, names: Sequence[str]
+) -> tuple[BaseParameters, Float[np.ndarray, "all"]]:
+    """Base parameters of what was recorded, and the derivative of physical values by coordinates."""
+    slopes = equation.slope(found.vector)
+    columns = np.concatenate([slopes, -links.regressor.reshape(*slopes.shape[:2], -1)], axis=-1)
+    step = 1e-6 * np.ones(len(found.vector))
+    moved = (_physical(space, found.vector + step) - _physical(space, found.vector - step)) / (2 * step)
+    scale = np.concatenate([np.where(moved != 0, moved, 1.0), np.ones(links.maker.size)])
+    rows = ((columns / scale) / found.sigma[:, None])[equation.moving]
+    labels = [*space.labels, *(f"{symbol} {name}" for name in names for symbol in SYMBOLS)]
+    return find_base_parameters(rows, labels), scale
+
+
+def _physical(space: Space, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "coordinates"]:
+    """Physical value of each coordinate, not brought into its bounds."""
+    split = space.split(vector)
+    return np.concatenate([np.zeros(0), *(space.params[name].from_coordinate(own, np) for name, own in split.items())])
+
+
+def _spreads(base: BaseParameters, links: Links, size: int) -> Float[np.ndarray, "base"]:
+    """Deviation of the prior of each base parameter."""
+    around: Any = links.around.slopes(np.zeros_like(links.spread)) * links.spread[:, None, :]
+    own = base.matrix[:, size:].reshape(len(base.matrix), -1, 10)
+    variance = np.square(np.einsum("abk,bkl->abl", own, around)).sum(axis=(1, 2))
+    return np.where((base.matrix[:, :size] != 0).any(axis=1), np.inf, np.sqrt(variance))

@@ -1,0 +1,39 @@
+"""A sum of squares near a vector, by a few numbers in place of its residuals, of which a long log has millions."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+
+class NormalEquations(NamedTuple):
+    """The objective near a vector, as a linear least-squares problem; arrays in float64.
+
+    Attributes:
+        loss: The objective.
+        gradient: Half its gradient, J' r.
+        hessian: Half of Gauss's and Newton's approximation of its second derivative, J' J.
+    """
+
+    loss: float
+    gradient: Float[np.ndarray, "coordinates"]
+    hessian: Float[np.ndarray, "coordinates coordinates"]
+
+
+def compress(
+    equations: NormalEquations, unit: float
+) -> tuple[Float[np.ndarray, "compressed"], Float[np.ndarray, "compressed coordinates"]]:
+    """N + 1 residuals and their Jacobian with the same loss, gradient and J' J.
+
+    With J' J = V diag(w) V', the rows diag(sqrt(w)) V' are a Jacobian, and diag(1 / sqrt(w)) V' J' r are the residuals'
+    part within its columns' span; the last residual is the rest, which no coordinate moves.
+    """
+    scale = np.sqrt(np.maximum(np.diag(equations.hessian), np.finfo(float).tiny))
+    eigenvalues, vectors = np.linalg.eigh(equations.hessian / np.outer(scale, scale))
+    kept = eigenvalues > np.finfo(float).eps * len(scale) * max(eigenvalues[-1], 0)
+    roots = np.sqrt(np.where(kept, eigenvalues, 0.0))
+    jacobian = roots[:, None] * vectors.T * scale
+    inside = np.where(kept, vectors.T @ (equations.gradient / scale), 0.0) / np.where(kept, roots, 1.0)
+    rest = np.sqrt(max(equations.loss - inside @ inside, 0.0))
+    root = np.sqrt(unit)
+    return np.append(inside, rest) / root, np.vstack([jacobian, np.zeros(len(scale))]) / root

@@ -1,0 +1,187 @@
+"""What torque recordings leave unexplained, as a function of the coordinates that a fit moves."""
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from frictionzoo.bench.inertia import LogCholesky, inertial_parameters
+from frictionzoo.bench.regressor import inertial_regressor, inverse_torque
+from frictionzoo.core.state import DriveState, Signals
+from frictionzoo.fit.blocks import MOST_STRETCHES
+from frictionzoo.fit.motion import Filtering, Motion
+from frictionzoo.fit.normal_equations import NormalEquations
+from frictionzoo.fit.objective import Recordings
+from frictionzoo.fit.space import Space
+from frictionzoo.fit.sparsity import Sparsity
+from frictionzoo.fit.torque_balance import Box, Links
+from frictionzoo.models.base import sliding_torque
+from frictionzoo.simulate import Values
+from frictionzoo.simulate.drive import looks_at_one_joint
+
+_STEP = 1e-5  # rad or m, of the difference in the position offset
+
+
+class TorqueEquation:
+    """The torque of the drives less what armature, friction and the links need for a recorded motion.
+
+        lack = motor(q, v, ctrl) - friction(q, v, ...) - armature a - inverse dynamics(q, v, a)
+
+    with positions q of the recordings, smoothed, and their derivatives v and a. Commands act late, as in a simulation.
+    A law with a memory counts by what it comes down to at constant velocity.
+
+    Attributes:
+        moving: Which samples count, joint by joint.
+        box: Where the coordinates start, and their bounds.
+
+    Args:
+        space: The coordinates.
+        recordings: Bench, law and logs.
+        filtering: How they are smoothed and compared.
+        held: Whether a recorded command acts until the next sample, as in a simulation; if not, at its instant alone,
+            as a measured torque or current does.
+    """
+
+    def __init__(self, space: Space, recordings: Recordings, filtering: Filtering, held: bool) -> None:
+        bench, model, logs = recordings
+        self._space, self._bench, self._model, self._logs = space, bench, model, logs
+        self._decimate = filtering.decimation(logs)
+        self._motions = [filtering.motion(log) for log in logs]
+        self._motion = Motion(*(np.concatenate(parts) for parts in zip(*self._motions, strict=True)))
+        self._lateness = (logs[0].timestep / 2 if held else 0.0), logs[0].timestep
+        self.moving = filtering.is_moving(self._decimate(self._motion.qvel))
+        self.box = Box(*(np.asarray(side, np.float64) for side in (space.start, space.low, space.high)))
+        local = looks_at_one_joint(model)
+        self._sparsity = Sparsity.of(space, range(bench.nv) if local else [0] * bench.nv)
+        still = [motion._replace(qacc=np.zeros_like(motion.qacc)) for motion in self._motions]
+        self._external = -self._inverse(still, None)
+        self._compiled = jax.jit(self._torque), jax.jit(self._tangents)
+
+    def lack(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "rows nv"]:
+        """The torque that is left, filtered and decimated [N m or N]."""
+        at = jnp.asarray(vector, self._space.start.dtype)
+        torque = np.asarray(self._compiled[0](at), np.float64)
+        return self._decimate(torque) - self._rigid(self._space.values(at)["bench"])
+
+    def slope(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "rows nv coordinates"]:
+        """Its derivative."""
+        at = jnp.asarray(vector, self._space.start.dtype)
+        tangents = self._decimate(np.moveaxis(np.asarray(self._compiled[1](at), np.float64), 0, -1))
+        slopes = np.zeros((*tangents.shape[:2], len(vector) + 1))  # the last takes what moves nothing
+        for joints, place in zip(self._sparsity.joints, self._sparsity.place, strict=True):
+            slopes[:, joints[:, None], place] = tangents[:, joints]
+        slopes = slopes[:, :, :-1]
+        return slopes - self._offset_slope(at) if "bench.position_offset" in self._space.params else slopes
+
+    def links(self, bodies: Sequence[int], spread: Float[np.ndarray, "10"]) -> Links:
+        """What bodies of the bench's model do, by index, with these deviations of their prior."""
+        model = self._bench.compile(constraint=False)
+        regressor = np.concatenate([inertial_regressor(model, bodies, *motion) for motion in self._motions])
+        names = [model.body(body).name for body in bodies]
+        around = LogCholesky.around(inertial_parameters(model, bodies), names)
+        return Links(self._decimate(regressor), around, np.tile(spread, (len(bodies), 1)))
+
+    def scores(
+        self, vector: Float[np.ndarray, "coordinates"]
+    ) -> tuple[NormalEquations, Float[np.ndarray, "stretches coordinates"]]:
+        """Normal equations of the torque weighted by what is left of it, and the gradient's part of each stretch."""
+        left, slopes = self.lack(vector), self.slope(vector)
+        counts = np.maximum(self.moving.sum(axis=0), 1)
+        variance = np.where(self.moving, np.square(left), 0).sum(axis=0) / counts
+        weight = np.where(self.moving, 1 / np.maximum(variance, np.finfo(float).tiny), 0) / self.moving.sum()
+        by_row = np.einsum("rvc,rv->rc", slopes, weight * left)
+        scores = np.stack([part.sum(axis=0) for part in np.array_split(by_row, min(MOST_STRETCHES, len(by_row)))])
+        hessian = np.einsum("rvc,rvd->cd", weight[:, :, None] * slopes, slopes, optimize=True)
+        # The likelihood of joints with noise of unknown size: the lower, the smaller the variances' geometric mean.
+        mean = np.exp((counts * np.log(np.maximum(variance, np.finfo(float).tiny))).sum() / counts.sum())
+        return NormalEquations(float(mean), mean * scores.sum(axis=0), mean * hessian), mean * scores
+
+    def summary(self, vector: Float[np.ndarray, "coordinates"]) -> tuple[np.ndarray, np.ndarray]:
+        """Root mean square of the torque that is left of each joint, and of the drives' torque, over all samples."""
+        return tuple(
+            np.sqrt(np.mean(np.square(torque), axis=0)) for torque in (self.lack(vector), self._driving(vector))
+        )
+
+    def _driving(self, vector: np.ndarray) -> np.ndarray:
+        values = self._space.values(jnp.asarray(vector, self._space.start.dtype))
+        return self._decimate(np.asarray(self._state(values).motor_torque, np.float64))
+
+    def _torque(self, vector: Array) -> Float[Array, "time nv"]:
+        """What drives the links, at all samples."""
+        values = self._space.values(vector)
+        state = self._state(values)
+        friction = sliding_torque(jnp, self._model.terms(jnp, values["friction"], state), state.qvel)
+        accelerated = values["bench"]["armature"] * jnp.asarray(self._motion.qacc, vector.dtype)
+        return state.motor_torque - friction - accelerated
+
+    def _tangents(self, vector: Array) -> Float[Array, "tangents time nv"]:
+        seeds = jnp.asarray(self._sparsity.seeds, vector.dtype)
+        return jax.vmap(lambda seed: jax.jvp(self._torque, (vector,), (seed,))[1])(seeds)
+
+    def _state(self, values: Values) -> DriveState:
+        """What the friction law sees in every sample."""
+        dtype = self._space.start.dtype
+        qpos, qvel, external = (jnp.asarray(x, dtype) for x in (*self._motion[:2], self._external))
+        signals, known = self._acting(values["bench"]), values["bench"]
+        ctrl = self._bench.actuator.control(jnp, known, qpos, qvel, signals.ctrl, signals.inputs)
+        gain, *bias = self._bench.actuator.affine(known)
+        motor = gain * ctrl + bias[0] + bias[1] * qpos + bias[2] * qvel
+        return DriveState(qpos, qvel, signals.ctrl, motor, external, **signals.observed)
+
+    def _acting(self, known: Mapping[str, Any]) -> Signals:
+        """What was recorded besides the motion, commands as they act at each sample."""
+        dtype, commands = self._space.start.dtype, self._bench.actuator.commands
+        recorded = [log.signals.named() for log in self._logs]
+        named = {name: jnp.asarray(np.concatenate([of[name] for of in recorded]), dtype) for name in recorded[0]}
+        first, last = self._ends
+        half, interval = self._lateness
+        early = -(known.get("delay", jnp.zeros(self._bench.nv, dtype)) + half) / interval
+        whole = jax.lax.stop_gradient(jnp.floor(early))
+        samples = np.arange(len(first))[:, None] + whole.astype(int)
+        joint = jnp.arange(self._bench.nv)
+
+        def late(command: Array) -> Array:
+            before, after = (command[jnp.clip(samples + step, first, last), joint] for step in (0, 1))
+            return before + (early - whole) * (after - before)
+
+        acting = ("ctrl", *(f"inputs.{name}" for name in commands))
+        return Signals.from_named({name: late(x) if name in acting else x for name, x in named.items()})
+
+    @cached_property
+    def _ends(self) -> tuple[Int[np.ndarray, "time 1"], Int[np.ndarray, "time 1"]]:
+        """First and last sample of the log of each sample."""
+        lengths = np.array([log.samples for log in self._logs])
+        ends = np.cumsum(lengths)
+        return np.repeat(ends - lengths, lengths)[:, None], np.repeat(ends - 1, lengths)[:, None]
+
+    @cached_property
+    def _fixed(self) -> Float[np.ndarray, "rows nv"]:
+        return self._decimate(self._inverse(self._motions, None))
+
+    def _rigid(self, known: Mapping[str, Any]) -> Float[np.ndarray, "rows nv"]:
+        """What the links need."""
+        offset = known.get("position_offset")
+        return self._fixed if offset is None else self._decimate(self._inverse(self._motions, np.asarray(offset)))
+
+    def _inverse(
+        self, motions: Sequence[Motion], offset: Float[np.ndarray, "nv"] | None
+    ) -> Float[np.ndarray, "time nv"]:
+        model, parts = self._bench.compile(constraint=False), []
+        if offset is not None:
+            model.qpos0[:] = -offset
+        for log, motion in zip(self._logs, motions, strict=True):
+            self._bench.put_load(model, log.load)
+            parts.append(inverse_torque(model, *motion))
+        return np.concatenate(parts)
+
+    def _offset_slope(self, at: Array) -> Float[np.ndarray, "rows nv coordinates"]:
+        """Derivative of what the links need with respect to the coordinates of the position offset."""
+        offset = np.asarray(self._space.values(at)["bench"]["position_offset"], np.float64)
+        steps = [self._decimate(self._inverse(self._motions, offset + step)) for step in _STEP * np.eye(len(offset))]
+        by_joint = (np.stack(steps, axis=-1) - self._rigid({"position_offset": offset})[..., None]) / _STEP
+        moved = jax.jacfwd(lambda vector: self._space.values(vector)["bench"]["position_offset"])(at)
+        return by_joint @ np.asarray(moved, np.float64)

@@ -1,0 +1,273 @@
+"""Parameters from torque alone: motions whose torque MuJoCo C gives, and the equation that balances it."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import jax
+import mujoco
+import numpy as np
+import pytest
+import torch
+from robots import JOINTS, TRUTH, arm
+
+from frictionzoo.bench import Bench, Force
+from frictionzoo.bench.base_parameters import find_base_parameters
+from frictionzoo.bench.inertia import SYMBOLS, LogCholesky, inertial_parameters, is_consistent, put_parameters
+from frictionzoo.bench.regressor import inertial_regressor, inverse_torque
+from frictionzoo.core.errors import ConfigError, LogError
+from frictionzoo.core.log import Log
+from frictionzoo.core.state import DriveState
+from frictionzoo.fit import InverseDynamics, Space
+from frictionzoo.fit.motion import Decimation, Filtering
+from frictionzoo.fit.objective import Recordings
+from frictionzoo.fit.torque_balance import Links, balance
+from frictionzoo.fit.torque_equation import TorqueEquation
+from frictionzoo.models import FrictionModel
+from frictionzoo.models.base import sliding_torque
+from frictionzoo.models.registry import get_model
+
+STEP = 0.002  # s
+FILTERING = Filtering(bandwidth=20.0)
+SECTION = {"init": 0.5, "low": 1e-4, "high": 50.0, "scale": "log", "identify": True}
+SPREAD = np.repeat([0.2, 0.03, 0.3], [1, 3, 6])
+
+
+@pytest.fixture(autouse=True)
+def x64() -> Iterator[None]:
+    with jax.enable_x64(True):
+        yield
+
+
+@pytest.fixture(scope="module")
+def arm_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("arm") / "arm.xml"
+    path.write_text(arm())
+    return path
+
+
+def move(nv: int, seconds: float = 8.0, seed: int = 0) -> np.ndarray:
+    """Positions, velocities and accelerations of a motion that excites all joints, exactly."""
+    rng, time = np.random.default_rng(seed), np.arange(0, seconds, STEP)[:, None, None]
+    rates, phases = 2 * np.pi * rng.uniform(0.1, 1.5, (6, nv)), rng.uniform(0, 2 * np.pi, (6, nv))
+    sizes = 1.5 * rng.uniform(0.5, 1.0, (6, nv)) / rates
+    parts = (np.sin(rates * time + phases), rates * np.cos(rates * time + phases))
+    waves = (parts[0], parts[1], -(rates**2) * parts[0])
+    return np.stack([(sizes * wave).sum(axis=1) for wave in waves])
+
+
+def bench_of(path: Path, **params: Any) -> Bench:
+    """The arm, driven by torque."""
+    return Bench(str(path), JOINTS, actuator=Force(), params={"armature": SECTION | {"low": 1e-4}} | params)
+
+
+def law_of(name: str, nv: int, **changes: Any) -> FrictionModel:
+    """A law whose parameters are all identified, from the same start."""
+    dimensions = get_model(name).dimensions
+    return get_model(name)(nv, {parameter: SECTION | changes.get(parameter, {}) for parameter in dimensions})
+
+
+def log_of(qpos: np.ndarray, torque: np.ndarray, name: str = "a") -> Log:
+    time = STEP * np.arange(len(qpos))
+    return Log(name, time, qpos, np.gradient(qpos, STEP, axis=0), torque, "hash", True)
+
+
+def needed(model: mujoco.MjModel, motion: np.ndarray) -> np.ndarray:
+    """Torque of links, armature, Coulomb and viscous friction, by MuJoCo C's inverse dynamics."""
+    rigid = inverse_torque(model, *motion)
+    friction = TRUTH["frictionloss"] * np.sign(motion[1]) + TRUTH["damping"] * motion[1]
+    return rigid + TRUTH["armature"] * motion[2] + friction
+
+
+def equation_of(bench: Bench, law: FrictionModel, *logs: Log, held: bool = False) -> TorqueEquation:
+    accepted = tuple(map(bench.accept, logs))
+    return TorqueEquation(Space(bench, law, "float64"), Recordings(bench, law, accepted), FILTERING, held)
+
+
+def solve(equation: TorqueEquation) -> dict[str, np.ndarray]:
+    """Physical values of what was identified."""
+    found = balance(equation.lack, equation.slope, equation.box, equation.moving)
+    return equation._space.physical(found.vector)
+
+
+def test_decimation_is_the_same_for_every_part_of_a_sum_and_keeps_logs_apart() -> None:
+    rng, decimate = np.random.default_rng(0), Decimation(10, (300, 200), 20)
+    one, other = rng.normal(size=(2, 500, 2))
+    np.testing.assert_allclose(decimate(one + 2 * other), decimate(one) + 2 * decimate(other), atol=1e-12)
+    np.testing.assert_allclose(decimate(np.ones((500, 1))), 1.0, rtol=1e-9)
+    apart = [Decimation(10, (len(part),), 20)(part) for part in (one[:300], one[300:])]
+    np.testing.assert_array_equal(decimate(one), np.concatenate(apart))
+
+
+def test_motion_is_without_phase_lag() -> None:
+    motion = move(3)
+    found = FILTERING.motion(log_of(motion[0], motion[0]))
+    inner = slice(100, -100)
+    for came, true in zip(found, motion, strict=True):
+        np.testing.assert_allclose(came[inner], true[inner], atol=1e-3 * np.abs(true).max())
+
+
+def test_the_arm_is_found_again_from_positions_and_torque(arm_file: Path) -> None:
+    bench, motion = bench_of(arm_file), move(5)
+    torque = needed(bench.compile(constraint=False), motion)
+    found = solve(equation_of(bench, law_of("mujoco_default", 5), log_of(motion[0], torque)))
+    np.testing.assert_allclose(found["bench.armature"], TRUTH["armature"], rtol=5e-3)
+    np.testing.assert_allclose(found["friction.frictionloss"], TRUTH["frictionloss"], rtol=5e-3)
+    np.testing.assert_allclose(found["friction.damping"], TRUTH["damping"], rtol=5e-3)
+
+
+def test_two_logs_noise_and_shared_values(arm_file: Path) -> None:
+    bench = bench_of(arm_file)
+    model, rng, logs = bench.compile(constraint=False), np.random.default_rng(1), []
+    for seed in (0, 1):
+        motion = move(5, seed=seed)
+        torque = needed(model, motion) + 0.2 * rng.normal(size=motion[0].shape)
+        logs.append(log_of(motion[0] + 1e-5 * rng.normal(size=motion[0].shape), torque, str(seed)))
+    equation = equation_of(bench, law_of("mujoco_default", 5, damping={"tie": {"wrist": "joint[34]"}}), *logs)
+    found = balance(equation.lack, equation.slope, equation.box, equation.moving)
+    values = equation._space.physical(found.vector)
+    np.testing.assert_allclose(values["bench.armature"], TRUTH["armature"], rtol=0.03)
+    assert values["friction.damping"][3] == values["friction.damping"][4]
+    white = 0.2 * np.sqrt(20 * 2 * STEP)  # of 0.2 N m at 500 samples/s, of which 20 Hz pass
+    assert ((white < found.sigma[:3]) & (found.sigma[:3] < 2 * white)).all()
+    off = np.log(values["bench.armature"] / TRUTH["armature"])
+    assert (np.abs(off) < 4 * found.errors[:5]).all()
+
+
+def test_a_delay_an_offset_and_a_gain_are_found_along(arm_file: Path) -> None:
+    delay = {"init": 0.005, "low": 0.0, "high": 0.05, "scale": 0.01, "identify": True}
+    offset = {"init": 1.0, "low": -5.0, "high": 5.0, "scale": 1.0, "identify": True}
+    actuator, params = Force({"force_offset": offset}), {"armature": SECTION, "delay": delay}
+    bench = Bench(str(arm_file), JOINTS, actuator=actuator, params=params)
+    motion = move(5)
+    late = [0.0043, 0.0080, 0.0125, 0.0200, 0.0310]
+    torque = needed(bench.compile(constraint=False), motion) - 0.7
+    time = STEP * np.arange(len(torque))
+    ctrl = np.stack([np.interp(time + by, time, column) for by, column in zip(late, torque.T, strict=True)], axis=1)
+    found = solve(equation_of(bench, law_of("mujoco_default", 5), log_of(motion[0], ctrl)))
+    np.testing.assert_allclose(found["bench.delay"], late, atol=3e-4)
+    np.testing.assert_allclose(found["bench.force_offset"], 0.7, atol=0.02)
+    np.testing.assert_allclose(found["bench.armature"], TRUTH["armature"], rtol=0.03)
+
+
+def test_a_held_command_counts_half_a_sample_later(arm_file: Path) -> None:
+    bench, motion, law = bench_of(arm_file), move(5), law_of("mujoco_default", 5)
+    torque = needed(bench.compile(constraint=False), motion)
+    held, sampled = (equation_of(bench, law, log_of(motion[0], torque), held=held) for held in (True, False))
+    vector = sampled.box.start
+    mean = np.concatenate([torque[:1], (torque[1:] + torque[:-1]) / 2])
+    expected = sampled.lack(vector) + sampled._decimate(mean - torque)
+    np.testing.assert_allclose(held.lack(vector), expected, atol=1e-9)
+
+
+LAWS = ("coulomb_smooth", "coulomb_stribeck", "stribeck", "asymmetric", "load_dependent", "polynomial_viscous")
+
+
+def friction_of(law: FrictionModel, truth: dict[str, np.ndarray], state: DriveState) -> np.ndarray:
+    """The torque of a law with these values."""
+    values = {name: torch.from_numpy(value) for name, value in truth.items()}
+    seen = state.map(torch.from_numpy)
+    return sliding_torque(torch, law.terms(torch, values, seen), seen.qvel).numpy()
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_a_law_is_found_by_its_formula_under_a_controller(name: str, leg: Callable[..., Bench]) -> None:
+    rng, bench = np.random.default_rng(4), leg(params={"armature": SECTION})
+    truth = {parameter: rng.uniform(0.2, 0.9, 2) for parameter in get_model(name).dimensions}
+    truth |= {n: v / 4 for n, v in truth.items() if n in ("smoothing_velocity", "load_friction")}
+    law = law_of(name, 2, **{n: {"init": list(map(float, 0.8 * v))} for n, v in truth.items()})
+    law.bind(bench.joints)
+    qpos, qvel, qacc = move(2)
+    model = bench.compile(constraint=False)
+    links, external = inverse_torque(model, qpos, qvel, qacc), -inverse_torque(model, qpos, qvel, 0 * qacc)
+    motor = links
+    for _ in range(50):  # friction depends on the motor's torque, if by a part of it
+        friction = friction_of(law, truth, DriveState(qpos, qvel, qpos, motor, external))
+        motor = links + 0.3 * qacc + friction
+    found = solve(equation_of(bench, law, log_of(qpos, qpos + (motor + qvel) / 20.0)))
+    np.testing.assert_allclose(found["bench.armature"], 0.3, rtol=0.01)
+    for parameter, value in truth.items():
+        np.testing.assert_allclose(found[f"friction.{parameter}"], value, rtol=0.1, err_msg=parameter)
+
+
+def test_an_encoder_bias_is_found_along(arm_file: Path) -> None:
+    """The first axis is vertical: nothing tells its bias."""
+    section = {"init": 0.0, "low": -0.5, "high": 0.5, "scale": 0.1, "identify": [False, True, True, True, True]}
+    bench, motion = bench_of(arm_file, position_offset=section), move(5)
+    torque = needed(bench.compile(constraint=False), motion)
+    bias = np.array([0.0, 0.05, -0.08, 0.1, 0.03])
+    found = solve(equation_of(bench, law_of("mujoco_default", 5), log_of(motion[0] - bias, torque)))
+    np.testing.assert_allclose(found["bench.position_offset"][1:], bias[1:], atol=2e-3)
+
+
+def wrong_links(model: mujoco.MjModel, bodies: list[int]) -> np.ndarray:
+    """Parameters of bodies 10 to 30 % off in mass, with other centres and sizes; put into the model."""
+    rng = np.random.default_rng(5)
+    off = rng.normal(size=(len(bodies), 10)) * np.repeat([0.0, 0.01, 0.05], [1, 3, 6])
+    off[:, 0] = np.log1p(rng.choice([-1, 1], len(bodies)) * rng.uniform(0.1, 0.3, len(bodies)))
+    around = LogCholesky.around(inertial_parameters(model, bodies), [str(body) for body in bodies])
+    truth = around.parameters(off)
+    for body, own in zip(bodies, truth, strict=True):
+        put_parameters(model, body, own)
+    return truth
+
+
+def test_link_inertia_is_found_as_far_as_the_data_tell(arm_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench, bodies, seen = bench_of(arm_file), [1, 2, 3, 4, 5], []
+    model = bench.compile(constraint=False)
+    truth = wrong_links(model, bodies)
+    rng, logs = np.random.default_rng(6), []
+    for seed in (0, 1):
+        motion = move(5, seed=seed)
+        noise = 2e-6 * rng.normal(size=motion[0].shape)
+        logs.append(log_of(motion[0] + noise, needed(model, motion), str(seed)))
+    equation = equation_of(bench, law_of("mujoco_default", 5), *logs)
+    links = equation.links(bodies, SPREAD)
+    look = Links.pulled
+    monkeypatch.setattr(Links, "pulled", lambda self, parameters: seen.append(parameters) or look(self, parameters))
+    found = balance(equation.lack, equation.slope, equation.box, equation.moving, links)
+    assert len(seen) > 10 and all(is_consistent(parameters).all() for parameters in seen)
+
+    # Of all that acts on torque linearly, combinations count; armatures first, for they are what is looked for.
+    motion = np.random.default_rng(7).normal(size=(3, 300, 5))
+    armature = (np.eye(5) * motion[2][:, :, None]).reshape(-1, 5)
+    regressor = inertial_regressor(model, bodies, *motion).reshape(len(armature), -1)
+    names = [f"armature {joint}" for joint in JOINTS] + [f"{symbol} {body}" for body in bodies for symbol in SYMBOLS]
+    base = find_base_parameters(np.hstack([armature, regressor]), names)
+    rows = np.concatenate([equation._space.split(np.arange(15))["bench.armature"], np.arange(15, 65)])
+    at = np.exp(found.vector[rows[:5]])
+    scale = np.concatenate([at, np.ones(50)])
+    information = found.information[np.ix_(rows, rows)] / np.outer(scale, scale)
+    errors = np.sqrt(np.diag(np.linalg.inv(information[np.ix_(base.leading, base.leading)])))
+    came = base.matrix @ np.concatenate([at, found.bodies.ravel()])
+    true = base.matrix @ np.concatenate([TRUTH["armature"], truth.ravel()])
+    determined = errors < 0.01 * np.abs(true)
+    assert determined.sum() > 15
+    np.testing.assert_allclose(came[determined], true[determined], rtol=0.02)
+    values = equation._space.physical(found.vector)
+    np.testing.assert_allclose(values["friction.frictionloss"], TRUTH["frictionloss"], rtol=0.02)
+    np.testing.assert_allclose(values["friction.damping"], TRUTH["damping"], rtol=0.02)
+    # What nothing sees stays the maker's.
+    maker = inertial_parameters(bench.compile(constraint=False), bodies)
+    assert "m 1" in base.unseen
+    np.testing.assert_allclose(found.bodies[0, 0], maker[0, 0], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"bandwidth": 0.0}, "fit.bandwidth=0; expected a positive frequency in Hz"),
+        ({"cutoff": -1.0}, "fit.cutoff=-1.0: expected a positive frequency in Hz"),
+        ({"slow": 2.0}, "fit.slow=2: expected 0 to 1"),
+    ],
+)
+def test_impossible_options_are_refused(options: dict[str, float], message: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        InverseDynamics(**options)
+    assert str(caught.value) == message
+
+
+def test_a_short_log_is_refused(arm_file: Path) -> None:
+    qpos = move(5, seconds=0.2)[0]
+    with pytest.raises(LogError, match=r"a: 100 samples, expected at least 150 with fit.bandwidth=20 Hz; raise it"):
+        equation_of(bench_of(arm_file), law_of("mujoco_default", 5), log_of(qpos, qpos))

@@ -1,0 +1,141 @@
+"""A robot's own file as a bench: what it says is where a fit begins, what is left out is told, its drives are found."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+import torch
+
+import frictionzoo as fz
+from frictionzoo.bench.doubts import doubt_motion
+from frictionzoo.core.errors import BenchError, ConfigError
+from frictionzoo.core.log import Dataset, Log
+from frictionzoo.models.mujoco_default import MujocoDefault
+
+LEG = """<body name="{0}_hip" pos="0 {1} 0"><joint name="{0}_hip_joint" class="leg" axis="1 0 0" range="-1 1"/>
+  <inertial pos="0 0 -0.02" mass="0.5" diaginertia="0.002 0.002 0.001"/><geom type="mesh" mesh="hip"/>
+  <body name="{0}_calf" pos="0 0 -0.2"><joint name="{0}_calf_joint" class="leg" axis="0 1 0" armature="0.03"/>
+    <inertial pos="0 0 -0.1" mass="0.2" diaginertia="0.001 0.001 0.0001"/><geom size="0.02" pos="0 0 -0.2"/></body>
+</body>"""
+DOG = """<mujoco><compiler angle="radian"/><option timestep="0.002"/>
+  <default><default class="leg"><joint armature="0.02" damping="0.1" frictionloss="0.2"/></default></default>
+  <asset><mesh name="hip" file="hip.obj"/></asset>
+  <worldbody><body name="trunk" pos="0 0 1"><freejoint/><inertial pos="0 0 0" mass="5" diaginertia="0.1 0.1 0.1"/>
+  {left}{right}<body name="head"><joint name="neck" axis="0 0 1"/>
+  <inertial pos="0 0 0.1" mass="1" diaginertia="0.01 0.01 0.01"/></body></body></worldbody>
+  <actuator>{actuators}</actuator></mujoco>"""
+JOINTS = ("left_hip_joint", "left_calf_joint", "right_hip_joint", "right_calf_joint")
+POSITION = '<position name="{0}" joint="{0}" kp="{1}" kv="{2}" forcerange="-9 9"/>'
+GAINS = {"hip": (20, 0.5), "calf": (40, 1.0)}
+TRUTH = {"armature": [0.01, 0.03] * 2, "frictionloss": [0.1, 0.3] * 2, "damping": [0.05, 0.15] * 2}
+FREE = {"low": 1e-4, "high": 10.0, "scale": "log", "identify": True}
+
+
+def position(name: str) -> str:
+    return POSITION.format(name, *GAINS[name.split("_")[1]])
+
+
+@pytest.fixture(scope="module")
+def dog(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., fz.Robot]:
+    """A dog with two legs and a head, its meshes missing, from how an actuator is written and arguments of `Robot`."""
+    folder = tmp_path_factory.mktemp("dog")
+
+    def dog(write: Callable[[str], str] = position, joint: Any = ".*_(hip|calf)_joint", **more: Any) -> fz.Robot:
+        path = folder / f"{abs(hash(write(JOINTS[0])))}.xml"
+        legs = {"left": LEG.format("left", 0.1), "right": LEG.format("right", -0.1)}
+        path.write_text(DOG.format(**legs, actuators="".join(map(write, JOINTS))))
+        return fz.Robot(str(path), joint, **more)
+
+    return dog
+
+
+def test_what_the_file_says_is_known_or_where_the_fit_begins(dog: Callable[..., fz.Robot]) -> None:
+    robot = dog()
+    assert robot.joints == JOINTS and robot.branches == (0, 0, 1, 1)
+    values = robot.initial_values()
+    assert values["armature"].tolist() == [0.02, 0.03] * 2
+    assert values["kp"].tolist() == [20, 40] * 2 and values["kd"].tolist() == [0.5, 1.0] * 2
+    assert robot.params["armature"].is_identified and not robot.params["kp"].is_identified
+    begun = robot.initial_friction(fz.law("mujoco_default", 4).params)
+    assert {name: value.tolist() for name, value in begun.items()} == {"frictionloss": [0.2] * 4, "damping": [0.1] * 4}
+    told = " ".join(robot.notes)
+    for what in ("floating base: body trunk", "neck", "limits of", "contacts are left out"):
+        assert what in told
+
+
+def test_what_the_user_says_comes_before_the_file(dog: Callable[..., fz.Robot]) -> None:
+    limit = {"torque_limit": {"init": None, "low": 0.0, "high": 100.0, "scale": 1.0, "identify": False}}
+    pd = fz.JointPD(limit, kp={"init": {".*_calf_joint": 50, ".*": 30}}, kd=1.0)
+    robot = dog(actuator=pd, params={"armature": {"init": 0.05}}, tie={"calf": ".*_calf_joint"})
+    values = robot.initial_values()
+    assert values["kp"].tolist() == [30, 50] * 2 and values["armature"].tolist() == [0.05] * 4
+    assert values["torque_limit"].tolist() == [9] * 4
+    assert robot.groups(robot.params["armature"]) == ["left_hip_joint", "calf", "right_hip_joint", "calf"]
+    assert dog(params={"armature": 0.01}).params["armature"].is_identified is False
+    torque = dog(lambda name: f'<motor joint="{name}" gear="2"/>')
+    assert torque.initial_values()["force_gain"].tolist() == [2.0] * 4
+
+
+@pytest.mark.parametrize(
+    ("more", "kind", "message"),
+    [
+        ({"joint": "tail"}, BenchError, "no joint"),
+        ({"write": lambda name: ""}, BenchError, "its joints have no one law of actuators"),
+        ({"write": lambda name: "", "actuator": ({"kp": {"init": None}}, 1.0)}, ConfigError, "no kp in the file; give"),
+        ({"base": "as_is"}, BenchError, "body trunk floats"),
+        ({"base": "free"}, ConfigError, "bench.base=free: no such choice"),
+    ],
+)
+def test_what_cannot_be_is_one_line(
+    dog: Callable[..., fz.Robot], more: dict[str, Any], kind: type[Exception], message: str
+) -> None:
+    if "actuator" in more:
+        more = {**more, "actuator": fz.JointPD(more["actuator"][0], kd=more["actuator"][1])}
+    with pytest.raises(kind) as caught:
+        dog(**more)
+    assert message in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_motion_beyond_limits_that_were_left_out_is_told(dog: Callable[..., fz.Robot], recorded: Log) -> None:
+    robot = dog()
+    assert doubt_motion(Dataset("dog", (recorded,), (recorded,)), robot) == []
+    far = replace(recorded, qpos=recorded.qpos + np.array([1.5, 0, 0, 0]))
+    (doubt,) = doubt_motion(Dataset("dog", (far,), (far,)), robot)
+    assert doubt.startswith("joint left_hip_joint is beyond its limits in the file, -1 to 1, in ")
+    assert not any("beyond" in doubt for doubt in doubt_motion(Dataset("dog", (far,), (far,)), dog(limits="keep")))
+
+
+@pytest.fixture(scope="module")
+def recorded(dog: Callable[..., fz.Robot]) -> Log:
+    """Both legs follow chirps, with other armatures and friction than the file says."""
+    robot = dog(params={"armature": TRUTH["armature"]})
+    law = MujocoDefault(4, {name: TRUTH[name] for name in ("frictionloss", "damping")})
+    time = np.arange(1500) * 0.002
+    ctrl = 0.4 * np.sin(2 * np.pi * np.array([1.0, 1.7, 1.3, 2.1]) * time[:, None] * (1 + 0.4 * time[:, None]))
+    still = torch.zeros((1, 4), dtype=torch.float64)
+    signals = {name: torch.zeros((1, len(time) - 1, 4), dtype=torch.float64) for name in robot.actuator.inputs}
+    with jax.enable_x64(True):
+        parts = fz.rollout(robot, law, still, still, torch.from_numpy(ctrl)[None, :-1], signals=signals)
+    states = (np.concatenate([np.zeros((1, 4)), part[0].detach().numpy()]) for part in parts)
+    return Log("dog", time, *states, ctrl, sha256="0" * 64, simulated=True)
+
+
+def test_the_drives_of_legs_are_found_with_values_that_they_share(
+    dog: Callable[..., fz.Robot], recorded: Log, tmp_path: Path
+) -> None:
+    robot = dog(tie={"hip": ".*_hip_joint", "calf": ".*_calf_joint"}, timestep=0.002)
+    how: dict[str, Any] = {"test": 0.3, "method": "lm", "segments": {"length": 50, "count": None}, "dtype": "float64"}
+    how["evaluation"] = {"horizons": [0.2], "trajectory": 0.4}
+    found = fz.identify(robot, "mujoco_default", recorded, **how)
+    for name in ("bench.armature", "friction.frictionloss", "friction.damping"):
+        value = found.parameters[name].value
+        np.testing.assert_allclose(value, TRUTH[name.partition(".")[2]], rtol=1e-3)
+        assert value[0] == value[2] and value[1] == value[3]
+    found.save(tmp_path)
+    again = fz.load(tmp_path)
+    assert isinstance(again.bench, fz.Robot) and again.bench.notes == robot.notes
+    np.testing.assert_array_equal(again.rollout()[0], found.rollout()[0])
