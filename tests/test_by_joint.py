@@ -76,7 +76,7 @@ def result(findings: Findings) -> Any:
     return build_result(findings)
 
 
-def of(result: Any, name: str) -> dict[str, Any]:
+def of(result: Any, name: str) -> Any:
     return next(row for row in result["parameters"] if row["name"] == name)
 
 
