@@ -119,7 +119,7 @@ def read(
     format: str = "auto",
     columns: Mapping[str, str | Sequence[str] | None] | None = None,
     units: Mapping[str, str | None] | None = None,
-    sign: Mapping[str, int] = UPRIGHT,
+    sign: Mapping[str, int | Sequence[int]] = UPRIGHT,
     fields: Mapping[str, Any] | None = None,
     fields_from_name: str | None = None,
     where: Mapping[str, Sequence[Any]] | None = None,
@@ -140,7 +140,7 @@ def read(
         columns: Header or headers of each signal (`time`, `qpos`, `qvel`, `ctrl`, `ctrl_velocity`, `ctrl_torque`, `kp`,
             `kd`, `torque`, `supply`, `enable`, `temperature`); where nothing is said, those that the headers suggest.
         units: Unit of each signal in the recordings; where nothing is said, what headers and numbers suggest.
-        sign: 1 or -1 for qpos, qvel, ctrl, ctrl_velocity, ctrl_torque and torque.
+        sign: 1 or -1 for qpos, qvel, ctrl, ctrl_velocity, ctrl_torque and torque, or a list of them, one a joint.
         fields: What is said of all recordings: gains, payload.
         fields_from_name: Regular expression with named groups, which become fields, for the files' names.
         where: Values of fields that are kept.

@@ -36,6 +36,7 @@ _TAKES: dict[str, tuple[Any, ...]] = {
     **{f"*.params.*.{part}": (0.1, [0.1]) for part in ("low", "high")},
     "data.columns.*": ("", [""], None),
     "data.units.*": ("", 0.1, None),
+    "data.sign.*": (1, [1]),
     "data.clean.wrap": (0.1, None),
     "data.folder": ("", None),
     "data.cache_dir": ("", None),

@@ -47,7 +47,7 @@ class Files(Source):
         format: str = "auto",
         columns: Mapping[str, Any] | None = None,
         units: Mapping[str, str | None] | None = None,
-        sign: Mapping[str, int] = UPRIGHT,
+        sign: Mapping[str, int | Sequence[int]] = UPRIGHT,
         fields: Any = None,
         fields_from_name: str | None = None,
         where: Any = None,
@@ -145,7 +145,7 @@ class Files(Source):
                 said[headers] = self._complete(table)
         found = [to_recording(table, *said[frozenset(table.columns)], self.simulated) for table in tables]
         return [
-            replace(each, signals={name: self.sign.get(name, 1) * values for name, values in each.signals.items()})
+            replace(each, signals={n: _turn(each.name, n, self.sign.get(n, 1), v) for n, v in each.signals.items()})
             for each in found
         ]
 
@@ -211,13 +211,21 @@ def _mapping(option: str, given: Any) -> dict[str, Any]:
     return dict(given or {})
 
 
-def _signs(given: Mapping[str, Any]) -> dict[str, int]:
+def _signs(given: Mapping[str, Any]) -> dict[str, Any]:
     for signal, sign in given.items():
         if signal not in TURNED:
             raise ConfigError(f"data.sign.{signal}: unknown signal; {closest(str(signal), TURNED)}")
-        if sign not in (1, -1):
-            raise ConfigError(f"data.sign.{signal}={sign}: expected 1 or -1")
+        if not all(one in (1, -1) for one in (sign if isinstance(sign, list | tuple) else [sign])):
+            raise ConfigError(f"data.sign.{signal}={sign}: expected 1 or -1, or a list of them, one a column")
     return dict(given)
+
+
+def _turn(name: str, signal: str, sign: Any, values: np.ndarray) -> np.ndarray:
+    """A signal turned round, column by column where a list says so."""
+    if isinstance(sign, list | tuple) and len(sign) != values.shape[1]:
+        expected = f"expected {values.shape[1]}, one a column"
+        raise ConfigError(f"data.sign.{signal}={list(sign)}: {len(sign)} signs, {expected} of {name}")
+    return np.asarray(sign) * values
 
 
 def _signals(option: str, given: Mapping[str, Any] | None) -> dict[str, Any]:
