@@ -87,7 +87,7 @@ class Bench(Described):
         payload: str | None = None,
         timestep: float | None = None,
         tie: Mapping[str, str] | bool | None = None,
-        inertia: Mapping[str, Sequence[float]] | None = None,
+        inertia: Mapping[str, Sequence[float | int]] | None = None,
     ) -> None:
         refuse_unlike("bench.actuator", actuator, Actuator, "an actuator law, as in PositionPD(kp=15, kd=0.5)")
         self.source = mjcf
@@ -187,7 +187,7 @@ class Bench(Described):
         other.own_damping = self.own_damping[list(joints)]
         return other
 
-    def with_inertia(self, inertia: Mapping[str, Sequence[float]]) -> "Bench":
+    def with_inertia(self, inertia: Mapping[str, Sequence[float | int]]) -> "Bench":
         """The same test stand with other link inertias, by the names of bodies, as the argument `inertia` has them."""
         args, kwargs = getattr(self, "_given")  # noqa: B009 - of `Described`, so that a record tells it
         other = copy.copy(self)

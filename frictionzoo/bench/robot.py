@@ -69,7 +69,7 @@ class Robot(Bench):
         payload: str | None = None,
         timestep: float | None = None,
         tie: Tie = None,
-        inertia: Mapping[str, Sequence[float]] | None = None,
+        inertia: Mapping[str, Sequence[float | int]] | None = None,
     ) -> None:
         keep = () if payload is None else (payload,)
         choices = {"base": base, "contacts": contacts, "limits": limits, "others": others}

@@ -59,7 +59,7 @@ class Template:
         units = [compiler.get("angle") for compiler in self._root.findall("compiler") if compiler.get("angle")]
         return units[-1:] == ["radian"]
 
-    def with_inertia(self, inertia: Mapping[str, Sequence[float]]) -> "Template":
+    def with_inertia(self, inertia: Mapping[str, Sequence[float | int]]) -> "Template":
         """The same with other link inertias: ten parameters of each body, by name, as `bench.inertia` has them.
 
         Raises:
@@ -270,7 +270,7 @@ def _describe(element: ET.Element) -> str:
     return f"<{element.tag}{f' {name}' if name else ''}>"
 
 
-def _inertial(name: str, parameters: Sequence[float]) -> Iterator[tuple[str, float | np.ndarray]]:
+def _inertial(name: str, parameters: Sequence[float | int]) -> Iterator[tuple[str, float | np.ndarray]]:
     """What an <inertial> says of a body with these ten parameters."""
     numbers = np.array(parameters, np.float64)
     if numbers.shape != (10,) or not is_consistent(numbers):

@@ -1,5 +1,6 @@
 """Parameters from measured torque, without a simulation: the inverse dynamics identification model."""
 
+import logging
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -17,6 +18,7 @@ from frictionzoo.fit.space import Space
 from frictionzoo.fit.torque_balance import balance
 from frictionzoo.fit.torque_equation import TorqueEquation
 
+_log = logging.getLogger(__name__)
 PRIOR: Mapping[str, float] = {"mass": 0.1, "centre": 0.02, "size": 0.3}
 
 
@@ -116,6 +118,13 @@ class InverseDynamics(Fit):
         seen = Seen(found.loss, 2 * found.gradient, not np.isfinite(found.loss))
         if state == 0 and not seen.lost:
             vector = balance(equation.lack, equation.slope, equation.box, equation.moving).vector
+            for (one, other), share in equation.couplings(vector).items():
+                _log.warning(
+                    "%s and %s: %.0f %% of the torque that is left goes with the other's motion, as where a gear "
+                    "couples joints, which a bench cannot: what is found of the two is not theirs",
+                    *(equation.joints[joint] for joint in (one, other)),
+                    100 * share,
+                )
         return seen, vector, state + 1
 
     def done(self, state: Any) -> Any:

@@ -65,17 +65,21 @@ class LinkInertia:
         return tuple(name for name, tells in zip(self.base.names, told, strict=True) if name in own and not tells)
 
     def lines(self) -> Iterator[str]:
-        """What was found, a line for each link, each base parameter and what is only the prior."""
+        """What was found, a line for each link, and what of it is only the prior."""
         for name, old, new in zip(self.bodies, self.maker, self.found, strict=True):
             (was, before, _), (mass, centre, _) = from_parameters(old), from_parameters(new)
             moved = 1e3 * float(np.linalg.norm(centre - before))
             yield f"link {name}: {mass:.4g} kg, the model file's {was:.4g}; centre moved by {moved:.3g} mm"
-        for text, value, error, told in zip(
-            self.base.describe(), self.values, self.errors, self.determined, strict=True
-        ):
-            yield f"base parameter {text}: {value:.4g} +- {error:.2g}{'' if told else ', not determined by the data'}"
+        told = self.determined
+        yield f"{told.sum()} of {len(told)} combinations of parameters are determined by the data, not by the prior"
         if self.prior_only:
             yield f"only the prior: {', '.join(self.prior_only)}"
+
+    def base_lines(self) -> Iterator[str]:
+        """The base parameters, a line each, with standard errors by the data alone."""
+        rows = zip(self.base.describe(), self.values, self.errors, self.determined, strict=True)
+        for text, value, error, told in rows:
+            yield f"{text}: {value:.4g} +- {error:.2g}{'' if told else ', not determined by the data'}"
 
 
 def choose_bodies(model: mujoco.MjModel, patterns: Sequence[str]) -> list[int]:
@@ -89,9 +93,10 @@ def choose_bodies(model: mujoco.MjModel, patterns: Sequence[str]) -> list[int]:
     chosen = set[int]()
     for pattern in patterns:
         try:
-            found = [body for body, name in names.items() if re.fullmatch(pattern, name)]
+            expression = re.compile(pattern)
         except re.error as error:
             raise ConfigError(f"fit.links: {pattern}: no pattern ({error}); expected a regular expression") from None
+        found = [body for body, name in names.items() if expression.fullmatch(name)]
         if not found:
             raise ConfigError(f"fit.links: {pattern}: no body of that name moves; {closest(pattern, names.values())}")
         chosen |= set(found)
@@ -107,7 +112,7 @@ def spread_of(prior: Mapping[str, float]) -> Float[np.ndarray, "10"]:
     Raises:
         ConfigError: One is missing, unknown or not above 0.
     """
-    for name in prior.keys() ^ set(COORDINATES):
+    for name in sorted(prior.keys() ^ set(COORDINATES)):
         raise ConfigError(f"fit.prior.{name}: expected mass, centre and size, a number above 0 of each")
     for name, value in prior.items():
         if not 0 < value < np.inf:

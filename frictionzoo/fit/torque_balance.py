@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+import scipy.linalg
 import scipy.optimize
 from jaxtyping import Bool, Float
 
@@ -18,11 +19,13 @@ from frictionzoo.fit.normal_equations import NormalEquations, compress
 Lack = Callable[[Float[np.ndarray, "coordinates"]], Float[np.ndarray, "rows nv"]]
 Slope = Callable[[Float[np.ndarray, "coordinates"]], Float[np.ndarray, "rows nv coordinates"]]
 
-_PASSES = 20  # rounds of weights; three are usual
+_PASSES = 50  # rounds of weights; five are usual
 _SETTLED = 1e-3  # relative change of the weights below which they count as found
-_STEPS = 200  # of one search; ten are usual
+_STEPS = 10  # with the same weights: they are not those of the end yet
+_STIFFEST = 1e6  # damping with which no step lowers the loss any more but by rounding
 _HALVINGS = 6  # of a step that does not lower the loss
-_TOLERANCE = 1e-9  # share of the loss that a step has to promise
+_BEND = 1e-5  # step of the difference in coordinates
+_TOLERANCE = 1e-7  # share of the loss that a step has to promise: a hundredth of a standard error
 
 
 @dataclass(frozen=True)
@@ -48,13 +51,31 @@ class Links:
         """Parameters of the maker's bodies."""
         return self.around.parameters(np.zeros_like(self.spread))
 
-    def pulled(
+    def prior(
         self, parameters: Float[np.ndarray, "bodies 10"]
-    ) -> tuple[np.ndarray, Float[np.ndarray, "bodies 10 10"]]:
-        """Coordinates of bodies as shares of the prior's deviation, and their derivative by the parameters."""
-        coordinates = self.around.coordinates(parameters)
-        slopes = np.linalg.inv(self.around.slopes(coordinates))
-        return coordinates / self.spread, slopes / self.spread[:, :, None]
+    ) -> tuple[float, Float[np.ndarray, "bodies 10"], Float[np.ndarray, "2 bodies 10 10"]]:
+        """Of the prior at these parameters its loss, half its gradient, and half its second derivative, twice.
+
+        First as Gauss and Newton have it, then whole but for negative curvature: towards a body without extent the
+        logarithms bend, and without that steps would leave what bodies there are.
+        """
+        at = self.around.coordinates(parameters)
+        by_parameters = np.linalg.inv(self.around.slopes(at))
+        sloped = by_parameters / self.spread[:, :, None]
+        gauss = sloped.swapaxes(1, 2) @ sloped
+        ends = [[self._pull(at + side * step) for side in (1, -1)] for step in _BEND * np.eye(10)]
+        moved = np.stack([(up - down) / (2 * _BEND) for up, down in ends], axis=-1) @ by_parameters
+        values, axes = np.linalg.eigh((moved + moved.swapaxes(1, 2)) / 2 - gauss)
+        whole = gauss + (axes * np.maximum(values, 0)[:, None, :]) @ axes.swapaxes(1, 2)
+        return self.far(parameters), self._pull(at), np.stack([gauss, whole])
+
+    def far(self, parameters: Float[np.ndarray, "bodies 10"]) -> float:
+        """The prior's loss."""
+        return float(np.square(self.around.coordinates(parameters) / self.spread).sum())
+
+    def _pull(self, at: Float[np.ndarray, "bodies 10"]) -> Float[np.ndarray, "bodies 10"]:
+        """Half the prior's gradient by the parameters, at coordinates."""
+        return np.linalg.solve(self.around.slopes(at).swapaxes(1, 2), (at / self.spread**2)[..., None])[..., 0]
 
 
 class Box(NamedTuple):
@@ -138,12 +159,12 @@ def balance(
     at = equation.start
     sigma = _deviation(equation.left(at), moving, 0.0)
     for _ in range(_PASSES):
-        at, before = _descend(equation, at, sigma), sigma
-        sigma = _deviation(equation.left(at), moving, len(at) / len(before))
-        if (np.abs(sigma / before - 1) < _SETTLED).all():
+        at, lowest = _descend(equation, at, sigma)
+        before, sigma = sigma, _deviation(equation.left(at), moving, len(at) / len(sigma))
+        if lowest and (np.abs(sigma / before - 1) < _SETTLED).all():
             break
     vector, bodies = equation.split(at)
-    information, prior = (part.hessian for part in (equation.measured(at, sigma), equation.prior(at)))
+    information, prior = (part.hessian for part in (equation.measured(at, sigma), equation.prior(at, False)))
     return Balance(vector, bodies, equation.left(at), sigma, information, prior)
 
 
@@ -183,7 +204,7 @@ class _Equation:
         if not is_consistent(self.split(at)[1]).all():
             return np.inf
         weighted = (self.left(at) / sigma)[self.moving]
-        return float(weighted @ weighted) + self.prior(at).loss
+        return float(weighted @ weighted) + (0.0 if self.links is None else self.links.far(self.split(at)[1]))
 
     def measured(self, at: Float[np.ndarray, "all"], sigma: Float[np.ndarray, "nv"]) -> NormalEquations:
         """The part of the weighted measurements."""
@@ -193,31 +214,29 @@ class _Equation:
         rows, rest = (slopes / sigma[:, None])[self.moving], (self.left(at) / sigma)[self.moving]
         return NormalEquations(float(rest @ rest), rows.T @ rest, rows.T @ rows)
 
-    def prior(self, at: Float[np.ndarray, "all"]) -> NormalEquations:
-        """The part of the prior."""
+    def prior(self, at: Float[np.ndarray, "all"], whole: bool) -> NormalEquations:
+        """The part of the prior, with its whole second derivative or that of Gauss and Newton."""
         gradient, hessian, loss = np.zeros(len(at)), np.zeros((len(at), len(at))), 0.0
         if self.links is not None:
             vector, bodies = self.split(at)
-            first = len(vector)
-            for share, slopes in zip(*self.links.pulled(bodies), strict=True):
-                own = slice(first, first + 10)
-                gradient[own], hessian[own, own] = slopes.T @ share, slopes.T @ slopes
-                loss, first = loss + float(share @ share), first + 10
+            loss, pull, curvatures = self.links.prior(bodies)
+            gradient[len(vector) :] = pull.ravel()
+            hessian[len(vector) :, len(vector) :] = scipy.linalg.block_diag(*curvatures[int(whole)])
         return NormalEquations(loss, gradient, hessian)
 
 
 def _descend(
     equation: _Equation, at: Float[np.ndarray, "all"], sigma: Float[np.ndarray, "nv"]
-) -> Float[np.ndarray, "all"]:
-    """The numbers with the least loss: steps of Gauss, Newton, Levenberg and Marquardt within bounds."""
+) -> tuple[Float[np.ndarray, "all"], bool]:
+    """Steps of Gauss, Newton, Levenberg and Marquardt within bounds, and whether they came to the least loss."""
     loss, damping = equation.loss(at, sigma), 0.0
     for _ in range(_STEPS):
-        parts = equation.measured(at, sigma), equation.prior(at)
+        parts = equation.measured(at, sigma), equation.prior(at, whole=True)
         gradient, hessian = parts[0].gradient + parts[1].gradient, parts[0].hessian + parts[1].hessian
         step = _step(gradient, hessian * (1 + damping * np.eye(len(at))), *(end - at for end in equation.bounds))
         promised = -float(2 * step @ gradient + step @ hessian @ step)
         if promised <= _TOLERANCE * loss:
-            break
+            return at, True
         for share in 0.5 ** np.arange(_HALVINGS):
             tried = equation.loss(at + share * step, sigma)
             if tried < loss:
@@ -225,9 +244,9 @@ def _descend(
                 break
         else:
             damping = max(10 * damping, 1e-3)
-            if damping > 1e6:
-                break
-    return at
+            if damping > _STIFFEST:
+                return at, True
+    return at, False
 
 
 def _step(

@@ -1,5 +1,6 @@
 """What torque recordings leave unexplained, as a function of the coordinates that a fit moves."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any
@@ -23,6 +24,9 @@ from frictionzoo.models.base import sliding_torque
 from frictionzoo.simulate import Values
 from frictionzoo.simulate.drive import looks_at_one_joint
 
+COUPLED = 0.5
+"""Share of the torque that is left which goes with another joint's motion, from which on a gear may couple the two."""
+LITTLE = 0.02  # share of the drives' torque; less of it is left where nothing is wrong
 _STEP = 1e-5  # rad or m, of the difference in the position offset
 
 
@@ -35,6 +39,7 @@ class TorqueEquation:
     A law with a memory counts by what it comes down to at constant velocity.
 
     Attributes:
+        joints: Their names.
         moving: Which samples count, joint by joint.
         box: Where the coordinates start, and their bounds.
 
@@ -49,6 +54,7 @@ class TorqueEquation:
     def __init__(self, space: Space, recordings: Recordings, filtering: Filtering, held: bool) -> None:
         bench, model, logs = recordings
         self._space, self._bench, self._model, self._logs = space, bench, model, logs
+        self.joints = bench.joints
         self._decimate = filtering.decimation(logs)
         self._motions = [filtering.motion(log) for log in logs]
         self._motion = Motion(*(np.concatenate(parts) for parts in zip(*self._motions, strict=True)))
@@ -99,6 +105,26 @@ class TorqueEquation:
         # The likelihood of joints with noise of unknown size: the lower, the smaller the variances' geometric mean.
         mean = np.exp((counts * np.log(np.maximum(variance, np.finfo(float).tiny))).sum() / counts.sum())
         return NormalEquations(float(mean), mean * scores.sum(axis=0), mean * hessian), mean * scores
+
+    def couplings(self, vector: Float[np.ndarray, "coordinates"]) -> dict[tuple[int, int], float]:
+        """Pairs of joints of whose torque that is left most goes with the other's motion, and the smaller share.
+
+        So it is where a gear couples two joints: the motor of the one turns with both. What two links' inertia does to
+        each other changes with the pose, and goes with neither. Where next to nothing is left, it is no one's.
+        """
+        left, driving = self.lack(vector), self._driving(vector)
+        signals = self._decimate(np.stack([self._motion.qacc, self._motion.qvel, np.sign(self._motion.qvel)], axis=-1))
+        nv = left.shape[1]
+        share = np.zeros((nv, nv))
+        for joint in range(nv):
+            moving = self.moving[:, joint]
+            rest, own = left[moving, joint], signals[moving, joint]
+            alone = _unexplained(rest, own)
+            if alone > LITTLE**2 * np.sum(np.square(driving[moving, joint])):
+                others = [_unexplained(rest, np.hstack([own, signals[moving, other]])) for other in range(nv)]
+                share[joint] = 1 - np.array(others) / alone
+        mutual = np.minimum(share, share.T)
+        return {(a, b): float(mutual[a, b]) for a, b in itertools.combinations(range(nv), 2) if mutual[a, b] > COUPLED}
 
     def summary(self, vector: Float[np.ndarray, "coordinates"]) -> tuple[np.ndarray, np.ndarray]:
         """Root mean square of the torque that is left of each joint, and of the drives' torque, over all samples."""
@@ -181,7 +207,15 @@ class TorqueEquation:
     def _offset_slope(self, at: Array) -> Float[np.ndarray, "rows nv coordinates"]:
         """Derivative of what the links need with respect to the coordinates of the position offset."""
         offset = np.asarray(self._space.values(at)["bench"]["position_offset"], np.float64)
-        steps = [self._decimate(self._inverse(self._motions, offset + step)) for step in _STEP * np.eye(len(offset))]
-        by_joint = (np.stack(steps, axis=-1) - self._rigid({"position_offset": offset})[..., None]) / _STEP
-        moved = jax.jacfwd(lambda vector: self._space.values(vector)["bench"]["position_offset"])(at)
-        return by_joint @ np.asarray(moved, np.float64)
+        known, free = {"position_offset": offset}, self._space.places["bench.position_offset"].joints
+        by_joint = np.zeros((*self.moving.shape, len(offset)))
+        for joint in free:
+            moved = offset + _STEP * (np.arange(len(offset)) == joint)
+            by_joint[..., joint] = (self._rigid({"position_offset": moved}) - self._rigid(known)) / _STEP
+        moves = jax.jacfwd(lambda vector: self._space.values(vector)["bench"]["position_offset"])(at)
+        return by_joint @ np.asarray(moves, np.float64)
+
+
+def _unexplained(rest: Float[np.ndarray, "rows"], columns: Float[np.ndarray, "rows columns"]) -> float:
+    """Sum of squares of what no combination of columns explains."""
+    return float(np.sum(np.square(rest - columns @ np.linalg.lstsq(columns, rest, rcond=None)[0])))
