@@ -11,6 +11,7 @@ from conftest import needs_data
 
 ROOT = Path(__file__).parent.parent
 BENCHMARKS = ROOT / "benchmarks"
+ON_RECORDINGS = ("robot", "branches")
 QUICKEST = {  # script: its arguments, and the rows that it has to give
     "gradient": ("--quick --joints 1 --ways mjx.step-unfused", 6),
     "sysid": ("--samples 2000 --repeats 1", 4),
@@ -22,6 +23,7 @@ QUICKEST = {  # script: its arguments, and the rows that it has to give
     ),
     "torch_only": ("--quick --engines specialised", 3),
     "robot": ("--variants torque --parts legs --segments 4 --length 10 --iterations 2 --seconds 0.5", 3),
+    "branches": ("--segments 4 --length 10 --dtypes float64", 2),
     "growth": ("--samples 1e4 --lengths 50 --widths 16 --segments 200", 3),
 }
 # Errors, and what needs no compiling; everything else is a time, a size or a count.
@@ -30,7 +32,7 @@ MAY_BE_ZERO = {"difference", "armature_error", "compile"}
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("in_haste")
-@pytest.mark.parametrize("script", [pytest.param(s, marks=needs_data) if s == "robot" else s for s in QUICKEST])
+@pytest.mark.parametrize("script", [pytest.param(s, marks=needs_data) if s in ON_RECORDINGS else s for s in QUICKEST])
 def test_a_benchmark_measures(script: str, tmp_path: Path) -> None:
     arguments, rows = QUICKEST[script]
     out = tmp_path / "results" / "measured.json"
