@@ -32,7 +32,7 @@ SHORT = 100  # samples; in fewer, signals are not compared with each other
 LARGER = 5.0  # times; a position moves no more, and while it follows no less, than it is told to
 APART = 0.5  # times the motion that position and command are apart at the least
 OPPOSED = 0.0  # share of the work that a command exchanges with the drive from which on it takes energy
-CARRIED = -0.5  # the same of a joint that others move: it may brake what they do, but not most of the time
+CARRIED = -0.5  # the same of a joint that others move, from which on it is told: it may brake what they do
 GAINS = ("kp", "kd")  # commands that move nothing by themselves
 SLOWEST, FASTEST = 0.5, 2e-5  # s; no recording of a drive has longer or shorter sample intervals
 STATES = 2000  # recorded states at which contacts and limits are looked for
@@ -155,7 +155,7 @@ def _doubt_commands(
     if len(qpos) > SHORT and (told or beside):
         if told and to_position:
             yield from _doubt_position_command(log, of, qpos, ctrl)
-        _refuse_opposed(log, of, bench, joint, cleaned)
+        yield from _doubt_opposed(log, of, bench, joint, cleaned)
 
 
 def _isolated(name: str, values: np.ndarray) -> Bool[np.ndarray, "time"]:
@@ -301,17 +301,24 @@ def _doubt_position_command(log: Log, of: str, qpos: np.ndarray, ctrl: np.ndarra
         )
 
 
-def _refuse_opposed(log: Log, of: str, bench: Bench, joint: int, cleaned: Mapping[str, np.ndarray]) -> None:
+def _doubt_opposed(
+    log: Log, of: str, bench: Bench, joint: int, cleaned: Mapping[str, np.ndarray]
+) -> Iterator[tuple[str, str]]:
+    """A command that takes energy; of a joint that others move and that gravity may drive, that is only doubtful."""
     signals = {name: getattr(log, name).copy() for name in cleaned}
     for name, values in cleaned.items():
         signals[name][:, joint] = values
-    work = float(_work(replace(log, **signals), bench)[joint])
-    if work < (OPPOSED if bench.branches.count(bench.branches[joint]) == 1 else CARRIED):
+    share = float(_work(replace(log, **signals), bench)[joint])
+    took = f"ctrl{of} takes energy from the drive all along ({100 * share:.0f} % of what it exchanges)"
+    alone = bench.branches.count(bench.branches[joint]) == 1
+    if alone and share < OPPOSED:
         raise LogError(
-            f"{log.name}: ctrl{of} takes energy from the drive all along ({100 * work:.0f} % of what it exchanges), "
-            "expected to give it; set data.sign.ctrl=-1, or the sign of both qpos and qvel, or look whether qpos and "
-            "ctrl are swapped, have other units or another zero, or belong to other times (data.columns, data.units)"
+            f"{log.name}: {took}, expected to give it; set data.sign.ctrl=-1, or the sign of both qpos and qvel, or "
+            "look whether qpos and ctrl are swapped, have other units or another zero, or belong to other times "
+            "(data.columns, data.units)"
         )
+    if not alone and share < CARRIED:
+        yield "opposed", f"{took}: right where gravity or other joints move it, else look at its sign (data.sign.ctrl)"
 
 
 def _work(log: Log, bench: Bench) -> Float[np.ndarray, "nv"]:
