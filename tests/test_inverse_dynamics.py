@@ -314,7 +314,7 @@ def test_what_is_only_the_prior_is_told(arm_file: Path) -> None:
     assert is_consistent(found.found).all()
     assert {"m link1", "Ixx link1"} <= set(found.prior_only) and "mx link2" not in found.prior_only
     lines = dict(zip(found.base.describe(), found.determined, strict=True))
-    assert lines["friction.damping/1"] and lines["mx link2"]
+    assert lines["mx link2"] and all(told for text, told in lines.items() if text.startswith("friction.damping"))
     assert next(iter(found.lines())).startswith("link link1: 4 kg, the model file's 4; centre moved by")
     assert "not determined by the data" in " ".join(found.base_lines())
     revised = bench.with_inertia(found.inertia)
