@@ -110,13 +110,16 @@ def find_run(comparison: Comparison, label: str | None) -> RunRow:
 def look_up(entry: Mapping[str, object], path: str) -> Any:
     """A value of a run's entry; `parameters.OWNER.NAME` is that parameter's value, or None where there is none.
 
+    Of several joints, `parameters.OWNER.NAME.2` is that of the third.
+
     Args:
         entry: Of `comparison.json`.
         path: Keys, separated by dots; numbers count in lists.
     """
     if path.startswith("parameters."):
-        _, owner, name = path.split(".")
-        return next((p["value"] for p in entry["parameters"] if (p["owner"], p["name"]) == (owner, name)), None)
+        _, owner, name, *joint = path.split(".")
+        value = next((p["value"] for p in entry["parameters"] if (p["owner"], p["name"]) == (owner, name)), None)
+        return value[int(joint[0])] if joint and value is not None else value
     value: Any = entry
     for key in path.split("."):
         value = value[int(key)] if isinstance(value, list) else value[key]
