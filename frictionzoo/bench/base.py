@@ -48,6 +48,7 @@ class Bench(Described):
         timestep: Simulation step [s].
         own_damping: The template's own damping of each joint [N m s/rad or N s/m].
         payload: Index of the body that carries payloads, or None.
+        inertia: Ten parameters of each body whose inertia is not the template's, by name.
         notes: What a robot's file has and the bench has not, a line each.
         unlimited: Limits of the joints' positions that a robot's file has and the bench has not [rad or m], of shape
             (nv, 2); NaN where there are none.
@@ -101,7 +102,8 @@ class Bench(Described):
             )
         self._solreffriction = [float(number) for number in solreffriction]
         self.notes: tuple[str, ...] = ()
-        self._template = self._open(mjcf, joint, timestep).with_inertia(inertia or {})
+        self.inertia: Mapping[str, Sequence[float | int]] = inertia or {}
+        self._template = self._open(mjcf, joint, timestep).with_inertia(self.inertia)
         self.joints: tuple[str, ...] = self._template.joints
         self.unlimited: np.ndarray = np.full((self.nv, 2), np.nan)
         self._tie = read_tie("bench.tie", tie)
@@ -192,8 +194,8 @@ class Bench(Described):
         args, kwargs = getattr(self, "_given")  # noqa: B009 - of `Described`, so that a record tells it
         other = copy.copy(self)
         other._template, other._loads = self._template.with_inertia(inertia), {}
-        given = {**(kwargs.get("inertia") or {}), **{name: list(map(float, own)) for name, own in inertia.items()}}
-        object.__setattr__(other, "_given", (args, {**kwargs, "inertia": given}))
+        other.inertia = {**self.inertia, **{name: list(map(float, own)) for name, own in inertia.items()}}
+        object.__setattr__(other, "_given", (args, {**kwargs, "inertia": other.inertia}))
         return other
 
     def restarted(self, values: Mapping[str, Float[np.ndarray, "nv"]]) -> "Bench":

@@ -52,6 +52,16 @@ class Equipped:
     notes: tuple[str, ...]
 
 
+def _refuse_inertia(path: Path, fitted: Identified) -> None:
+    """ExportError where the drive was identified with other links than those of its own file."""
+    if fitted.bench.inertia and path == Path(fitted.bench.source):
+        links = ", ".join(list(fitted.bench.inertia)[:3])
+        raise ExportError(
+            f"into={path}: the inertias of {links} and others were identified along, expected those of the file; take "
+            "the bench that was simulated, which has them"
+        )
+
+
 def put_into(
     path: Path, joints: Sequence[str], actuators: str, fitted: Identified, nearest: Nearest, bench: str
 ) -> Equipped:
@@ -70,10 +80,12 @@ def put_into(
     Raises:
         ConfigError: The file or a joint does not exist, or an option makes no sense.
         BenchError: MuJoCo does not take the robot.
-        ExportError: A joint is of another type, or the file cannot hold the drive.
+        ExportError: A joint is of another type, links have other inertias than the robot's, or the file cannot hold the
+            drive.
     """
     if actuators not in ACTUATORS:
         raise ConfigError(f"actuator={actuators}: expected {' or '.join(ACTUATORS)}")
+    _refuse_inertia(path, fitted)
     file, urdf = _read(path)
     tags = {name: tag for tag in file.tags if _is_joint(tag) and (name := tag.attributes.get("name"))}
     columns = _match(path, joints, list(tags), fitted)
