@@ -20,7 +20,10 @@ from frictionzoo.logs import files
 
 ROOT = Path(__file__).parent.parent
 EXPERIMENTS = ROOT / "experiments"
-MEASURED = [pytest.param(name, marks=needs_data) for name in ("emps", "emps_stiff", "sts3215", "xl330")]
+MEASURED = [
+    pytest.param(name, marks=needs_data)
+    for name in ("emps", "emps_stiff", "sts3215", "xl330", "go2", "tx40", "kuka_lwr4")
+]
 MEASURED += ["twin_clean", "kovalev2026", "zoo"]
 ENTRY = {
     "label": "law",
