@@ -117,7 +117,7 @@ def test_everything_left_out_or_changed_has_its_line(case: str, tmp_path: Path) 
 
 
 REFUSED = {
-    "no file": (None, {}, r"nowhere\.xml: cannot be read \(No such file or directory\); set bench\.file"),
+    "no file": (None, {}, r"nowhere\.xml: cannot be read \(No such file or directory\); set bench\.mjcf"),
     "no XML": ("<mujoco>", {}, r"robot\.xml: not XML"),
     "another XML": ("<sdf/>", {}, r"<sdf>, expected <mujoco> of an MJCF or <robot> of a URDF"),
     "macros": (
