@@ -6,6 +6,7 @@
 leg by leg, a derivative is taken where a parameter acts, and legs share tangents.
 """
 
+import argparse
 import time
 from dataclasses import replace
 from typing import Any
@@ -36,11 +37,7 @@ COLUMNS = {
 
 def main() -> None:
     """Each way in each precision, and their table."""
-    parser = make_parser("branches", __doc__)
-    parser.add_argument("--dtypes", nargs="+", choices=("float64", "float32"), default=["float64", "float32"])
-    parser.add_argument("--segments", type=int, default=150, metavar="N")
-    parser.add_argument("--length", type=int, default=100, help="steps in a segment")
-    options = parser.parse_args()
+    options = parse()
     jax.config.update("jax_enable_compilation_cache", False)  # times are those of a first run
     rows = []
     for dtype in options.dtypes:
@@ -52,6 +49,15 @@ def main() -> None:
             row["difference"] = difference(equations, expected)
             rows.append(row)
     report(options.out, rows, COLUMNS, segments=options.segments, length=options.length)
+
+
+def parse() -> argparse.Namespace:
+    """The command line."""
+    parser = make_parser("branches", __doc__)
+    parser.add_argument("--dtypes", nargs="+", choices=("float64", "float32"), default=["float64", "float32"])
+    parser.add_argument("--segments", type=int, default=150, metavar="N")
+    parser.add_argument("--length", type=int, default=100, help="steps in a segment")
+    return parser.parse_args()
 
 
 def measure(way: str, dtype: str, segments: int, length: int) -> tuple[dict[str, Any], Any]:

@@ -192,7 +192,10 @@ def test_a_value_of_another_size_than_it_began_with_is_told(tmp_path: Path) -> N
     def stand(**changes: Any) -> Bench:
         return Bench(str(path), actuator=PositionPD(kp=1, kd=1), params={"armature": ARMATURE | changes})
 
-    (said,) = doubt_sizes(stand(), {"armature": np.array([1.6])})
+    def sizes(bench: Bench, armature: float) -> list[str]:
+        return doubt_sizes(bench.params, {"armature": np.array([armature])}, bench.joints, bench.joint_type)
+
+    (said,) = sizes(stand(), 1.6)
     assert said.startswith("bench.armature went from 50 to 1.6 kg, 31 times: look at the units")
-    assert doubt_sizes(stand(), {"armature": np.array([5.0])}) == []
-    assert doubt_sizes(stand(identify=False), {"armature": np.array([1.6])}) == []
+    assert sizes(stand(), 5.0) == []
+    assert sizes(stand(identify=False), 1.6) == []

@@ -157,7 +157,7 @@ BAD = {
     "complex": (signals(vir=TIME + 1j), r"vir is of type complex128, expected real numbers"),
     "nan": (signals(qm=NAN), r"qpos is NaN or infinite in 1 of 500 samples, first at sample 7"),
     "backwards": (signals(t=TIME[::-1]), r"time runs backwards at sample 1"),
-    "short": ({"t": TIME[:9], "qm": TIME[:9], "vir": TIME[:9]}, r"9 samples, expected more than 15 to estimate"),
+    "short": ({"t": TIME[:9], "qm": TIME[:9], "vir": TIME[:9]}, r"9 samples, expected more than 15 to filter"),
 }
 
 

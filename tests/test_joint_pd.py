@@ -17,7 +17,7 @@ import torch
 import frictionzoo as fz
 from frictionzoo.bench import Actuator, Bench
 from frictionzoo.bench.doubts import doubt_recordings
-from frictionzoo.core.errors import BenchError, ConfigError, LogError
+from frictionzoo.core.errors import BenchError, ConfigError
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.segments import Sampling, cut_segments
 from frictionzoo.core.state import Signals
@@ -235,8 +235,8 @@ def test_doubts_look_at_all_commands(leg: Any) -> None:
         assert doubt_recordings(data, bench) == []
         turned = replace(log, extras={**log.extras, "ctrl_torque": -9 * log.extras["ctrl_torque"]})
         turned = bench.accept(turned)
-        with pytest.raises(LogError, match="takes energy from the drive"):
-            doubt_recordings(Dataset("robot", (turned,), (turned,)), bench)
+        told_of = doubt_recordings(Dataset("robot", (turned,), (turned,)), bench)
+        assert any("takes energy from the drive" in doubt for doubt in told_of)
     follows = bench.accept(read(move(told, GAINS)))
     assert doubt_recordings(Dataset("robot", (follows,), (follows,)), bench) == []
 

@@ -9,6 +9,7 @@ import torch
 from conftest import ROOT
 from omegaconf import OmegaConf
 
+from frictionzoo.bench.base import DEFAULTS
 from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config
 from frictionzoo.core.errors import ConfigError
@@ -92,7 +93,7 @@ def test_law_suits_the_scale_of_a_bench(name, bench):
     if torque is not None and torque.requires_grad:
         (slope,) = torch.autograd.grad(torque, rest.qvel, materialize_grads=True)
         # An explicit torque of this slope chatters in semi-implicit Euler once the share reaches 2.
-        share = slope.item() * 0.001 / config.bench.params.armature.init
+        share = slope.item() * 0.001 / (config.bench.params.armature.init or DEFAULTS["armature"]["init"])
         assert share < 1.0 or model.memory  # a factor 2 in hand, at 1 ms; a law with a memory is implicit
 
 

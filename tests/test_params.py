@@ -68,7 +68,6 @@ BAD = {
     "negative-scale": ({"scale": -1.0}, r"scale=-1\.0; expected log or a positive number"),
     "word-scale": ({"scale": "logarithm"}, r"^armature: could not convert .* scale is log or a number"),
     "word": ({"high": "much"}, r"^armature: could not convert .* init, low, high are numbers"),
-    "null": ({"init": None}, r"^armature: .* init, low, high are numbers"),
     "unknown": ({"hihg": 2.0}, r"^armature\.hihg: unknown option; did you mean high\?"),
 }
 

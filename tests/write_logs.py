@@ -3,6 +3,7 @@
 import csv
 import json
 import struct
+import zipfile
 import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -151,12 +152,21 @@ def write_degrees(path: Path, columns: Columns) -> Path:
     return write_csv(path, {h: f * v for (h, f), v in zip(scales.items(), columns.values(), strict=True)})
 
 
+def write_zip(path: Path, columns: Columns) -> Path:
+    """An archive of one CSV file."""
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.write(write_csv(path.with_suffix(".inner"), columns), "log.csv")
+    path.with_suffix(".inner").unlink()
+    return path
+
+
 WRITERS: dict[str, tuple[str, Callable[[Path, Columns], Path]]] = {
     "csv": ("log.csv", write_csv),
     "parquet": ("log.parquet", write_parquet),
     "npz": ("log.npz", write_npz),
     "mat": ("log.mat", write_mat),
     "bam": ("log.json", write_bam),
+    "zip": ("log.zip", write_zip),
     "mcap": ("log.mcap", write_mcap),
     "ros2bag": ("bag", write_sqlite_bag),
     "lerobot": ("dataset", write_lerobot),
@@ -170,7 +180,7 @@ ROS_COLUMNS = {
     "ctrl": "/command/data[0]",
 }
 OPTIONS: dict[str, dict[str, str]] = {
-    **{name: {} for name in ("csv", "parquet", "npz", "mat", "bam")},
+    **{name: {} for name in ("csv", "parquet", "npz", "mat", "bam", "zip")},
     **{name: ROS_COLUMNS for name in ("mcap", "ros2bag")},
     "lerobot": {
         "time": "timestamp",

@@ -124,6 +124,7 @@ def _families(table: Table) -> dict[str, Families]:
             signal, rank = role
             families.setdefault(signal, {}).setdefault((rank, stem), []).append(header)
     efforts = families.pop("effort", {})
+    families |= {signal: _keep_usable(table, signal, families.get(signal, {})) for signal in ("kp", "kd")}
     if "ctrl" not in families:  # a drive that is told a velocity or a torque, or whose torque is what drives it
         commands = families.pop("ctrl_velocity", {}) | families.pop("ctrl_torque", {}) | efforts
         return families | ({"ctrl": commands} if commands else {})
@@ -139,7 +140,11 @@ def _keep_usable(table: Table, signal: str, found: Families) -> Families:
 def _is_usable(table: Table, signal: str, headers: Sequence[str]) -> bool:
     """Whether a signal that no recording needs would not cost samples: of a torque, none may be missing."""
     finite = [np.isfinite(table.columns[header]) for header in headers]
-    return signal not in BESIDE or all(of.all() if signal == "torque" else of.any() for of in finite)
+    if signal not in BESIDE:
+        return True
+    # A gain that is said once, beside signals with samples, is none.
+    sampled = all(len(of) > 1 for of in finite)
+    return sampled and all(of.all() if signal == "torque" else of.any() for of in finite)
 
 
 def _pick_torque(efforts: Families) -> Families:

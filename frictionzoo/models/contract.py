@@ -113,7 +113,11 @@ def _check_bounds(model: FrictionModel) -> None:
         value = parameters[name].detach()
         low, high = (torch.tensor(param.each(side, model.nv)) for side in ("low", "high"))
         if not ((value >= low) & (value <= high)).all():
-            _fail(model, "bounds", f"{name}={value.tolist()} outside [{param.low}, {param.high}]; start inside")
+            _fail(
+                model,
+                "bounds",
+                f"{name}={value.tolist()} outside [{float(low.min()):g}, {float(high.max()):g}]; start inside",
+            )
 
 
 def _check_terms(model: FrictionModel, samples: DriveState) -> None:

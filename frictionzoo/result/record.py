@@ -89,7 +89,8 @@ def build_result(found: Findings) -> types.Result:
         for fitted, without in zip(found.judgement.by_horizon, found.baseline.by_horizon, strict=True)
     ]
     # Without friction, inertia makes up for it.
-    sizes = [] if found.name == "baseline" else doubt_sizes(bench, found.values["bench"])
+    of_bench = bench.params, found.values["bench"], bench.joints, bench.joint_type
+    sizes = [] if found.name == "baseline" else doubt_sizes(*of_bench)
     result: types.Result = {
         "schema_version": SCHEMA_VERSION,
         "model": found.name,

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from frictionzoo.bench.base import Bench
+from frictionzoo.core.params import Param
 from frictionzoo.result.names import name_some, name_where, say_bounds
 from frictionzoo.result.types import ParameterRow, ReferenceRow, Result
 
@@ -68,10 +68,12 @@ def doubt_joints(result: Result) -> str | None:
     )
 
 
-def doubt_sizes(bench: Bench, values: Mapping[str, Float[np.ndarray, "nv"]]) -> list[str]:
-    """Identified values of a bench of another size than a user expected, a sentence each."""
+def doubt_sizes(
+    params: Mapping[str, Param], values: Mapping[str, Float[np.ndarray, "nv"]], joints: Sequence[str], unit: str
+) -> list[str]:
+    """Identified values of a bench, on a `hinge` or `slide`, of another size than a user expected, a sentence each."""
     doubts = []
-    for name, param in bench.params.items():
+    for name, param in params.items():
         if not param.is_identified or param.scale != "log":
             continue
         found = np.ravel(values[name])
@@ -79,9 +81,8 @@ def doubt_sizes(bench: Bench, values: Mapping[str, Float[np.ndarray, "nv"]]) -> 
         times = np.exp(np.abs(np.log(found / began)))
         joint = int(times.argmax())
         if times[joint] > FAR:
-            of = f" of {bench.joints[joint]}" if len(found) > 1 else ""
-            unit = param.unit(bench.joint_type)
-            moved = f"from {began[joint]:g} to {found[joint]:.4g} {unit}, {times[joint]:.2g} times"
+            of = f" of {joints[joint]}" if len(found) > 1 else ""
+            moved = f"from {began[joint]:g} to {found[joint]:.4g} {param.unit(unit)}, {times[joint]:.2g} times"
             doubts.append(
                 f"bench.{name}{of} went {moved}: look at the units of time, qpos and ctrl (data.units) and at the "
                 f"bench's gains, or begin elsewhere (bench.params.{name}.init)"

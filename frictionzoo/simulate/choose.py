@@ -56,7 +56,8 @@ def _make_engine(choice: str, bench: Bench, friction: Friction, constraint: bool
     if choice == "mjx":
         return MjxEngine(bench, friction, constraint)
     most = max(bench.branches.count(number) for number in bench.branches)
-    reason = f"{most} joints that move each other are more than the {_MEASURED_JOINTS} that were measured"
+    together = "" if most == bench.nv else " that move each other"
+    reason = f"{most} joints{together} are more than the {_MEASURED_JOINTS} that were measured"
     if choice == "specialised" or most <= _MEASURED_JOINTS:
         try:
             return SpecialisedEngine(bench, friction, constraint)
