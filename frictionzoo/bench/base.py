@@ -87,7 +87,7 @@ class Bench(Described):
         solreffriction: Sequence[float] = (0.02, 1.0),
         payload: str | None = None,
         timestep: float | None = None,
-        tie: Mapping[str, str] | bool | None = None,
+        tie: Any = None,
         inertia: Mapping[str, Sequence[float | int]] | None = None,
     ) -> None:
         refuse_unlike("bench.actuator", actuator, Actuator, "an actuator law, as in PositionPD(kp=15, kd=0.5)")

@@ -15,7 +15,7 @@ from frictionzoo.bench.base import DEFAULTS, Bench
 from frictionzoo.bench.robot_file import ReadActuator, RobotFile, read_robot
 from frictionzoo.bench.template import Template
 from frictionzoo.core.errors import BenchError, ConfigError
-from frictionzoo.core.params import Param, Tie
+from frictionzoo.core.params import Param
 
 _log = logging.getLogger(__name__)
 _INSIDE = 1e-3  # share of the bounds' distance, in the optimiser's coordinate, by which a fit starts inside
@@ -68,7 +68,7 @@ class Robot(Bench):
         solreffriction: Sequence[float] = (0.02, 1.0),
         payload: str | None = None,
         timestep: float | None = None,
-        tie: Tie = None,
+        tie: Any = None,
         inertia: Mapping[str, Sequence[float | int]] | None = None,
     ) -> None:
         keep = () if payload is None else (payload,)

@@ -32,8 +32,7 @@ _TAKES: dict[str, tuple[Any, ...]] = {
     "bench.timestep": (0.1, None),
     "*.params.*.scale": ("", 0.1),
     "*.params.*.identify": (True, [True]),
-    "*.params.*.init": (0.1, [0.1], None),
-    **{f"*.params.*.{part}": (0.1, [0.1]) for part in ("low", "high")},
+    **{f"*.params.*.{part}": (0.1, [0.1]) for part in ("init", "low", "high")},
     "data.columns.*": ("", [""], None),
     "data.units.*": ("", 0.1, None),
     "data.sign.*": (1, [1]),
@@ -142,6 +141,8 @@ def _check_value(key: str, value: Any, default: Any) -> None:
     if any(isinstance(text, str) and "${" in text for text in (value, default)):
         return
     examples = next((taken for name, taken in _TAKES.items() if fnmatchcase(key, name)), (default,))
+    if default is None or key.endswith(".torque_limit.init"):  # a robot's file may say it
+        examples = (*examples, None) if None not in examples else examples
     if examples == (None,):  # the part that takes the value looks at its kind
         return _check_numbers(key, value, _LARGEST_SEED)
     such = "" if default in (None, "") else f" such as {default}"
