@@ -20,7 +20,7 @@ from frictionzoo.core.config import CONF_DIR
 
 pytest.importorskip("mkdocs", reason="the extra docs is not installed")  # CI installs it and runs this file
 
-INNER = {"cache", "dry_friction", "linear", "fold", "robot_file", "run", "__main__"}  # no interfaces
+INNER = {"cache", "dry_friction", "linear", "tree", "groups", "fold", "robot_file", "run", "__main__"}  # no interfaces
 COMMENTED = """# The head.
 _target_: a.B
 

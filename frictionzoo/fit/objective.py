@@ -355,8 +355,7 @@ class Objective:
         def residuals(vector: Array) -> Array:
             return self._sparsity.by_branch(self._residuals(self.space.values(vector), qpos, qvel, block))
 
-        errors = residuals(vector)
-        slopes = jax.vmap(lambda unit: jax.jvp(residuals, (vector,), (unit,))[1])(
+        errors, slopes = jax.vmap(lambda unit: jax.jvp(residuals, (vector,), (unit,)), out_axes=(None, 0))(
             jnp.asarray(self._sparsity.seeds, vector.dtype)
         )
         loss = self._sum(jnp.square(errors))

@@ -1,17 +1,29 @@
 """MuJoCo's dry-friction constraint for a few joints, written out entry by entry so that it runs over any batch."""
 
+from typing import Any, NamedTuple
+
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
-from frictionzoo.simulate.linear import solve_spd
+from frictionzoo.simulate.linear import Rows, add_diagonal, multiply, solve_rows
 
+_LEAPS = 8  # of Newton's whole steps, before each is shortened to the lowest point on its way
 _NEWTON_STEPS = 100  # three or four are usual
 _ROUNDING = 1e-12
 
 
+class _Search(NamedTuple):
+    """How far it is: steps, the accelerations, the piece of each joint that they come from, and whether it is over."""
+
+    count: Any
+    acceleration: Any
+    sliding: Any
+    done: Any
+
+
 def dry_friction(
-    inertia: Float[Array, "nv nv"],
+    inertia: Rows,
     force: Float[Array, "nv"],
     softness: Float[Array, "nv"],
     reference: Float[Array, "nv"],
@@ -30,28 +42,28 @@ def dry_friction(
     Source: MuJoCo documentation, "Computation", "Constraint model", primal problem and friction loss.
 
     Args:
-        inertia: Joint-space inertia M [kg m^2 or kg].
+        inertia: Joint-space inertia M, by its rows [kg m^2 or kg].
         force: All other forces [N m or N].
         softness: `efc_D` of each joint's row [kg m^2 or kg].
         reference: `efc_aref` of each joint's row [rad/s^2 or m/s^2].
         limit: `frictionloss` [N m or N].
     """
     if len(force) == 1:
-        acceleration = force / inertia[0]
-        return jnp.clip((reference - acceleration) / (1 / inertia[0] + 1 / softness), -limit, limit)
+        ((alone,),) = inertia
+        return jnp.clip((reference - force / alone) / (1 / alone + 1 / softness), -limit, limit)
     problem = (inertia, force, softness, reference, limit)
     sliding = _find_sliding(*jax.lax.stop_gradient(problem))
     return _force(_accelerations(*problem, sliding), *problem[2:], sliding)
 
 
 def _accelerations(
-    inertia: Array, force: Array, softness: Array, reference: Array, limit: Array, sliding: Array
+    inertia: Rows, force: Array, softness: Array, reference: Array, limit: Array, sliding: Array
 ) -> Float[Array, "nv"]:
     """Minimum of the problem in which each joint keeps to one piece: -1 and 1 slide backwards and forwards, 0 holds."""
     holds = sliding == 0
     stiff = jnp.where(holds, softness, 0.0)
     pushed = force + stiff * reference - jnp.where(holds, 0.0, sliding * limit)
-    return solve_spd(inertia + jnp.diag(stiff), pushed)
+    return solve_rows(add_diagonal(inertia, stiff), pushed)
 
 
 def _force(acceleration: Array, softness: Array, reference: Array, limit: Array, sliding: Array) -> Array:
@@ -63,18 +75,18 @@ def _pieces(acceleration: Array, softness: Array, reference: Array, limit: Array
     return jnp.where(pull > limit, 1.0, jnp.where(pull < -limit, -1.0, 0.0)).astype(acceleration.dtype)
 
 
-def _find_sliding(inertia: Array, force: Array, softness: Array, reference: Array, limit: Array) -> Float[Array, "nv"]:
+def _find_sliding(inertia: Rows, force: Array, softness: Array, reference: Array, limit: Array) -> Float[Array, "nv"]:
     """The piece of each joint at the minimum; NaN where the search does not end.
 
     The cost is convex and quadratic within each combination of pieces. Newton's step for the present combination goes
-    to the minimum of that quadratic; if that lies in the same pieces, it is the answer, and otherwise the search goes
-    on from the lowest point on the way there, which is found exactly.
+    to the minimum of that quadratic; if that lies in the same pieces, it is the answer. A few such steps are nearly
+    always enough. Where they go astray, the search goes on from the lowest point on the way, which is found exactly.
     """
     row = (softness, reference, limit)
 
     def slope(acceleration: Array, direction: Array) -> Array:
         soft = jnp.clip(softness * (acceleration - reference), -limit, limit)
-        return direction @ (inertia @ acceleration - force + soft)
+        return direction @ (multiply(inertia, acceleration) - force + soft)
 
     def lowest(start: Array, direction: Array) -> Array:
         """How far the cost falls along a direction: its slope is a rising line with a kink at every border."""
@@ -87,18 +99,30 @@ def _find_sliding(inertia: Array, force: Array, softness: Array, reference: Arra
         falling, rising = (slope(start + share * direction, direction) for share in (before, after))
         return before - falling * (after - before) / (rising - falling)
 
-    def advance(state: tuple[Array, Array, Array, Bool[Array, ""]]) -> tuple:
-        count, acceleration, _, _ = state
-        sliding = _pieces(acceleration, *row)
+    def propose(sliding: Array) -> tuple[Array, Array]:
+        """Newton's step for these pieces, and the pieces where it leads."""
         proposed = _accelerations(inertia, force, *row, sliding)
-        direction = proposed - acceleration
-        # At a border, rounding may name either piece: both have the same answer.
-        near = jnp.all(jnp.abs(direction) <= _ROUNDING * (jnp.abs(proposed) + jnp.abs(acceleration)))
-        done = near | jnp.all(_pieces(proposed, *row) == sliding)
-        share = jnp.where(done, 0.0, lowest(acceleration, direction))
-        return count + 1, acceleration + share * direction, sliding, done
+        return proposed, _pieces(proposed, *row)
 
-    start = solve_spd(inertia, force)
-    state = (jnp.asarray(0), start, jnp.zeros_like(force), jnp.asarray(False))
-    _, _, sliding, done = jax.lax.while_loop(lambda state: ~state[3] & (state[0] < _NEWTON_STEPS), advance, state)
-    return jnp.where(done, sliding, jnp.nan)
+    def leap(state: _Search) -> _Search:
+        """Whole steps; a joint that would turn round is tried at rest first, or it might turn for ever."""
+        proposed, sliding = propose(state.sliding)
+        done = jnp.all(sliding == state.sliding)
+        return _Search(state.count + 1, proposed, jnp.where(sliding * state.sliding < 0, 0.0, sliding), done)
+
+    def descend(state: _Search) -> _Search:
+        """Steps to the lowest point on their way."""
+        here = _pieces(state.acceleration, *row)
+        proposed, sliding = propose(here)
+        direction = proposed - state.acceleration
+        # At a border, rounding may name either piece: both have the same answer.
+        near = jnp.all(jnp.abs(direction) <= _ROUNDING * (jnp.abs(proposed) + jnp.abs(state.acceleration)))
+        done = near | jnp.all(sliding == here)
+        share = jnp.where(done, 0.0, lowest(state.acceleration, direction))
+        return _Search(state.count + 1, state.acceleration + share * direction, here, done)
+
+    smooth = solve_rows(inertia, force)
+    start = _Search(jnp.asarray(0), smooth, _pieces(smooth, *row), jnp.asarray(False))
+    found = jax.lax.while_loop(lambda state: ~state.done & (state.count < _LEAPS), leap, start)
+    found = jax.lax.while_loop(lambda state: ~state.done & (state.count < _NEWTON_STEPS), descend, found)
+    return jnp.where(found.done, found.sliding, jnp.nan)

@@ -18,7 +18,7 @@ from frictionzoo.simulate.linear import solve_spd
 
 with contextlib.redirect_stdout(io.StringIO()):  # it prints that its optional backend is not installed
     from mujoco import mjx
-    from mujoco.mjx._src import derivative, support
+    from mujoco.mjx._src import derivative
 
 _FUSED_JOINTS = 4  # up to which fusion was measured to gain time
 _TOLERANCE = 1e-12
@@ -52,21 +52,23 @@ class ModelInputs(NamedTuple):
     links: Any
 
 
-class Dynamics(NamedTuple):
-    """MJX's answer in one state, before friction.
+class Acting(NamedTuple):
+    """What acts on the joints in one state, but for friction and what the links' masses ask for.
 
     Attributes:
-        inertia: Joint-space inertia with the armature, of shape (nv, nv).
+        armature: [kg m^2 or kg].
+        displacement: Of the joints from their reference position [rad or m].
         motor_torque: Of the actuators [N m or N].
-        external_torque: Of everything but actuators and friction [N m or N].
+        passive_torque: Of springs, dampers and whatever else the MJCF has [N m or N].
         implicit: What the integrator adds to the inertia without the friction law's damping, of shape (nv, nv).
         constraint_inertia: `efc_D` of the friction constraint's rows [kg m^2 or kg]; empty without constraint.
         constraint_reference: `efc_aref` of these rows [rad/s^2 or m/s^2].
     """
 
-    inertia: Any
+    armature: Any
+    displacement: Any
     motor_torque: Any
-    external_torque: Any
+    passive_torque: Any
     implicit: Any
     constraint_inertia: Any
     constraint_reference: Any
@@ -158,10 +160,10 @@ class MjxEngine(Engine):
         inertial, links = (inertial[:0], inertial) if self._fields else (inertial, inertial[:0])
         return ModelInputs(armature, invweight0, bodies, tendons, actuator, inertial, reference, links)
 
-    def dynamics(
+    def acting(
         self, inputs: ModelInputs, qpos: Float[Array, "nv"], qvel: Float[Array, "nv"], ctrl: Float[Array, "nu"]
-    ) -> Dynamics:
-        """What a step needs to know of this state, friction left out; arguments as in `step`, but ctrl is MuJoCo's."""
+    ) -> Acting:
+        """What a step needs to know of this state besides the links; arguments as in `step`, but ctrl is MuJoCo's."""
         model, data = self._drive(inputs, qpos, qvel, ctrl)
         if model.opt.integrator != mujoco.mjtIntegrator.mjINT_EULER:
             slope = derivative.deriv_smooth_vel(model, data)
@@ -170,14 +172,9 @@ class MjxEngine(Engine):
             implicit = jnp.zeros((model.nv, model.nv))
         else:
             implicit = jnp.diag(model.opt.timestep * model.dof_damping)
-        return Dynamics(
-            support.full_m(model, data) if support.is_sparse(model) else data._impl.M,
-            data.qfrc_actuator,
-            _external_torque(data),
-            implicit,
-            data._impl.efc_D,
-            data._impl.efc_aref,
-        )
+        passive = data.qfrc_passive + data.qfrc_applied
+        constraint = data._impl.efc_D, data._impl.efc_aref
+        return Acting(model.dof_armature, qpos - model.qpos0, data.qfrc_actuator, passive, implicit, *constraint)
 
     def _drive(self, inputs: ModelInputs, qpos: Array, qvel: Array, ctrl: Array) -> tuple[mjx.Model, mjx.Data]:
         """Everything up to the actuator forces, without friction."""

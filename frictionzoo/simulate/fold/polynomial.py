@@ -51,6 +51,11 @@ class Expander(Simplifier):
             finished[index] = self._lower(entry)
         return finished
 
+    @property
+    def plain(self) -> Simplifier:
+        """See `Simplifier.plain`."""
+        return self._plain
+
     def _lower(self, entry: Any) -> Any:
         if not isinstance(entry, Expression):
             return entry

@@ -60,7 +60,7 @@ def _contract(simplifier: Simplifier, left: np.ndarray, right: np.ndarray, dimen
     columns, right_free = arrange(right, right_batch, right_sum)
     terms = simplifier.elementwise("mul", rows[:, :, :, None], columns.transpose(0, 2, 1)[:, None])
     batch_shape = [left.shape[axis] for axis in left_batch]
-    return _reduce(simplifier, "add", terms, (2,), 0.0).reshape(*batch_shape, *left_free, *right_free)
+    return _reduce(simplifier, "add", terms, (2,), 0.0).reshape((*batch_shape, *left_free, *right_free))
 
 
 def _power(simplifier: Simplifier, base: np.ndarray, exponent: int) -> np.ndarray:

@@ -33,6 +33,11 @@ class Simplifier:
         """An output's entries in the operations of `OPERATIONS`."""
         return np.asarray(output, object)
 
+    @property
+    def plain(self) -> "Simplifier":
+        """What makes more expressions of those that are finished."""
+        return self
+
     def elementwise(self, name: str, *operands: Any) -> np.ndarray:
         """An operation on arrays of numbers or entries."""
         inputs = [np.asarray(operand) for operand in operands]

@@ -1,6 +1,6 @@
 """A function traced, its operations folded one after the other, and what is left as a function again."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -8,11 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend import core as jax_core
 from jax.interpreters import partial_eval
+from jaxtyping import Array
 
 from frictionzoo.simulate.fold.expression import OPERATIONS, CannotSpecialiseError, Expression
 from frictionzoo.simulate.fold.polynomial import Expander
 from frictionzoo.simulate.fold.primitives import PRIMITIVES
 from frictionzoo.simulate.fold.simplify import Simplifier
+from frictionzoo.simulate.fold.slopes import Slopes, slopes_of
 
 _WORTH_EXPANDING = 700
 """Operations up to which it is tried whether multiplying out leaves fewer: one joint or two."""
@@ -26,16 +28,43 @@ class Specialised:
         operations: Number of scalar operations that are left.
     """
 
-    def __init__(self, outputs: list[np.ndarray], structure: Any) -> None:
+    def __init__(self, outputs: list[np.ndarray], structure: Any, slopes: Mapping[int, Slopes] | None = None) -> None:
         self._outputs = outputs
         self._structure = structure
-        self._order = _sorted_by_dependence([entry for output in outputs for entry in output.ravel()])
+        entries = [entry for output in outputs for entry in output.ravel()]
+        self._order = _sorted_by_dependence(entries)
         self.operations: int = sum(expression.operation != "input" for expression in self._order)
+        self._slopes = slopes
+        if slopes is not None:
+            own = [slope for entry in entries for slope in slopes.get(id(entry), {}).values()]
+            self._with_slopes = _sorted_by_dependence([*entries, *own])
+            self._smooth = jax.custom_jvp(self._value)
+            self._smooth.defjvp(self._value_and_tangent)
 
     def __call__(self, *arguments: Any) -> Any:
         """The function's value, with the structure that it returned when it was traced."""
         leaves = [jnp.asarray(leaf) for leaf in jax.tree.leaves(arguments)]
-        dtype = jnp.result_type(float) if not leaves else jnp.result_type(*leaves)
+        return self._value(*leaves) if self._slopes is None else self._smooth(*leaves)
+
+    def _value(self, *leaves: Array) -> Any:
+        return self._assemble(self._reader(leaves, self._order))
+
+    def _value_and_tangent(self, leaves: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Any, Any]:
+        """Slopes are computed once for all tangents."""
+        read, made = self._reader(leaves, self._with_slopes), {}
+
+        def tangent(entry: Any) -> Any:
+            if id(entry) not in made:
+                slopes = (self._slopes or {}).get(id(entry), {})
+                terms = [read(slope) * tangents[leaf][index] for (leaf, index), slope in slopes.items()]
+                made[id(entry)] = sum(terms[1:], terms[0]) if terms else read(0.0)
+            return made[id(entry)]
+
+        return self._assemble(read), self._assemble(tangent)
+
+    def _reader(self, leaves: Sequence[Array], order: Sequence[Expression]) -> Callable[[Any], Any]:
+        """From an entry to its value."""
+        dtype = jnp.result_type(*leaves) if leaves else jnp.result_type(float)
         value: dict[int, Any] = {}
 
         def read(entry: Any) -> Any:
@@ -43,12 +72,15 @@ class Specialised:
                 return value[id(entry)]
             return np.asarray(entry, bool if isinstance(entry, (bool, np.bool_)) else dtype)
 
-        for expression in self._order:
+        for expression in order:
             if expression.operation == "input":
                 leaf, index = expression.arguments
                 value[id(expression)] = leaves[leaf][index].astype(dtype)
             else:
                 value[id(expression)] = OPERATIONS[expression.operation][0](*map(read, expression.arguments))
+        return read
+
+    def _assemble(self, read: Callable[[Any], Any]) -> Any:
         outputs = [
             jnp.stack([read(entry) for entry in output.ravel()]).reshape(output.shape) if output.size else output
             for output in self._outputs
@@ -56,8 +88,14 @@ class Specialised:
         return jax.tree.unflatten(self._structure, outputs)
 
 
-def specialise(function: Callable[..., Any], *examples: Any) -> Specialised:
+def specialise(function: Callable[..., Any], *examples: Any, moving: Sequence[int] = ()) -> Specialised:
     """Trace a function and fold everything that does not depend on its arguments.
+
+    Args:
+        function: What is specialised.
+        examples: Its arguments, trees of arrays.
+        moving: Numbers of arguments, arrays, with respect to which its slopes are folded too, so that they are computed
+            once for many tangents. It then has no other derivatives: the other arguments count as constants.
 
     Raises:
         CannotSpecialiseError: The function uses an operation without a rule (a loop, a sort, random numbers).
@@ -70,8 +108,12 @@ def specialise(function: Callable[..., Any], *examples: Any) -> Specialised:
 
         def fold(simplifier: Simplifier) -> Specialised:
             inputs = [simplifier.inputs(place, np.shape(leaf)) for place, leaf in enumerate(jax.tree.leaves(examples))]
-            outputs = _evaluate(simplifier, jaxpr, consts, inputs)
-            return Specialised([simplifier.finish(output) for output in outputs], structure)
+            outputs = [simplifier.finish(output) for output in _evaluate(simplifier, jaxpr, consts, inputs)]
+            if not moving:
+                return Specialised(outputs, structure)
+            order = _sorted_by_dependence([entry for output in outputs for entry in output.ravel()])
+            places = [len(jax.tree.leaves(examples[:number])) for number in moving]
+            return Specialised(outputs, structure, slopes_of(simplifier.plain, order, places))
 
         plain = fold(Simplifier())
         if plain.operations > _WORTH_EXPANDING:
