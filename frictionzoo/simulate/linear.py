@@ -1,12 +1,17 @@
-"""Linear algebra of a few joints, written out entry by entry so that it runs over any batch without LAPACK."""
+"""Linear algebra of a few joints, written out entry by entry so that it runs over any batch without LAPACK.
+
+Of many joints it would be too many operations to compile; these go through LAPACK.
+"""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
+_WRITTEN_OUT = 7  # joints up to which it is
 Rows = tuple[tuple[Any, ...], ...]
 """A symmetric matrix by its lower triangle, row by row: single numbers, which are not put together in memory."""
 
@@ -37,12 +42,31 @@ def add_diagonal(rows: Rows, diagonal: Float[Array, "nv"]) -> Rows:
 
 def multiply(rows: Rows, vector: Float[Array, "nv"]) -> Float[Array, "nv"]:
     """A symmetric matrix times a vector."""
+    if len(rows) > _WRITTEN_OUT:
+        return jnp.matmul(_matrix(rows), vector, precision="highest")
     size = range(len(rows))
     return jnp.stack([_dot([rows[max(i, j)][min(i, j)] for j in size], list(vector)) for i in size])
 
 
-def _factorise(rows: Rows) -> tuple[list[list[Array]], list[Array]]:
-    """L below its diagonal of ones, and the inverse of D."""
+class _Few(NamedTuple):
+    """Factors of a small matrix, entry by entry: L below its diagonal of ones, and the inverse of D."""
+
+    lower: list[list[Array]]
+    inverse: list[Array]
+
+
+class _Many(NamedTuple):
+    """A large matrix and its inverse."""
+
+    matrix: Float[Array, "nv nv"]
+    inverse: Float[Array, "nv nv"]
+
+
+def _factorise(rows: Rows) -> _Few | _Many:
+    if len(rows) > _WRITTEN_OUT:
+        matrix = _matrix(rows)
+        root = solve_triangular(jnp.linalg.cholesky(matrix), jnp.eye(len(rows), dtype=matrix.dtype), lower=True)
+        return _Many(matrix, jnp.matmul(root.T, root, precision="highest"))
     lower: list[list[Array]] = []
     inverse: list[Array] = []
     for i, entries in enumerate(rows):
@@ -52,18 +76,27 @@ def _factorise(rows: Rows) -> tuple[list[list[Array]], list[Array]]:
         scaled = [entry * inverse[j] for j, entry in enumerate(row)]
         inverse.append(1 / (entries[i] - _dot(row, scaled)))
         lower.append(scaled)
-    return lower, inverse
+    return _Few(lower, inverse)
 
 
-def _substitute(factors: tuple[list[list[Array]], list[Array]], right: Float[Array, "nv"]) -> Float[Array, "nv"]:
-    lower, inverse = factors
+def _substitute(factors: _Few | _Many, right: Float[Array, "nv"]) -> Float[Array, "nv"]:
+    if isinstance(factors, _Many):
+        near = jnp.matmul(factors.inverse, right, precision="highest")
+        # Once more with what is left: a product with the inverse alone rounds more than substitution does.
+        left = right - jnp.matmul(factors.matrix, near, precision="highest")
+        return near + jnp.matmul(factors.inverse, left, precision="highest")
     found: list[Array] = []
-    for i, row in enumerate(lower):
+    for i, row in enumerate(factors.lower):
         found.append(right[i] - _dot(row, found[:i]))
-    found = [entry * factor for entry, factor in zip(found, inverse, strict=True)]
+    found = [entry * factor for entry, factor in zip(found, factors.inverse, strict=True)]
     for i in reversed(range(len(found))):
-        found[i] = found[i] - _dot([row[i] for row in lower[i + 1 :]], found[i + 1 :])
+        found[i] = found[i] - _dot([row[i] for row in factors.lower[i + 1 :]], found[i + 1 :])
     return jnp.stack(found)
+
+
+def _matrix(rows: Rows) -> Float[Array, "nv nv"]:
+    size = range(len(rows))
+    return jnp.stack([jnp.asarray(rows[max(i, j)][min(i, j)]) for i in size for j in size]).reshape(len(rows), -1)
 
 
 def _dot(one: Sequence[Any], other: Sequence[Any]) -> Any:
