@@ -152,8 +152,11 @@ class Problem:
 
 def _training_samples(drive: Drive, bench: Bench, dataset: Dataset) -> DriveState:
     """What the friction law sees in every training sample, with the bench's initial values, as numpy arrays."""
-    values = {"bench": bench.initial_values()}
-    state = drive.rollout.compile(jax.vmap(drive.engine.drive_state, in_axes=(None, 0, 0, 0, None)))
-    signals = [(log.qpos, log.qvel, log.signals, log.load) for log in dataset.train]
-    parts = [jax.tree.map(np.asarray, state(values, *of_log)) for of_log in signals]
-    return jax.tree.map(lambda *signals: np.concatenate(signals), *parts)
+    # All recordings at once: one by one, each of another length would be compiled for itself.
+    of_logs = [
+        (log.qpos, log.qvel, log.signals, np.broadcast_to(log.load, (log.samples, len(log.load))))
+        for log in dataset.train
+    ]
+    samples = jax.tree.map(lambda *parts: np.concatenate(parts), *of_logs)
+    state = drive.rollout.compile(jax.vmap(drive.engine.drive_state, in_axes=(None, 0, 0, 0, 0)))
+    return jax.tree.map(np.asarray, state({"bench": bench.initial_values()}, *samples))
