@@ -39,7 +39,7 @@ _ARGUMENTS = {
     r"data\.train\b(?!\.)": "recordings",
     rf"data\.(?=(test|format)\b(?!\.)|({_DATA})\b)": "",
     r"model\.(?!(xml|mjcf|urdf)\b)": "",
-    r"fit\.(?=(derivative|points)\b)": "method.",
+    r"fit\.(?=(derivative|points|start)\b)": "method.",
 }
 
 

@@ -135,6 +135,12 @@ class Objective:
         other.recordings, other._programs = None, {}
         return other
 
+    def starting(self, vector: Float[np.ndarray, "coordinates"]) -> "Objective":
+        """The same objective with other initial coordinates, brought into the bounds."""
+        other = copy.copy(self)
+        other.space = self.space.starting(vector)
+        return other
+
     def remember(self, what: Hashable, make: Callable[[], T]) -> T:
         """What was made for this objective before, under the same name, or what is made now."""
         if what not in self._programs:
