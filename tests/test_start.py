@@ -31,15 +31,15 @@ ARM = f"""<mujoco><option timestep="{STEP}"><flag contact="disable"/></option><w
 SHORT = {"horizons": [0.1], "rollouts": 2, "places": 1, "trajectory": 0.1, "window": 0.02, "local": 0.1}
 
 
-def swing(seconds: float, seed: int = 0) -> Log:
+def swing(seconds: float, seed: int = 0, mass: float = 1.0) -> Log:
     """A recording by MuJoCo C of torques and states without noise, under a controller that nobody knows."""
     spec = mujoco.MjSpec.from_string(ARM)
     for index, joint in enumerate(spec.joints):
         joint.armature, joint.frictionloss = TRUTH["armature"][index], TRUTH["frictionloss"][index]
         joint.damping = [TRUTH["damping"][index], 0, 0]
     fore = spec.body("fore")
-    fore.mass = MASS
-    fore.inertia = MASS * fore.inertia
+    fore.mass = mass
+    fore.inertia = mass * fore.inertia
     model = spec.compile()
     data, rng = mujoco.MjData(model), np.random.default_rng(seed)
     time = np.arange(0, seconds, STEP)
@@ -57,7 +57,7 @@ def swing(seconds: float, seed: int = 0) -> Log:
 @pytest.fixture(scope="module")
 def recorded() -> Dataset:
     """Two recordings, one to train on."""
-    return Dataset("swing", (swing(4.0),), (swing(1.0, seed=1),))
+    return Dataset("swing", (swing(4.0, mass=MASS),), (swing(1.0, seed=1, mass=MASS),))
 
 
 @pytest.fixture(scope="module")
