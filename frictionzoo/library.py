@@ -39,7 +39,7 @@ _ARGUMENTS = {
     r"data\.train\b(?!\.)": "recordings",
     rf"data\.(?=(test|format)\b(?!\.)|({_DATA})\b)": "",
     r"model\.(?!(xml|mjcf|urdf)\b)": "",
-    r"fit\.(?=(derivative|points)\b)": "method.",
+    r"fit\.(?=(derivative|points|start)\b)": "method.",
 }
 
 
@@ -71,6 +71,7 @@ class Loss(TypedDict, total=False):
     robust: str
     robust_scale: float
     refine: bool
+    continuity: float
 
 
 class Judging(TypedDict, total=False):
@@ -197,7 +198,8 @@ def identify(
         test: Which of them judge the result: the last share of each, or a rule; None as they were read.
         method: Name of a fit, `auto`, `lm`, `adam`, `grid` or `known`, or one with options of its own.
         segments: What the fit compares: `count` windows of `length` samples.
-        loss: What the fit minimises: weights of `position` and `velocity`, `robust`, `robust_scale`, `refine`.
+        loss: What the fit minimises: weights of `position` and `velocity`, `robust`, `robust_scale`, `refine`,
+            `continuity`.
         evaluation: The rollouts that judge: `horizons` [s], `rollouts`, `placement`, `trajectory` [s] and others.
         loop: `chunk`, `patience`, `progress`.
         scale: Typical `torque`, `velocity`, `damping` and `inertia` of the drive, of which bounds and initial values of

@@ -10,7 +10,12 @@ from conftest import ROOT
 
 from frictionzoo.fit.blocks import BLOCK_STATES
 
-FITS = {"adam": "fit.iterations=10", "lm": "fit.iterations=30", "grid": "fit.points=3"}
+FITS = {
+    "adam": ["fit=adam", "fit.iterations=10"],
+    "lm": ["fit=lm", "fit.iterations=30"],
+    "grid": ["fit=grid", "fit.points=3"],
+    "together": ["fit=lm", "segments.count=null", "segments.length=10", "loss.refine=true", "loss.continuity=1"],
+}
 COMPARE = """
 import sys
 from frictionzoo.fit import objective
@@ -18,10 +23,10 @@ from frictionzoo.cli.run import NOT_IDENTIFIED, main
 from frictionzoo.show import with_matplotlib
 with_matplotlib.save_figure = lambda *_: None  # figures take long to render, and nobody looks
 devices = objective.devices_of
-for fit, option in {fits}.items():
+for name, own in {fits}.items():
     for count in (1, 2):
         objective.devices_of = lambda rollout: devices(rollout)[:count]
-        sys.argv[1:] = [*{options}, "fit=" + fit, option, f"hydra.run.dir={{fit}}{{count}}"]
+        sys.argv[1:] = [*{options}, *own, f"hydra.run.dir={{name}}{{count}}"]
         try:
             main()
         except SystemExit as end:  # so few iterations need not find the drive

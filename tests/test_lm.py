@@ -18,7 +18,7 @@ from frictionzoo.core.errors import ConfigError, FitError
 from frictionzoo.core.segments import Segments
 from frictionzoo.fit import LevenbergMarquardt
 from frictionzoo.fit import blocks as blocks_module
-from frictionzoo.fit import objective as objective_module
+from frictionzoo.fit.loss import ROBUST
 from frictionzoo.fit.normal_equations import NormalEquations, compress
 
 LM = LevenbergMarquardt(100, 1e-12)
@@ -144,8 +144,8 @@ def test_outliers_do_not_rule_a_robust_fit(tmp_path: Path) -> None:
 
 def test_robust_losses_are_those_of_scipy() -> None:
     z = np.array([0.0, 0.3, 1.0, 1.7, 40.0])
-    assert set(objective_module._ROBUST) == {"none", *IMPLEMENTED_LOSSES} - {"linear", "arctan"}
-    for name, function in objective_module._ROBUST.items():
+    assert set(ROBUST) == {"none", *IMPLEMENTED_LOSSES} - {"linear", "arctan"}
+    for name, function in ROBUST.items():
         expected, slope = z, np.ones(5)
         if name != "none":
             IMPLEMENTED_LOSSES[name](z, rho := np.empty((3, 5)), False)

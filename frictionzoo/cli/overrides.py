@@ -17,7 +17,7 @@ from frictionzoo.core.errors import ConfigError, closest
 MOST_JOBS = 100_000  # of one range in a sweep
 _RAISE = "HYDRA_FULL_ERROR"
 _FOLDERS = ("hydra.run.dir", "hydra.sweep.dir", "hydra.sweep.subdir")
-_OPTIONAL_GROUPS = ("experiment", "variant")
+_OPTIONAL_GROUPS = ("experiment", "variant", "start")
 
 
 @contextlib.contextmanager
@@ -53,13 +53,19 @@ def refuse_no_choice(arguments: Sequence[str]) -> None:
             continue
         names = choices_named(override)
         known = all(isinstance(name, str) for name in names)
-        if group in _OPTIONAL_GROUPS and (override.is_delete() or (known and set(names) <= set(list_choices(group)))):
+        if group in _OPTIONAL_GROUPS and (override.is_delete() or _may_be(group, names)):
             continue
         if override.is_delete() or not known or group == "variant":
             asked, needed = str(override.input_line), f"a job needs one {group}"
             if group in _OPTIONAL_GROUPS:
                 needed = "expected one name, or to leave it out"
             raise ConfigError(f"{asked}: {needed}; {closest(asked.partition('=')[2], list_choices(group))}")
+
+
+def _may_be(group: str, names: Sequence[Any]) -> bool:
+    """Whether a group that may be left out takes each of these; null leaves it out."""
+    choices = list_choices(group)
+    return all(name is None or name in choices for name in names)
 
 
 def _refuse_no_setting(override: Override) -> None:

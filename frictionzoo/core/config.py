@@ -26,6 +26,7 @@ _TAKES: dict[str, tuple[Any, ...]] = {
     "compilation_cache": ("", None),
     "segments.count": (0, None),
     "loop.patience": (0, None),
+    "fit.start": (None,),
     "evaluation.rollouts": (0, None),
     "bench.joint": ("", [""], None),
     "bench.payload": ("", None),

@@ -18,7 +18,9 @@ class Described:
     """A class whose objects remember the arguments of their constructor."""
 
     def __new__(cls: type[T], *args: Any, **kwargs: Any) -> T:
-        """An object that has kept these arguments."""
+        """An object that has kept these arguments; TypeError where its class takes none, which Python would not say."""
+        if (args or kwargs) and cls.__init__ is object.__init__:
+            raise TypeError(f"{cls.__name__} takes no arguments")
         made = object.__new__(cls)
         object.__setattr__(made, "_given", (args, kwargs))  # a dataclass may be frozen
         return made

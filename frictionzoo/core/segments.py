@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from frictionzoo.core.errors import ConfigError, LogError, closest
 from frictionzoo.core.log import Log
@@ -31,6 +31,7 @@ class Segments:
             samples from there on.
         timestep: Sample interval [s].
         load: What each one's payload changes in the bench's model; None where there is none.
+        follows: Whether each begins where the one before it ends; None where none does.
     """
 
     qpos: Float[np.ndarray, "batch states nv"]
@@ -38,6 +39,7 @@ class Segments:
     signals: Signals
     timestep: float
     load: Float[np.ndarray, "batch load"] | None = None
+    follows: Bool[np.ndarray, "batch"] | None = None
 
     @property
     def acting(self) -> Signals:
@@ -69,7 +71,7 @@ class Segments:
         """The first of them alone."""
         load = None if self.load is None else self.load[:1]
         signals = self.signals.map(lambda signal: signal[:1])
-        return replace(self, qpos=self.qpos[:1], qvel=self.qvel[:1], signals=signals, load=load)
+        return replace(self, qpos=self.qpos[:1], qvel=self.qvel[:1], signals=signals, load=load, follows=None)
 
 
 class Sampling(NamedTuple):
@@ -261,4 +263,5 @@ def _windows(logs: Sequence[Log], places: Int[np.ndarray, "segments 2"], length:
     recorded = [log.signals.named() for log in logs]
     signals = {name: np.concatenate([of_log[name] for of_log in recorded])[driven] for name in recorded[0]}
     load = np.stack([log.load for log in logs])[places[:, 0]]
-    return Segments(qpos, qvel, Signals.from_named(signals), logs[0].timestep, load)
+    follows = np.append(False, (np.diff(places, axis=0) == [0, length]).all(axis=1))
+    return Segments(qpos, qvel, Signals.from_named(signals), logs[0].timestep, load, follows)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import optax
 
 from frictionzoo.core.errors import ConfigError, closest
-from frictionzoo.fit.base import Fit, Seen, refuse_nothing, register_method
+from frictionzoo.fit.base import Fit, Seen, as_start, refuse_nothing, register_method
 from frictionzoo.fit.blocks import Blocks
 from frictionzoo.fit.objective import Objective
 
@@ -33,6 +33,7 @@ class Adam(Fit):
         derivative: `forward`, `reverse` or `auto`.
         schedule: `constant`, or `cosine`: the rate falls to 0 by half a cosine over the iterations. At a constant rate
             the weights of a network go on jumping about their best values.
+        start: The method at whose end this one begins, such as `InverseDynamics`; None: at the initial values.
 
     Raises:
         ConfigError: An argument is out of range.
@@ -45,6 +46,7 @@ class Adam(Fit):
         b2: float = 0.9,
         derivative: str = "auto",
         schedule: str = "constant",
+        start: Fit | None = None,
     ) -> None:
         if iterations < 1:
             raise ConfigError(f"fit.iterations={iterations}; expected at least 1")
@@ -56,6 +58,7 @@ class Adam(Fit):
             raise ConfigError(f"fit.derivative={derivative}; expected auto, forward or reverse")
         if schedule not in SCHEDULES:
             raise ConfigError(f"fit.schedule={schedule}: unknown; {closest(schedule, SCHEDULES)}")
+        self.start = as_start(start)
         self._iterations = iterations
         self._derivative = derivative
         self._optimiser = optax.adam(SCHEDULES[schedule](learning_rate, iterations), b2=b2)

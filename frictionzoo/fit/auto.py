@@ -22,6 +22,7 @@ class Auto(Fit):
         b2: Of `Adam`.
         derivative: Of `Adam`.
         schedule: Of `Adam`.
+        start: Of either.
 
     Raises:
         ConfigError: An argument is out of range.
@@ -36,10 +37,12 @@ class Auto(Fit):
         b2: float = 0.9,
         derivative: str = "auto",
         schedule: str = "constant",
+        start: Fit | None = None,
     ) -> None:
         refuse_outside("fit.tries", tries, 1, MOST_TRIES)
-        self._lm = LevenbergMarquardt(tries, tolerance)
-        self._adam = Adam(iterations, learning_rate, b2, derivative, schedule)
+        self._lm = LevenbergMarquardt(tries, tolerance, start)
+        self._adam = Adam(iterations, learning_rate, b2, derivative, schedule, start)
+        self.start = start
 
     def choose(self, objective: Objective) -> Fit:
         """See `Fit.choose`."""

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from frictionzoo.core.described import Described
-from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.errors import ConfigError, refuse_unlike
 from frictionzoo.core.registry import KINDS, Registry
 from frictionzoo.fit.blocks import Blocks
 from frictionzoo.fit.link_inertia import LinkInertia
@@ -45,14 +45,16 @@ class Fit(Described, ABC):
     Attributes:
         name: Its name in results, set by `register_method`.
         traced: Whether `step` is a JAX function, which the loop compiles; otherwise it is called from Python.
+        start: The method at whose best vector this one begins; None: at the initial values.
     """
 
     name: ClassVar[str]
     traced: ClassVar[bool] = True
+    start: "Fit | None" = None
 
     def revise(self, recordings: Recordings) -> LinkInertia | None:
         """What the method finds of the test stand itself, before anything is simulated; None: it stays as it is."""
-        return None
+        return None if self.start is None else self.start.revise(recordings)
 
     def choose(self, objective: Objective) -> "Fit":
         """The method that does the work for this objective: this one, unless it leaves the choice to the law."""
@@ -118,6 +120,13 @@ REGISTRY = Registry(KINDS["methods"], Fit, "step")
 
 register_method = REGISTRY.register
 """Class decorator that makes a fit method known by its name, as `Registry.register`."""
+
+
+def as_start(start: Any) -> Fit | None:
+    """What an argument `start` gives, a method or None; ConfigError for anything else."""
+    if start is not None:
+        refuse_unlike("fit.start", start, Fit, "another fit, as start=inverse_dynamics gives it, or null")
+    return start
 
 
 def refuse_nothing(objective: Objective) -> None:

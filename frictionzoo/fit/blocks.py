@@ -30,6 +30,7 @@ class Blocks(NamedTuple):
         load: What payloads change in the bench's model, (blocks, segments, load).
         weight: 1; 0 for a segment that only fills the last block.
         stretch: Number of the stretch of consecutive segments to which a segment belongs, from 0.
+        linked: 1 where the next segment begins at the end of this one; 0 elsewhere.
     """
 
     qpos: Any
@@ -38,6 +39,7 @@ class Blocks(NamedTuple):
     load: Any
     weight: Any
     stretch: Any
+    linked: Any
 
 
 def devices_of(rollout: Rollout) -> list[Any]:
@@ -67,7 +69,11 @@ def into_blocks(segments: Segments, stretches: int, dtype: Any, devices: list[An
     weight = (np.arange(blocks * size) < segments.count).astype(dtype).reshape(blocks, size)
     stretch = (index * stretches // segments.count).astype(np.int32).reshape(blocks, size)
     measured = cut(segments.qpos), cut(segments.qvel), segments.signals.map(cut), cut(segments.loads)
-    host = Blocks(*measured, weight, stretch)
+    follows = np.zeros(blocks * size, dtype)
+    if segments.follows is not None:
+        follows[: segments.count] = segments.follows
+    linked = np.append(follows[1:], np.zeros(1, dtype)).reshape(blocks, size)
+    host = Blocks(*measured, weight, stretch, linked)
     if len(devices) == 1:
         return jax.tree.map(jnp.asarray, host)
     sharding = NamedSharding(Mesh(np.array(devices), ("segments",)), PartitionSpec(None, "segments"))

@@ -79,6 +79,7 @@ class InverseDynamics(Fit):
             return None
         bench, model, _ = recordings
         space = Space(bench, model, jnp.result_type(float))
+        _refuse_many(space)
         equation = TorqueEquation(space, recordings, self._filtering, self._held)
         return identify_links(equation, space, bench.compile(constraint=False), self._links, self._prior)
 
@@ -90,12 +91,7 @@ class InverseDynamics(Fit):
             raise ConfigError(
                 "fit=inverse_dynamics: another drive's rollouts to follow, expected recordings; use fit=lm"
             )
-        coordinates = len(objective.space.start)
-        if coordinates > MOST_COORDINATES:
-            raise ConfigError(
-                f"fit=inverse_dynamics: {coordinates} coordinates ({objective.space.names[-1]} among them), expected "
-                f"at most {MOST_COORDINATES}; use fit=adam"
-            )
+        _refuse_many(objective.space)
         return 2
 
     def equation(self, objective: Objective) -> TorqueEquation:
@@ -138,3 +134,13 @@ class InverseDynamics(Fit):
     def compile_scores(self, objective: Objective) -> Scores:
         """See `Fit.compile_scores`: of the torque."""
         return self.equation(objective).scores
+
+
+def _refuse_many(space: Space) -> None:
+    """ConfigError for more coordinates than a Jacobian of the torque has room for."""
+    coordinates = len(space.start)
+    if coordinates > MOST_COORDINATES:
+        raise ConfigError(
+            f"fit=inverse_dynamics: {coordinates} coordinates ({space.names[-1]} among them), expected at most "
+            f"{MOST_COORDINATES}; use fit=adam, which begins at the initial values"
+        )

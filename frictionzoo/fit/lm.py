@@ -7,7 +7,7 @@ import scipy.optimize
 from jaxtyping import Float
 
 from frictionzoo.core.errors import ConfigError, refuse_outside
-from frictionzoo.fit.base import Fit, Seen, refuse_nothing, refuse_torch, register_method
+from frictionzoo.fit.base import Fit, Seen, as_start, refuse_nothing, refuse_torch, register_method
 from frictionzoo.fit.blocks import Blocks
 from frictionzoo.fit.normal_equations import NormalEquations, compress
 from frictionzoo.fit.objective import Objective
@@ -51,6 +51,7 @@ class LevenbergMarquardt(Fit):
         iterations: Largest number of vectors that are tried.
         tolerance: Relative change of the loss or of the vector from which on the fit has converged; in float32 at least
             its precision.
+        start: The method at whose end this one begins, such as `InverseDynamics`; None: at the initial values.
 
     Raises:
         ConfigError: An argument is out of range.
@@ -58,10 +59,11 @@ class LevenbergMarquardt(Fit):
 
     traced = False
 
-    def __init__(self, iterations: int = 100, tolerance: float = 1e-8) -> None:
+    def __init__(self, iterations: int = 100, tolerance: float = 1e-8, start: Fit | None = None) -> None:
         refuse_outside("fit.iterations", iterations, 1, MOST_TRIES)
         if not 0 < tolerance < 1:
             raise ConfigError(f"fit.tolerance={tolerance}; expected a number between 0 and 1")
+        self.start = as_start(start)
         self._iterations = iterations
         self._tolerance = tolerance
 

@@ -1,7 +1,7 @@
 """What a fit minimises."""
 
 import copy
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple, TypeVar
 
@@ -13,30 +13,23 @@ from jax.sharding import NamedSharding, PartitionSpec
 from jaxtyping import Array, Float
 
 from frictionzoo.bench import Bench
-from frictionzoo.core.errors import ConfigError, closest
+from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.log import Log
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.threads import usable_threads
 from frictionzoo.fit.blocks import MOST_STRETCHES, Blocks, devices_of, each, into_blocks
+from frictionzoo.fit.loss import Loss
 from frictionzoo.fit.normal_equations import NormalEquations
+from frictionzoo.fit.shooting import Equations, Mixed, Shooting, follow, join_equations
 from frictionzoo.fit.space import Space
 from frictionzoo.fit.sparsity import Sparsity
 from frictionzoo.models import FrictionModel
 from frictionzoo.simulate import Values
 from frictionzoo.simulate.bridge import as_torch_function, to_arrays, to_tensors
-from frictionzoo.simulate.linear import solve_spd
 from frictionzoo.simulate.rollout import FORWARD, Rollout
 from frictionzoo.simulate.torch_rollout import TorchRollout
 
 T = TypeVar("T")
-_REFINEMENTS = 5  # steps for an initial state; rollouts are nearly linear in it but for sticking and sliding
-_ROBUST: Mapping[str, Callable[[Any], Any]] = {
-    "none": lambda z: z,
-    "huber": lambda z: jnp.where(z <= 1, z, 2 * jnp.sqrt(jnp.where(z <= 1, 1.0, z)) - 1),
-    "soft_l1": lambda z: 2 * (jnp.sqrt(1 + z) - 1),
-    "cauchy": jnp.log1p,
-}
-"""Losses of a squared residual over the squared scale, as in scipy.optimize.least_squares."""
 
 
 class Recordings(NamedTuple):
@@ -79,10 +72,14 @@ class Objective:
         robust_scale: Weighted residual from which on it counts less than its square.
         refine: Whether each segment's initial state is estimated along, from its measured state and from all that
             follows (multiple shooting), instead of being taken as measured.
+        continuity: Weight of the gap between the end of a segment and the initial state of the next one of the same
+            recording, over that of an error of position or velocity; 0 where segments stand alone. With it, short
+            segments act as one long rollout that cannot diverge.
 
     Raises:
         ConfigError: A weight is negative, or both are 0; the robust loss is unknown or cannot be combined; initial
-            states are to be refined with a law that exists only in torch.
+            states are to be refined with a law that exists only in torch; segments are to hold together that do not
+            follow one another, or whose initial states are not refined.
     """
 
     def __init__(
@@ -95,22 +92,17 @@ class Objective:
         robust: str = "none",
         robust_scale: float = 1.0,
         refine: bool = False,
+        continuity: float = 0.0,
     ) -> None:
-        if min(position, velocity) < 0 or max(position, velocity) == 0:
-            raise ConfigError(
-                f"loss.position={position:g}, loss.velocity={velocity:g}; expected weights of at least 0, not both 0"
-            )
-        if robust not in _ROBUST:
-            raise ConfigError(f"loss.robust={robust}: unknown; {closest(robust, _ROBUST)}")
-        if not robust_scale > 0:
-            raise ConfigError(f"loss.robust_scale={robust_scale:g}; expected a positive number")
-        if refine and robust != "none":
-            raise ConfigError(f"loss.robust={robust} with loss.refine=true; expected one of them, set the other off")
-        if refine and not position * velocity:
-            raise ConfigError("loss.refine=true with a weight of 0; expected loss.position and loss.velocity above 0")
+        self._loss = Loss(position, velocity, robust, robust_scale, refine, continuity)
         if refine and isinstance(rollout, TorchRollout):
             raise ConfigError(
                 f"loss.refine=true: {rollout.law} exists only in torch, with no forward mode; set loss.refine=false"
+            )
+        if continuity and (segments.follows is None or not segments.follows.any()):
+            raise ConfigError(
+                f"loss.continuity={continuity:g}: no segment begins where another ends; expected neighbours, as "
+                "segments.count=null and a shorter segments.length give them"
             )
         self.space: Space = space
         self.compile: Callable[..., Any] = rollout.compile
@@ -119,9 +111,6 @@ class Objective:
         self.devices: int = len(self.data.weight.sharding.device_set)
         self._first = min(self.data.weight.sharding.device_set, key=lambda device: device.id)
         self._rollout = rollout
-        self._roots = np.sqrt([position, velocity])
-        self._robust, self._scale = _ROBUST[robust], robust_scale
-        self._refine = refine
         self.recordings: Recordings | None = None
         self._programs: dict[Any, Any] = {}  # compiled equations: a fit's own serve again when it is judged
         self._sparsity = Sparsity.of(space, rollout.branches)
@@ -133,6 +122,12 @@ class Objective:
         other.space, other.compile, other._rollout = space, rollout.compile, rollout
         other._sparsity = Sparsity.of(space, rollout.branches)
         other.recordings, other._programs = None, {}
+        return other
+
+    def starting(self, vector: Float[np.ndarray, "coordinates"]) -> "Objective":
+        """The same objective with other initial coordinates, brought into the bounds."""
+        other = copy.copy(self)
+        other.space = self.space.starting(vector)
         return other
 
     def remember(self, what: Hashable, make: Callable[[], T]) -> T:
@@ -160,8 +155,9 @@ class Objective:
     def loss(self, vector: Float[Array, "coordinates"], data: Blocks) -> Float[Array, ""]:
         """The objective."""
         if self.torch_law:
-            return jnp.sum(jnp.stack([self._block_loss(vector, block) for block in each(data)]))
-        return jnp.sum(jax.lax.map(lambda block: self._block_loss(vector, block), data))
+            parts = _each_part(data, self._states(vector, data))
+            return jnp.sum(jnp.stack([self._block_loss(vector, *part) for part in parts]))
+        return jnp.sum(jax.lax.map(lambda part: self._block_loss(vector, *part), (data, *self._states(vector, data))))
 
     def value_and_grad(self, derivative: str) -> Callable[[Array, Blocks], tuple[Array, Array]]:
         """The objective and its gradient as one function of a vector and the data, not compiled.
@@ -182,15 +178,16 @@ class Objective:
         few = len(self.space.start) <= self._rollout.forward_limit or not self._rollout.reverse
         reverse = derivative == "reverse" or (derivative == "auto" and not few)
 
-        def of_block(vector: Array, block: Blocks) -> tuple[Array, Array]:
+        def of_block(vector: Array, part: tuple[Blocks, Array, Array]) -> tuple[Array, Array]:
             if reverse:
-                return jax.value_and_grad(self._block_loss)(vector, block)
-            slope = jax.vmap(lambda tangent: jax.jvp(lambda x: self._block_loss(x, block), (vector,), (tangent,)))
+                return jax.value_and_grad(self._block_loss)(vector, *part)
+            slope = jax.vmap(lambda tangent: jax.jvp(lambda x: self._block_loss(x, *part), (vector,), (tangent,)))
             losses, gradient = slope(jnp.eye(len(vector), dtype=vector.dtype))
             return losses[0], gradient
 
         def of_all(vector: Array, data: Blocks) -> tuple[Array, Array]:
-            losses, gradients = jax.lax.map(lambda block: of_block(vector, block), data)
+            parts = (data, *self._states(vector, data))
+            losses, gradients = jax.lax.map(lambda part: of_block(vector, part), parts)
             return jnp.sum(losses), jnp.sum(gradients, axis=0)
 
         return of_all
@@ -245,44 +242,103 @@ class Objective:
         For a robust loss a residual counts in the second derivative by that of its loss, which can be negative, and not
         by the loss's slope, which keeps the step of a fit a descent.
         """
-        return self._compile_equations(exact=self._robust is not _ROBUST["none"])
+        return self._compile_equations(exact=self._loss.robust != "none")
 
     def _compile_equations(self, exact: bool) -> Callable[[np.ndarray], tuple[NormalEquations, np.ndarray]]:
         if exact not in self._programs:
-            traced = self.compile(lambda vector, block: self._block_equations(vector, block, exact), FORWARD)
-            self._programs[exact] = traced.lower(self.spread(self.space.start), next(each(self.data))).compile()
+            make = self._compile_apart if self._loss.gap is None else self._compile_together
+            self._programs[exact] = make(exact)
         compiled = self._programs[exact]
 
         def evaluate(vector: Float[np.ndarray, "coordinates"]) -> tuple[NormalEquations, np.ndarray]:
-            moved = self.spread(jnp.asarray(vector, self.space.start.dtype))
-
-            def of_block(block: Blocks) -> list[Float[np.ndarray, "..."]]:
-                return [np.asarray(part, np.float64) for part in compiled(moved, block)]
-
-            # A block's operations are too small for several threads, blocks side by side are not. Devices have theirs.
-            with ThreadPoolExecutor(usable_threads() if self.devices == 1 else 1) as pool:
-                parts = list(pool.map(of_block, each(self.data)))
-            loss, scores, hessian = (np.stack(part).sum(axis=0) for part in zip(*parts, strict=True))
+            loss, scores, hessian = compiled(self.spread(jnp.asarray(vector, self.space.start.dtype)), self.data)
             return NormalEquations(float(loss), scores.sum(axis=0), hessian), scores
 
         return evaluate
 
-    def _block_loss(self, vector: Array, block: Blocks) -> Float[Array, ""]:
-        values = self.space.values(vector)
-        residuals = self._residuals(values, *self._initial(values, block), block)
-        return self._sum(jnp.square(residuals)) / self._terms
+    def _compile_apart(self, exact: bool) -> Callable[[Array, Blocks], list[Any]]:
+        """Equations where no block knows of another: each is done with by itself."""
+
+        def of_block(vector: Array, block: Blocks) -> tuple[Array, Array, Array]:
+            data = jax.tree.map(lambda part: part[None], block)
+            own, following = (states[0] for states in self._states(vector, data))
+            return self._finish(self._block_equations(vector, block, own, following, exact), data)
+
+        traced = self.compile(of_block, FORWARD)
+        compiled = traced.lower(self.spread(self.space.start), next(each(self.data))).compile()
+
+        def evaluate(vector: Array, data: Blocks) -> list[Any]:
+            parts = self._side_by_side(lambda block: _to_numpy(compiled(vector, block)), each(data))
+            return [np.stack(part).sum(axis=0) for part in zip(*parts, strict=True)]
+
+        return evaluate
+
+    def _compile_together(self, exact: bool) -> Callable[[Array, Blocks], list[Any]]:
+        """The same where segments hold together: initial states are found, and eliminated, for all blocks at once."""
+        find, finish = self.compile(self._states, FORWARD), jax.jit(self._finish)
+
+        def of_part(vector: Array, part: tuple[Blocks, Array, Array]) -> Equations:
+            block, own, following = part
+            return self._block_equations(vector, block, own, following, exact)
+
+        start = self.spread(self.space.start)
+        example = next(_each_part(self.data, find(start, self.data)))
+        equations = self.compile(of_part, FORWARD).lower(start, example).compile()
+
+        def evaluate(vector: Array, data: Blocks) -> list[Any]:
+            blocks = _each_part(data, find(vector, data))
+            parts = self._side_by_side(lambda part: jax.tree.map(np.asarray, equations(vector, part)), blocks)
+            return _to_numpy(finish(join_equations(parts), jax.tree.map(np.asarray, data)))
+
+        evaluate(start, self.data)  # compiles the rest
+        return evaluate
+
+    def _side_by_side(self, function: Callable[[Any], T], parts: Iterable[Any]) -> list[T]:
+        """Of each part: operations are too small for several threads, blocks side by side are not.
+
+        Devices have threads of their own.
+        """
+        with ThreadPoolExecutor(usable_threads() if self.devices == 1 else 1) as pool:
+            return list(pool.map(function, parts))
+
+    def _states(self, vector: Array, data: Blocks) -> tuple[Array, Array]:
+        """Where segments start, and the next ones, (blocks, segments, twice_nv): as measured, or as fits all best.
+
+        No derivative goes through the search: at its end the objective does not change with the initial states, so
+        that its derivative is that at fixed ones.
+        """
+        if self._loss.refine:
+            values, data = jax.lax.stop_gradient((self.space.values(vector), data))
+            own = jax.lax.stop_gradient(self._shooting.find_states(values, data))
+        else:
+            own = jnp.concatenate([data.qpos[:, :, 0], data.qvel[:, :, 0]], axis=2)
+        return own, follow(own)
+
+    @property
+    def _shooting(self) -> Shooting:
+        return Shooting(self._residuals, self._sparsity, self._loss.gap)
+
+    def _block_loss(self, vector: Array, block: Blocks, own: Array, following: Array) -> Float[Array, ""]:
+        residuals = self._residuals(self.space.values(vector), own, following, block)
+        return self._loss.sum(jnp.square(residuals)) / self._terms
 
     def _loss_of_prediction(self, predicted: tuple[Array, Array], block: Blocks) -> Float[Array, ""]:
         """A block's part of the objective where initial states are not refined."""
         errors = self._errors(block.qpos[:, 0], block.qvel[:, 0], predicted, block)
-        return self._sum(jnp.square(errors)) / self._terms
+        return self._loss.sum(jnp.square(errors)) / self._terms
 
-    def _sum(self, squares: Array) -> Array:
-        square = self._scale**2
-        return jnp.sum(self._robust(squares / square)) * square
-
-    def _residuals(self, values: Values, qpos: Array, qvel: Array, block: Blocks) -> Float[Array, "segments time nv 2"]:
-        return self._errors(qpos, qvel, self._rollout(values, qpos, qvel, block.signals, block.load), block)
+    def _residuals(
+        self, values: Values, own: Array, following: Array, block: Blocks
+    ) -> Float[Array, "segments time nv 2"]:
+        qpos, qvel = jnp.split(own, 2, axis=1)
+        predicted = self._rollout(values, qpos, qvel, block.signals, block.load)
+        errors = self._errors(qpos, qvel, predicted, block)
+        if self._loss.gap is None:
+            return errors
+        ends = jnp.stack([state[:, -1] for state in predicted], axis=-1)
+        gaps = ends - jnp.stack(jnp.split(following, 2, axis=1), axis=-1)
+        gaps = self._loss.gap * gaps * block.linked[:, None, None]
+        return jnp.concatenate([errors, gaps[:, None]], axis=1)
 
     def _errors(
         self, qpos: Array, qvel: Array, predicted: tuple[Array, Array], block: Blocks
@@ -290,94 +346,49 @@ class Objective:
         """Weighted errors of position and velocity, with that of the initial state first where it is refined."""
         errors = []
         for root, start, after, measured in zip(
-            self._roots, (qpos, qvel), predicted, (block.qpos, block.qvel), strict=True
+            self._loss.roots, (qpos, qvel), predicted, (block.qpos, block.qvel), strict=True
         ):
-            whole = jnp.concatenate([start[:, None], after], axis=1) if self._refine else after
-            errors.append(root * (whole - (measured if self._refine else measured[:, 1:])))
+            whole = jnp.concatenate([start[:, None], after], axis=1) if self._loss.refine else after
+            errors.append(root * (whole - (measured if self._loss.refine else measured[:, 1:])))
         return jnp.stack(errors, axis=-1) * block.weight[:, None, None, None]
 
-    def _initial(self, values: Values, block: Blocks) -> tuple[Array, Array]:
-        """Where the segments start: as measured, or as fits the whole segment best.
-
-        No derivative goes through the search: at its end the objective does not change with the initial states, so
-        that its derivative is that at fixed ones.
-        """
-        state = (block.qpos[:, 0], block.qvel[:, 0])
-        if not self._refine:
-            return state
-        values, block = jax.lax.stop_gradient((values, block))
-        unused = self._unused_states(block)
-
-        def improve(_: Any, search: tuple) -> tuple:
-            """One step of Levenberg and Marquardt in every segment; it counts where it lowers the error."""
-            state, residuals, slopes, damping = search
-            curvature = jnp.einsum("ibsk,jbsk->bsij", slopes, slopes)
-            damped = curvature * (1 + damping[:, :, None, None] * jnp.eye(len(slopes))) + unused
-            step = jax.vmap(jax.vmap(solve_spd))(damped, jnp.einsum("ibsk,bsk->bsi", slopes, residuals))
-            trial = state - step
-            tried, sloped = self._with_slopes(values, trial, block)
-            better = jnp.sum(jnp.square(tried), axis=2) < jnp.sum(jnp.square(residuals), axis=2)
-            return (
-                jnp.where(better[:, :, None], trial, state),
-                jnp.where(better[:, :, None], tried, residuals),
-                jnp.where(better[:, :, None], sloped, slopes),
-                damping * jnp.where(better, 0.1, 10.0),
-            )
-
-        start = self._sparsity.states_by_branch(jnp.concatenate(state, axis=1))
-        search = (start, *self._with_slopes(values, start, block), jnp.full(start.shape[:2], 1e-3, start.dtype))
-        found = self._sparsity.states_together(jax.lax.fori_loop(0, _REFINEMENTS, improve, search)[0])
-        qpos, qvel = jnp.split(jax.lax.stop_gradient(found), 2, axis=1)
-        return qpos, qvel
-
-    def _unused_states(self, block: Blocks) -> Float[Array, "branches segments state state"]:
-        """What makes equations of initial states solvable that do not count."""
-        identity = jnp.eye(len(self._sparsity.states)) * (1 - block.weight[:, None, None])
-        return self._sparsity.unit_states(block.weight.dtype)[:, None] + identity
-
-    def _with_slopes(
-        self, values: Values, state: Float[Array, "branches segments state"], block: Blocks
-    ) -> tuple[Float[Array, "branches segments terms"], Float[Array, "state branches segments terms"]]:
-        """Residuals, and their derivative with respect to each entry of a branch's initial position and velocity."""
-
-        def residuals(state: Array) -> Array:
-            qpos, qvel = jnp.split(state, 2, axis=1)
-            return self._sparsity.by_branch(self._residuals(values, qpos, qvel, block))
-
-        whole = self._sparsity.states_together(state)
-        units = jnp.asarray(self._sparsity.states, whole.dtype)[:, None, :] * jnp.ones_like(whole[:, :1])
-        return residuals(whole), jax.vmap(lambda unit: jax.jvp(residuals, (whole,), (unit,))[1])(units)
-
-    def _block_equations(self, vector: Array, block: Blocks, exact: bool) -> tuple[Array, Array, Array]:
-        """Loss, gradient of each stretch, and second derivative."""
-        qpos, qvel = self._initial(self.space.values(vector), block)
+    def _block_equations(self, vector: Array, block: Blocks, own: Array, following: Array, exact: bool) -> Equations:
+        """Loss, gradient of each segment and second derivative by the tangents, before states are eliminated."""
 
         def residuals(vector: Array) -> Array:
-            return self._sparsity.by_branch(self._residuals(self.space.values(vector), qpos, qvel, block))
+            return self._sparsity.by_branch(self._residuals(self.space.values(vector), own, following, block))
 
         errors, slopes = jax.vmap(lambda unit: jax.jvp(residuals, (vector,), (unit,)), out_axes=(None, 0))(
             jnp.asarray(self._sparsity.seeds, vector.dtype)
         )
-        loss = self._sum(jnp.square(errors))
-        # For a robust loss every residual counts by the slope of its loss, as in iteratively reweighted least squares.
-        squares = jnp.square(errors) / self._scale**2
-        each = jnp.vectorize(jax.grad(self._robust))
-        share = curvature = each(squares)
-        if exact:
-            curvature = share + 2 * squares * jnp.vectorize(jax.grad(jax.grad(self._robust)))(squares)
+        share, curvature = self._loss.shares(jnp.square(errors), exact)
         # A GPU rounds the factors of a product to 10 bits unless told otherwise: too few to see what is collinear.
-        of_segment = jnp.einsum("ibsk,bsk->bsi", slopes, share * errors, precision="highest")
+        gradient = jnp.einsum("ibsk,bsk->bsi", slopes, share * errors, precision="highest")
         hessian = jnp.einsum("ibsk,jbsk->bij", slopes, curvature * slopes, precision="highest")
-        if self._refine:
-            start = self._sparsity.states_by_branch(jnp.concatenate([qpos, qvel], axis=1))
-            _, own = self._with_slopes(self.space.values(vector), start, block)
-            inverse_of = jnp.einsum("ibsk,jbsk->bsij", own, own) + self._unused_states(block)
-            mixed = jnp.einsum("ibsk,jbsk->bsji", own, slopes)
-            right = jnp.einsum("ibsk,bsk->bsi", own, errors)
-            solved = jax.vmap(jax.vmap(jax.vmap(solve_spd, in_axes=(None, 0))))(inverse_of, mixed)
-            of_segment = of_segment - jnp.einsum("bsji,bsi->bsj", solved, right)
-            hessian = hessian - jnp.einsum("bsji,bski->bjk", solved, mixed)
-        members = jax.nn.one_hot(block.stretch, self.stretches, dtype=vector.dtype)
-        gradient, hessian = self._sparsity.gradient(of_segment), self._sparsity.hessian(hessian)
+        loss = self._loss.sum(jnp.square(errors))
+        if not self._loss.refine:
+            return Equations(loss, gradient, hessian)
+        local, by_state = self._shooting.look(self.space.values(vector), own, following, block)
+        mixed = jnp.einsum("ibsk,jbsk->bsij", by_state, slopes, precision="highest")
+        return Equations(loss, gradient, hessian, local, Mixed(mixed, jnp.moveaxis(self._shooting.gap(slopes), 0, 3)))
+
+    def _finish(self, found: Equations, data: Blocks) -> tuple[Array, Array, Array]:
+        """Loss, gradient of each stretch, and second derivative by the coordinates, without the initial states."""
+        loss, gradient, hessian, local, mixed = found
+        if local is not None and mixed is not None:
+            taken, lost = self._shooting.eliminate(local, mixed, data)
+            gradient, hessian = gradient - taken, hessian - lost
+        members = jax.nn.one_hot(data.stretch.ravel(), self.stretches, dtype=gradient.dtype)
+        gradient, hessian = self._sparsity.gradient(gradient), self._sparsity.hessian(hessian)
         scores = jnp.einsum("sg,si->gi", members, gradient, precision="highest")
         return loss / self._terms, scores / self._terms, hessian / self._terms
+
+
+def _each_part(data: Blocks, states: tuple[Array, Array]) -> Iterator[tuple[Blocks, Array, Array]]:
+    """The blocks one after the other, with where their segments and the next ones start."""
+    for index, block in enumerate(each(data)):
+        yield block, states[0][index], states[1][index]
+
+
+def _to_numpy(parts: Iterable[Array]) -> list[np.ndarray]:
+    return [np.asarray(part, np.float64) for part in parts]

@@ -1,5 +1,6 @@
 """What a fit moves: coordinates, and the physical values that they stand for."""
 
+import copy
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
@@ -82,6 +83,12 @@ class Space:
         self.start: Array = jnp.asarray(start, dtype)  # of no coordinates, ravel_pytree makes float32
         self.low: Array = ravel_pytree(self._bounds(coordinates, "low"))[0]
         self.high: Array = ravel_pytree(self._bounds(coordinates, "high"))[0]
+
+    def starting(self, vector: Float[np.ndarray, "coordinates"]) -> "Space":
+        """The same space with other initial coordinates, brought into the bounds."""
+        other = copy.copy(self)
+        other.start = jnp.clip(jnp.asarray(vector, self.start.dtype), self.low, self.high)
+        return other
 
     def values(self, vector: Float[Array, "coordinates"]) -> Values:
         """Physical values of all parameters, identified and known, by owner and name."""

@@ -20,6 +20,7 @@ from frictionzoo.core.state import DriveState
 from frictionzoo.fit import Fit, Objective, Space
 from frictionzoo.fit.link_inertia import LinkInertia
 from frictionzoo.fit.objective import Recordings
+from frictionzoo.fit.start import begin_where
 from frictionzoo.models import FrictionModel
 from frictionzoo.result.evaluate import Evaluation
 from frictionzoo.result.identified import Identified
@@ -119,9 +120,12 @@ class Problem:
         space = Space(bench, drive.model, settings["dtype"])
         objective = Objective(space, drive.rollout, segments, **settings["loss"])
         objective.recordings = Recordings(bench, drive.model, dataset.train)
+        fit = fit.choose(objective)
+        if fit.start is not None:
+            objective = begin_where(fit.start, objective)
         seconds = time.perf_counter() - began
         posed = (bench, dataset, doubts, sampling, segments, evaluation, drive, proof, samples, objective)
-        return cls(*posed, fit.choose(objective), settings, seconds, links)
+        return cls(*posed, fit, settings, seconds, links)
 
     def following(self, teacher: Identified) -> "Problem":
         """The same problem with a fitted drive's rollouts in place of the measured segments, judged as before.

@@ -1,0 +1,83 @@
+"""How errors of predicted states count: weights, robust losses, and initial states that are estimated along."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from frictionzoo.core.errors import ConfigError, closest
+
+ROBUST: Mapping[str, Callable[[Any], Any]] = {
+    "none": lambda z: z,
+    "huber": lambda z: jnp.where(z <= 1, z, 2 * jnp.sqrt(jnp.where(z <= 1, 1.0, z)) - 1),
+    "soft_l1": lambda z: 2 * (jnp.sqrt(1 + z) - 1),
+    "cauchy": jnp.log1p,
+}
+"""Losses of a squared residual over the squared scale, as in scipy.optimize.least_squares."""
+
+
+@dataclass(frozen=True)
+class Loss:
+    """How errors count; `Objective` says what its arguments mean.
+
+    Raises:
+        ConfigError: A weight is negative, or both are 0; the robust loss is unknown; options cannot be combined.
+    """
+
+    position: float
+    velocity: float
+    robust: str
+    robust_scale: float
+    refine: bool
+    continuity: float
+
+    def __post_init__(self) -> None:
+        position, velocity, robust = self.position, self.velocity, self.robust
+        if min(position, velocity) < 0 or max(position, velocity) == 0:
+            raise ConfigError(
+                f"loss.position={position:g}, loss.velocity={velocity:g}; expected weights of at least 0, not both 0"
+            )
+        if robust not in ROBUST:
+            raise ConfigError(f"loss.robust={robust}: unknown; {closest(robust, ROBUST)}")
+        if not self.robust_scale > 0:
+            raise ConfigError(f"loss.robust_scale={self.robust_scale:g}; expected a positive number")
+        if self.refine and robust != "none":
+            raise ConfigError(f"loss.robust={robust} with loss.refine=true; expected one of them, set the other off")
+        if self.refine and not position * velocity:
+            raise ConfigError("loss.refine=true with a weight of 0; expected loss.position and loss.velocity above 0")
+        if not self.continuity >= 0:
+            raise ConfigError(f"loss.continuity={self.continuity:g}; expected a weight of at least 0")
+        if self.continuity and not self.refine:
+            raise ConfigError(f"loss.continuity={self.continuity:g} with loss.refine=false; expected loss.refine=true")
+
+    @property
+    def roots(self) -> Float[np.ndarray, "2"]:
+        """Of the weights of position and velocity."""
+        return np.sqrt([self.position, self.velocity])
+
+    @property
+    def gap(self) -> Float[np.ndarray, "2"] | None:
+        """The same of the gap between segments; None where they stand alone."""
+        return np.sqrt(self.continuity) * self.roots if self.continuity else None
+
+    def sum(self, squares: Array) -> Float[Array, ""]:
+        """Of squared residuals, what they count."""
+        square = self.robust_scale**2
+        return jnp.sum(ROBUST[self.robust](squares / square)) * square
+
+    def shares(self, squares: Array, exact: bool) -> tuple[Array, Array]:
+        """How far each residual counts in the gradient and in the second derivative.
+
+        A residual counts by the slope of its loss, as in iteratively reweighted least squares; in the second derivative
+        by its own one if that is to be exact, which can be negative.
+        """
+        squares = squares / self.robust_scale**2
+        robust = ROBUST[self.robust]
+        share = curvature = jnp.vectorize(jax.grad(robust))(squares)
+        if exact:
+            curvature = share + 2 * squares * jnp.vectorize(jax.grad(jax.grad(robust)))(squares)
+        return share, curvature

@@ -1,0 +1,253 @@
+"""Multiple shooting: the initial state of every segment, estimated from the segment and from what lies beside it."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.linalg import cho_solve
+from jaxtyping import Array, Float
+
+from frictionzoo.fit.blocks import Blocks
+from frictionzoo.fit.sparsity import Sparsity
+from frictionzoo.simulate import Values
+from frictionzoo.simulate.linear import solve_spd
+
+_REFINEMENTS = 5  # steps for an initial state; rollouts are nearly linear in it but for sticking and sliding
+
+
+class Local(NamedTuple):
+    """A sum of squares near initial states, as far as it comes from single segments, by branch and segment.
+
+    Attributes:
+        square: The sum of squares.
+        gradient: Half its gradient by the segment's own state, J' r.
+        hessian: J' J.
+        gap: Residuals of the gap between a segment's end and the next one's initial state, in the order of the states.
+        gap_slopes: Their derivative by the segment's own state, which comes first.
+    """
+
+    square: Float[Array, "branches segments"]
+    gradient: Float[Array, "branches segments state"]
+    hessian: Float[Array, "branches segments state state"]
+    gap: Float[Array, "branches segments state"]
+    gap_slopes: Float[Array, "branches segments state state"]
+
+
+class Mixed(NamedTuple):
+    """What goes with the coordinates and with the initial states.
+
+    Attributes:
+        own: Product of the residuals' derivatives by a segment's own state and by each tangent.
+        gap: Derivative of the gap's residuals by each tangent.
+    """
+
+    own: Float[Array, "branches segments state tangents"]
+    gap: Float[Array, "branches segments state tangents"]
+
+
+class Equations(NamedTuple):
+    """A sum of squares near a vector and initial states, by branch.
+
+    Attributes:
+        loss: The sum.
+        gradient: Half its gradient by each tangent.
+        hessian: J' J of the tangents.
+        local: The same of initial states; None where these are not estimated.
+        mixed: What goes with both.
+    """
+
+    loss: Float[Any, ""]
+    gradient: Float[Any, "branches segments tangents"]
+    hessian: Float[Any, "branches tangents tangents"]
+    local: Local | None = None
+    mixed: Mixed | None = None
+
+
+class Shooting(NamedTuple):
+    """Initial states that are estimated along.
+
+    Each segment's state counts in its own residuals. Where segments hold together, the last residuals of each are the
+    gap to the state at which the next one begins, times a weight: short segments then act as one long rollout that
+    cannot diverge. All states of a recording depend on each other, each directly on its neighbours alone.
+
+    Source: H. Bock, K. Plitt, "A multiple shooting algorithm for direct solution of optimal control problems", 1984;
+    the gaps are not closed by force but weighted, as process noise is in Y. Tremolet, "Model-error estimation in
+    4D-Var", 2007.
+
+    Attributes:
+        residuals: Of a block, from values, own and following initial states and the block: weighted errors of position
+            and velocity, the gap last where segments hold together.
+        sparsity: Branches of the robot.
+        root: Root of the weight of a gap's position and velocity; None where segments stand alone.
+    """
+
+    residuals: Callable[[Values, Array, Array, Blocks], Float[Array, "segments time nv 2"]]
+    sparsity: Sparsity
+    root: Float[np.ndarray, "2"] | None
+
+    def find_states(self, values: Values, data: Blocks) -> Float[Array, "blocks segments twice_nv"]:
+        """Where the segments start: as fits them, and what follows, best.
+
+        Steps of Levenberg and Marquardt; each counts where it lowers the error of all segments that hold together.
+        """
+        chain, unused = self._chain(data), self._unused(data.weight.ravel())
+        start = jnp.concatenate([data.qpos[:, :, 0], data.qvel[:, :, 0]], axis=2)
+
+        def improve(_: Any, search: tuple) -> tuple:
+            state, local, damping = search
+            diagonal, beside, gradient = self._join(local, data)
+            damped = diagonal * (1 + damping[:, :, None, None] * jnp.eye(diagonal.shape[-1])) + unused
+            trial = state - self._solve(damped, beside, gradient[..., None])[..., 0]
+            tried = self._look(values, trial, data)
+            better = _sum_by(chain, tried.square) < _sum_by(chain, local.square)
+
+            def choose(new: Array, old: Array) -> Array:
+                return jnp.where(better.reshape(*better.shape, *[1] * (new.ndim - 2)), new, old)
+
+            kept, seen = choose(trial, state), jax.tree.map(choose, tried, local)
+            return kept, seen, damping * jnp.where(better, 0.1, 10.0)
+
+        begun = self.sparsity.states_by_branch(start.reshape(-1, start.shape[2]))
+        search = (begun, self._look(values, begun, data), jnp.full(begun.shape[:2], 1e-3, begun.dtype))
+        found = jax.lax.fori_loop(0, _REFINEMENTS, improve, search)[0]
+        return self.sparsity.states_together(found).reshape(start.shape)
+
+    def look(self, values: Values, own: Array, following: Array, block: Blocks) -> tuple[Local, Array]:
+        """Of a block with these states, each of shape (segments, twice_nv), and the residuals' derivative by its own.
+
+        The latter is of shape (state, branches, segments, terms).
+        """
+        units = jnp.asarray(self.sparsity.states, own.dtype)[:, None, :] * jnp.ones_like(own[:, :1])
+        errors = self._errors(values, own, following, block)
+        slopes = jax.vmap(
+            lambda unit: jax.jvp(lambda x: self._errors(values, x, following, block), (own,), (unit,))[1]
+        )(units)
+        gradient = jnp.einsum("ibsk,bsk->bsi", slopes, errors, precision="highest")
+        hessian = jnp.einsum("ibsk,jbsk->bsij", slopes, slopes, precision="highest")
+        gap_slopes = jnp.moveaxis(self.gap(slopes), 0, 2)
+        return Local(jnp.square(errors).sum(axis=2), gradient, hessian, self.gap(errors), gap_slopes), slopes
+
+    def gap(self, terms: Float[Array, "*any terms"]) -> Float[Array, "*any state"]:
+        """Of residuals or their derivative the last, which are those of the gap, in the order of the states."""
+        size = len(self.sparsity.states)
+        return jnp.swapaxes(terms[..., -size:].reshape(*terms.shape[:-1], size // 2, 2), -1, -2).reshape(
+            *terms.shape[:-1], size
+        )
+
+    def eliminate(
+        self, local: Local, mixed: Mixed, data: Blocks
+    ) -> tuple[Float[Array, "branches segments tangents"], Float[Array, "branches tangents tangents"]]:
+        """What the states take from each segment's gradient by the tangents, and from the second derivative.
+
+        The Schur complement of the states in the normal equations of states and coordinates.
+        """
+        diagonal, beside, gradient = self._join(local, data)
+        right = mixed.own
+        if self.root is not None:
+            before, root = self._before(data), self._by_state(right.dtype)
+            right = right - (before[:, None] * root)[:, :, None] * jnp.roll(mixed.gap, 1, axis=1)
+        solved = self._solve(diagonal + self._unused(data.weight.ravel()), beside, right)
+        taken = jnp.einsum("bsit,bsi->bst", solved, gradient, precision="highest")
+        return taken, jnp.einsum("bsit,bsiu->btu", solved, right, precision="highest")
+
+    def _errors(self, values: Values, own: Array, following: Array, block: Blocks) -> Array:
+        return self.sparsity.by_branch(self.residuals(values, own, following, block))
+
+    def _look(self, values: Values, state: Float[Array, "branches segments state"], data: Blocks) -> Local:
+        """Of all blocks."""
+        own = self.sparsity.states_together(state).reshape(*data.weight.shape, -1)
+        parts = (data, own, follow(own))
+        found = jax.lax.map(lambda part: self.look(values, part[1], part[2], part[0])[0], parts)
+        return jax.tree.map(join_blocks, found)
+
+    def _join(self, local: Local, data: Blocks) -> tuple[Array, Array, Array]:
+        """Blocks on the diagonal of the states' equations, those right of them, and half the gradient."""
+        if self.root is None:
+            return local.hessian, local.gap_slopes, local.gradient
+        before, root = self._before(data)[:, None], self._by_state(local.gradient.dtype)
+        diagonal = local.hessian + jax.vmap(jnp.diag)(before * jnp.square(root))
+        beside = -data.linked.ravel()[:, None, None] * local.gap_slopes * root
+        return diagonal, beside, local.gradient - before * root * jnp.roll(local.gap, 1, axis=1)
+
+    def _solve(self, diagonal: Array, beside: Array, right: Float[Array, "branches segments state many"]) -> Array:
+        if self.root is not None:
+            return jax.vmap(solve_chain)(diagonal, beside, right)
+        solve = jax.vmap(solve_spd, in_axes=(None, 1), out_axes=1)
+        return jax.vmap(jax.vmap(solve))(diagonal, right)
+
+    def _by_state(self, dtype: Any) -> Float[Array, "state"]:
+        assert self.root is not None
+        return jnp.asarray(np.repeat(self.root, len(self.sparsity.states) // 2), dtype)
+
+    def _before(self, data: Blocks) -> Float[Array, "segments"]:
+        """Whether each segment begins where the one before it ends."""
+        return jnp.roll(data.linked.ravel(), 1)
+
+    def _chain(self, data: Blocks) -> Array:
+        """Number of the segments that hold together, for each one."""
+        apart = jnp.arange(data.weight.size)
+        return apart if self.root is None else jnp.cumsum(1 - self._before(data).astype(int)) - 1
+
+    def _unused(self, weight: Float[Array, "segments"]) -> Float[Array, "branches segments state state"]:
+        """What makes equations of initial states solvable that do not count."""
+        identity = jnp.eye(len(self.sparsity.states)) * (1 - weight[:, None, None])
+        return self.sparsity.unit_states(weight.dtype)[:, None] + identity
+
+
+def follow(states: Float[Array, "blocks segments state"]) -> Float[Array, "blocks segments state"]:
+    """The state at which the next segment begins; of the last, that of the first, which does not count."""
+    return jnp.roll(states.reshape(-1, states.shape[2]), -1, axis=0).reshape(states.shape)
+
+
+def join_blocks(parts: Float[Array, "blocks branches segments *shape"]) -> Float[Array, "branches all *shape"]:
+    """Segments of all blocks, one after the other."""
+    return jnp.moveaxis(parts, 0, 1).reshape(parts.shape[1], -1, *parts.shape[3:])
+
+
+def join_equations(parts: Sequence[Equations]) -> Equations:
+    """Of all blocks, in numpy."""
+    loss, hessian = (sum(getattr(part, name) for part in parts) for name in ("loss", "hessian"))
+    by_segment = [part._replace(loss=(), hessian=()) for part in parts]
+    joined = jax.tree.map(lambda *own: np.concatenate(own, axis=1), *by_segment)
+    return joined._replace(loss=loss, hessian=hessian)
+
+
+def _sum_by(chain: Array, squares: Float[Array, "branches segments"]) -> Float[Array, "branches segments"]:
+    """Sum over all segments that hold together, for each one."""
+    return jnp.zeros_like(squares).at[:, chain].add(squares)[:, chain]
+
+
+def solve_chain(
+    diagonal: Float[Array, "segments state state"],
+    beside: Float[Array, "segments state state"],
+    right: Float[Array, "segments state many"],
+) -> Float[Array, "segments state many"]:
+    """Solution of symmetric positive definite equations of states each of which knows its neighbours alone.
+
+    Block by block, as for a matrix with three diagonals: one pass ahead, one back.
+
+    Args:
+        diagonal: Blocks on the diagonal.
+        beside: Those right of them; the last does not count.
+        right: Right-hand sides.
+    """
+
+    def ahead(carry: tuple[Array, Array, Array], row: tuple[Array, Array, Array]) -> tuple[tuple, tuple]:
+        pull, above, before = carry
+        own, next_to, side = row
+        factor = jnp.linalg.cholesky(own - jnp.matmul(pull.T, above, precision="highest"))
+        side = side - jnp.matmul(pull.T, before, precision="highest")
+        pull = cho_solve((factor, True), next_to)
+        return (pull, next_to, side), (pull, cho_solve((factor, True), side))
+
+    def back(following: Array, row: tuple[Array, Array]) -> tuple[Array, Array]:
+        pull, alone = row
+        found = alone - jnp.matmul(pull, following, precision="highest")
+        return found, found
+
+    empty = jnp.zeros_like(diagonal[0])
+    ends = beside.at[-1].set(0.0)
+    _, rows = jax.lax.scan(ahead, (empty, empty, jnp.zeros_like(right[0])), (diagonal, ends, right))
+    return jax.lax.scan(back, jnp.zeros_like(right[0]), rows, reverse=True)[1]

@@ -1,0 +1,30 @@
+"""Where a fit begins: at the initial values, or where another method ends."""
+
+import logging
+
+import numpy as np
+
+from frictionzoo.core.errors import FitError
+from frictionzoo.fit.base import Fit
+from frictionzoo.fit.chunk import search
+from frictionzoo.fit.objective import Objective
+
+_log = logging.getLogger(__name__)
+
+
+def begin_where(start: Fit, objective: Objective) -> Objective:
+    """The objective with the best vector of a method as its initial one, brought into the bounds.
+
+    Raises:
+        ConfigError: The method cannot search this space.
+        FitError: It finds no finite vector.
+    """
+    start = start.choose(objective)
+    progress, _ = search(start, objective)
+    if bool(progress.broken) or not np.isfinite(np.asarray(progress.best)).all():
+        raise FitError(f"fit.start: {start.name} ends without a finite value, expected one to begin at; set start=null")
+    moved = objective.starting(np.asarray(progress.best))
+    found = moved.space.identified(moved.space.start).items()
+    told = (f"{name} {' '.join(f'{value:.3g}' for value in values)}" for name, values in found)
+    _log.info("the fit begins where %s ends: %s", start.name, ", ".join(told))
+    return moved

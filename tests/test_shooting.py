@@ -1,0 +1,168 @@
+"""Segments that hold together: their equations against dense ones, and an arm that torque drives, with known truth."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.optimize
+from test_fit import x64  # noqa: F401 - a fixture for all tests
+from test_start import ARM, TRUTH, swing
+
+from frictionzoo.bench import Bench, Force
+from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.log import Log
+from frictionzoo.core.segments import Segments, cut_segments
+from frictionzoo.fit import LevenbergMarquardt, Objective, Space
+from frictionzoo.fit import blocks as blocks_module
+from frictionzoo.fit.chunk import search
+from frictionzoo.fit.normal_equations import NormalEquations
+from frictionzoo.fit.shooting import solve_chain
+from frictionzoo.models.registry import get_model
+from frictionzoo.simulate.drive import Drive
+
+SECTION = {"init": 0.5, "low": 1e-2, "high": 10.0, "scale": "log", "identify": True}
+WEIGHTS = {"position": 1e4, "velocity": 10.0, "refine": True}
+CONTINUITY = 30.0
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
+    """The arm."""
+    path = tmp_path_factory.mktemp("arm") / "arm.xml"
+    path.write_text(ARM)
+    return Bench(str(path), ["shoulder", "elbow"], actuator=Force(), params={"armature": {"init": 0.15}})
+
+
+def noisy(log: Log, position: float, velocity: float) -> Log:
+    rng = np.random.default_rng(3)
+    qpos = log.qpos + position * rng.normal(size=log.qpos.shape)
+    qvel = log.qvel + velocity * rng.normal(size=log.qvel.shape)
+    return Log(log.name, log.time, qpos, qvel, log.ctrl, "hash", True)
+
+
+def test_neighbours_are_told_within_a_recording_alone() -> None:
+    logs = [swing(0.1), swing(0.1)]
+    assert cut_segments(logs, None, 10).follows.tolist() == [False, True, True, True] * 2
+    assert cut_segments(logs, 4, 10).follows.tolist() == [False] * 4
+    assert cut_segments(logs, None, 10).first.follows is None
+
+
+def test_a_chain_is_solved_as_a_dense_matrix_would_be() -> None:
+    rng, count, size = np.random.default_rng(0), 5, 3
+    root = rng.normal(size=(count * size, 2 * count * size))
+    dense = root @ root.T
+    for row in range(count):
+        dense[row * size : (row + 1) * size, (row + 2) * size :] = 0
+        dense[(row + 2) * size :, row * size : (row + 1) * size] = 0
+    dense += 40 * np.eye(len(dense))
+    blocks = dense.reshape(count, size, count, size).swapaxes(1, 2)
+    diagonal = np.stack([blocks[row, row] for row in range(count)])
+    beside = np.stack([blocks[row, (row + 1) % count] for row in range(count)])
+    beside[-1] = rng.normal(size=(size, size))  # does not count
+    right = rng.normal(size=(count, size, 2))
+    found = solve_chain(*map(jnp.asarray, (diagonal, beside, right)))
+    expected = np.linalg.solve(dense, right.reshape(-1, 2)).reshape(right.shape)
+    np.testing.assert_allclose(found, expected, rtol=1e-10)
+
+
+@dataclass
+class Shot:
+    """An objective on two recordings of the arm."""
+
+    objective: Objective
+    segments: Segments
+
+
+def shoot(bench: Bench, law: str, length: int, *logs: Log, **loss: Any) -> Shot:
+    """Segments of these recordings, one after the other."""
+    model = get_model(law)(2, {name: SECTION for name in get_model(law).dimensions})
+    sampling = bench.sampling(logs[0].timestep)
+    segments = cut_segments([bench.accept(log) for log in logs], None, length, sampling.history)
+    rollout = Drive.assemble(bench, model, "auto", sampling).rollout
+    return Shot(Objective(Space(bench, model, "float64"), rollout, segments, **WEIGHTS | loss), segments)
+
+
+def dense_equations(shot: Shot, vector: np.ndarray) -> NormalEquations:
+    """The same of states and coordinates in one dense matrix, the states found by scipy."""
+    objective, segments = shot.objective, shot.segments
+    follows, count = np.asarray(segments.follows), segments.count
+    driven = segments.signals.map(jnp.asarray), jnp.zeros((count, 0))
+
+    def residuals(both: Any) -> Any:
+        states, vector = both[: 4 * count], both[4 * count :]
+        qpos, qvel = jnp.moveaxis(states.reshape(count, 2, 2), 1, 0)
+        predicted = objective._rollout(objective.space.values(vector), qpos, qvel, *driven)
+        parts = []
+        for weight, own, after, measured in (
+            (WEIGHTS["position"], qpos, predicted[0], segments.qpos),
+            (WEIGHTS["velocity"], qvel, predicted[1], segments.qvel),
+        ):
+            errors = (
+                own - measured[:, 0],
+                after - measured[:, 1:],
+                CONTINUITY**0.5 * (after[:-1, -1] - own[1:])[follows[1:]],
+            )
+            parts += [np.sqrt(weight) * error.ravel() for error in errors]
+        return jnp.concatenate(parts)
+
+    errors, slopes = jax.jit(residuals), jax.jit(jax.jacfwd(residuals))
+    start = np.stack([segments.qpos[:, 0], segments.qvel[:, 0]], axis=1).ravel()
+    found = scipy.optimize.least_squares(
+        lambda states: np.asarray(errors(np.append(states, vector))),
+        start,
+        jac=lambda states: np.asarray(slopes(np.append(states, vector)))[:, : len(start)],
+        **dict.fromkeys(("xtol", "ftol", "gtol"), 1e-15),
+    )
+    rest, both = (np.asarray(part(np.append(found.x, vector))) for part in (errors, slopes))
+    own, by_vector = np.split(both, [len(start)], axis=1)
+    left = by_vector - own @ np.linalg.lstsq(own, by_vector, rcond=None)[0]
+    terms = count * (segments.length + 1) * 2
+    return NormalEquations(rest @ rest / terms, left.T @ rest / terms, left.T @ left / terms)
+
+
+def test_equations_are_the_dense_ones(bench: Bench, monkeypatch: pytest.MonkeyPatch, in_haste: None) -> None:
+    monkeypatch.setattr(blocks_module, "BLOCK_STATES", 60)  # 3 of the 8 segments: the last block is not full
+    logs = [noisy(swing(0.1, seed), 1e-3, 0.03) for seed in (0, 1)]
+    shot = shoot(bench, "coulomb_smooth", 10, *logs, continuity=CONTINUITY)
+    objective, vector = shot.objective, np.asarray(shot.objective.space.start) + 0.1
+    assert objective.data.weight.shape == (3, 3) and objective.data.linked.sum() == 6
+    ours, dense = objective.compile_normal_equations()(vector), dense_equations(shot, vector)
+    assert ours.loss == pytest.approx(dense.loss, rel=1e-9)
+    scale = np.sqrt(np.diag(dense.hessian))
+    np.testing.assert_allclose(ours.gradient / scale, dense.gradient / scale, atol=1e-6 * np.sqrt(dense.loss))
+    np.testing.assert_allclose(ours.hessian, dense.hessian, atol=1e-7 * np.outer(scale, scale).max())
+    loss, gradient = objective.compile(objective.value_and_grad("forward"))(vector, objective.data)
+    assert loss == pytest.approx(dense.loss, rel=1e-9)
+    np.testing.assert_allclose(gradient / scale, 2 * dense.gradient / scale, atol=1e-5 * np.sqrt(dense.loss))
+
+
+@pytest.mark.slow
+def test_an_arm_is_found_again_by_short_segments_that_hold_together(bench: Bench, in_haste: None) -> None:
+    logs = [noisy(swing(1.0, seed), 1e-4, 0.02) for seed in (0, 1)]
+    weights = {"position": 1e8, "velocity": 2500.0}  # of the noise's variances
+    errors = []
+    for continuity in (0.0, 10.0):
+        objective = shoot(bench, "mujoco_default", 10, *logs, continuity=continuity, **weights).objective
+        found = objective.space.identified(search(LevenbergMarquardt(20, 1e-6), objective)[0].best)
+        off = [np.abs(np.log(value / np.array(TRUTH[name.split(".")[1]]))) for name, value in found.items()]
+        errors.append(np.stack(off))
+    assert errors[1].max() < 0.03 and errors[1].mean() < 0.3 * errors[0].mean()
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        ({"continuity": -1.0}, r"loss\.continuity=-1; expected a weight of at least 0"),
+        (
+            {"continuity": 1.0, "refine": False},
+            r"loss\.continuity=1 with loss\.refine=false; expected loss\.refine=true",
+        ),
+        ({"continuity": 1.0}, r"loss\.continuity=1: no segment begins where another ends; expected neighbours"),
+    ],
+)
+def test_segments_that_cannot_hold_together_are_refused(bench: Bench, options: dict[str, Any], line: str) -> None:
+    with pytest.raises(ConfigError, match=line):
+        shoot(bench, "mujoco_default", 10, swing(0.04), **options)
