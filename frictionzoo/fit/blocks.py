@@ -1,13 +1,14 @@
 """Segments as a fit holds them: in blocks that fit into a processor's cache, spread over the devices."""
 
 import operator
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jaxtyping import Array
 
 from frictionzoo.core.segments import Segments
 from frictionzoo.simulate.rollout import Rollout
@@ -53,6 +54,22 @@ def each(data: Blocks) -> Iterator[Blocks]:
     """The blocks one after the other."""
     for index in range(len(data.weight)):
         yield jax.tree.map(operator.itemgetter(index), data)
+
+
+def each_part(data: Blocks, states: tuple[Array, Array]) -> Iterator[tuple[Blocks, Array, Array]]:
+    """The same, with where their segments and the next ones start."""
+    for index, block in enumerate(each(data)):
+        yield block, states[0][index], states[1][index]
+
+
+def alone(block: Blocks) -> Blocks:
+    """As data of one block."""
+    return jax.tree.map(lambda part: part[None], block)
+
+
+def to_numpy(parts: Iterable[Array]) -> list[np.ndarray]:
+    """In float64, in which blocks are summed."""
+    return [np.asarray(part, np.float64) for part in parts]
 
 
 def into_blocks(segments: Segments, stretches: int, dtype: Any, devices: list[Any]) -> Blocks:

@@ -1,7 +1,7 @@
 """What a fit minimises."""
 
 import copy
-from collections.abc import Callable, Hashable, Iterable, Iterator
+from collections.abc import Callable, Hashable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple, TypeVar
 
@@ -17,12 +17,13 @@ from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.log import Log
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.threads import usable_threads
-from frictionzoo.fit.blocks import MOST_STRETCHES, Blocks, devices_of, each, into_blocks
+from frictionzoo.fit.blocks import MOST_STRETCHES, Blocks, alone, devices_of, each, each_part, into_blocks, to_numpy
 from frictionzoo.fit.loss import Loss
 from frictionzoo.fit.normal_equations import NormalEquations
 from frictionzoo.fit.shooting import Equations, Mixed, Shooting, follow, join_equations
 from frictionzoo.fit.space import Space
 from frictionzoo.fit.sparsity import Sparsity
+from frictionzoo.fit.tangents import Seen, Tangents
 from frictionzoo.models import FrictionModel
 from frictionzoo.simulate import Values
 from frictionzoo.simulate.bridge import as_torch_function, to_arrays, to_tensors
@@ -155,7 +156,7 @@ class Objective:
     def loss(self, vector: Float[Array, "coordinates"], data: Blocks) -> Float[Array, ""]:
         """The objective."""
         if self.torch_law:
-            parts = _each_part(data, self._states(vector, data))
+            parts = each_part(data, self._states(vector, data))
             return jnp.sum(jnp.stack([self._block_loss(vector, *part) for part in parts]))
         return jnp.sum(jax.lax.map(lambda part: self._block_loss(vector, *part), (data, *self._states(vector, data))))
 
@@ -259,16 +260,17 @@ class Objective:
     def _compile_apart(self, exact: bool) -> Callable[[Array, Blocks], list[Any]]:
         """Equations where no block knows of another: each is done with by itself."""
 
-        def of_block(vector: Array, block: Blocks) -> tuple[Array, Array, Array]:
-            data = jax.tree.map(lambda part: part[None], block)
-            own, following = (states[0] for states in self._states(vector, data))
-            return self._finish(self._block_equations(vector, block, own, following, exact), data)
+        def look(vector: Array, block: Blocks) -> Seen:
+            own, following = (states[0] for states in self._states(vector, alone(block)))
+            return self._look(vector, block, own, following)
 
-        traced = self.compile(of_block, FORWARD)
-        compiled = traced.lower(self.spread(self.space.start), next(each(self.data))).compile()
+        def equations(seen: Seen, block: Blocks) -> tuple[Array, Array, Array]:
+            return self._finish(self._block_equations(seen, exact), alone(block))
+
+        compiled = self._compile_both(look, equations, next(each(self.data)))
 
         def evaluate(vector: Array, data: Blocks) -> list[Any]:
-            parts = self._side_by_side(lambda block: _to_numpy(compiled(vector, block)), each(data))
+            parts = self._side_by_side(lambda block: to_numpy(compiled(vector, block)), each(data))
             return [np.stack(part).sum(axis=0) for part in zip(*parts, strict=True)]
 
         return evaluate
@@ -277,27 +279,32 @@ class Objective:
         """The same where segments hold together: initial states are found, and eliminated, for all blocks at once."""
         find, finish = self.compile(self._states, FORWARD), jax.jit(self._finish)
 
-        def of_part(vector: Array, part: tuple[Blocks, Array, Array]) -> Equations:
-            block, own, following = part
-            return self._block_equations(vector, block, own, following, exact)
+        def look(vector: Array, part: tuple[Blocks, Array, Array]) -> Seen:
+            return self._look(vector, *part)
 
         start = self.spread(self.space.start)
-        example = next(_each_part(self.data, find(start, self.data)))
-        equations = self.compile(of_part, FORWARD).lower(start, example).compile()
+        example = next(each_part(self.data, find(start, self.data)))
+        equations = self._compile_both(look, lambda seen, part: self._block_equations(seen, exact), example)
 
         def evaluate(vector: Array, data: Blocks) -> list[Any]:
-            blocks = _each_part(data, find(vector, data))
+            blocks = each_part(data, find(vector, data))
             parts = self._side_by_side(lambda part: jax.tree.map(np.asarray, equations(vector, part)), blocks)
-            return _to_numpy(finish(join_equations(parts), jax.tree.map(np.asarray, data)))
+            return to_numpy(finish(join_equations(parts), jax.tree.map(np.asarray, data)))
 
         evaluate(start, self.data)  # compiles the rest
         return evaluate
 
-    def _side_by_side(self, function: Callable[[Any], T], parts: Iterable[Any]) -> list[T]:
-        """Of each part: operations are too small for several threads, blocks side by side are not.
+    def _compile_both(
+        self, look: Callable[[Array, Any], Seen], then: Callable[[Seen, Any], Any], example: Any
+    ) -> Callable[[Array, Any], Any]:
+        """Two programs as one function of a vector and a block: a rollout, and what follows from it."""
+        start = self.spread(self.space.start)
+        first = self.compile(look, FORWARD).lower(start, example).compile()
+        second = jax.jit(then, compiler_options=FORWARD).lower(first(start, example), example).compile()
+        return lambda vector, part: second(first(vector, part), part)
 
-        Devices have threads of their own.
-        """
+    def _side_by_side(self, function: Callable[[Any], T], parts: Iterable[Any]) -> list[T]:
+        """Of each part. Operations are too small for several threads, blocks side by side are not; devices have own."""
         with ThreadPoolExecutor(usable_threads() if self.devices == 1 else 1) as pool:
             return list(pool.map(function, parts))
 
@@ -315,6 +322,10 @@ class Objective:
         return own, follow(own)
 
     @property
+    def _tangents(self) -> Tangents:
+        return Tangents(self._sparsity, self._loss.refine, self._rollout.keeps_slopes)
+
+    @property
     def _shooting(self) -> Shooting:
         return Shooting(self._residuals, self._sparsity, self._loss.gap)
 
@@ -329,7 +340,7 @@ class Objective:
 
     def _residuals(
         self, values: Values, own: Array, following: Array, block: Blocks
-    ) -> Float[Array, "segments time nv 2"]:
+    ) -> Float[Array, "segments time nv kinds"]:
         qpos, qvel = jnp.split(own, 2, axis=1)
         predicted = self._rollout(values, qpos, qvel, block.signals, block.load)
         errors = self._errors(qpos, qvel, predicted, block)
@@ -342,25 +353,29 @@ class Objective:
 
     def _errors(
         self, qpos: Array, qvel: Array, predicted: tuple[Array, Array], block: Blocks
-    ) -> Float[Array, "segments time nv 2"]:
+    ) -> Float[Array, "segments time nv kinds"]:
         """Weighted errors of position and velocity, with that of the initial state first where it is refined."""
         errors = []
         for root, start, after, measured in zip(
             self._loss.roots, (qpos, qvel), predicted, (block.qpos, block.qvel), strict=True
         ):
+            if root == 0:
+                continue
             whole = jnp.concatenate([start[:, None], after], axis=1) if self._loss.refine else after
             errors.append(root * (whole - (measured if self._loss.refine else measured[:, 1:])))
         return jnp.stack(errors, axis=-1) * block.weight[:, None, None, None]
 
-    def _block_equations(self, vector: Array, block: Blocks, own: Array, following: Array, exact: bool) -> Equations:
-        """Loss, gradient of each segment and second derivative by the tangents, before states are eliminated."""
+    def _look(self, vector: Array, block: Blocks, own: Array, following: Array) -> Seen:
+        """A block's residuals, with what their derivative is made of."""
 
-        def residuals(vector: Array) -> Array:
+        def residuals(vector: Array, own: Array) -> Array:
             return self._sparsity.by_branch(self._residuals(self.space.values(vector), own, following, block))
 
-        errors, slopes = jax.vmap(lambda unit: jax.jvp(residuals, (vector,), (unit,)), out_axes=(None, 0))(
-            jnp.asarray(self._sparsity.seeds, vector.dtype)
-        )
+        return self._tangents.look(residuals, vector, own)
+
+    def _block_equations(self, seen: Seen, exact: bool) -> Equations:
+        """Loss, gradient of each segment and second derivative by the tangents, before states are eliminated."""
+        errors, (slopes, by_state) = seen.residuals, self._tangents.slopes(seen)
         share, curvature = self._loss.shares(jnp.square(errors), exact)
         # A GPU rounds the factors of a product to 10 bits unless told otherwise: too few to see what is collinear.
         gradient = jnp.einsum("ibsk,bsk->bsi", slopes, share * errors, precision="highest")
@@ -368,7 +383,7 @@ class Objective:
         loss = self._loss.sum(jnp.square(errors))
         if not self._loss.refine:
             return Equations(loss, gradient, hessian)
-        local, by_state = self._shooting.look(self.space.values(vector), own, following, block)
+        local = self._shooting.local(errors, by_state)
         mixed = jnp.einsum("ibsk,jbsk->bsij", by_state, slopes, precision="highest")
         return Equations(loss, gradient, hessian, local, Mixed(mixed, jnp.moveaxis(self._shooting.gap(slopes), 0, 3)))
 
@@ -382,13 +397,3 @@ class Objective:
         gradient, hessian = self._sparsity.gradient(gradient), self._sparsity.hessian(hessian)
         scores = jnp.einsum("sg,si->gi", members, gradient, precision="highest")
         return loss / self._terms, scores / self._terms, hessian / self._terms
-
-
-def _each_part(data: Blocks, states: tuple[Array, Array]) -> Iterator[tuple[Blocks, Array, Array]]:
-    """The blocks one after the other, with where their segments and the next ones start."""
-    for index, block in enumerate(each(data)):
-        yield block, states[0][index], states[1][index]
-
-
-def _to_numpy(parts: Iterable[Array]) -> list[np.ndarray]:
-    return [np.asarray(part, np.float64) for part in parts]

@@ -83,7 +83,7 @@ class Shooting(NamedTuple):
         root: Root of the weight of a gap's position and velocity; None where segments stand alone.
     """
 
-    residuals: Callable[[Values, Array, Array, Blocks], Float[Array, "segments time nv 2"]]
+    residuals: Callable[[Values, Array, Array, Blocks], Float[Array, "segments time nv kinds"]]
     sparsity: Sparsity
     root: Float[np.ndarray, "2"] | None
 
@@ -114,20 +114,12 @@ class Shooting(NamedTuple):
         found = jax.lax.fori_loop(0, _REFINEMENTS, improve, search)[0]
         return self.sparsity.states_together(found).reshape(start.shape)
 
-    def look(self, values: Values, own: Array, following: Array, block: Blocks) -> tuple[Local, Array]:
-        """Of a block with these states, each of shape (segments, twice_nv), and the residuals' derivative by its own.
-
-        The latter is of shape (state, branches, segments, terms).
-        """
-        units = jnp.asarray(self.sparsity.states, own.dtype)[:, None, :] * jnp.ones_like(own[:, :1])
-        errors = self._errors(values, own, following, block)
-        slopes = jax.vmap(
-            lambda unit: jax.jvp(lambda x: self._errors(values, x, following, block), (own,), (unit,))[1]
-        )(units)
+    def local(self, errors: Float[Array, "branches segments terms"], slopes: Array) -> Local:
+        """Of a block's residuals and their derivative by its own states, (state, branches, segments, terms)."""
         gradient = jnp.einsum("ibsk,bsk->bsi", slopes, errors, precision="highest")
         hessian = jnp.einsum("ibsk,jbsk->bsij", slopes, slopes, precision="highest")
         gap_slopes = jnp.moveaxis(self.gap(slopes), 0, 2)
-        return Local(jnp.square(errors).sum(axis=2), gradient, hessian, self.gap(errors), gap_slopes), slopes
+        return Local(jnp.square(errors).sum(axis=2), gradient, hessian, self.gap(errors), gap_slopes)
 
     def gap(self, terms: Float[Array, "*any terms"]) -> Float[Array, "*any state"]:
         """Of residuals or their derivative the last, which are those of the gap, in the order of the states."""
@@ -152,15 +144,21 @@ class Shooting(NamedTuple):
         taken = jnp.einsum("bsit,bsi->bst", solved, gradient, precision="highest")
         return taken, jnp.einsum("bsit,bsiu->btu", solved, right, precision="highest")
 
-    def _errors(self, values: Values, own: Array, following: Array, block: Blocks) -> Array:
-        return self.sparsity.by_branch(self.residuals(values, own, following, block))
-
     def _look(self, values: Values, state: Float[Array, "branches segments state"], data: Blocks) -> Local:
         """Of all blocks."""
-        own = self.sparsity.states_together(state).reshape(*data.weight.shape, -1)
-        parts = (data, own, follow(own))
-        found = jax.lax.map(lambda part: self.look(values, part[1], part[2], part[0])[0], parts)
-        return jax.tree.map(join_blocks, found)
+        whole = self.sparsity.states_together(state).reshape(*data.weight.shape, -1)
+        units = jnp.asarray(self.sparsity.states, whole.dtype)[:, None, :] * jnp.ones_like(whole[0, :, :1])
+
+        def of_block(part: tuple[Blocks, Array, Array]) -> Local:
+            block, own, following = part
+
+            def errors(own: Array) -> Array:
+                return self.sparsity.by_branch(self.residuals(values, own, following, block))
+
+            slope = jax.vmap(lambda unit: jax.jvp(errors, (own,), (unit,)), out_axes=(None, 0))
+            return self.local(*slope(units))
+
+        return jax.tree.map(join_blocks, jax.lax.map(of_block, (data, whole, follow(whole))))
 
     def _join(self, local: Local, data: Blocks) -> tuple[Array, Array, Array]:
         """Blocks on the diagonal of the states' equations, those right of them, and half the gradient."""

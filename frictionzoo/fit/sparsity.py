@@ -54,7 +54,7 @@ class Sparsity(NamedTuple):
             halves[np.arange(most)[real > 0], row[real > 0]] = 1.0
         return cls(joints, mine, seeds, place, np.kron(np.eye(2), halves))
 
-    def by_branch(self, errors: Float[Array, "segments time nv 2"]) -> Float[Array, "branches segments terms"]:
+    def by_branch(self, errors: Float[Array, "segments time nv kinds"]) -> Float[Array, "branches segments terms"]:
         """What the joints of each branch contribute."""
         if len(self.joints) == 1:
             return errors.reshape(1, len(errors), -1)

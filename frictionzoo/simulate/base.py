@@ -51,6 +51,8 @@ class Engine(ABC):
         branches: Number of the branch of each joint, from 0: joints of different ones do not move each other.
         reverse: Whether the step can be differentiated in reverse mode. It cannot where a solver iterates until it has
             converged: JAX has no reverse mode for a loop of unknown length.
+        keeps_slopes: Whether the derivative of a step is made of few numbers, which a rollout can keep for tangents
+            that are taken afterwards.
     """
 
     name: ClassVar[str]
@@ -58,6 +60,7 @@ class Engine(ABC):
     compiler_options: Mapping[str, Any]
     forward_limit: ClassVar[int]
     reverse: bool = True
+    keeps_slopes: bool = False
     branches: tuple[int, ...]
     _friction: Friction
 

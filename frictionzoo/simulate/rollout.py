@@ -39,6 +39,7 @@ class Rollout:
         forward_limit: Tangents up to which forward mode is faster than a reverse sweep.
         reverse: Whether there is a reverse mode.
         branches: Number of the branch of each joint, from 0: joints of different ones do not move each other.
+        keeps_slopes: As the engine's.
     """
 
     function: Callable[..., tuple[Any, Any]]
@@ -46,6 +47,7 @@ class Rollout:
     forward_limit: int
     reverse: bool
     branches: tuple[int, ...]
+    keeps_slopes: bool
 
     def __call__(self, values: Values, qpos: Any, qvel: Any, signals: Signals, load: Any = None) -> tuple[Any, Any]:
         """The predicted states."""
@@ -103,7 +105,8 @@ def make_rollout(engine: Engine, sampling: Sampling | None = None) -> Rollout:
         _, (positions, velocities) = jax.lax.scan(advance, (qpos, qvel, memory), acting)
         return jnp.swapaxes(positions, 0, 1), jnp.swapaxes(velocities, 0, 1)
 
-    return Rollout(rollout, engine.compiler_options, engine.forward_limit, engine.reverse, engine.branches)
+    known = engine.compiler_options, engine.forward_limit, engine.reverse, engine.branches, engine.keeps_slopes
+    return Rollout(rollout, *known)
 
 
 def make_observer(engine: Engine, sampling: Sampling) -> Callable[..., DriveState]:

@@ -59,6 +59,7 @@ class SpecialisedEngine(Engine):
         euler = model.opt.integrator == mujoco.mjtIntegrator.mjINT_EULER
         self._damps_implicitly = not flags & mujoco.mjtDisableBit.mjDSBL_EULERDAMP if euler else self._damper
         self.compiler_options: Mapping[str, Any] = {} if bench.nv == 1 else UNFUSED
+        self.keeps_slopes: bool = bench.nv > 1  # of one joint, one program is as fast and compiled sooner
 
     def step(
         self, values: Values, qpos: Array, qvel: Array, signals: Signals, load: Array, memory: Array
