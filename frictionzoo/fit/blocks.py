@@ -17,6 +17,10 @@ from frictionzoo.simulate.torch_rollout import TorchRollout
 BLOCK_STATES = 25_000
 """States of a joint that are simulated at once: they fit into a processor's cache, and memory does not grow."""
 
+KEPT_STATES, KEPT_BLOCKS = 100_000, 4
+"""The same where rollouts keep what tangents need: these are not simulated along, and more fit. At least so many blocks
+are made then, for several threads."""
+
 MOST_STRETCHES = 50
 """Stretches into which the segments are divided at most, in their order in time."""
 
@@ -72,10 +76,10 @@ def to_numpy(parts: Iterable[Array]) -> list[np.ndarray]:
     return [np.asarray(part, np.float64) for part in parts]
 
 
-def into_blocks(segments: Segments, stretches: int, dtype: Any, devices: list[Any]) -> Blocks:
+def into_blocks(segments: Segments, stretches: int, dtype: Any, devices: list[Any], kept: bool = False) -> Blocks:
     """Equal blocks; where the segments do not fill the last, its rest repeats the last segment with no weight."""
-    largest = max(1, BLOCK_STATES // (segments.length * segments.qpos.shape[2]))
-    blocks = -(-segments.count // largest)
+    largest = max(1, (KEPT_STATES if kept else BLOCK_STATES) // (segments.length * segments.qpos.shape[2]))
+    blocks = max(-(-segments.count // largest), min(KEPT_BLOCKS, segments.count) if kept else 1)
     size = -(-segments.count // blocks)
     size = -(-size // len(devices)) * len(devices)
     index = np.minimum(np.arange(blocks * size), segments.count - 1)

@@ -108,7 +108,8 @@ class Objective:
         self.space: Space = space
         self.compile: Callable[..., Any] = rollout.compile
         self.stretches: int = min(segments.count, MOST_STRETCHES)
-        self.data: Blocks = into_blocks(segments, self.stretches, space.start.dtype, devices_of(rollout))
+        shape = self.stretches, space.start.dtype, devices_of(rollout), rollout.keeps_slopes
+        self.data: Blocks = into_blocks(segments, *shape)
         self.devices: int = len(self.data.weight.sharding.device_set)
         self._first = min(self.data.weight.sharding.device_set, key=lambda device: device.id)
         self._rollout = rollout

@@ -11,7 +11,7 @@ from frictionzoo.simulate.mjx import MjxEngine
 from frictionzoo.simulate.specialised import SpecialisedEngine
 
 _CHOICES = ("auto", "mjx", "specialised")
-_MEASURED_JOINTS = 7
+_MEASURED_JOINTS = 17
 """Up to so many joints of a branch `specialised` was measured, and is faster."""
 
 
