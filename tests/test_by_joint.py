@@ -3,7 +3,7 @@
 import copy
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import jsonschema
 import numpy as np
@@ -17,6 +17,7 @@ from frictionzoo.models.mujoco_default import MujocoDefault
 from frictionzoo.result.evaluate import Evaluation
 from frictionzoo.result.names import label_values, merge_known, name_some
 from frictionzoo.result.record import Findings, build_result, pick_metrics, read_schema
+from frictionzoo.result.types import TorqueRow
 from frictionzoo.result.verdict import doubt_joints, explain_failure
 from frictionzoo.show.run_page import check_result, write_report
 from frictionzoo.show.terminal import summarise
@@ -33,6 +34,15 @@ ENDS = [[0.05, 0.2], [np.nan, np.nan], [0.05, 0.2], [0.01, 1.0]]
 def follow(values: Any, qpos: Any, qvel: Any, signals: Any, load: Any) -> tuple[np.ndarray, np.ndarray]:
     """A drive that follows its command, each joint with an offset of its own."""
     return signals.ctrl + values["bench"]["offset"], np.zeros_like(signals.ctrl)
+
+
+def torque_row() -> TorqueRow:
+    """What is left of torque: more of each joint than of the one before."""
+    rows = [{"residual": 0.1 * number, "torque": 2.0} for number in range(1, 5)]
+    mean = {"residual": 0.25, "torque": 2.0}
+    by_joint = [{"joint": j, "train": r, "test": r} for j, r in zip(JOINTS, rows, strict=True)]
+    how = {"compared": "torque", "unit": "N m", "bandwidth": 20.0, "held": False}
+    return cast(TorqueRow, {**how, "mean": {"train": mean, "test": mean}, "by_joint": by_joint})
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +77,7 @@ def findings(tmp_path_factory: pytest.TempPathFactory) -> Findings:
         **{"name": "mujoco_default", "bench": bench, "model": law, "values": values, "dataset": dataset},
         **{"evaluation": evaluation, "judgement": judge(0.01, 0.02, 0.03, 0.1), "baseline": judge(*[0.05] * 4)},
         **{"reference": bench.initial_values(), "fit": FIT, "timing": TIMING, "settings": SETTINGS, "engine": "mjx"},
-        **{"proof": PROOF, "warnings": [], "device": "cpu", "uncertainty": found},
+        **{"torque": torque_row(), "proof": PROOF, "warnings": [], "device": "cpu", "uncertainty": found},
     )
 
 
@@ -120,13 +130,15 @@ def test_labels_name_the_joint_or_the_joints_that_share(result: Any) -> None:
 
 def test_the_terminal_has_a_row_a_joint(result: Any) -> None:
     text = summarise(result, None)
-    table, _, joints = (block.splitlines() for block in text.split("\n\n")[1:4])
+    table, _, joints, torque = (block.splitlines() for block in text.split("\n\n")[1:5])
     rows = [line.split() for line in table]
     assert rows[0] == ["parameter", "joint", "value", "95", "%", "interval", "unit"]
     assert rows[1][:3] == ["bench.armature", "hips", "0.1"] and rows[2][:2] == ["knees", "0.1"]
     assert [line for line in table if "FL_knee" in line and line.endswith("at a bound")]
     assert [line for line in table if "FR_knee" in line and line.endswith("not identifiable")]
     assert [line.split()[0] for line in joints] == ["position", *JOINTS]
+    assert [line.split()[0] for line in torque[1:]] == [*JOINTS, "mean"]
+    assert torque[4].split() == ["FR_knee", "0.4", "2", "N", "m", "20", "%"] and torque[5].split()[1] == "0.25"
     assert "friction.frictionloss (FL_knee) ended at a bound of [0.01, 1] N m" in text
     assert "not identifiable on these data: friction.frictionloss (FL_knee, FR_knee)" in text
     assert "cannot tell apart friction.frictionloss/FL_knee and friction.frictionloss/FR_knee" in text
@@ -159,6 +171,8 @@ def test_the_page_has_means_first_and_folds_the_joints(result: Any, tmp_path: Pa
     opened = [part.split("</summary>")[0] for part in page.split("<details open>")[1:]]
     assert len(opened) == 1 and "FR_knee" in opened[0]  # the largest error
     assert page.count("shared by hips") == page.count("shared by knees") == 2
+    left = page.split("Torque that is left</h2>")[1].split("</section>")[0]
+    assert "mean over 4 joints" in left and left.count("<tr>") == 5 and "20 %" in left and "recorded joint" in left
     assert page.count("Trajectory of ") == 4 and "contacts are left out" in page
     # A line for each value: two of armature, four of frictionloss, two of damping.
     drawn = (tmp_path / "report.html").read_text(encoding="utf-8")

@@ -19,6 +19,7 @@ from frictionzoo.result.types import (
     Simulator,
     Text,
     TimingRow,
+    TorqueRow,
 )
 
 Numbers = list[float | None]
@@ -115,6 +116,8 @@ class RunRow(TypedDict):
     """Main rollouts on the logs that it did not see."""
     by_joint: Annotated[list[JointRow], ("minItems", 1)]
     """Errors of each joint in the main rollouts, in the order of `joints`."""
+    torque: TorqueRow | None
+    """What is left of recorded torque joint by joint, as in `result.json`; null where that was not measured."""
     change: ChangeRow
     rollout_mae: Numbers
     """Error of each main test rollout; the runs' entries belong together in pairs."""
@@ -226,7 +229,7 @@ class Comparison(TypedDict):
     position MAE in `unit`.
     """
 
-    schema_version: Literal[4]
+    schema_version: Literal[5]
     """Raised by every change that a reader of this file could notice."""
     data: DataRow
     joints: Joints

@@ -27,6 +27,8 @@ _TAKES: dict[str, tuple[Any, ...]] = {
     "segments.count": (0, None),
     "loop.patience": (0, None),
     "evaluation.rollouts": (0, None),
+    "evaluation.torque.bandwidth": (0.1, None),
+    "evaluation.torque.held": (True, None),
     "bench.joint": ("", [""], None),
     "bench.payload": ("", None),
     "bench.timestep": (0.1, None),

@@ -12,7 +12,7 @@ from frictionzoo.fit.base import Fit, Scores, Seen, refuse_nothing, refuse_torch
 from frictionzoo.fit.blocks import Blocks
 from frictionzoo.fit.link_inertia import LinkInertia, identify_links, spread_of
 from frictionzoo.fit.lm import MOST_COORDINATES
-from frictionzoo.fit.motion import Filtering
+from frictionzoo.fit.motion import BANDWIDTH, Filtering
 from frictionzoo.fit.objective import Objective, Recordings
 from frictionzoo.fit.space import Space
 from frictionzoo.fit.torque_balance import balance
@@ -59,7 +59,7 @@ class InverseDynamics(Fit):
 
     def __init__(
         self,
-        bandwidth: float = 20.0,
+        bandwidth: float = BANDWIDTH,
         cutoff: float | None = None,
         order: int = 4,
         slow: float = 0.025,
@@ -67,8 +67,8 @@ class InverseDynamics(Fit):
         links: str | Sequence[str] = (),
         prior: Mapping[str, float] = PRIOR,
     ) -> None:
-        self._filtering = Filtering(bandwidth, cutoff, order, slow)
-        self._held = held
+        self.filtering = Filtering(bandwidth, cutoff, order, slow)
+        self.held = held
         self._links = [links] if isinstance(links, str) else list(links)
         spread_of(prior)  # refuses what makes no sense
         self._prior = dict(prior)
@@ -79,7 +79,7 @@ class InverseDynamics(Fit):
             return None
         bench, model, _ = recordings
         space = Space(bench, model, jnp.result_type(float))
-        equation = TorqueEquation(space, recordings, self._filtering, self._held)
+        equation = TorqueEquation(space, recordings, self.filtering, self.held)
         return identify_links(equation, space, bench.compile(constraint=False), self._links, self._prior)
 
     def total(self, objective: Objective) -> int:
@@ -103,8 +103,8 @@ class InverseDynamics(Fit):
         recordings = objective.recordings
         assert recordings is not None
         return objective.remember(
-            (self._filtering, self._held),
-            lambda: TorqueEquation(objective.space, recordings, self._filtering, self._held),
+            (self.filtering, self.held),
+            lambda: TorqueEquation(objective.space, recordings, self.filtering, self.held),
         )
 
     def init(self, objective: Objective) -> tuple[Any, Any]:

@@ -40,6 +40,7 @@ class TorqueEquation:
 
     Attributes:
         joints: Their names.
+        rows: How many rows come from each log.
         moving: Which samples count, joint by joint.
         box: Where the coordinates start, and their bounds.
 
@@ -49,13 +50,19 @@ class TorqueEquation:
         filtering: How they are smoothed and compared.
         held: Whether a recorded command acts until the next sample, as in a simulation; if not, at its instant alone,
             as a measured torque or current does.
+        measured: Whether the recorded `torque` of the joints drives them, at its instant, in place of what the actuator
+            law makes of the commands.
     """
 
-    def __init__(self, space: Space, recordings: Recordings, filtering: Filtering, held: bool) -> None:
+    def __init__(
+        self, space: Space, recordings: Recordings, filtering: Filtering, held: bool, measured: bool = False
+    ) -> None:
         bench, model, logs = recordings
         self._space, self._bench, self._model, self._logs = space, bench, model, logs
         self.joints = bench.joints
         self._decimate = filtering.decimation(logs)
+        self.rows = self._decimate.rows
+        self._measured = np.concatenate([log.extras["torque"] for log in logs]) if measured else None
         self._motions = [filtering.motion(log) for log in logs]
         self._motion = Motion(*(np.concatenate(parts) for parts in zip(*self._motions, strict=True)))
         self._lateness = (logs[0].timestep / 2 if held else 0.0), logs[0].timestep
@@ -112,7 +119,7 @@ class TorqueEquation:
         So it is where a gear couples two joints: the motor of the one turns with both. What two links' inertia does to
         each other changes with the pose, and goes with neither. Where next to nothing is left, it is no one's.
         """
-        left, driving = self.lack(vector), self._driving(vector)
+        left, driving = self.lack(vector), self.driving(vector)
         signals = self._decimate(np.stack([self._motion.qacc, self._motion.qvel, np.sign(self._motion.qvel)], axis=-1))
         nv = left.shape[1]
         share = np.zeros((nv, nv))
@@ -126,13 +133,8 @@ class TorqueEquation:
         mutual = np.minimum(share, share.T)
         return {(a, b): float(mutual[a, b]) for a, b in itertools.combinations(range(nv), 2) if mutual[a, b] > COUPLED}
 
-    def summary(self, vector: Float[np.ndarray, "coordinates"]) -> tuple[np.ndarray, np.ndarray]:
-        """Root mean square of the torque that is left of each joint, and of the drives' torque, over all samples."""
-        return tuple(
-            np.sqrt(np.mean(np.square(torque), axis=0)) for torque in (self.lack(vector), self._driving(vector))
-        )
-
-    def _driving(self, vector: np.ndarray) -> np.ndarray:
+    def driving(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "rows nv"]:
+        """The drives' own torque, filtered and decimated [N m or N]."""
         values = self._space.values(jnp.asarray(vector, self._space.start.dtype))
         return self._decimate(np.asarray(self._state(values).motor_torque, np.float64))
 
@@ -153,9 +155,12 @@ class TorqueEquation:
         dtype = self._space.start.dtype
         qpos, qvel, external = (jnp.asarray(x, dtype) for x in (*self._motion[:2], self._external))
         signals, known = self._acting(values["bench"]), values["bench"]
-        ctrl = self._bench.actuator.control(jnp, known, qpos, qvel, signals.ctrl, signals.inputs)
-        gain, *bias = self._bench.actuator.affine(known)
-        motor = gain * ctrl + bias[0] + bias[1] * qpos + bias[2] * qvel
+        if self._measured is not None:
+            motor = jnp.asarray(self._measured, dtype)
+        else:
+            ctrl = self._bench.actuator.control(jnp, known, qpos, qvel, signals.ctrl, signals.inputs)
+            gain, *bias = self._bench.actuator.affine(known)
+            motor = gain * ctrl + bias[0] + bias[1] * qpos + bias[2] * qvel
         return DriveState(qpos, qvel, signals.ctrl, motor, external, **signals.observed)
 
     def _acting(self, known: Mapping[str, Any]) -> Signals:

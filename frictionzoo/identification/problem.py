@@ -24,6 +24,7 @@ from frictionzoo.models import FrictionModel
 from frictionzoo.result.evaluate import Evaluation
 from frictionzoo.result.identified import Identified
 from frictionzoo.result.record import describe_data
+from frictionzoo.result.torque import choose_filtering
 from frictionzoo.simulate.drive import Drive
 from frictionzoo.simulate.proof import Proof, Recorded, initial_values, prove
 
@@ -112,6 +113,7 @@ class Problem:
         sampling = bench.sampling(dataset.logs[0].timestep)
         segments = cut_segments(dataset.train, **settings["segments"], history=sampling.history)
         evaluation = Evaluation(dataset, bench.joint_type, **settings["evaluation"], history=sampling.history)
+        choose_filtering(fit, evaluation.torque)  # refuses what is none before a fit and not after it
         drive = Drive.assemble(bench, model, settings["engine"], sampling)
         proof = prove(bench, model, drive.engine.name, initial_values(bench, model), Recorded.of(dataset.train))
         samples = _training_samples(drive, bench, dataset)

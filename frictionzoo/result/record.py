@@ -28,7 +28,7 @@ from frictionzoo.result.values import list_values
 from frictionzoo.result.verdict import doubt_sizes, explain_failure
 from frictionzoo.simulate.proof import Proof
 
-SCHEMA_VERSION: Final = 5
+SCHEMA_VERSION: Final = 6
 PACKAGES = ("frictionzoo", "mujoco", "mujoco-mjx", "jax", "torch", "optax", "lightning", "numpy")
 
 
@@ -51,6 +51,7 @@ class Findings:
         judgement: Of the identified drive.
         baseline: Of the same bench identified without friction, on the same rollouts.
         reference: The values of that bench.
+        torque: What is left of recorded torque; None where there is none.
         fit: How they were found.
         timing: Seconds that each part took.
         settings: All options of the run, among them `seed` and `dtype`.
@@ -70,6 +71,7 @@ class Findings:
     judgement: Judgement
     baseline: Judgement
     reference: Mapping[str, np.ndarray]
+    torque: types.TorqueRow | None
     fit: types.FitRow
     timing: types.TimingRow
     settings: Mapping[str, Any]
@@ -110,6 +112,7 @@ def build_result(found: Findings) -> types.Result:
             "b": _contrast(found.judgement.places, found.baseline.places),
         },
         "by_joint": _list_joints(bench.joints, found.judgement, found.baseline),
+        "torque": found.torque,
         "reference": [
             _describe_value("bench", bench, name, param, found.reference[name], Uncertainty())
             for name, param in bench.params.items()

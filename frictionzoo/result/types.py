@@ -202,6 +202,57 @@ class JointRow(TypedDict):
     """The same bench identified without friction on the same segments, judged on the rollouts of `test`."""
 
 
+class TorqueErrorsRow(TypedDict):
+    """Root mean squares over all compared samples of one part, of one joint, or their mean over the joints [unit].
+
+    null: it is not finite.
+    """
+
+    residual: NotNegative | None
+    """Of the torque that is left: the drive's less what armature, friction and the links need for the motion."""
+    torque: NotNegative | None
+    """Of the drive's torque itself."""
+
+
+class TorquePartsRow(TypedDict):
+    """The mean over the joints on each part of the data."""
+
+    train: TorqueErrorsRow
+    """On the logs that the fit saw."""
+    test: TorqueErrorsRow
+    """On the logs that it did not see."""
+
+
+class JointTorqueRow(TypedDict):
+    """One joint on each part of the data."""
+
+    joint: Text
+    """Its name."""
+    train: TorqueErrorsRow
+    """On the logs that the fit saw."""
+    test: TorqueErrorsRow
+    """On the logs that it did not see."""
+
+
+class TorqueRow(TypedDict):
+    """What is left of recorded torque, joint by joint."""
+
+    compared: Literal["torque", "ctrl"]
+    """What is the drive's torque. torque: that recorded beside the command, at its instant and as it is; the actuator
+    law and its offsets have no part in it. ctrl: the command of a torque drive by its actuator law, with the final
+    gain, offset, limits and delay."""
+    unit: Literal["N m", "N"]
+    """Unit of the torques."""
+    bandwidth: Positive
+    """Frequency up to which torques are compared [Hz]; see `evaluation.torque`."""
+    held: bool
+    """Whether the command acts until the next sample; if not, at its instant alone, as measured torque does."""
+    mean: TorquePartsRow
+    """Mean over the joints."""
+    by_joint: Annotated[list[JointTorqueRow], ("minItems", 1)]
+    """The same joint by joint, in the order of `joints`."""
+
+
 class HorizonRow(TypedDict):
     """Errors of rollouts of one length on each part of the data."""
 
@@ -314,7 +365,7 @@ class Result(TypedDict):
     fitted). A run writes this file last: where it exists, the run's other files do too.
     """
 
-    schema_version: Literal[5]
+    schema_version: Literal[6]
     """Raised by every change that a reader of this file could notice."""
     model: Text
     """The chosen model, a file of conf/model."""
@@ -335,6 +386,14 @@ class Result(TypedDict):
     """Open-loop rollouts at the main horizon, the first of `by_horizon`."""
     by_joint: Annotated[list[JointRow], ("minItems", 1)]
     """Errors of each joint in the rollouts of `metrics`, in the order of `joints`."""
+    torque: TorqueRow | None
+    """What is left of recorded torque with the final values, without a simulation: the drive's torque less armature
+    times acceleration, friction while sliding, and MuJoCo's inverse dynamics of the links, at the recorded positions,
+    low-passed forwards and backwards, with velocities and accelerations from these alone. All of it passes the low-pass
+    of inverse_dynamics, forwards and backwards, and is decimated to two and a half samples a period of the bandwidth.
+    The ends of each log, one such period, are left out; all other samples count, slow ones too. A law with a memory
+    counts by what it comes down to at constant velocity. null where the recordings have no torque, for a law that
+    exists only in torch, and where the logs are too short."""
     reference: list[ReferenceRow]
     """Parameters of the bench without friction, whose errors `metrics.baseline` holds."""
     by_horizon: Annotated[list[HorizonRow], ("minItems", 1)]
