@@ -11,13 +11,16 @@ import pytest
 from test_report import FIT, PROOF, SETTINGS, TIMESTEP, TIMING, curves_of, make_rollout
 
 from frictionzoo.bench import Bench, PositionPD
+from frictionzoo.bench.base_parameters import BaseParameters
+from frictionzoo.bench.inertia import SYMBOLS
 from frictionzoo.core.log import Dataset, Log
+from frictionzoo.fit.link_inertia import LinkInertia
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.models.mujoco_default import MujocoDefault
 from frictionzoo.result.evaluate import Evaluation
 from frictionzoo.result.names import label_values, merge_known, name_some
 from frictionzoo.result.record import Findings, build_result, pick_metrics, read_schema
-from frictionzoo.result.types import TorqueRow
+from frictionzoo.result.torque_types import TorqueRow
 from frictionzoo.result.verdict import doubt_joints, explain_failure
 from frictionzoo.show.run_page import check_result, write_report
 from frictionzoo.show.terminal import summarise
@@ -43,6 +46,18 @@ def torque_row() -> TorqueRow:
     by_joint = [{"joint": j, "train": r, "test": r} for j, r in zip(JOINTS, rows, strict=True)]
     how = {"compared": "torque", "unit": "N m", "bandwidth": 20.0, "held": False}
     return cast(TorqueRow, {**how, "mean": {"train": mean, "test": mean}, "by_joint": by_joint})
+
+
+def links_found() -> LinkInertia:
+    """One link, of which the data determine the mass, and nothing of two of its moments."""
+    maker = np.array([[1.0, 0, 0, -0.1, 0.02, 0.02, 0.01, 0, 0, 0]])
+    names = tuple(f"{symbol} FL_thigh" for symbol in SYMBOLS)
+    matrix = np.zeros((2, 10))
+    matrix[0, [0, 3, *range(6, 10)]], matrix[1, [1, 2]] = 1.0, 1.0
+    base, prior = BaseParameters(names, (0, 1), matrix), np.array([0.1, 0.02])
+    found = np.array([[1.2, 0.01, 0, -0.12, 0.03, 0.03, 0.01, 0, 0, 0]])
+    values, errors = base.matrix @ found[0], np.array([0.02, np.inf])
+    return LinkInertia(("FL_thigh",), maker, found, base, values, errors, prior, np.ones(4))
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +92,14 @@ def findings(tmp_path_factory: pytest.TempPathFactory) -> Findings:
         **{"name": "mujoco_default", "bench": bench, "model": law, "values": values, "dataset": dataset},
         **{"evaluation": evaluation, "judgement": judge(0.01, 0.02, 0.03, 0.1), "baseline": judge(*[0.05] * 4)},
         **{"reference": bench.initial_values(), "fit": FIT, "timing": TIMING, "settings": SETTINGS, "engine": "mjx"},
-        **{"torque": torque_row(), "proof": PROOF, "warnings": [], "device": "cpu", "uncertainty": found},
+        **{
+            "torque": torque_row(),
+            "links": links_found(),
+            "proof": PROOF,
+            "warnings": [],
+            "device": "cpu",
+            "uncertainty": found,
+        },
     )
 
 
@@ -116,6 +138,18 @@ def test_the_errors_of_the_joints_have_the_mean_of_all(result: Any, findings: Fi
     # Between the command and the sample that it is compared with, the joint moves on by up to 3 mrad.
     found = [row["test"]["position_mae"] for row in result["by_joint"]]
     np.testing.assert_allclose(found, [0.01, 0.02, 0.03, 0.1], atol=0.003)
+
+
+def test_the_record_tells_links_beside_their_makers(result: Any) -> None:
+    (link,) = result["links"]["links"]
+    assert (link["body"], link["found"]["mass"], link["maker"]["mass"]) == ("FL_thigh", 1.2, 1.0)
+    np.testing.assert_allclose(link["maker"]["centre"], [0, 0, -0.1])
+    # Steiner: about the centre, 0.1 m below the origin, Ixx and Iyy are less by m 0.1^2.
+    np.testing.assert_allclose(link["maker"]["inertia"], [0.01, 0.01, 0.01, 0, 0, 0], atol=1e-12)
+    assert link["prior_only"] == ["mx", "my", "Ixx", "Iyy"]
+    first, second = result["links"]["base"]
+    assert first["determined"] and not second["determined"] and result["links"]["determined"] == 1
+    assert second == {"combination": "mx FL_thigh + my FL_thigh", "value": 0.01, "error": None, "determined": False}
 
 
 def test_labels_name_the_joint_or_the_joints_that_share(result: Any) -> None:
@@ -173,6 +207,8 @@ def test_the_page_has_means_first_and_folds_the_joints(result: Any, tmp_path: Pa
     assert page.count("shared by hips") == page.count("shared by knees") == 2
     left = page.split("Torque that is left</h2>")[1].split("</section>")[0]
     assert "mean over 4 joints" in left and left.count("<tr>") == 5 and "20 %" in left and "recorded joint" in left
+    told = page.split("Link inertia</h2>")[1].split("</section>")[0]
+    assert "1 of 2 combinations" in told and "FL_thigh" in told and "Ixx, Iyy" in told and "mx FL_thigh" in told
     assert page.count("Trajectory of ") == 4 and "contacts are left out" in page
     # A line for each value: two of armature, four of frictionloss, two of damping.
     drawn = (tmp_path / "report.html").read_text(encoding="utf-8")

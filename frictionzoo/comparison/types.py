@@ -2,25 +2,9 @@
 
 from typing import Annotated, Any, Literal, TypedDict
 
-from frictionzoo.result.types import (
-    Count,
-    DataRow,
-    FitRow,
-    JointRow,
-    Joints,
-    MetricsRow,
-    Natural,
-    NetworkRow,
-    NotNegative,
-    Number,
-    ParameterRow,
-    Positive,
-    Sha256,
-    Simulator,
-    Text,
-    TimingRow,
-    TorqueRow,
-)
+from frictionzoo.result.kinds import Count, Joints, Natural, NotNegative, Number, Positive, Sha256, Simulator, Text
+from frictionzoo.result.torque_types import TorqueRow
+from frictionzoo.result.types import DataRow, FitRow, JointRow, MetricsRow, NetworkRow, ParameterRow, TimingRow
 
 Numbers = list[float | None]
 Curves = dict[str, Numbers]

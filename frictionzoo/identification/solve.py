@@ -21,7 +21,8 @@ from frictionzoo.result.evaluate import Judgement
 from frictionzoo.result.identified import Identified
 from frictionzoo.result.record import Findings, build_result
 from frictionzoo.result.torque import choose_filtering, measure_torque
-from frictionzoo.result.types import FitRow, Result, TimingRow, TorqueRow
+from frictionzoo.result.torque_types import TorqueRow
+from frictionzoo.result.types import FitRow, Result, TimingRow
 from frictionzoo.result.verdict import list_moving
 from frictionzoo.simulate import Values
 from frictionzoo.simulate.drive import Drive
@@ -68,6 +69,7 @@ def solve(
         baseline=baseline,
         reference=reference["bench"],
         torque=torque,
+        links=problem.links,
         fit=_describe_fit(problem.objective.space, outcome, uncertainty),
         timing=_describe_timing(problem, outcome, began, asked, judged),
         settings=problem.settings,

@@ -17,7 +17,7 @@ from frictionzoo.fit.motion import Filtering
 from frictionzoo.fit.objective import Recordings
 from frictionzoo.fit.torque_equation import TorqueEquation
 from frictionzoo.models import TorchFriction
-from frictionzoo.result import types
+from frictionzoo.result import torque_types as types
 
 AS_THE_FIT: Mapping[str, Any] = {"bandwidth": None, "held": None}
 """Torque is compared as the fit does it."""

@@ -6,20 +6,23 @@
 
 from typing import Annotated, Any, Literal, TypedDict
 
-Positive = Annotated[float, ("exclusiveMinimum", 0)]
-NotNegative = Annotated[float, ("minimum", 0)]
-Natural = Annotated[int, ("minimum", 0)]
-Count = Annotated[int, ("minimum", 1)]
-Samples = Annotated[int, ("minimum", 2)]
-Text = Annotated[str, ("minLength", 1)]
-Sha256 = Annotated[str, ("pattern", "^[0-9a-f]{64}$")]
-Joints = Annotated[list[str], ("minItems", 1)]
-PerJoint = Annotated[list[float], ("minItems", 2)]
-Interval = Annotated[list[float], ("minItems", 2), ("maxItems", 2)]
-Intervals = Annotated[list[Interval | None], ("minItems", 2)]
-Carried = Annotated[list[float], ("minItems", 7), ("maxItems", 7)]
-Number = Literal["float32", "float64"]
-Simulator = Literal["mjx", "specialised"]
+from frictionzoo.result.kinds import (
+    Carried,
+    Count,
+    Interval,
+    Intervals,
+    Joints,
+    Natural,
+    NotNegative,
+    Number,
+    PerJoint,
+    Positive,
+    Samples,
+    Sha256,
+    Simulator,
+    Text,
+)
+from frictionzoo.result.torque_types import LinksRow, TorqueRow
 
 
 class LogRow(TypedDict):
@@ -202,57 +205,6 @@ class JointRow(TypedDict):
     """The same bench identified without friction on the same segments, judged on the rollouts of `test`."""
 
 
-class TorqueErrorsRow(TypedDict):
-    """Root mean squares over all compared samples of one part, of one joint, or their mean over the joints [unit].
-
-    null: it is not finite.
-    """
-
-    residual: NotNegative | None
-    """Of the torque that is left: the drive's less what armature, friction and the links need for the motion."""
-    torque: NotNegative | None
-    """Of the drive's torque itself."""
-
-
-class TorquePartsRow(TypedDict):
-    """The mean over the joints on each part of the data."""
-
-    train: TorqueErrorsRow
-    """On the logs that the fit saw."""
-    test: TorqueErrorsRow
-    """On the logs that it did not see."""
-
-
-class JointTorqueRow(TypedDict):
-    """One joint on each part of the data."""
-
-    joint: Text
-    """Its name."""
-    train: TorqueErrorsRow
-    """On the logs that the fit saw."""
-    test: TorqueErrorsRow
-    """On the logs that it did not see."""
-
-
-class TorqueRow(TypedDict):
-    """What is left of recorded torque, joint by joint."""
-
-    compared: Literal["torque", "ctrl"]
-    """What is the drive's torque. torque: that recorded beside the command, at its instant and as it is; the actuator
-    law and its offsets have no part in it. ctrl: the command of a torque drive by its actuator law, with the final
-    gain, offset, limits and delay."""
-    unit: Literal["N m", "N"]
-    """Unit of the torques."""
-    bandwidth: Positive
-    """Frequency up to which torques are compared [Hz]; see `evaluation.torque`."""
-    held: bool
-    """Whether the command acts until the next sample; if not, at its instant alone, as measured torque does."""
-    mean: TorquePartsRow
-    """Mean over the joints."""
-    by_joint: Annotated[list[JointTorqueRow], ("minItems", 1)]
-    """The same joint by joint, in the order of `joints`."""
-
-
 class HorizonRow(TypedDict):
     """Errors of rollouts of one length on each part of the data."""
 
@@ -394,6 +346,8 @@ class Result(TypedDict):
     The ends of each log, one such period, are left out; all other samples count, slow ones too. A law with a memory
     counts by what it comes down to at constant velocity. null where the recordings have no torque, for a law that
     exists only in torch, and where the logs are too short."""
+    links: LinksRow | None
+    """Inertias of links that `fit.links` names, and how far the data determine them; null where there are none."""
     reference: list[ReferenceRow]
     """Parameters of the bench without friction, whose errors `metrics.baseline` holds."""
     by_horizon: Annotated[list[HorizonRow], ("minItems", 1)]

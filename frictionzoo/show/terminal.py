@@ -8,7 +8,8 @@ from typing import Any
 
 from frictionzoo.comparison.types import Comparison
 from frictionzoo.result.names import merge_known, name_unidentifiable, name_where, say_bounds
-from frictionzoo.result.types import DataRow, MetricsRow, ParameterRow, Result, TorqueRow, ValueRow
+from frictionzoo.result.torque_types import TorqueRow
+from frictionzoo.result.types import DataRow, MetricsRow, ParameterRow, Result, ValueRow
 from frictionzoo.result.verdict import doubt_gain, doubt_joints, doubt_reference
 from frictionzoo.show.text import format_number, format_share
 
