@@ -2,6 +2,7 @@
 
 import copy
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -15,6 +16,7 @@ from frictionzoo.bench.base_parameters import BaseParameters
 from frictionzoo.bench.inertia import SYMBOLS
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.fit.link_inertia import LinkInertia
+from frictionzoo.fit.tilt import Tilt
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.models.mujoco_default import MujocoDefault
 from frictionzoo.result.evaluate import Evaluation
@@ -57,7 +59,8 @@ def links_found() -> LinkInertia:
     base, prior = BaseParameters(names, (0, 1), matrix), np.array([0.1, 0.02])
     found = np.array([[1.2, 0.01, 0, -0.12, 0.03, 0.03, 0.01, 0, 0, 0]])
     values, errors = base.matrix @ found[0], np.array([0.02, np.inf])
-    return LinkInertia(("FL_thigh",), maker, found, base, values, errors, prior, np.ones(4))
+    tilt = replace(Tilt.upright(np.array([0.0, 0.0, -9.81])), leaning=np.array([0.0, 0.02]), errors=np.full(2, 0.001))
+    return LinkInertia(("FL_thigh",), maker, found, base, values, errors, prior, np.ones(4), tilt)
 
 
 @pytest.fixture(scope="module")
@@ -147,6 +150,9 @@ def test_the_record_tells_links_beside_their_makers(result: Any) -> None:
     # Steiner: about the centre, 0.1 m below the origin, Ixx and Iyy are less by m 0.1^2.
     np.testing.assert_allclose(link["maker"]["inertia"], [0.01, 0.01, 0.01, 0, 0, 0], atol=1e-12)
     assert link["prior_only"] == ["mx", "my", "Ixx", "Iyy"]
+    gravity = result["links"]["gravity"]
+    np.testing.assert_allclose(gravity["found"], [0, 0.1962, -9.808], atol=1e-3)
+    assert (gravity["maker"], round(gravity["angle"], 5), gravity["error"]) == ([0, 0, -9.81], 0.02, 0.001)
     first, second = result["links"]["base"]
     assert first["determined"] and not second["determined"] and result["links"]["determined"] == 1
     assert second == {"combination": "mx FL_thigh + my FL_thigh", "value": 0.01, "error": None, "determined": False}
@@ -208,6 +214,7 @@ def test_the_page_has_means_first_and_folds_the_joints(result: Any, tmp_path: Pa
     left = page.split("Torque that is left</h2>")[1].split("</section>")[0]
     assert "mean over 4 joints" in left and left.count("<tr>") == 5 and "20 %" in left and "recorded joint" in left
     told = page.split("Link inertia</h2>")[1].split("</section>")[0]
+    assert "Gravity is 1.146°" in told and "(0, 0.1962, -9.808) m/s²" in told
     assert "1 of 2 combinations" in told and "FL_thigh" in told and "Ixx, Iyy" in told and "mx FL_thigh" in told
     assert page.count("Trajectory of ") == 4 and "contacts are left out" in page
     # A line for each value: two of armature, four of frictionloss, two of damping.

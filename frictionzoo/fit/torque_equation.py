@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from frictionzoo.bench import Bench
 from frictionzoo.bench.inertia import LogCholesky, inertial_parameters
 from frictionzoo.bench.regressor import inertial_regressor, inverse_torque
 from frictionzoo.core.state import DriveState, Signals
@@ -42,6 +43,7 @@ class TorqueEquation:
         joints: Their names.
         rows: How many rows come from each log.
         moving: Which samples count, joint by joint.
+        labels: Names of the coordinates.
         box: Where the coordinates start, and their bounds.
 
     Args:
@@ -59,7 +61,7 @@ class TorqueEquation:
     ) -> None:
         bench, model, logs = recordings
         self._space, self._bench, self._model, self._logs = space, bench, model, logs
-        self.joints = bench.joints
+        self.joints, self.labels = bench.joints, tuple(space.labels)
         self._decimate = filtering.decimation(logs)
         self.rows = self._decimate.rows
         self._measured = np.concatenate([log.extras["torque"] for log in logs]) if measured else None
@@ -70,8 +72,8 @@ class TorqueEquation:
         self.box = Box(*(np.asarray(side, np.float64) for side in (space.start, space.low, space.high)))
         local = looks_at_one_joint(model)
         self._sparsity = Sparsity.of(space, range(bench.nv) if local else [0] * bench.nv)
-        still = [motion._replace(qacc=np.zeros_like(motion.qacc)) for motion in self._motions]
-        self._external = -self._inverse(still, None)
+        steady = [motion._replace(qacc=np.zeros_like(motion.qacc)) for motion in self._motions]
+        self._external = -self._inverse(bench, steady, None)
         self._compiled = jax.jit(self._torque), jax.jit(self._tangents)
 
     def lack(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "rows nv"]:
@@ -97,6 +99,19 @@ class TorqueEquation:
         names = [model.body(body).name for body in bodies]
         around = LogCholesky.around(inertial_parameters(model, bodies), names)
         return Links(self._decimate(regressor), around, np.tile(spread, (len(bodies), 1)))
+
+    def physical(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "coordinates"]:
+        """Physical value of each coordinate, not brought into its bounds."""
+        split, params = self._space.split(vector), self._space.params
+        return np.concatenate([np.zeros(0), *(params[name].from_coordinate(own, np) for name, own in split.items())])
+
+    def weight(self, bench: Bench) -> Float[np.ndarray, "rows nv 3"]:
+        """Torque that the links of a bench need for each m/s^2 of gravity along each axis of the world."""
+        at_rest = [Motion(motion.qpos, 0 * motion.qvel, 0 * motion.qacc) for motion in self._motions]
+        without, *along = (
+            self._inverse(bench.with_gravity(axis.tolist()), at_rest, None) for axis in (np.zeros(3), *np.eye(3))
+        )
+        return self._decimate(np.stack([torque - without for torque in along], axis=-1))
 
     def scores(
         self, vector: Float[np.ndarray, "coordinates"]
@@ -191,21 +206,23 @@ class TorqueEquation:
 
     @cached_property
     def _fixed(self) -> Float[np.ndarray, "rows nv"]:
-        return self._decimate(self._inverse(self._motions, None))
+        return self._decimate(self._inverse(self._bench, self._motions, None))
 
     def _rigid(self, known: Mapping[str, Any]) -> Float[np.ndarray, "rows nv"]:
         """What the links need."""
         offset = known.get("position_offset")
-        return self._fixed if offset is None else self._decimate(self._inverse(self._motions, np.asarray(offset)))
+        if offset is None:
+            return self._fixed
+        return self._decimate(self._inverse(self._bench, self._motions, np.asarray(offset)))
 
     def _inverse(
-        self, motions: Sequence[Motion], offset: Float[np.ndarray, "nv"] | None
+        self, bench: Bench, motions: Sequence[Motion], offset: Float[np.ndarray, "nv"] | None
     ) -> Float[np.ndarray, "time nv"]:
-        model, parts = self._bench.compile(constraint=False), []
+        model, parts = bench.compile(constraint=False), []
         if offset is not None:
             model.qpos0[:] = -offset
         for log, motion in zip(self._logs, motions, strict=True):
-            self._bench.put_load(model, log.load)
+            bench.put_load(model, log.load)
             parts.append(inverse_torque(model, *motion))
         return np.concatenate(parts)
 

@@ -107,7 +107,10 @@ class Problem:
             for line in links.lines():
                 _log.info("%s", line)
             bench = bench.with_inertia(links.inertia)
-            settings = {**settings, "bench": {**settings["bench"], "inertia": describe(bench)["inertia"]}}
+            if links.tilt is not None:
+                bench = bench.with_gravity(links.tilt.gravity.tolist())
+            told = {name: describe(bench)[name] for name in ("inertia", "gravity")}
+            settings = {**settings, "bench": {**settings["bench"], **told}}
         dataset = bench.accept_all(dataset) if links else accepted
         doubts = doubt_recordings(dataset, bench) + doubt_motion(dataset, bench)
         sampling = bench.sampling(dataset.logs[0].timestep)

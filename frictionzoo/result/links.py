@@ -5,6 +5,7 @@ from jaxtyping import Float
 
 from frictionzoo.bench.inertia import SYMBOLS, from_parameters, to_parameters
 from frictionzoo.fit.link_inertia import LinkInertia
+from frictionzoo.fit.tilt import Tilt
 from frictionzoo.result import torque_types as types
 
 
@@ -21,12 +22,18 @@ def describe_links(found: LinkInertia) -> types.LinksRow:
             }
             for body, old, new in zip(found.bodies, found.maker, found.found, strict=True)
         ],
+        "gravity": None if found.tilt is None else _describe_gravity(found.tilt),
         "determined": int(found.determined.sum()),
         "base": [
             {"combination": text, "value": float(value), "error": float(error), "determined": bool(told)}
             for text, value, error, told in rows
         ],
     }
+
+
+def _describe_gravity(tilt: Tilt) -> types.GravityRow:
+    found, maker = tilt.gravity.tolist(), tilt.maker.tolist()
+    return {"found": found, "maker": maker, "angle": tilt.angle, "error": float(tilt.errors.max())}
 
 
 def _describe_inertia(parameters: Float[np.ndarray, "10"]) -> types.InertiaRow:

@@ -95,11 +95,26 @@ class BaseRow(TypedDict):
     the value where that has no prior."""
 
 
+class GravityRow(TypedDict):
+    """Gravity in the frame of the base, as strong as the model file has it."""
+
+    found: Vector
+    """As identified [m/s^2]."""
+    maker: Vector
+    """As the model file has it [m/s^2]."""
+    angle: NotNegative
+    """Between the two: how far the base stands askew [rad]."""
+    error: NotNegative | None
+    """Standard error of the angle, the larger of two directions' [rad]; null: infinite."""
+
+
 class LinksRow(TypedDict):
-    """Inertias of links that were identified along, before all else."""
+    """Inertias of links, and gravity, that were identified along, before all else."""
 
     links: list[LinkRow]
     """What was found of each; all that follows in the run takes it for known."""
+    gravity: GravityRow | None
+    """Gravity that was found along (`fit.tilt`), known from then on likewise; null: it is the model file's."""
     determined: Natural
     """How many base parameters the data determine."""
     base: list[BaseRow]

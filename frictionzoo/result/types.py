@@ -347,7 +347,8 @@ class Result(TypedDict):
     counts by what it comes down to at constant velocity. null where the recordings have no torque, for a law that
     exists only in torch, and where the logs are too short."""
     links: LinksRow | None
-    """Inertias of links that `fit.links` names, and how far the data determine them; null where there are none."""
+    """Inertias of links that `fit.links` names, and gravity with `fit.tilt`, and how far the data determine them; null
+    where there are none."""
     reference: list[ReferenceRow]
     """Parameters of the bench without friction, whose errors `metrics.baseline` holds."""
     by_horizon: Annotated[list[HorizonRow], ("minItems", 1)]
