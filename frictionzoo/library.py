@@ -85,6 +85,7 @@ class Judging(TypedDict, total=False):
     places: int
     local: float
     seed: int
+    torque: Mapping[str, float | bool | None]
 
 
 class Looping(TypedDict, total=False):

@@ -2,8 +2,9 @@
 
 import copy
 import json
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import jsonschema
 import numpy as np
@@ -11,12 +12,17 @@ import pytest
 from test_report import FIT, PROOF, SETTINGS, TIMESTEP, TIMING, curves_of, make_rollout
 
 from frictionzoo.bench import Bench, PositionPD
+from frictionzoo.bench.base_parameters import BaseParameters
+from frictionzoo.bench.inertia import SYMBOLS
 from frictionzoo.core.log import Dataset, Log
+from frictionzoo.fit.link_inertia import LinkInertia
+from frictionzoo.fit.tilt import Tilt
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.models.mujoco_default import MujocoDefault
 from frictionzoo.result.evaluate import Evaluation
 from frictionzoo.result.names import label_values, merge_known, name_some
 from frictionzoo.result.record import Findings, build_result, pick_metrics, read_schema
+from frictionzoo.result.torque_types import TorqueRow
 from frictionzoo.result.verdict import doubt_joints, explain_failure
 from frictionzoo.show.run_page import check_result, write_report
 from frictionzoo.show.terminal import summarise
@@ -33,6 +39,28 @@ ENDS = [[0.05, 0.2], [np.nan, np.nan], [0.05, 0.2], [0.01, 1.0]]
 def follow(values: Any, qpos: Any, qvel: Any, signals: Any, load: Any) -> tuple[np.ndarray, np.ndarray]:
     """A drive that follows its command, each joint with an offset of its own."""
     return signals.ctrl + values["bench"]["offset"], np.zeros_like(signals.ctrl)
+
+
+def torque_row() -> TorqueRow:
+    """What is left of torque: more of each joint than of the one before."""
+    rows = [{"residual": 0.1 * number, "torque": 2.0} for number in range(1, 5)]
+    mean = {"residual": 0.25, "torque": 2.0}
+    by_joint = [{"joint": j, "train": r, "test": r} for j, r in zip(JOINTS, rows, strict=True)]
+    how = {"compared": "torque", "unit": "N m", "bandwidth": 20.0, "held": False}
+    return cast(TorqueRow, {**how, "mean": {"train": mean, "test": mean}, "by_joint": by_joint})
+
+
+def links_found() -> LinkInertia:
+    """One link, of which the data determine the mass, and nothing of two of its moments."""
+    maker = np.array([[1.0, 0, 0, -0.1, 0.02, 0.02, 0.01, 0, 0, 0]])
+    names = tuple(f"{symbol} FL_thigh" for symbol in SYMBOLS)
+    matrix = np.zeros((2, 10))
+    matrix[0, [0, 3, *range(6, 10)]], matrix[1, [1, 2]] = 1.0, 1.0
+    base, prior = BaseParameters(names, (0, 1), matrix), np.array([0.1, 0.02])
+    found = np.array([[1.2, 0.01, 0, -0.12, 0.03, 0.03, 0.01, 0, 0, 0]])
+    values, errors = base.matrix @ found[0], np.array([0.02, np.inf])
+    tilt = replace(Tilt.upright(np.array([0.0, 0.0, -9.81])), leaning=np.array([0.0, 0.02]), errors=np.full(2, 0.001))
+    return LinkInertia(("FL_thigh",), maker, found, base, values, errors, prior, np.ones(4), tilt)
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +95,14 @@ def findings(tmp_path_factory: pytest.TempPathFactory) -> Findings:
         **{"name": "mujoco_default", "bench": bench, "model": law, "values": values, "dataset": dataset},
         **{"evaluation": evaluation, "judgement": judge(0.01, 0.02, 0.03, 0.1), "baseline": judge(*[0.05] * 4)},
         **{"reference": bench.initial_values(), "fit": FIT, "timing": TIMING, "settings": SETTINGS, "engine": "mjx"},
-        **{"proof": PROOF, "warnings": [], "device": "cpu", "uncertainty": found},
+        **{
+            "torque": torque_row(),
+            "links": links_found(),
+            "proof": PROOF,
+            "warnings": [],
+            "device": "cpu",
+            "uncertainty": found,
+        },
     )
 
 
@@ -108,6 +143,21 @@ def test_the_errors_of_the_joints_have_the_mean_of_all(result: Any, findings: Fi
     np.testing.assert_allclose(found, [0.01, 0.02, 0.03, 0.1], atol=0.003)
 
 
+def test_the_record_tells_links_beside_their_makers(result: Any) -> None:
+    (link,) = result["links"]["links"]
+    assert (link["body"], link["found"]["mass"], link["maker"]["mass"]) == ("FL_thigh", 1.2, 1.0)
+    np.testing.assert_allclose(link["maker"]["centre"], [0, 0, -0.1])
+    # Steiner: about the centre, 0.1 m below the origin, Ixx and Iyy are less by m 0.1^2.
+    np.testing.assert_allclose(link["maker"]["inertia"], [0.01, 0.01, 0.01, 0, 0, 0], atol=1e-12)
+    assert link["prior_only"] == ["mx", "my", "Ixx", "Iyy"]
+    gravity = result["links"]["gravity"]
+    np.testing.assert_allclose(gravity["found"], [0, 0.1962, -9.808], atol=1e-3)
+    assert (gravity["maker"], round(gravity["angle"], 5), gravity["error"]) == ([0, 0, -9.81], 0.02, 0.001)
+    first, second = result["links"]["base"]
+    assert first["determined"] and not second["determined"] and result["links"]["determined"] == 1
+    assert second == {"combination": "mx FL_thigh + my FL_thigh", "value": 0.01, "error": None, "determined": False}
+
+
 def test_labels_name_the_joint_or_the_joints_that_share(result: Any) -> None:
     assert [*label_values(of(result, "armature"))] == ["bench.armature/hips", "bench.armature/knees"]
     assert [*label_values(of(result, "kd"))] == ["bench.kd"]
@@ -120,13 +170,15 @@ def test_labels_name_the_joint_or_the_joints_that_share(result: Any) -> None:
 
 def test_the_terminal_has_a_row_a_joint(result: Any) -> None:
     text = summarise(result, None)
-    table, _, joints = (block.splitlines() for block in text.split("\n\n")[1:4])
+    table, _, joints, torque = (block.splitlines() for block in text.split("\n\n")[1:5])
     rows = [line.split() for line in table]
     assert rows[0] == ["parameter", "joint", "value", "95", "%", "interval", "unit"]
     assert rows[1][:3] == ["bench.armature", "hips", "0.1"] and rows[2][:2] == ["knees", "0.1"]
     assert [line for line in table if "FL_knee" in line and line.endswith("at a bound")]
     assert [line for line in table if "FR_knee" in line and line.endswith("not identifiable")]
     assert [line.split()[0] for line in joints] == ["position", *JOINTS]
+    assert [line.split()[0] for line in torque[1:]] == [*JOINTS, "mean"]
+    assert torque[4].split() == ["FR_knee", "0.4", "2", "N", "m", "20", "%"] and torque[5].split()[1] == "0.25"
     assert "friction.frictionloss (FL_knee) ended at a bound of [0.01, 1] N m" in text
     assert "not identifiable on these data: friction.frictionloss (FL_knee, FR_knee)" in text
     assert "cannot tell apart friction.frictionloss/FL_knee and friction.frictionloss/FR_knee" in text
@@ -159,6 +211,11 @@ def test_the_page_has_means_first_and_folds_the_joints(result: Any, tmp_path: Pa
     opened = [part.split("</summary>")[0] for part in page.split("<details open>")[1:]]
     assert len(opened) == 1 and "FR_knee" in opened[0]  # the largest error
     assert page.count("shared by hips") == page.count("shared by knees") == 2
+    left = page.split("Torque that is left</h2>")[1].split("</section>")[0]
+    assert "mean over 4 joints" in left and left.count("<tr>") == 5 and "20 %" in left and "recorded joint" in left
+    told = page.split("Link inertia</h2>")[1].split("</section>")[0]
+    assert "Gravity is 1.146°" in told and "(0, 0.1962, -9.808) m/s²" in told
+    assert "1 of 2 combinations" in told and "FL_thigh" in told and "Ixx, Iyy" in told and "mx FL_thigh" in told
     assert page.count("Trajectory of ") == 4 and "contacts are left out" in page
     # A line for each value: two of armature, four of frictionloss, two of damping.
     drawn = (tmp_path / "report.html").read_text(encoding="utf-8")

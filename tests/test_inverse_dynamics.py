@@ -296,13 +296,17 @@ def test_links_take_the_place_of_the_files_and_a_record_tells_them(arm_file: Pat
         bench.with_inertia({name: [1, 2]})
 
 
-def test_what_is_only_the_prior_is_told(arm_file: Path) -> None:
-    named = arm_file.with_name("links.xml")
-    text = arm_file.read_text()
+def name_links(arm_file: Path) -> Path:
+    """The arm with names for its bodies, link1 to link5."""
+    named, text = arm_file.with_name("links.xml"), arm_file.read_text()
     for number in range(1, 6):
         text = text.replace("<body pos", f'<body name="link{number}" pos', 1)
     named.write_text(text)
-    bench, law, motion = bench_of(named), law_of("mujoco_default", 5), move(5)
+    return named
+
+
+def test_what_is_only_the_prior_is_told(arm_file: Path) -> None:
+    bench, law, motion = bench_of(name_links(arm_file)), law_of("mujoco_default", 5), move(5)
     model = bench.compile(constraint=False)
     wrong_links(model, [1, 2, 3, 4, 5])
     rng = np.random.default_rng(8)
@@ -322,10 +326,47 @@ def test_what_is_only_the_prior_is_told(arm_file: Path) -> None:
     assert left.sum() < 0.8 * before.sum()
 
 
+@pytest.mark.parametrize("links", ["link.*", ()])
+def test_a_base_that_stands_askew_is_told_by_its_vertical_joint(arm_file: Path, links: Any) -> None:
+    bench, law, motion = bench_of(name_links(arm_file)), law_of("mujoco_default", 5), move(5)
+    model, gravity = bench.compile(constraint=False), np.array([0.25, -0.4, 0.0])
+    gravity[2] = -np.sqrt(9.81**2 - gravity @ gravity)
+    if links:
+        wrong_links(model, [1, 2, 3, 4, 5])
+    model.opt.gravity[:] = gravity
+    torque = needed(model, motion) + 0.1 * np.random.default_rng(8).normal(size=motion[0].shape)
+    recordings = Recordings(bench, law, (bench.accept(log_of(motion[0], torque)),))
+    fit = InverseDynamics(held=False, links=links, prior={"mass": 0.2, "centre": 0.03, "size": 0.3}, tilt=True)
+    found = fit.revise(recordings)
+    assert found is not None and found.tilt is not None
+    off = np.abs(found.tilt.gravity - gravity)[:2] / 9.81
+    assert (off < 3 * found.tilt.errors).all() and (found.tilt.errors < 1e-3).all()
+    told = dict(zip(found.base.describe(), found.determined, strict=True))
+    assert told["gravity along x"] and told["gravity along y"]
+    assert any(line.startswith("gravity is 2.75 +- 0.0") for line in found.lines())
+    level = bench.with_inertia(found.inertia)
+    upright, leaning = (
+        equation_of(drive, law, log_of(motion[0], torque))
+        for drive in (level, build(describe(level.with_gravity(found.tilt.gravity.tolist()))))
+    )
+    left = [np.std(balance(e.lack, e.slope, e.box, e.moving).residual[:, 0]) for e in (upright, leaning)]
+    assert left[1] < 0.5 * left[0]
+
+
+def test_gravity_that_cannot_be_is_refused(arm_file: Path) -> None:
+    bench, motion = bench_of(arm_file).with_gravity([0, 0, 0]), move(5, seconds=2.0)
+    recordings = Recordings(bench, law_of("mujoco_default", 5), (bench.accept(log_of(motion[0], motion[0])),))
+    with pytest.raises(ConfigError, match=r"fit.tilt=true: there is no gravity on this bench; set fit.tilt=false"):
+        InverseDynamics(tilt=True).revise(recordings)
+    with pytest.raises(ConfigError, match=r"bench.gravity=\[0, 1\]: expected three numbers in m/s\^2"):
+        bench.with_gravity([0, 1])
+
+
 def balance_rms(equation: TorqueEquation) -> np.ndarray:
     """Torque that is left of each joint at the best coordinates."""
     found = balance(equation.lack, equation.slope, equation.box, equation.moving)
-    rms, torque = equation.summary(found.vector)
+    left, driving = equation.lack(found.vector), equation.driving(found.vector)
+    rms, torque = (np.sqrt(np.mean(np.square(part), axis=0)) for part in (left, driving))
     assert (rms < torque).all()
     return rms[1:4]
 

@@ -119,6 +119,8 @@ def build(bench, model, dataset, evaluation, friction, offset=0.01, **changes):
         "device": "cpu",
         "uncertainty": Uncertainty(missing="nobody asked"),
         "reference": bench.initial_values(),
+        "torque": None,
+        "links": None,
     }
     shared = {"bench": bench, "model": model, "dataset": dataset, "evaluation": evaluation}
     return build_result(Findings(name=model.name, **shared, **(options | changes)))

@@ -49,6 +49,7 @@ class Bench(Described):
         own_damping: The template's own damping of each joint [N m s/rad or N s/m].
         payload: Index of the body that carries payloads, or None.
         inertia: Ten parameters of each body whose inertia is not the template's, by name.
+        gravity: Where it is not the template's [m/s^2]; None where it is.
         notes: What a robot's file has and the bench has not, a line each.
         unlimited: Limits of the joints' positions that a robot's file has and the bench has not [rad or m], of shape
             (nv, 2); NaN where there are none.
@@ -69,6 +70,7 @@ class Bench(Described):
         timestep: Simulation step [s]; None for the template's.
         inertia: Ten parameters of bodies by name, as `frictionzoo.bench.inertia` has them, in place of those of the
             template: what `fit=inverse_dynamics` found with `fit.links`, or another's identification.
+        gravity: In the frame of the world [m/s^2], of a base that stands askew; None for the template's.
         tie: Joints that share the values of every parameter but the position offset, which is an encoder's: pattern of
             their names by the group's name, or true for all. A parameter's own `tie` comes first.
 
@@ -89,6 +91,7 @@ class Bench(Described):
         timestep: float | None = None,
         tie: Any = None,
         inertia: Mapping[str, Sequence[float | int]] | None = None,
+        gravity: Sequence[float | int] | None = None,
     ) -> None:
         refuse_unlike("bench.actuator", actuator, Actuator, "an actuator law, as in PositionPD(kp=15, kd=0.5)")
         self.source = mjcf
@@ -103,7 +106,8 @@ class Bench(Described):
         self._solreffriction = [float(number) for number in solreffriction]
         self.notes: tuple[str, ...] = ()
         self.inertia: Mapping[str, Sequence[float | int]] = inertia or {}
-        self._template = self._open(mjcf, joint, timestep).with_inertia(self.inertia)
+        self.gravity: Sequence[float | int] | None = gravity
+        self._template = self._open(mjcf, joint, timestep).with_inertia(self.inertia).with_gravity(gravity)
         self.joints: tuple[str, ...] = self._template.joints
         self.unlimited: np.ndarray = np.full((self.nv, 2), np.nan)
         self._tie = read_tie("bench.tie", tie)
@@ -191,12 +195,21 @@ class Bench(Described):
 
     def with_inertia(self, inertia: Mapping[str, Sequence[float | int]]) -> "Bench":
         """The same test stand with other link inertias, by the names of bodies, as the argument `inertia` has them."""
-        args, kwargs = getattr(self, "_given")  # noqa: B009 - of `Described`, so that a record tells it
         other = copy.copy(self)
         other._template, other._loads = self._template.with_inertia(inertia), {}
         other.inertia = {**self.inertia, **{name: list(map(float, own)) for name, own in inertia.items()}}
-        object.__setattr__(other, "_given", (args, {**kwargs, "inertia": other.inertia}))
-        return other
+        return other._telling(inertia=other.inertia)
+
+    def with_gravity(self, gravity: Sequence[float | int]) -> "Bench":
+        """The same test stand with another gravity, as the argument has it."""
+        other = copy.copy(self)
+        other._template, other.gravity, other._loads = self._template.with_gravity(gravity), list(gravity), {}
+        return other._telling(gravity=other.gravity)
+
+    def _telling(self, **given: Any) -> "Bench":
+        args, kwargs = getattr(self, "_given")  # noqa: B009 - of `Described`, so that a record tells it
+        object.__setattr__(self, "_given", (args, kwargs | given))
+        return self
 
     def restarted(self, values: Mapping[str, Float[np.ndarray, "nv"]]) -> "Bench":
         """The same test stand for another law in place of one that was fitted: the armature alone is free.

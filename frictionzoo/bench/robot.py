@@ -47,6 +47,7 @@ class Robot(Bench):
         payload: As of `Bench`.
         timestep: Simulation step [s]; None for the file's.
         inertia: As of `Bench`.
+        gravity: As of `Bench`.
         tie: As of `Bench`; of values that the file has different in joints of a group, the mean counts.
 
     Raises:
@@ -70,6 +71,7 @@ class Robot(Bench):
         timestep: float | None = None,
         tie: Any = None,
         inertia: Mapping[str, Sequence[float | int]] | None = None,
+        gravity: Sequence[float | int] | None = None,
     ) -> None:
         keep = () if payload is None else (payload,)
         choices = {"base": base, "contacts": contacts, "limits": limits, "others": others}
@@ -78,6 +80,7 @@ class Robot(Bench):
         sections["armature"] = {"init": None, **_section(sections.get("armature", {}))}
         actuator = _read_actuator(mjcf, self.file) if actuator is None else actuator
         more: dict[str, Any] = {"solreffriction": solreffriction, "payload": payload, "tie": tie, "inertia": inertia}
+        more["gravity"] = gravity
         super().__init__(mjcf, self.file.joints, actuator=actuator, params=sections, **more)
         self.notes = tuple(self.file.notes)
         if limits == "leave_out":

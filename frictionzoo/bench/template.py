@@ -67,7 +67,7 @@ class Template:
         """
         other = copy.copy(self)
         other._root = copy.deepcopy(self._root)
-        if any(compiler.get("inertiafromgeom") == "true" for compiler in other._root.findall("compiler")):
+        if inertia and any(compiler.get("inertiafromgeom") == "true" for compiler in other._root.findall("compiler")):
             self._fail('inertiafromgeom="true", but bench.inertia gives inertias; remove it from the MJCF')
         bodies = {body.get("name"): body for body in other._root.findall("./worldbody//body")}
         for name, parameters in inertia.items():
@@ -77,6 +77,24 @@ class Template:
                 bodies[name].remove(old)
             written = {key: " ".join(map(in_full, np.ravel(value))) for key, value in _inertial(name, parameters)}
             bodies[name].insert(0, ET.Element("inertial", written))
+        return other
+
+    def with_gravity(self, gravity: Sequence[float | int] | None) -> "Template":
+        """The same with another gravity, in the frame of the world [m/s^2]; None for its own.
+
+        Raises:
+            ConfigError: Not three finite numbers.
+        """
+        if gravity is None:
+            return self
+        numbers = np.array(gravity, np.float64)
+        if numbers.shape != (3,) or not np.isfinite(numbers).all():
+            raise ConfigError(f"bench.gravity={list(gravity)}: expected three numbers in m/s^2, or null for the file's")
+        other = copy.copy(self)
+        other._root = copy.deepcopy(self._root)
+        _section(other._root, "option")
+        for option in other._root.findall("option"):
+            option.set("gravity", " ".join(map(in_full, numbers)))
         return other
 
     def write(

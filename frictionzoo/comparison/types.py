@@ -2,24 +2,9 @@
 
 from typing import Annotated, Any, Literal, TypedDict
 
-from frictionzoo.result.types import (
-    Count,
-    DataRow,
-    FitRow,
-    JointRow,
-    Joints,
-    MetricsRow,
-    Natural,
-    NetworkRow,
-    NotNegative,
-    Number,
-    ParameterRow,
-    Positive,
-    Sha256,
-    Simulator,
-    Text,
-    TimingRow,
-)
+from frictionzoo.result.kinds import Count, Joints, Natural, NotNegative, Number, Positive, Sha256, Simulator, Text
+from frictionzoo.result.torque_types import TorqueRow
+from frictionzoo.result.types import DataRow, FitRow, JointRow, MetricsRow, NetworkRow, ParameterRow, TimingRow
 
 Numbers = list[float | None]
 Curves = dict[str, Numbers]
@@ -115,6 +100,8 @@ class RunRow(TypedDict):
     """Main rollouts on the logs that it did not see."""
     by_joint: Annotated[list[JointRow], ("minItems", 1)]
     """Errors of each joint in the main rollouts, in the order of `joints`."""
+    torque: TorqueRow | None
+    """What is left of recorded torque joint by joint, as in `result.json`; null where that was not measured."""
     change: ChangeRow
     rollout_mae: Numbers
     """Error of each main test rollout; the runs' entries belong together in pairs."""
@@ -226,7 +213,7 @@ class Comparison(TypedDict):
     position MAE in `unit`.
     """
 
-    schema_version: Literal[4]
+    schema_version: Literal[5]
     """Raised by every change that a reader of this file could notice."""
     data: DataRow
     joints: Joints

@@ -28,6 +28,8 @@ _TAKES: dict[str, tuple[Any, ...]] = {
     "loop.patience": (0, None),
     "fit.start": (None,),
     "evaluation.rollouts": (0, None),
+    "evaluation.torque.bandwidth": (0.1, None),
+    "evaluation.torque.held": (True, None),
     "bench.joint": ("", [""], None),
     "bench.payload": ("", None),
     "bench.timestep": (0.1, None),

@@ -53,12 +53,18 @@ class Equipped:
 
 
 def _refuse_inertia(path: Path, fitted: Identified) -> None:
-    """ExportError where the drive was identified with other links than those of its own file."""
+    """ExportError where the drive was identified with other links than those of its own file, or another gravity."""
     if fitted.bench.inertia and path == Path(fitted.bench.source):
         links = ", ".join(list(fitted.bench.inertia)[:3])
         raise ExportError(
             f"into={path}: the inertias of {links} and others were identified along, expected those of the file; take "
             "the bench that was simulated, which has them"
+        )
+    if fitted.bench.gravity is not None and path == Path(fitted.bench.source):
+        numbers = ", ".join(f"{number:.4g}" for number in fitted.bench.gravity)
+        raise ExportError(
+            f"into={path}: gravity was ({numbers}), expected that of the file; take the bench that was "
+            "simulated, which has it"
         )
 
 

@@ -13,6 +13,7 @@ from frictionzoo.core.errors import ConfigError, refuse_unlike
 from frictionzoo.core.registry import KINDS, Registry
 from frictionzoo.fit.blocks import Blocks
 from frictionzoo.fit.link_inertia import LinkInertia
+from frictionzoo.fit.motion import Filtering
 from frictionzoo.fit.normal_equations import NormalEquations
 from frictionzoo.fit.objective import Objective, Recordings
 
@@ -46,11 +47,16 @@ class Fit(Described, ABC):
         name: Its name in results, set by `register_method`.
         traced: Whether `step` is a JAX function, which the loop compiles; otherwise it is called from Python.
         start: The method at whose best vector this one begins; None: at the initial values.
+        filtering: How recorded torque is compared with what the identified drive needs, where the evaluation does not
+            say otherwise.
+        held: Whether a recorded command acts until the next sample there.
     """
 
     name: ClassVar[str]
     traced: ClassVar[bool] = True
     start: "Fit | None" = None
+    filtering: Filtering = Filtering()
+    held: bool = True
 
     def revise(self, recordings: Recordings) -> LinkInertia | None:
         """What the method finds of the test stand itself, before anything is simulated; None: it stays as it is."""

@@ -12,13 +12,15 @@ from frictionzoo.fit.base import Fit, Scores, Seen, refuse_nothing, refuse_torch
 from frictionzoo.fit.blocks import Blocks
 from frictionzoo.fit.link_inertia import LinkInertia, identify_links, spread_of
 from frictionzoo.fit.lm import MOST_COORDINATES
-from frictionzoo.fit.motion import Filtering
+from frictionzoo.fit.motion import BANDWIDTH, Filtering
 from frictionzoo.fit.objective import Objective, Recordings
 from frictionzoo.fit.space import Space
+from frictionzoo.fit.tilt import Tilt, Tilted
 from frictionzoo.fit.torque_balance import balance
 from frictionzoo.fit.torque_equation import TorqueEquation
 
 _log = logging.getLogger(__name__)
+_PASSES, _LEVEL = 10, 1e-5  # of links and gravity in turns, and the change of its share below which it is found
 PRIOR: Mapping[str, float] = {"mass": 0.1, "centre": 0.02, "size": 0.3}
 
 
@@ -48,6 +50,8 @@ class InverseDynamics(Fit):
             as a measured torque or current does.
         links: Bodies whose inertia is identified along, by name or by regular expressions that match whole names. It is
             found first, together with all else, and takes the place of the model file's in all that follows.
+        tilt: Whether the direction of gravity in the frame of the base is found along, then too: a base that stands
+            askew by a degree gives a vertical joint a torque that its model file does not know of.
         prior: Standard deviations of that inertia from the model file's, which pull it there: of the mass and of the
             spread about the centre as shares, `mass` and `size`, and of the `centre` [m].
 
@@ -59,29 +63,51 @@ class InverseDynamics(Fit):
 
     def __init__(
         self,
-        bandwidth: float = 20.0,
+        bandwidth: float = BANDWIDTH,
         cutoff: float | None = None,
         order: int = 4,
         slow: float = 0.025,
         held: bool = True,
         links: str | Sequence[str] = (),
         prior: Mapping[str, float] = PRIOR,
+        tilt: bool = False,
     ) -> None:
-        self._filtering = Filtering(bandwidth, cutoff, order, slow)
-        self._held = held
+        self.filtering = Filtering(bandwidth, cutoff, order, slow)
+        self.held = held
         self._links = [links] if isinstance(links, str) else list(links)
         spread_of(prior)  # refuses what makes no sense
-        self._prior = dict(prior)
+        self._prior, self._tilt = dict(prior), tilt
 
     def revise(self, recordings: Recordings) -> LinkInertia | None:
-        """See `Fit.revise`: link inertias, where some are to be identified."""
-        if not self._links:
-            return None
+        """See `Fit.revise`: link inertias and gravity, where these are to be identified."""
         bench, model, _ = recordings
+        if not self._links and not self._tilt:
+            return None
         space = Space(bench, model, jnp.result_type(float))
         _refuse_many(space)
-        equation = TorqueEquation(space, recordings, self._filtering, self._held)
-        return identify_links(equation, space, bench.compile(constraint=False), self._links, self._prior)
+        if self._tilt:
+            return self._revise_leaning(recordings, space)
+        equation = TorqueEquation(space, recordings, self.filtering, self.held)
+        return identify_links(equation, bench.compile(constraint=False), self._links, self._prior)
+
+    def _revise_leaning(self, recordings: Recordings, space: Space) -> LinkInertia:
+        """With gravity: what links weigh depends on both, so that each is found with what the other was before."""
+        bench = weighed = recordings.bench
+        tilt = Tilt.upright(bench.compile(constraint=False).opt.gravity.copy())
+        for _ in range(_PASSES):
+            leaning = bench.with_gravity(tilt.gravity.tolist())
+            equation = TorqueEquation(space, recordings._replace(bench=leaning), self.filtering, self.held)
+            tilted = Tilted.about(equation, tilt, weighed)
+            found = identify_links(tilted, leaning.compile(constraint=False), self._links, self._prior)
+            assert found.tilt is not None
+            moved, tilt, weighed = (
+                np.abs(found.tilt.leaning - tilt.leaning),
+                found.tilt,
+                bench.with_inertia(found.inertia),
+            )
+            if (moved < _LEVEL).all():
+                break
+        return found
 
     def total(self, objective: Objective) -> int:
         """See `Fit.total`; not for a network, nor for a law only in torch, nor without recordings."""
@@ -99,8 +125,8 @@ class InverseDynamics(Fit):
         recordings = objective.recordings
         assert recordings is not None
         return objective.remember(
-            (self._filtering, self._held),
-            lambda: TorqueEquation(objective.space, recordings, self._filtering, self._held),
+            (self.filtering, self.held),
+            lambda: TorqueEquation(objective.space, recordings, self.filtering, self.held),
         )
 
     def init(self, objective: Objective) -> tuple[Any, Any]:

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from frictionzoo.bench.base_parameters import BaseParameters, find_base_parameters
 from frictionzoo.bench.inertia import COORDINATES, SYMBOLS, from_parameters
 from frictionzoo.core.errors import ConfigError, closest
-from frictionzoo.fit.space import Space
+from frictionzoo.fit.tilt import Tilt, Tilted
 from frictionzoo.fit.torque_balance import Balance, Links, balance, invert
 from frictionzoo.fit.torque_equation import TorqueEquation
 
@@ -36,6 +36,7 @@ class LinkInertia:
         errors: Standard error of each, by the data alone.
         spreads: Standard deviation of the prior of each; infinite where it holds what has no prior.
         rms: Root mean square of the torque that is left of each joint [N m or N].
+        tilt: How far gravity leaned from where the model file has it, where that was found along; see `Tilt`.
     """
 
     bodies: tuple[str, ...]
@@ -46,6 +47,7 @@ class LinkInertia:
     errors: Float[np.ndarray, "base"]
     spreads: Float[np.ndarray, "base"]
     rms: Float[np.ndarray, "nv"]
+    tilt: Tilt | None = None
 
     @property
     def determined(self) -> Bool[np.ndarray, "base"]:
@@ -70,6 +72,8 @@ class LinkInertia:
             (was, before, _), (mass, centre, _) = from_parameters(old), from_parameters(new)
             moved = 1e3 * float(np.linalg.norm(centre - before))
             yield f"link {name}: {mass:.4g} kg, the model file's {was:.4g}; centre moved by {moved:.3g} mm"
+        if self.tilt is not None:
+            yield f"gravity is {self.tilt.say()}: the base stands askew"
         told = self.determined
         yield f"{told.sum()} of {len(told)} combinations of parameters are determined by the data, not by the prior"
         if self.prior_only:
@@ -121,13 +125,12 @@ def spread_of(prior: Mapping[str, float]) -> Float[np.ndarray, "10"]:
 
 
 def identify_links(
-    equation: TorqueEquation, space: Space, model: mujoco.MjModel, patterns: Sequence[str], prior: Mapping[str, float]
+    equation: TorqueEquation | Tilted, model: mujoco.MjModel, patterns: Sequence[str], prior: Mapping[str, float]
 ) -> LinkInertia:
-    """Inertias of the links together with the coordinates of a space, which are found along and not kept.
+    """Inertias of the links together with the coordinates of an equation, which are found along and not kept.
 
     Args:
         equation: What torque is left, with the model file's links.
-        space: The coordinates.
         model: The bench's.
         patterns: Of the names of the links.
         prior: As `spread_of` takes it.
@@ -138,39 +141,38 @@ def identify_links(
     """
     bodies = choose_bodies(model, patterns)
     names = tuple(model.body(body).name for body in bodies)
-    links = equation.links(bodies, spread_of(prior))
+    links = equation.links(bodies, spread_of(prior)) if bodies else None
     found = balance(equation.lack, equation.slope, equation.box, equation.moving, links)
-    base, scale = _base(equation, space, found, links, names)
-    values = np.concatenate([_physical(space, found.vector), found.bodies.ravel()])
+    base, scale = _base(equation, found, links, names)
+    values = np.concatenate([equation.physical(found.vector), found.bodies.ravel()])
     information = found.information / np.outer(scale, scale)
     errors = np.sqrt(np.diag(invert(information[np.ix_(base.leading, base.leading)])))
     rms = np.sqrt(np.mean(np.square(found.residual), axis=0))
     spreads = _spreads(base, links, len(found.vector))
-    return LinkInertia(names, links.maker, found.bodies, base, base.matrix @ values, errors, spreads, rms)
+    tilt = equation.tilt(found) if isinstance(equation, Tilted) else None
+    maker = np.zeros((0, 10)) if links is None else links.maker
+    return LinkInertia(names, maker, found.bodies, base, base.matrix @ values, errors, spreads, rms, tilt)
 
 
 def _base(
-    equation: TorqueEquation, space: Space, found: Balance, links: Links, names: Sequence[str]
+    equation: TorqueEquation | Tilted, found: Balance, links: Links | None, names: Sequence[str]
 ) -> tuple[BaseParameters, Float[np.ndarray, "all"]]:
     """Base parameters of what was recorded, and the derivative of physical values by coordinates."""
-    slopes = equation.slope(found.vector)
-    columns = np.concatenate([slopes, -links.regressor.reshape(*slopes.shape[:2], -1)], axis=-1)
+    columns = equation.slope(found.vector)
+    if links is not None:
+        columns = np.concatenate([columns, -links.regressor.reshape(*columns.shape[:2], -1)], axis=-1)
     step = 1e-6 * np.ones(len(found.vector))
-    moved = (_physical(space, found.vector + step) - _physical(space, found.vector - step)) / (2 * step)
-    scale = np.concatenate([np.where(moved != 0, moved, 1.0), np.ones(links.maker.size)])
+    moved = (equation.physical(found.vector + step) - equation.physical(found.vector - step)) / (2 * step)
+    scale = np.concatenate([np.where(moved != 0, moved, 1.0), np.ones(found.bodies.size)])
     rows = ((columns / scale) / found.sigma[:, None])[equation.moving]
-    labels = [*space.labels, *(f"{symbol} {name}" for name in names for symbol in SYMBOLS)]
+    labels = [*equation.labels, *(f"{symbol} {name}" for name in names for symbol in SYMBOLS)]
     return find_base_parameters(rows, labels), scale
 
 
-def _physical(space: Space, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "coordinates"]:
-    """Physical value of each coordinate, not brought into its bounds."""
-    split = space.split(vector)
-    return np.concatenate([np.zeros(0), *(space.params[name].from_coordinate(own, np) for name, own in split.items())])
-
-
-def _spreads(base: BaseParameters, links: Links, size: int) -> Float[np.ndarray, "base"]:
+def _spreads(base: BaseParameters, links: Links | None, size: int) -> Float[np.ndarray, "base"]:
     """Deviation of the prior of each base parameter."""
+    if links is None:
+        return np.full(len(base.matrix), np.inf)
     around: Any = links.around.slopes(np.zeros_like(links.spread)) * links.spread[:, None, :]
     own = base.matrix[:, size:].reshape(len(base.matrix), -1, 10)
     variance = np.square(np.einsum("abk,bkl->abl", own, around)).sum(axis=(1, 2))

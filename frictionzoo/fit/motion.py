@@ -16,6 +16,8 @@ PASSED = 0.8  # of half the rate that is kept, up to which the decimation filter
 _RIPPLE, _POLES = 0.05, 7  # dB and order of the decimation filter; of an odd order, constants pass unchanged
 FEWEST = 10  # samples that are kept in a log at the least
 WIDER = 5.0  # times the bandwidth, the cut-off of the positions' filter
+BANDWIDTH = 20.0
+"""Frequency up to which torques are compared where nothing else is said [Hz]."""
 
 
 class Motion(NamedTuple):
@@ -49,7 +51,7 @@ class Filtering:
         ConfigError: A value is out of range.
     """
 
-    bandwidth: float
+    bandwidth: float = BANDWIDTH
     cutoff: float | None = None
     order: int = 4
     slow: float = 0.025
@@ -119,6 +121,11 @@ class Decimation:
     factor: int
     lengths: tuple[int, ...]
     edge: int
+
+    @property
+    def rows(self) -> tuple[int, ...]:
+        """How many samples of each log are left."""
+        return tuple(len(range(self.edge, length - self.edge, self.factor)) for length in self.lengths)
 
     def __call__(self, signal: Float[np.ndarray, "time *shape"]) -> Float[np.ndarray, "rows *shape"]:
         """A signal of all logs, filtered and decimated log by log."""

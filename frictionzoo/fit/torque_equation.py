@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from frictionzoo.bench import Bench
 from frictionzoo.bench.inertia import LogCholesky, inertial_parameters
 from frictionzoo.bench.regressor import inertial_regressor, inverse_torque
 from frictionzoo.core.state import DriveState, Signals
@@ -40,7 +41,9 @@ class TorqueEquation:
 
     Attributes:
         joints: Their names.
+        rows: How many rows come from each log.
         moving: Which samples count, joint by joint.
+        labels: Names of the coordinates.
         box: Where the coordinates start, and their bounds.
 
     Args:
@@ -49,13 +52,19 @@ class TorqueEquation:
         filtering: How they are smoothed and compared.
         held: Whether a recorded command acts until the next sample, as in a simulation; if not, at its instant alone,
             as a measured torque or current does.
+        measured: Whether the recorded `torque` of the joints drives them, at its instant, in place of what the actuator
+            law makes of the commands.
     """
 
-    def __init__(self, space: Space, recordings: Recordings, filtering: Filtering, held: bool) -> None:
+    def __init__(
+        self, space: Space, recordings: Recordings, filtering: Filtering, held: bool, measured: bool = False
+    ) -> None:
         bench, model, logs = recordings
         self._space, self._bench, self._model, self._logs = space, bench, model, logs
-        self.joints = bench.joints
+        self.joints, self.labels = bench.joints, tuple(space.labels)
         self._decimate = filtering.decimation(logs)
+        self.rows = self._decimate.rows
+        self._measured = np.concatenate([log.extras["torque"] for log in logs]) if measured else None
         self._motions = [filtering.motion(log) for log in logs]
         self._motion = Motion(*(np.concatenate(parts) for parts in zip(*self._motions, strict=True)))
         self._lateness = (logs[0].timestep / 2 if held else 0.0), logs[0].timestep
@@ -63,8 +72,8 @@ class TorqueEquation:
         self.box = Box(*(np.asarray(side, np.float64) for side in (space.start, space.low, space.high)))
         local = looks_at_one_joint(model)
         self._sparsity = Sparsity.of(space, range(bench.nv) if local else [0] * bench.nv)
-        still = [motion._replace(qacc=np.zeros_like(motion.qacc)) for motion in self._motions]
-        self._external = -self._inverse(still, None)
+        steady = [motion._replace(qacc=np.zeros_like(motion.qacc)) for motion in self._motions]
+        self._external = -self._inverse(bench, steady, None)
         self._compiled = jax.jit(self._torque), jax.jit(self._tangents)
 
     def lack(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "rows nv"]:
@@ -91,6 +100,19 @@ class TorqueEquation:
         around = LogCholesky.around(inertial_parameters(model, bodies), names)
         return Links(self._decimate(regressor), around, np.tile(spread, (len(bodies), 1)))
 
+    def physical(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "coordinates"]:
+        """Physical value of each coordinate, not brought into its bounds."""
+        split, params = self._space.split(vector), self._space.params
+        return np.concatenate([np.zeros(0), *(params[name].from_coordinate(own, np) for name, own in split.items())])
+
+    def weight(self, bench: Bench) -> Float[np.ndarray, "rows nv 3"]:
+        """Torque that the links of a bench need for each m/s^2 of gravity along each axis of the world."""
+        at_rest = [Motion(motion.qpos, 0 * motion.qvel, 0 * motion.qacc) for motion in self._motions]
+        without, *along = (
+            self._inverse(bench.with_gravity(axis.tolist()), at_rest, None) for axis in (np.zeros(3), *np.eye(3))
+        )
+        return self._decimate(np.stack([torque - without for torque in along], axis=-1))
+
     def scores(
         self, vector: Float[np.ndarray, "coordinates"]
     ) -> tuple[NormalEquations, Float[np.ndarray, "stretches coordinates"]]:
@@ -112,7 +134,7 @@ class TorqueEquation:
         So it is where a gear couples two joints: the motor of the one turns with both. What two links' inertia does to
         each other changes with the pose, and goes with neither. Where next to nothing is left, it is no one's.
         """
-        left, driving = self.lack(vector), self._driving(vector)
+        left, driving = self.lack(vector), self.driving(vector)
         signals = self._decimate(np.stack([self._motion.qacc, self._motion.qvel, np.sign(self._motion.qvel)], axis=-1))
         nv = left.shape[1]
         share = np.zeros((nv, nv))
@@ -126,13 +148,8 @@ class TorqueEquation:
         mutual = np.minimum(share, share.T)
         return {(a, b): float(mutual[a, b]) for a, b in itertools.combinations(range(nv), 2) if mutual[a, b] > COUPLED}
 
-    def summary(self, vector: Float[np.ndarray, "coordinates"]) -> tuple[np.ndarray, np.ndarray]:
-        """Root mean square of the torque that is left of each joint, and of the drives' torque, over all samples."""
-        return tuple(
-            np.sqrt(np.mean(np.square(torque), axis=0)) for torque in (self.lack(vector), self._driving(vector))
-        )
-
-    def _driving(self, vector: np.ndarray) -> np.ndarray:
+    def driving(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "rows nv"]:
+        """The drives' own torque, filtered and decimated [N m or N]."""
         values = self._space.values(jnp.asarray(vector, self._space.start.dtype))
         return self._decimate(np.asarray(self._state(values).motor_torque, np.float64))
 
@@ -153,9 +170,12 @@ class TorqueEquation:
         dtype = self._space.start.dtype
         qpos, qvel, external = (jnp.asarray(x, dtype) for x in (*self._motion[:2], self._external))
         signals, known = self._acting(values["bench"]), values["bench"]
-        ctrl = self._bench.actuator.control(jnp, known, qpos, qvel, signals.ctrl, signals.inputs)
-        gain, *bias = self._bench.actuator.affine(known)
-        motor = gain * ctrl + bias[0] + bias[1] * qpos + bias[2] * qvel
+        if self._measured is not None:
+            motor = jnp.asarray(self._measured, dtype)
+        else:
+            ctrl = self._bench.actuator.control(jnp, known, qpos, qvel, signals.ctrl, signals.inputs)
+            gain, *bias = self._bench.actuator.affine(known)
+            motor = gain * ctrl + bias[0] + bias[1] * qpos + bias[2] * qvel
         return DriveState(qpos, qvel, signals.ctrl, motor, external, **signals.observed)
 
     def _acting(self, known: Mapping[str, Any]) -> Signals:
@@ -186,21 +206,23 @@ class TorqueEquation:
 
     @cached_property
     def _fixed(self) -> Float[np.ndarray, "rows nv"]:
-        return self._decimate(self._inverse(self._motions, None))
+        return self._decimate(self._inverse(self._bench, self._motions, None))
 
     def _rigid(self, known: Mapping[str, Any]) -> Float[np.ndarray, "rows nv"]:
         """What the links need."""
         offset = known.get("position_offset")
-        return self._fixed if offset is None else self._decimate(self._inverse(self._motions, np.asarray(offset)))
+        if offset is None:
+            return self._fixed
+        return self._decimate(self._inverse(self._bench, self._motions, np.asarray(offset)))
 
     def _inverse(
-        self, motions: Sequence[Motion], offset: Float[np.ndarray, "nv"] | None
+        self, bench: Bench, motions: Sequence[Motion], offset: Float[np.ndarray, "nv"] | None
     ) -> Float[np.ndarray, "time nv"]:
-        model, parts = self._bench.compile(constraint=False), []
+        model, parts = bench.compile(constraint=False), []
         if offset is not None:
             model.qpos0[:] = -offset
         for log, motion in zip(self._logs, motions, strict=True):
-            self._bench.put_load(model, log.load)
+            bench.put_load(model, log.load)
             parts.append(inverse_torque(model, *motion))
         return np.concatenate(parts)
 

@@ -25,6 +25,7 @@ from frictionzoo.models import FrictionModel
 from frictionzoo.result.evaluate import Evaluation
 from frictionzoo.result.identified import Identified
 from frictionzoo.result.record import describe_data
+from frictionzoo.result.torque import choose_filtering
 from frictionzoo.simulate.drive import Drive
 from frictionzoo.simulate.proof import Proof, Recorded, initial_values, prove
 
@@ -107,12 +108,16 @@ class Problem:
             for line in links.lines():
                 _log.info("%s", line)
             bench = bench.with_inertia(links.inertia)
-            settings = {**settings, "bench": {**settings["bench"], "inertia": describe(bench)["inertia"]}}
+            if links.tilt is not None:
+                bench = bench.with_gravity(links.tilt.gravity.tolist())
+            told = {name: describe(bench)[name] for name in ("inertia", "gravity")}
+            settings = {**settings, "bench": {**settings["bench"], **told}}
         dataset = bench.accept_all(dataset) if links else accepted
         doubts = doubt_recordings(dataset, bench) + doubt_motion(dataset, bench)
         sampling = bench.sampling(dataset.logs[0].timestep)
         segments = cut_segments(dataset.train, **settings["segments"], history=sampling.history)
         evaluation = Evaluation(dataset, bench.joint_type, **settings["evaluation"], history=sampling.history)
+        choose_filtering(fit, evaluation.torque)  # refuses what is none before a fit and not after it
         drive = Drive.assemble(bench, model, settings["engine"], sampling)
         proof = prove(bench, model, drive.engine.name, initial_values(bench, model), Recorded.of(dataset.train))
         samples = _training_samples(drive, bench, dataset)

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from frictionzoo.core.segments import Segments
 from frictionzoo.fit import Outcome, Space, estimate_uncertainty, fit_reference, run_fit
 from frictionzoo.fit.loop import Record
+from frictionzoo.fit.objective import Recordings
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.identification.problem import Problem
 from frictionzoo.logs.cache import cache_folder
@@ -19,6 +20,8 @@ from frictionzoo.result.curves import Curves, sample_friction
 from frictionzoo.result.evaluate import Judgement
 from frictionzoo.result.identified import Identified
 from frictionzoo.result.record import Findings, build_result
+from frictionzoo.result.torque import choose_filtering, measure_torque
+from frictionzoo.result.torque_types import TorqueRow
 from frictionzoo.result.types import FitRow, Result, TimingRow
 from frictionzoo.result.verdict import list_moving
 from frictionzoo.simulate import Values
@@ -53,6 +56,7 @@ def solve(
     judged = time.perf_counter()
     judgement = problem.evaluation.judge(problem.drive.rollout.compiled, outcome.values)
     baseline, reference = judge_baseline(measured or problem)
+    torque = _measure_torque(problem, outcome)
 
     found = Findings(
         name=name,
@@ -64,6 +68,8 @@ def solve(
         judgement=judgement,
         baseline=baseline,
         reference=reference["bench"],
+        torque=torque,
+        links=problem.links,
         fit=_describe_fit(problem.objective.space, outcome, uncertainty),
         timing=_describe_timing(problem, outcome, began, asked, judged),
         settings=problem.settings,
@@ -104,6 +110,14 @@ def judge_baseline(problem: Problem) -> tuple[Judgement, Values]:
     else:
         values = jax.tree.map(np.asarray, space.values(space.start))
     return problem.evaluation.judge(drive.rollout.compiled, values), values
+
+
+def _measure_torque(problem: Problem, outcome: Outcome) -> TorqueRow | None:
+    """What the final values leave of recorded torque."""
+    recordings = Recordings(problem.bench, problem.drive.model, problem.dataset.logs)
+    filtering = choose_filtering(problem.fit, problem.evaluation.torque)
+    space = problem.objective.space
+    return measure_torque(recordings, len(problem.dataset.train), space, outcome.vector, filtering)
 
 
 def _log_engine(problem: Problem) -> None:

@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -11,6 +12,7 @@ from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.log import Dataset
 from frictionzoo.core.params import UNITS
 from frictionzoo.core.segments import Segments, cut_rollouts
+from frictionzoo.result.torque import AS_THE_FIT
 
 Values = Mapping[str, Mapping[str, np.ndarray]]
 Rollout = Callable[..., tuple]
@@ -172,6 +174,7 @@ class Evaluation:
         trajectories: Long windows of the test part; the first is that of the paper's evaluation (a).
         local: Short windows one after the other over the whole test part.
         window: Length of the moving mean over the error of (a) [s].
+        torque: How recorded torque is compared, as the argument says.
 
     Args:
         dataset: Recordings, train and test.
@@ -184,6 +187,8 @@ class Evaluation:
         places: How many rollouts at random places (b) has, of the main horizon, and how many long rollouts there are.
         local: Length of the short rollouts [s].
         seed: Of the random places.
+        torque: How recorded torque is compared, `bandwidth` [Hz] and `held`, as `frictionzoo.result.torque` has it;
+            None for each as the fit does it.
         history: Samples of the command before each rollout that may still act in it.
 
     Raises:
@@ -203,6 +208,7 @@ class Evaluation:
         places: int = 10,
         local: float = 0.1,
         seed: int = 0,
+        torque: Mapping[str, Any] = AS_THE_FIT,
         history: int = 0,
     ) -> None:
         if not horizons:
@@ -211,7 +217,7 @@ class Evaluation:
             most = f"at most evaluation.trajectory, {trajectory:g} s"
             raise ConfigError(f"evaluation.window={window:g}; expected more than 0 s and {most}")
         parts = {"train": dataset.train, "test": dataset.test}
-        self.joint_type, self.window = joint_type, window
+        self.joint_type, self.window, self.torque = joint_type, window, torque
         self._by_horizon = [
             {part: cut_rollouts(logs, horizon, rollouts, placement, seed, history) for part, logs in parts.items()}
             for horizon in horizons

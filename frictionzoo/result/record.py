@@ -18,17 +18,19 @@ from frictionzoo.core.errors import RunError
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.output import RESULT, to_json, write_atomically
 from frictionzoo.core.params import Param
+from frictionzoo.fit.link_inertia import LinkInertia
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.result import types
 from frictionzoo.result.curves import Curves, read_curves
 from frictionzoo.result.evaluate import Evaluation, Judgement, Metrics, Values
+from frictionzoo.result.links import describe_links
 from frictionzoo.result.names import label_values
 from frictionzoo.result.values import list_values
 from frictionzoo.result.verdict import doubt_sizes, explain_failure
 from frictionzoo.simulate.proof import Proof
 
-SCHEMA_VERSION: Final = 5
+SCHEMA_VERSION: Final = 6
 PACKAGES = ("frictionzoo", "mujoco", "mujoco-mjx", "jax", "torch", "optax", "lightning", "numpy")
 
 
@@ -51,6 +53,8 @@ class Findings:
         judgement: Of the identified drive.
         baseline: Of the same bench identified without friction, on the same rollouts.
         reference: The values of that bench.
+        torque: What is left of recorded torque; None where there is none.
+        links: Link inertias that were identified along; None where none were.
         fit: How they were found.
         timing: Seconds that each part took.
         settings: All options of the run, among them `seed` and `dtype`.
@@ -70,6 +74,8 @@ class Findings:
     judgement: Judgement
     baseline: Judgement
     reference: Mapping[str, np.ndarray]
+    torque: types.TorqueRow | None
+    links: LinkInertia | None
     fit: types.FitRow
     timing: types.TimingRow
     settings: Mapping[str, Any]
@@ -110,6 +116,8 @@ def build_result(found: Findings) -> types.Result:
             "b": _contrast(found.judgement.places, found.baseline.places),
         },
         "by_joint": _list_joints(bench.joints, found.judgement, found.baseline),
+        "torque": found.torque,
+        "links": None if found.links is None else describe_links(found.links),
         "reference": [
             _describe_value("bench", bench, name, param, found.reference[name], Uncertainty())
             for name, param in bench.params.items()

@@ -6,20 +6,23 @@
 
 from typing import Annotated, Any, Literal, TypedDict
 
-Positive = Annotated[float, ("exclusiveMinimum", 0)]
-NotNegative = Annotated[float, ("minimum", 0)]
-Natural = Annotated[int, ("minimum", 0)]
-Count = Annotated[int, ("minimum", 1)]
-Samples = Annotated[int, ("minimum", 2)]
-Text = Annotated[str, ("minLength", 1)]
-Sha256 = Annotated[str, ("pattern", "^[0-9a-f]{64}$")]
-Joints = Annotated[list[str], ("minItems", 1)]
-PerJoint = Annotated[list[float], ("minItems", 2)]
-Interval = Annotated[list[float], ("minItems", 2), ("maxItems", 2)]
-Intervals = Annotated[list[Interval | None], ("minItems", 2)]
-Carried = Annotated[list[float], ("minItems", 7), ("maxItems", 7)]
-Number = Literal["float32", "float64"]
-Simulator = Literal["mjx", "specialised"]
+from frictionzoo.result.kinds import (
+    Carried,
+    Count,
+    Interval,
+    Intervals,
+    Joints,
+    Natural,
+    NotNegative,
+    Number,
+    PerJoint,
+    Positive,
+    Samples,
+    Sha256,
+    Simulator,
+    Text,
+)
+from frictionzoo.result.torque_types import LinksRow, TorqueRow
 
 
 class LogRow(TypedDict):
@@ -314,7 +317,7 @@ class Result(TypedDict):
     fitted). A run writes this file last: where it exists, the run's other files do too.
     """
 
-    schema_version: Literal[5]
+    schema_version: Literal[6]
     """Raised by every change that a reader of this file could notice."""
     model: Text
     """The chosen model, a file of conf/model."""
@@ -335,6 +338,17 @@ class Result(TypedDict):
     """Open-loop rollouts at the main horizon, the first of `by_horizon`."""
     by_joint: Annotated[list[JointRow], ("minItems", 1)]
     """Errors of each joint in the rollouts of `metrics`, in the order of `joints`."""
+    torque: TorqueRow | None
+    """What is left of recorded torque with the final values, without a simulation: the drive's torque less armature
+    times acceleration, friction while sliding, and MuJoCo's inverse dynamics of the links, at the recorded positions,
+    low-passed forwards and backwards, with velocities and accelerations from these alone. All of it passes the low-pass
+    of inverse_dynamics, forwards and backwards, and is decimated to two and a half samples a period of the bandwidth.
+    The ends of each log, one such period, are left out; all other samples count, slow ones too. A law with a memory
+    counts by what it comes down to at constant velocity. null where the recordings have no torque, for a law that
+    exists only in torch, and where the logs are too short."""
+    links: LinksRow | None
+    """Inertias of links that `fit.links` names, and gravity with `fit.tilt`, and how far the data determine them; null
+    where there are none."""
     reference: list[ReferenceRow]
     """Parameters of the bench without friction, whose errors `metrics.baseline` holds."""
     by_horizon: Annotated[list[HorizonRow], ("minItems", 1)]

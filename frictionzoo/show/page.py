@@ -15,7 +15,7 @@ from frictionzoo.result.types import ParameterRow, ValueRow
 from frictionzoo.show import with_plotly
 from frictionzoo.show.colors import DARK
 from frictionzoo.show.figure import Figure
-from frictionzoo.show.text import format_change, format_number, format_unit
+from frictionzoo.show.text import format_change, format_number, format_share, format_unit
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters |= {"number": format_number, "unit": format_unit, "place": _place, "change": format_change}
-    environment.filters |= {"merge_known": merge_known, "overview": _overview}
+    environment.filters |= {"merge_known": merge_known, "overview": _overview, "share": format_share}
     return environment
 
 

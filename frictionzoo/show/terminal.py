@@ -8,9 +8,10 @@ from typing import Any
 
 from frictionzoo.comparison.types import Comparison
 from frictionzoo.result.names import merge_known, name_unidentifiable, name_where, say_bounds
+from frictionzoo.result.torque_types import TorqueRow
 from frictionzoo.result.types import DataRow, MetricsRow, ParameterRow, Result, ValueRow
 from frictionzoo.result.verdict import doubt_gain, doubt_joints, doubt_reference
-from frictionzoo.show.text import format_number
+from frictionzoo.show.text import format_number, format_share
 
 Rows = Sequence[Sequence[str]]
 _format_value = partial(format_number, between=" ")
@@ -60,6 +61,7 @@ def _arrange(
         tabulate(_list_parameters(result)),
         tabulate(_list_errors(metrics["test"], metrics["baseline"], ("this model", "no friction"))),
         *([tabulate(_list_joints(result))] if len(result["joints"]) > 1 else []),
+        *([tabulate(_list_torque(result["torque"]))] if result["torque"] else []),
         *map(say, [*_warn(result), *([f"files: {folder}"] if folder else [])]),
     ]
     return "\n\n".join(blocks)
@@ -162,6 +164,18 @@ def _list_joints(result: Result) -> Rows:
         error, without = (row[part]["position_mae"] for part in ("test", "baseline"))
         change = _format_change(error, without)
         rows.append((row["joint"], _format_value(error), _format_value(without), unit, change))
+    return rows
+
+
+def _list_torque(torque: TorqueRow) -> Rows:
+    """A row a joint with the torque that is left of it on test data, beside its torque, and their mean."""
+    rows = [("torque that is left, test, RMS", "left", "of", "unit", "share")]
+    several = [{"joint": "mean", **torque["mean"]}] if len(torque["by_joint"]) > 1 else []
+    for row in (*torque["by_joint"], *several):
+        left, whole = (row["test"][key] for key in ("residual", "torque"))
+        rows.append(
+            (row["joint"], _format_value(left), _format_value(whole), torque["unit"], format_share(left, whole))
+        )
     return rows
 
 

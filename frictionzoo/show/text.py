@@ -24,6 +24,11 @@ def format_change(value: float | None, reference: float | None) -> str:
     return f"{'−' if percent < 0 else '+' if percent > 0 else '±'}{abs(percent)} %"
 
 
+def format_share(value: float | None, whole: float | None) -> str:
+    """What part of a whole a value is, where there is something to compare."""
+    return "" if value is None or not whole else f"{100 * value / whole:.3g} %"
+
+
 def format_digits(value: float, digits: int) -> str:
     """A value with so many significant digits, also where the last ones are 0."""
     return f"{value:#.{digits}g}".rstrip(".")

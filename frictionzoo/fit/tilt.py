@@ -1,0 +1,128 @@
+"""Gravity found along: how far the base of a robot stands askew, which its model file cannot know."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from frictionzoo.bench import Bench
+from frictionzoo.core.errors import ConfigError
+from frictionzoo.fit.torque_balance import Balance, Box, Links
+from frictionzoo.fit.torque_equation import TorqueEquation
+
+STEEPEST = 0.2
+"""Largest share of gravity that may lie along each of two directions across where the model file has it."""
+AXES = "xyz"
+
+
+@dataclass(frozen=True)
+class Tilt:
+    """Gravity of a base that stands askew.
+
+    Attributes:
+        maker: Gravity as the model file has it [m/s^2].
+        across: Two directions across that, of length 1.
+        leaning: Share of gravity that lies along each.
+        errors: Standard error of each.
+    """
+
+    maker: Float[np.ndarray, "3"]
+    across: Float[np.ndarray, "2 3"]
+    leaning: Float[np.ndarray, "2"]
+    errors: Float[np.ndarray, "2"]
+
+    @classmethod
+    def upright(cls, gravity: Float[np.ndarray, "3"]) -> "Tilt":
+        """None yet.
+
+        Raises:
+            ConfigError: There is no gravity.
+        """
+        if not gravity.any():
+            raise ConfigError("fit.tilt=true: there is no gravity on this bench; set fit.tilt=false")
+        down = gravity / np.linalg.norm(gravity)
+        level = np.eye(3)[np.sort(np.argsort(np.abs(down), kind="stable")[:2])]
+        first = level[0] - (level[0] @ down) * down
+        second = level[1] - (level[1] @ down) * down
+        second -= (second @ first) * first / (first @ first)
+        across = np.stack([first / np.linalg.norm(first), second / np.linalg.norm(second)])
+        return cls(gravity, across, np.zeros(2), np.full(2, np.inf))
+
+    @property
+    def gravity(self) -> Float[np.ndarray, "3"]:
+        """As it is in the frame of the base, as strong as the file has it [m/s^2]."""
+        upright = np.sqrt(1 - self.leaning @ self.leaning)
+        return upright * self.maker + np.linalg.norm(self.maker) * self.leaning @ self.across
+
+    @property
+    def angle(self) -> float:
+        """Between the two [rad]."""
+        return float(np.arcsin(np.linalg.norm(self.leaning)))
+
+    def say(self) -> str:
+        """Angle, with its standard error, and gravity in words."""
+        numbers = ", ".join(f"{number:.4g}" for number in self.gravity)
+        error = np.degrees(self.errors.max())
+        return (
+            f"{np.degrees(self.angle):.3g} +- {error:.1g} degrees from where the model file has it, ({numbers}) m/s^2"
+        )
+
+
+@dataclass(frozen=True)
+class Tilted:
+    """A torque equation with two more coordinates, the leaning of a `Tilt`, linear about that of the equation's bench.
+
+    Attributes:
+        equation: On a bench with the tilt's gravity.
+        at: That tilt.
+        columns: Torque that links need for each unit of leaning.
+    """
+
+    equation: TorqueEquation
+    at: Tilt
+    columns: Float[np.ndarray, "rows nv 2"]
+
+    @classmethod
+    def about(cls, equation: TorqueEquation, at: Tilt, bench: Bench) -> "Tilted":
+        """With the weight that the links of a bench have."""
+        strength, upright = np.linalg.norm(at.maker), np.sqrt(1 - at.leaning @ at.leaning)
+        slopes = strength * at.across - np.outer(at.leaning, at.maker) / upright
+        return cls(equation, at, equation.weight(bench) @ slopes.T)
+
+    @property
+    def moving(self) -> Bool[np.ndarray, "rows nv"]:
+        """Which samples count, joint by joint."""
+        return self.equation.moving
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the coordinates."""
+        named = (AXES[int(np.argmax(np.abs(direction)))] for direction in self.at.across)
+        return (*self.equation.labels, *(f"gravity along {axis}" for axis in named))
+
+    @property
+    def box(self) -> Box:
+        """Where the coordinates start, and their bounds."""
+        more = self.at.leaning, np.full(2, -STEEPEST), np.full(2, STEEPEST)
+        return Box(*(np.append(side, own) for side, own in zip(self.equation.box, more, strict=True)))
+
+    def lack(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "rows nv"]:
+        """See `TorqueEquation.lack`."""
+        return self.equation.lack(vector[:-2]) - self.columns @ (vector[-2:] - self.at.leaning)
+
+    def slope(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "rows nv coordinates"]:
+        """See `TorqueEquation.slope`."""
+        return np.concatenate([self.equation.slope(vector[:-2]), -self.columns], axis=-1)
+
+    def links(self, bodies: Sequence[int], spread: Float[np.ndarray, "10"]) -> Links:
+        """See `TorqueEquation.links`."""
+        return self.equation.links(bodies, spread)
+
+    def physical(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "coordinates"]:
+        """Physical value of each coordinate, of gravity in m/s^2."""
+        return np.append(self.equation.physical(vector[:-2]), np.linalg.norm(self.at.maker) * vector[-2:])
+
+    def tilt(self, found: Balance) -> Tilt:
+        """The tilt that was found."""
+        return Tilt(self.at.maker, self.at.across, found.vector[-2:], found.errors[-2:])
