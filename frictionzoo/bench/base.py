@@ -163,6 +163,8 @@ class Bench(Described):
     def groups(self, param: Param) -> list[str]:
         """Name of the group of each joint that shares the values of a parameter; a joint alone has its own name.
 
+        Joints that do not have the parameter are named, too.
+
         Raises:
             ConfigError: A joint belongs to two groups, or a pattern fits none.
         """

@@ -26,7 +26,7 @@ from frictionzoo.core.output import to_json
 from frictionzoo.result.names import label_values, name_unidentifiable
 from frictionzoo.result.verdict import doubt_reference
 
-SCHEMA_VERSION: Final = 4
+SCHEMA_VERSION: Final = 5
 LONGEST_LAG = 0.5  # s, of the residuals' autocorrelation
 FEW = 8  # rollouts below which an interval over them says little
 

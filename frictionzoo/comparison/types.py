@@ -226,7 +226,7 @@ class Comparison(TypedDict):
     position MAE in `unit`.
     """
 
-    schema_version: Literal[4]
+    schema_version: Literal[5]
     """Raised by every change that a reader of this file could notice."""
     data: DataRow
     joints: Joints

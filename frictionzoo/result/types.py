@@ -15,6 +15,7 @@ Text = Annotated[str, ("minLength", 1)]
 Sha256 = Annotated[str, ("pattern", "^[0-9a-f]{64}$")]
 Joints = Annotated[list[str], ("minItems", 1)]
 PerJoint = Annotated[list[float], ("minItems", 2)]
+WhereThere = Annotated[list[float | None], ("minItems", 2)]
 Interval = Annotated[list[float], ("minItems", 2), ("maxItems", 2)]
 Intervals = Annotated[list[Interval | None], ("minItems", 2)]
 Carried = Annotated[list[float], ("minItems", 7), ("maxItems", 7)]
@@ -110,13 +111,14 @@ class ParameterRow(TypedDict):
     """MuJoCo's or the literature's word."""
     owner: Literal["bench", "friction"]
     """What it belongs to."""
-    value: float | PerJoint
-    """A number for one joint, a list in the order of the joints for several."""
+    value: float | WhereThere
+    """A number for one joint, a list in the order of the joints for several; null where a joint's law has no such
+    parameter."""
     unit: str
     """SI unit; 1 for a pure number."""
-    low: float | PerJoint
+    low: float | WhereThere
     """Lower bound of the fit; a list in the order of the joints where they differ."""
-    high: float | PerJoint
+    high: float | WhereThere
     """Upper bound of the fit, likewise."""
     identified: bool
     """True: the fit chose the value, of several joints that of one at least. False: it was given."""
@@ -314,7 +316,7 @@ class Result(TypedDict):
     fitted). A run writes this file last: where it exists, the run's other files do too.
     """
 
-    schema_version: Literal[5]
+    schema_version: Literal[6]
     """Raised by every change that a reader of this file could notice."""
     model: Text
     """The chosen model, a file of conf/model."""
