@@ -128,8 +128,12 @@ def _check_terms(model: FrictionModel, samples: DriveState) -> None:
         state = samples.map(lambda signal, shape=(*batch, model.nv): np.resize(signal, shape))
         terms = _torch_terms(model, state)
         _check_kinds(model, terms, "torch", torch.Tensor, batch)
-        if terms.frictionloss is not None and not bool((terms.frictionloss > 0).all()):
-            _fail(model, "frictionloss", "is 0 or negative somewhere, where MuJoCo locks the joint; keep it above 0")
+        if terms.frictionloss is not None:
+            limits = terms.frictionloss.broadcast_to(*batch, model.nv)[..., list(model.constrained)]
+            if not bool((limits > 0).all()):
+                _fail(
+                    model, "frictionloss", "is 0 or negative somewhere, where MuJoCo locks the joint; keep it above 0"
+                )
         if not isinstance(model, TorchFriction):
             _check_kinds(model, _jax_terms(model, state), "jax.numpy", jax.ShapeDtypeStruct, batch)
 
