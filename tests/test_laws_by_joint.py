@@ -1,10 +1,12 @@
 """Laws of their own for groups of joints: as MuJoCo C, as the plain law, found again, read back, refused."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import jax
+import mujoco
 import numpy as np
 import pytest
 import torch
@@ -102,6 +104,8 @@ def test_networks_of_two_patterns_have_weights_of_their_own() -> None:
     assert law.labels == ("odd_network_1", "odd_network_2")
     shared = by_joint([network] * 4, 4)
     assert shared.labels == ("odd_network",) and shared.members == ((0, 1, 2, 3),)
+    own, place, prefix = law.of_joint(3)
+    assert own is law.laws[1] and (place, prefix) == (1, "odd_network_2.")
     names = [name for name, _ in law.named_parameters()]
     assert len(names) == 2 * len([*shared.parameters()]) and "odd_network_2.layers.0.weight" in names
 
@@ -193,6 +197,56 @@ def test_inverse_dynamics_takes_each_joints_law(leg: Callable[..., Bench], recor
     start = identify(leg(), recorded, by_joint(HIP_AND_KNEE, 2), method="inverse_dynamics")
     hip, knee = (start.parameters[f"friction.{label}.damping"].value for label in TRUTH)
     assert hip[0] == pytest.approx(0.05, rel=0.2) and knee[1] == pytest.approx(0.1, rel=0.2)
+
+
+def read_joints(path: Path) -> dict[str, dict[str, float]]:
+    model = mujoco.MjModel.from_xml_path(str(path))
+    names = ("dof_armature", "dof_frictionloss", "dof_damping")
+    return {j: {name: float(getattr(model, name)[model.joint(j).dofadr[0]]) for name in names} for j in ("hip", "knee")}
+
+
+def test_what_mujoco_has_is_exported_as_it_is_and_the_rest_is_the_nearest(found: fz.Identified, tmp_path: Path) -> None:
+    written = found.export("mjcf", tmp_path / "mjcf").export
+    assert written is not None
+    joints, (said, *_) = read_joints(tmp_path / "mjcf" / "bench.xml"), written.limits
+    assert said.startswith(
+        "A frictionloss and a damping are no stribeck (of knee): they and the armature were refitted"
+    )
+    assert said.endswith("Those of the other joints are their law's.")
+    known = {name: parameter.value for name, parameter in found.parameters.items()}
+    assert joints["hip"] == {
+        "dof_armature": known["bench.armature"][0],
+        "dof_frictionloss": known["friction.mujoco_default.frictionloss"][0],
+        "dof_damping": known["friction.mujoco_default.damping"][0],
+    }
+    low, more = (known[f"friction.stribeck.{name}"][1] for name in ("frictionloss", "stribeck_torque"))
+    assert low < joints["knee"]["dof_frictionloss"] < low + more
+    assert joints["knee"]["dof_armature"] != known["bench.armature"][1]
+    # The friction of none is exactly none.
+    bare = by_joint(["baseline", "stribeck"], 2).double()
+    values = {**found.values, "friction": {name: value.detach().numpy() for name, value in bare.state_dict().items()}}
+    replace(found, model=bare, values=values).export("mjcf", tmp_path / "bare")
+    hip, knee = read_joints(tmp_path / "bare" / "bench.xml").values()
+    assert hip["dof_frictionloss"] == hip["dof_damping"] == 0 < knee["dof_frictionloss"]
+
+
+@pytest.mark.parametrize("target", ["mujoco", "torchscript", "mjlab", "isaaclab", pytest.param("mjx", marks=pytest.mark.slow)])
+def test_it_is_written_for_other_programs(found: fz.Identified, tmp_path: Path, target: str) -> None:
+    written = found.export(target, tmp_path / target).export
+    assert written is not None
+    exact = not target.endswith("lab")
+    assert all(difference.largest < 1e-9 for difference in written.differences) == exact
+
+
+def test_laws_that_remember_are_written_side_by_side(found: fz.Identified, tmp_path: Path) -> None:
+    remembering = {"law": "history_network", "hidden": [4], "memory": 3}
+    law, rng = by_joint(["lugre", remembering], 2).double(), np.random.default_rng(0)
+    law.prepare(DriveState(*rng.normal(size=(6, 30, 2))))
+    values = {**found.values, "friction": {name: value.detach().numpy() for name, value in law.state_dict().items()}}
+    written = replace(found, model=law, values=values).export("mujoco", tmp_path / "drive").export
+    assert written is not None and written.differences[0].largest < 1e-9
+    with pytest.raises(FrictionzooError, match="target=onnx: by_joint remembers what was before"):
+        replace(found, model=law, values=values).export("onnx", tmp_path / "onnx")
 
 
 @pytest.mark.parametrize(

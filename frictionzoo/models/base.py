@@ -69,6 +69,14 @@ class FrictionModel(Described, torch.nn.Module, ABC):
         """See above."""
         return self.nv * (self.constraint,)
 
+    def of_joint(self, joint: int) -> tuple["FrictionModel", int, str]:
+        """The law of one joint, its place in that law, and what stands before that law's names in this one's values.
+
+        Args:
+            joint: Its index.
+        """
+        return self, joint, ""
+
     def begin(self, values: Mapping[str, Any]) -> None:
         """Let parameters begin with these values, each of shape (nv,), by name."""
         for name, value in values.items():

@@ -54,6 +54,7 @@ class ByJoint(FrictionModel):
         self.labels: tuple[str, ...] = ()
         self.members: tuple[tuple[int, ...], ...] = ()
         self.order: tuple[int, ...] = ()
+        self.widths: tuple[int, ...] = ()
         if isinstance(laws, Mapping):
             self._sections = dict(laws)
             if len(laws) == 1:  # no need to know the names
@@ -85,6 +86,11 @@ class ByJoint(FrictionModel):
         own = {j: law.constraint for law, joints in zip(self.laws, self.members, strict=True) for j in joints}
         return tuple(own.get(joint, False) for joint in range(self.nv))
 
+    def of_joint(self, joint: int) -> tuple[FrictionModel, int, str]:
+        """See `FrictionModel.of_joint`."""
+        group = next(number for number, members in enumerate(self.members) if joint in members)
+        return self.laws[group], self.members[group].index(joint), f"{self.labels[group]}."
+
     def bind(self, joints: Sequence[str]) -> None:
         """Give each joint the law of its pattern, and see `FrictionModel.bind`.
 
@@ -107,12 +113,12 @@ class ByJoint(FrictionModel):
     def prepare(self, samples: DriveState) -> None:
         """Each law takes its constants from the samples of its joints."""
         for joints, law in zip(self.members, self.laws, strict=True):
-            law.prepare(_seen(samples, joints))
+            law.prepare(_seen(samples, joints, len(self.members)))
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The terms of each joint's law; 0 where it does not use one that another does."""
         parts = [
-            law.terms(xp, _own(values, label), _seen(state, joints))
+            law.terms(xp, _own(values, label), _seen(state, joints, len(self.members)))
             for label, joints, law in zip(self.labels, self.members, self.laws, strict=True)
         ]
         return _join_terms(xp, parts, self.members, self.order, state)
@@ -120,9 +126,10 @@ class ByJoint(FrictionModel):
     def settle(self, xp: Any, values: Values, state: DriveState) -> Any:
         """The memory of each joint's law, filled up with 0 to that of the law that remembers most."""
         parts = []
-        for label, joints, law in zip(self.labels, self.members, self.laws, strict=True):
-            seen = _seen(state, joints)
-            parts.append(_fill(xp, law.settle(xp, _own(values, label), seen), self.memory, seen))
+        for label, joints, width, law in zip(self.labels, self.members, self.widths, self.laws, strict=True):
+            seen = _seen(state, joints, len(self.members))
+            held = law.settle(xp, _own(values, label), seen)
+            parts.append(_fill(xp, held, self.memory - width, seen))
         return _join(xp, parts, self.order, -2)
 
     def advance(
@@ -130,11 +137,11 @@ class ByJoint(FrictionModel):
     ) -> tuple[FrictionTerms, Any]:
         """A step of each joint's law."""
         parts, after = [], []
-        for label, joints, law in zip(self.labels, self.members, self.laws, strict=True):
-            seen, held = _seen(state, joints), memory[..., np.array(joints), : law.memory]
+        for label, joints, width, law in zip(self.labels, self.members, self.widths, self.laws, strict=True):
+            seen, held = _seen(state, joints, len(self.members)), memory[..., np.array(joints), :width]
             terms, held = law.advance(xp, _own(values, label), seen, held, timestep)
             parts.append(terms)
-            after.append(_fill(xp, held, self.memory, seen))
+            after.append(_fill(xp, held, self.memory - width, seen))
         return _join_terms(xp, parts, self.members, self.order, state), _join(xp, after, self.order, -2)
 
     def _take(self, laws: Sequence[tuple[str, Section]], groups: Sequence[Sequence[int]]) -> None:
@@ -149,7 +156,8 @@ class ByJoint(FrictionModel):
             self.add_module(label, law)
         self.constraint = any(law.constraint for law in made)
         self.dissipative = all(law.dissipative for law in made)
-        self.memory = max(law.memory for law in made)
+        self.widths = tuple(law.memory for law in made)
+        self.memory = max(self.widths)
         self.inputs = _merge_inputs(made)
         self._gather()
 
@@ -226,9 +234,9 @@ def _own(values: Values, label: str) -> dict[str, Any]:
     return {name[len(label) + 1 :]: value for name, value in values.items() if name.startswith(label + ".")}
 
 
-def _seen(state: DriveState, joints: Sequence[int]) -> DriveState:
-    """The state of these joints alone."""
-    if len(joints) == state.qvel.shape[-1]:
+def _seen(state: DriveState, joints: Sequence[int], groups: int) -> DriveState:
+    """The state of these joints alone, one of so many groups."""
+    if groups == 1:
         return state
     return type(state)(*(None if signal is None else signal[..., np.array(joints)] for signal in state))
 
@@ -258,7 +266,6 @@ def _join(xp: Any, parts: Sequence[Any], order: Sequence[int], axis: int) -> Any
     return whole[..., np.array(order)] if axis == -1 else whole[..., np.array(order), :]
 
 
-def _fill(xp: Any, memory: Any, width: int, seen: DriveState) -> Any:
-    """A law's memory with zeros behind it."""
-    missing = width - memory.shape[-1]
+def _fill(xp: Any, memory: Any, missing: int, seen: DriveState) -> Any:
+    """A law's memory with so many zeros behind it."""
     return memory if not missing else xp.concatenate([memory, xp.stack(missing * [xp.zeros_like(seen.qvel)], -1)], -1)
