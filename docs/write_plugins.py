@@ -12,6 +12,7 @@ from frictionzoo.core.config import CONF_DIR
 from frictionzoo.core.output import write_atomically
 from frictionzoo.core.registry import KINDS
 from frictionzoo.models import FrictionModel, get_model
+from frictionzoo.models.by_joint import ByJoint
 from frictionzoo.models.network import NetworkModel
 
 DOCS = Path(__file__).parent
@@ -118,6 +119,8 @@ def _header(name: str) -> str:
 
 
 def _parameters(law: type[FrictionModel]) -> str:
+    if law is ByJoint:
+        return "those of its laws"
     weights = ["weights"] if issubclass(law, NetworkModel) else []
     return ", ".join([*(f"`{name}`" for name in law.dimensions), *weights]) or "none"
 

@@ -5,16 +5,15 @@ import copy
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypedDict, Unpack, cast
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
-from omegaconf import DictConfig, OmegaConf
 
 from frictionzoo.bench import Bench
 from frictionzoo.comparison.compared import Compared
 from frictionzoo.comparison.runs import Failure
 from frictionzoo.core.build import build
-from frictionzoo.core.config import check_overrides, compose_config, list_choices
+from frictionzoo.core.config import compose_settings, list_choices
 from frictionzoo.core.described import describe
 from frictionzoo.core.errors import ConfigError, FrictionzooError, LogError, ModelError, RunError, refuse_unlike
 from frictionzoo.core.log import Log
@@ -28,6 +27,7 @@ from frictionzoo.logs.logs import Logs
 from frictionzoo.logs.recording import Table
 from frictionzoo.logs.split import Split
 from frictionzoo.models.base import FrictionModel
+from frictionzoo.models.by_name import law_section
 from frictionzoo.models.registry import get_model
 from frictionzoo.result.identified import Identified
 from frictionzoo.simulate.context import computing
@@ -225,7 +225,7 @@ def identify(
     sections = {"segments": segments, "loss": loss, "evaluation": evaluation, "loop": loop, "scale": scale}
     given: dict[str, Any] = {name: options for name, options in sections.items() if options is not None}
     given |= {"seed": seed, "dtype": dtype, "engine": engine, "device": device, "compilation_cache": compilation_cache}
-    settings = _compose(given)
+    settings = compose_settings(given)
     model = _make_law(law, bench.nv, {k: settings[k] for k in ("scale", "seed")}) if isinstance(law, str) else law
     if isinstance(law, str):
         model.begin(bench.initial_friction(model.params))
@@ -297,19 +297,7 @@ def law(name: str, nv: int = 1, *, scale: Mapping[str, float] | None = None, **o
 def _make_law(name: str, nv: int, shared: Mapping[str, Any], options: Mapping[str, Any] | None = None) -> FrictionModel:
     if name not in list_choices("model"):
         return get_model(name)(nv, **(options or {}))
-    if "_target_" in (options or {}):
-        raise ConfigError(f"{name}: unknown option _target_, which would make it another law; name that law")
-    return build(_compose({**shared, "model": options or {}}, f"model={name}")["model"], nv=nv)
-
-
-def _compose(given: Mapping[str, Any], *choices: str) -> dict[str, Any]:
-    """The configuration with these choices and options, looked at as on the command line."""
-    plain = compose_config(*choices)
-    changed = copy.deepcopy(plain)
-    OmegaConf.set_struct(changed, False)
-    changed = cast(DictConfig, OmegaConf.merge(changed, describe(given)))
-    check_overrides(changed, plain)
-    return cast(dict[str, Any], OmegaConf.to_container(changed, resolve=True))
+    return build(law_section(name, shared, options or {}), nv=nv)
 
 
 def _refuse_unknown(law: str | FrictionModel) -> None:

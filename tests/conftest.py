@@ -31,6 +31,7 @@ from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import Signals
 from frictionzoo.fit.objective import Objective
 from frictionzoo.identification import Problem
+from frictionzoo.models.by_name import complete_laws
 from frictionzoo.result.curves import Curves
 from frictionzoo.show import comparison_figures, with_matplotlib
 from frictionzoo.simulate.context import computing
@@ -119,7 +120,7 @@ def make() -> Callable[..., Any]:
 
     def make(section: str, *overrides: str, **more: Any) -> Any:
         config = OmegaConf.to_container(compose_config(*overrides), resolve=True)
-        return build(config[section], **more)
+        return build(complete_laws(config[section], config) if section == "model" else config[section], **more)
 
     return make
 

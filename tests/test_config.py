@@ -39,6 +39,7 @@ from frictionzoo.models import (
     TemperatureLinear,
     registry,
 )
+from frictionzoo.models.by_name import complete_laws
 from frictionzoo.result.evaluate import Evaluation
 
 METHODS = {"adam": "Adam", "lm": "LevenbergMarquardt", "auto": "Auto", "grid": "Grid"}
@@ -72,7 +73,8 @@ def test_every_choice_composes_resolves_and_builds(number: int, monkeypatch: pyt
     assert set(config) >= {*CHOICES, "seed", "segments", "loss", "loop", "evaluation"}
     assert isinstance(config["seed"], int)
     for group, home in HOMES.items():
-        part = build(config[group], **({"nv": 1} if group == "model" else {}))
+        section = complete_laws(config[group], config) if group == "model" else config[group]
+        part = build(section, **({"nv": 1} if group == "model" else {}))
         assert type(part).__module__.startswith(f"frictionzoo.{home}")
 
 
@@ -226,8 +228,8 @@ def test_overrides_of_the_right_kind_pass(data: str, overrides: list[str]) -> No
 def test_options_that_take_more_than_conf_shows_exist_and_no_other_is_null() -> None:
     """The list in the code and the files in conf/ must not drift apart."""
     nulls, keys = set(), set()
-    for name in ("emps", "files", "twin"):
-        plain = dict(list_options(OmegaConf.to_container(compose_once(f"data={name}"), resolve=True)))
+    for choice in ("data=emps", "data=files", "data=twin", "model=by_joint"):
+        plain = dict(list_options(OmegaConf.to_container(compose_once(choice), resolve=True)))
         keys |= set(plain)
         nulls |= {key for key, value in plain.items() if value is None and key not in _OPEN}
     assert all(fnmatch.filter(keys, name) for name in _TAKES)

@@ -20,6 +20,7 @@ from frictionzoo.fit import LevenbergMarquardt, Objective, Space
 from frictionzoo.fit.chunk import search
 from frictionzoo.models import get_model
 from frictionzoo.simulate import friction_of, make_engine
+from frictionzoo.simulate.dry_friction import dry_friction
 from frictionzoo.simulate.rollout import make_rollout
 
 pytestmark = pytest.mark.usefixtures("in_haste")
@@ -217,3 +218,28 @@ def test_a_known_drive_is_found_again(make: Callable[..., Any], knee: Bench, nam
     assert {key.partition(".")[2] for key in found} == {"armature", *TRUTH[name]} - {"periods"}
     for key, value in found.items():
         assert value.item() == pytest.approx(wanted[key], rel=0.05), key
+
+
+@pytest.mark.parametrize("joints", [1, 3])
+def test_a_joint_without_dry_friction_moves_as_if_there_were_none(joints: int) -> None:
+    """With a limit of 0, at standstill without any load too, where every piece of the search holds."""
+    limit = jnp.array([0.5, 0.0, 0.3])[-joints:] if joints > 1 else jnp.zeros(1)
+    free = np.flatnonzero(limit == 0)
+    inertia = jnp.eye(joints) + 0.2
+    reference, softness = jnp.zeros(joints), jnp.full(joints, 30.0)
+    pulls = [
+        np.zeros(joints),
+        np.array([0.1, 0.0, 0.1])[:joints] if joints > 1 else np.ones(1),
+        np.arange(joints) - 5.0,
+    ]
+    for force in map(jnp.asarray, pulls):
+        found = dry_friction(inertia, force, softness, reference, limit)
+        assert (np.asarray(found)[free] == 0).all() and (np.abs(found) <= limit).all()
+        slope = jax.jacfwd(dry_friction, (0, 1, 2, 3))(inertia, force, softness, reference, limit)
+        assert all((np.asarray(part)[free] == 0).all() for part in slope)
+        if joints > 1:  # the others are held or slide as in the system that the free joint leaves
+            kept = np.flatnonzero(limit)
+            rest = np.linalg.inv(np.linalg.inv(inertia)[np.ix_(kept, kept)])
+            alone = rest @ np.linalg.solve(inertia, force)[kept]
+            expected = dry_friction(jnp.asarray(rest), jnp.asarray(alone), softness[kept], reference[kept], limit[kept])
+            np.testing.assert_allclose(np.asarray(found)[kept], expected, atol=1e-12)

@@ -30,6 +30,7 @@ from frictionzoo.export.nearest import Nearest
 from frictionzoo.export.read_bam import LAWS, read_bam
 from frictionzoo.export.written import Export
 from frictionzoo.models import FrictionModel, get_model, model_names
+from frictionzoo.models.by_name import complete_laws
 from frictionzoo.result.identified import Identified
 
 SIGNALS = ["qpos", "qvel", "ctrl", "motor_torque", "external_torque"]
@@ -62,7 +63,7 @@ def compose_once(*overrides: str) -> Any:
 def fit(law: str, *overrides: str, kind: type[Identified] = Identified) -> Identified:
     """A drive with the configuration's initial values, two rollouts of half a second, and overrides."""
     config = compose_once(*(f"+model@laws.{law}={law}" for law in ([law] if overrides else MODELS)), *overrides)
-    model = build(config["laws"][law], nv=1)
+    model = build(complete_laws(config["laws"][law], config), nv=1)
     bench = build(config["bench"]).observing(model.inputs)
     rng, interval = np.random.default_rng(0), 0.01
     sampling = bench.sampling(interval)
@@ -214,6 +215,13 @@ def test_bam_gets_the_nearest_of_another_law(tmp_path: Path) -> None:
     law = read(tmp_path / "m3.json")
     assert min(law["friction_base"], law["load_friction_base"], law["friction_viscous"]) >= 0
     assert "leaves" in export.limits[0] and "neural_friction" in export.limits[0]
+
+
+def test_bam_gets_the_law_of_each_joint(tmp_path: Path) -> None:
+    fitted = draw("by_joint", *STS3215)
+    assert write("bam", fitted, tmp_path).differences[0].largest < 1e-12
+    base = fitted.values["friction"]["mujoco_default.frictionloss"]
+    assert read(tmp_path / "m1.json")["friction_base"] == base[0]
 
 
 def test_bam_needs_a_voltage_servo_that_it_knows(tmp_path: Path) -> None:

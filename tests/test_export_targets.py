@@ -34,6 +34,7 @@ from frictionzoo.export.write import summarise_exports, write_exports
 from frictionzoo.export.written import Written
 from frictionzoo.models import FrictionModel, MujocoDefault, model_names
 from frictionzoo.models.base import sliding_torque
+from frictionzoo.models.by_name import complete_laws
 from frictionzoo.models.network import NetworkModel
 from frictionzoo.result.identified import Identified
 
@@ -88,7 +89,8 @@ def compose(*overrides: str) -> dict:
 def make_law(name: str, *overrides: str) -> FrictionModel:
     """A law as if identified; the usual configurations of all are composed at once."""
     names = [name] if overrides else model_names()
-    law = build(compose(*(f"+model@laws.{name}={name}" for name in names), *overrides)["laws"][name], nv=1)
+    config = compose(*(f"+model@laws.{name}={name}" for name in names), *overrides)
+    law = build(complete_laws(config["laws"][name], config), nv=1)
     with torch.no_grad():  # so that it matters
         if isinstance(law, NetworkModel):
             law.layers[-1].weight.mul_(100.0)

@@ -1,6 +1,7 @@
 """Parameters joint by joint: lists, patterns of names, known in one and identified in the other, shared values."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -23,8 +24,8 @@ TRUTH = {"armature": (0.02, 0.03), "frictionloss": (0.1, 0.3), "damping": (0.05,
 SECTION = {"init": 0.1, "low": 1e-4, "high": 10.0, "scale": "log", "identify": True}
 
 
-def param(**changes: Any) -> Param:
-    return Param.from_config("kp", "stiffness", SECTION | changes)
+def param(joints: tuple[int, ...] | None = None, **changes: Any) -> Param:
+    return replace(Param.from_config("kp", "stiffness", SECTION | changes), joints=joints)
 
 
 def friction(**changes: Any) -> MujocoDefault:
@@ -56,6 +57,18 @@ def test_what_fits_no_joint_is_refused(changes: dict[str, Any], message: str) ->
     with pytest.raises(ConfigError) as caught:
         param(**changes).for_joints(JOINTS)
     assert str(caught.value).startswith(message)
+
+
+def test_a_quantity_that_some_joints_have_has_entries_for_these_alone() -> None:
+    calf = param(init={".*_hip": 0.2, "FL_.*": 0.3, ".*": 0.4}, high=[1.0, 2.0], identify=[True, False], joints=(1, 3))
+    bound = calf.for_joints(JOINTS)
+    assert bound.init == (0.3, 0.4)
+    np.testing.assert_array_equal(bound.each("high", 4), [np.nan, 1, np.nan, 2])
+    assert bound.each("identify", 4).tolist() == [False, True, False, False]
+    np.testing.assert_array_equal(bound.each("low", 4), [np.nan, 1e-4, np.nan, 1e-4])
+    assert bound.is_at_bound(bound.spread([1.0, 0.4], 4)).tolist() == [False, True, False, False]
+    with pytest.raises(ConfigError, match=r"kp\.high: 3 values, expected 2, one a joint"):
+        param(high=[1.0, 2.0, 3.0], joints=(1, 3)).for_joints(JOINTS)
 
 
 def test_values_that_are_known_joint_by_joint_need_no_section() -> None:

@@ -167,6 +167,8 @@ class Bench(Described):
     def groups(self, param: Param) -> list[str]:
         """Name of the group of each joint that shares the values of a parameter; a joint alone has its own name.
 
+        Joints that do not have the parameter are named, too.
+
         Raises:
             ConfigError: A joint belongs to two groups, or a pattern fits none.
         """
@@ -279,20 +281,20 @@ class Bench(Described):
             actuators.append({"name": name, "joint": name, **law, **self._delayed(values, index)})
         return self._template.write(joints, actuators, comments)
 
-    def compile(self, constraint: bool) -> mujoco.MjModel:
+    def compile(self, constraint: bool | Sequence[bool]) -> mujoco.MjModel:
         """The compiled model with initial values.
 
         Args:
-            constraint: Whether the joints get a row of MuJoCo's friction constraint. MJX fixes the rows when it takes
-                the model over, so the limit is compiled as positive and set to its value later.
+            constraint: Whether the joints get a row of MuJoCo's friction constraint, or which of them do. MJX fixes the
+                rows when it takes the model over, so the limit is compiled as positive and set to its value later.
 
         Raises:
             BenchError: MuJoCo refuses the template, or an option of it is not supported.
         """
-        frictionloss = np.ones(self.nv) if constraint else None
+        rows = np.broadcast_to(constraint, self.nv)
         # Rollouts delay the command themselves, and the engine sets the reference position.
         values = {name: value for name, value in self.initial_values().items() if name not in _OPTIONAL}
-        return self._template.compile(self.mjcf(values, frictionloss), constraint)
+        return self._template.compile(self.mjcf(values, rows.astype(float) if rows.any() else None), bool(rows.any()))
 
     def accept(self, log: Log) -> Log:
         """The same log with what its payload changes in the model, and what both laws need to know of it.

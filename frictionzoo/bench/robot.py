@@ -108,20 +108,24 @@ class Robot(Bench):
     def _begin(self, param: Param, values: Float[np.ndarray, "nv"]) -> Param:
         """A parameter that begins with these values, the mean of a group's, and inside its bounds."""
         bound = replace(param, init=0.0, low=-np.inf, high=np.inf, scale=1.0).for_joints(self.joints)
-        groups = np.array(self.groups(bound))
-        shared = np.array([values[groups == group].mean() for group in groups])
+        groups, own = np.array(self.groups(bound)), np.array(param.members(self.nv))
+        shared = np.array([values[own][groups[own] == group].mean() for group in groups[own]])
         limits = replace(param, init=param.low).for_joints(self.joints)
-        low, high = (limits.to_coordinate(limits.each(side, self.nv), np) for side in ("low", "high"))
+        low, high = (limits.to_coordinate(limits.each(side, self.nv)[own], np) for side in ("low", "high"))
         inside = _INSIDE * (high - low)
         nearest = (limits.from_coordinate(end, np) for end in (low + inside, high - inside))
-        free = limits.each("identify", self.nv)
+        free = limits.each("identify", self.nv)[own]
         return replace(limits, init=tuple(np.where(free, np.clip(shared, *nearest), shared).tolist()))
 
     def initial_friction(self, params: Mapping[str, Param]) -> dict[str, Float[np.ndarray, "nv"]]:
         """See `Bench.initial_friction`: frictionloss and damping that the file has."""
-        said = {name: self.file.values[name] for name in ("frictionloss", "damping") if name in params}
-        begun = {n: self._begin(params[n], v) for n, v in said.items() if v.any() and params[n].is_identified}
-        return {name: param.each("init", self.nv) for name, param in begun.items()}
+        begun = {}
+        for name, param in params.items():
+            what = name.rpartition(".")[2]  # of several laws, each has its own
+            values = self.file.values[what] if what in ("frictionloss", "damping") else np.zeros(self.nv)
+            if param.is_identified and values[param.members(self.nv)].any():
+                begun[name] = self._begin(param, values).each("init", self.nv)
+        return begun
 
 
 def _section(given: Any) -> dict[str, Any]:

@@ -1,11 +1,12 @@
 """The configuration: where it lies, its resolvers, and what an override may be."""
 
 import contextlib
+import copy
 import math
 from collections.abc import Iterator, Mapping
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
@@ -13,6 +14,7 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.core.plugins import Plugins
 from omegaconf import DictConfig, OmegaConf
 
+from frictionzoo.core.described import describe
 from frictionzoo.core.errors import ConfigError, closest
 from frictionzoo.core.threads import count_cores, jobs_at_once, threads_each
 
@@ -24,6 +26,7 @@ _TAKES: dict[str, tuple[Any, ...]] = {
     "resume": ("", True, None),
     "threads": (0, None),
     "compilation_cache": ("", None),
+    "model.laws": ("", []),
     "segments.count": (0, None),
     "loop.patience": (0, None),
     "fit.start": (None,),
@@ -53,7 +56,16 @@ _TAKES: dict[str, tuple[Any, ...]] = {
 _LARGEST, _LARGEST_SEED = 2**31 - 1, 2**63 - 1  # whole numbers as JAX counts in 32 bits, and as generators take them
 _KINDS = {bool: "true or false", int: "a whole number", float: "a number", list: "a list", str: "text"}
 # Sections whose keys a user chooses: names of fields and signals, patterns of joints and their groups.
-_OPEN = ("data.columns", "data.units", "data.fields", "data.where", "data.exclude", "data.inputs", "bench.tie")
+_OPEN = (
+    "model.laws",
+    "data.columns",
+    "data.units",
+    "data.fields",
+    "data.where",
+    "data.exclude",
+    "data.inputs",
+    "bench.tie",
+)
 _OPEN += tuple(f"*.params.*.{part}" for part in ("init", "low", "high", "identify", "tie"))
 
 
@@ -88,6 +100,24 @@ def compose_config(*overrides: str) -> DictConfig:
     forget_plugin_schemas()
     with _hydra():
         return compose("config", overrides=list(overrides))
+
+
+def compose_settings(given: Mapping[str, Any], *choices: str) -> dict[str, Any]:
+    """The configuration with these choices, `group=name`, and options in place of its own, looked at and resolved.
+
+    Args:
+        given: Options by section; parts that were made are taken as their sections.
+        choices: Of files of groups.
+
+    Raises:
+        ConfigError: An option does not exist, or cannot have this value.
+    """
+    plain = compose_config(*choices)
+    changed = copy.deepcopy(plain)
+    OmegaConf.set_struct(changed, False)
+    changed = cast(DictConfig, OmegaConf.merge(changed, describe(given)))
+    check_overrides(changed, plain)
+    return cast(dict[str, Any], OmegaConf.to_container(changed, resolve=True))
 
 
 def list_choices(group: str) -> list[str]:

@@ -64,6 +64,8 @@ class Param:
             positive number: it moves value / scale, so that a step is a share of that number.
         identify: Whether a fit may change it.
         tie: Joints that share one value; None: those that the bench ties.
+        joints: Indices of the joints that have such a quantity, in order; what differs from joint to joint has entries
+            for these alone. None: all.
 
     Raises:
         ConfigError: The bounds are empty, `init` is outside them, or the scale does not fit them.
@@ -77,6 +79,7 @@ class Param:
     scale: str | float
     identify: bool | tuple[bool, ...] | Mapping[str, bool]
     tie: Tie = None
+    joints: tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
         if self.scale != "log" and (isinstance(self.scale, str) or not self.scale > 0):
@@ -129,21 +132,41 @@ class Param:
         return any(given.values() if isinstance(given, Mapping) else np.atleast_1d(given))
 
     def for_joints(self, joints: Sequence[str | None]) -> "Param":
-        """The same of these joints, a tuple in place of patterns; of joints without names, None each, numbers alone.
+        """The same of a drive of these joints, a tuple in place of patterns; of joints without names numbers alone.
+
+        Args:
+            joints: Name of each joint, or None.
 
         Raises:
             ConfigError: A list has another length, a joint fits no pattern, or `init` is outside the bounds then.
         """
-        parts = {what: _resolve(f"{self.name}.{what}", part, joints) for what, part in self._parts().items()}
+        own = [joints[joint] for joint in self.members(len(joints))]
+        parts = {what: _resolve(f"{self.name}.{what}", part, own) for what, part in self._parts().items()}
         return replace(self, **parts)
+
+    def members(self, nv: int) -> list[int]:
+        """Indices of the joints that have such a quantity, of a drive of so many."""
+        return list(range(nv) if self.joints is None else self.joints)
+
+    def spread(self, own: Any, nv: int) -> np.ndarray:
+        """An entry for each joint that has the quantity, or one for all of them, as an array of shape (nv,).
+
+        NaN, of truth values false, where a joint has none.
+        """
+        own = np.asarray(own)
+        if self.joints is None:
+            return np.broadcast_to(own, nv)
+        whole = np.full(nv, False if own.dtype == bool else np.nan, bool if own.dtype == bool else np.float64)
+        whole[list(self.joints)] = own
+        return whole
 
     def _parts(self) -> dict[str, Any]:
         """What may differ from joint to joint."""
         return {what: getattr(self, what) for what in ("init", "low", "high", "identify")}
 
     def each(self, what: str, nv: int) -> np.ndarray:
-        """One of `init`, `low`, `high` and `identify` of each joint, of shape (nv,)."""
-        return np.broadcast_to(np.asarray(getattr(self, what)), nv)
+        """One of `init`, `low`, `high` and `identify` of each joint, of shape (nv,), as `spread` has it."""
+        return self.spread(getattr(self, what), nv)
 
     def only(self, joints: Sequence[int]) -> "Param":
         """The same of the joints of these indices alone."""
@@ -160,7 +183,9 @@ class Param:
 
     def is_at_bound(self, value: Any) -> Any:
         """Whether a physical value, or each one of an array, has reached a bound; of shape (nv,) of several joints."""
-        at, low, high = (self.to_coordinate(np.asarray(x, np.float64), np) for x in (value, self.low, self.high))
+        value = np.asarray(value, np.float64)
+        ends = [self.each(side, len(value)) if value.ndim else getattr(self, side) for side in ("low", "high")]
+        at, low, high = (self.to_coordinate(np.asarray(x, np.float64), np) for x in (value, *ends))
         return np.minimum(at - low, high - at) <= AT_BOUND * (high - low)
 
     def unit(self, joint_type: str) -> str:

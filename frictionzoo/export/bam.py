@@ -2,7 +2,7 @@
 
 import json
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -26,6 +26,7 @@ from frictionzoo.result.identified import Identified
 _AT_ONCE = 1e3  # rad/s, faster than any command: BAM's STS3215 else follows commands at its default speed
 _INPUTS = "Supply and gain are not in the file: BAM takes them from its logs, or as vin and kp."
 _KT = "Only kt / R and kt^2 / R are identified: kt and R are those that give them, not a data sheet's."
+_SMOOTH = ("coulomb_smooth", "coulomb_stribeck")
 _STICKS = "BAM's joint sticks at rest, where the law's smooth sign lets it creep."
 
 
@@ -82,44 +83,52 @@ def friction_budget(parameters: Mapping[str, Any], state: DriveState) -> Frictio
 
 def _to_bam(fitted: Identified) -> tuple[list[dict[str, Any]], list[str]]:
     """BAM's friction parameters of each joint, and what they cost."""
-    values = fitted.values["friction"]
-    for model, (law, names) in LAWS.items():
-        if fitted.model.name == law:
-            return _rename(fitted, model, names), []
-    if fitted.model.name == "coulomb_smooth":
-        names = {"friction_base": "static_torque", "friction_viscous": "viscous_coefficient"}
-        return _rename(fitted, "m1", names), [_STICKS]
-    if fitted.model.name == "coulomb_stribeck" and (values["static_torque"] >= values["kinetic_torque"]).all():
-        names = {"friction_base": "kinetic_torque", "dtheta_stribeck": "stribeck_velocity"}
-        laws = _rename(fitted, "m2", names | {"friction_viscous": "viscous_coefficient"})
-        for law, excess in zip(laws, values["static_torque"] - values["kinetic_torque"], strict=True):
-            law |= {"friction_stribeck": float(excess), "alpha": 2.0}
-        return laws, [_STICKS]
-    return _nearest(fitted)
-
-
-def _rename(fitted: Identified, model: str, names: Mapping[str, str]) -> list[dict[str, Any]]:
-    values = fitted.values["friction"]
     joints = range(fitted.bench.nv)
-    return [{"model": model, **{bam: float(values[own][joint]) for bam, own in names.items()}} for joint in joints]
+    laws = [_rename(fitted, joint) for joint in joints]
+    smooth = any(fitted.model.of_joint(j)[0].name in _SMOOTH and laws[j] is not None for j in joints)
+    others = [joint for joint in joints if laws[joint] is None]
+    remarks = [_STICKS] if smooth else []
+    if others:
+        nearest, said = _nearest(fitted, others)
+        laws, remarks = [law or nearest[joint] for joint, law in enumerate(laws)], [*said, *remarks]
+    return [law for law in laws if law], remarks
 
 
-def _nearest(fitted: Identified) -> tuple[list[dict[str, Any]], list[str]]:
-    """The least-squares m3 over the recorded states, all terms >= 0."""
+def _rename(fitted: Identified, joint: int) -> dict[str, Any] | None:
+    """BAM's parameters of a joint whose law it has; None where it has not."""
+    law, place, prefix = fitted.model.of_joint(joint)
+    values = {name: float(fitted.values["friction"][prefix + name][place]) for name in law.params}
+    for model, (name, names) in LAWS.items():
+        if law.name == name:
+            return {"model": model, **{bam: values[own] for bam, own in names.items()}}
+    if law.name == "coulomb_smooth":
+        base, viscous = values["static_torque"], values["viscous_coefficient"]
+        return {"model": "m1", "friction_base": base, "friction_viscous": viscous}
+    if law.name == "coulomb_stribeck" and values["static_torque"] >= values["kinetic_torque"]:
+        excess = values["static_torque"] - values["kinetic_torque"]
+        stribeck = {"dtheta_stribeck": values["stribeck_velocity"], "friction_stribeck": excess, "alpha": 2.0}
+        friction = {"friction_base": values["kinetic_torque"], "friction_viscous": values["viscous_coefficient"]}
+        return {"model": "m2", **friction, **stribeck}
+    return None
+
+
+def _nearest(fitted: Identified, joints: Sequence[int]) -> tuple[dict[int, dict[str, Any]], list[str]]:
+    """The least-squares m3 over the recorded states of each of these joints, all terms >= 0."""
     samples = fitted.samples
     torque = sliding_torque(np, evaluate_law(fitted.model, samples), samples.qvel)
     load = np.abs(samples.external_torque - samples.motor_torque)
-    laws, left = [], []
-    for joint in range(fitted.bench.nv):
+    laws, left = {}, []
+    for joint in joints:
         velocity = samples.qvel[:, joint]
         columns = np.stack([np.sign(velocity), np.sign(velocity) * load[:, joint], velocity], axis=1)
         (base, share, viscous), distance = nnls(columns, torque[:, joint])
-        laws.append({"model": "m3", "friction_base": base, "load_friction_base": share, "friction_viscous": viscous})
+        laws[joint] = {"model": "m3", "friction_base": base, "load_friction_base": share, "friction_viscous": viscous}
         left.append(distance / np.sqrt(len(velocity)))
-    size = np.sqrt(np.square(torque).mean())
+    size = np.sqrt(np.square(torque[:, joints]).mean())
+    names = ", ".join(dict.fromkeys(fitted.model.of_joint(joint)[0].name for joint in joints))
     listed = ", ".join(f"{rms:.3g}" for rms in left)
     return laws, [
-        f"BAM has no {fitted.model.name}: m3 was fitted to its torque at the recorded states, by least squares with "
+        f"BAM has no {names}: m3 was fitted to its torque at the recorded states, by least squares with "
         f"all terms >= 0, and leaves {listed} N m RMS of {size:.3g} N m."
     ]
 

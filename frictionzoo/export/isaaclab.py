@@ -41,7 +41,9 @@ ArticulationCfg(actuators=ACTUATORS); set joint names to those of your robot.
             at_once = "IdealPDActuatorCfg" if np.isfinite(motor.effort_limit) else "ImplicitActuatorCfg"
             cls = "DelayedPDActuatorCfg" if late else at_once
         dynamic = nearest.frictionloss[joint]
-        at_rest = max(dynamic, fitted.values["friction"].get("static_torque", nearest.frictionloss)[joint])
+        _, place, prefix = fitted.model.of_joint(joint)
+        known = fitted.values["friction"]
+        at_rest = max(dynamic, known[name][place] if (name := f"{prefix}static_torque") in known else 0.0)
         return cls, [
             Field("joint_names_expr", f'["^{fitted.bench.joints[joint]}$"]'),
             *list_motor(fitted, motor),

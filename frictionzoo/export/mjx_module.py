@@ -30,7 +30,7 @@ class Mjx(Target):
     def write(self, fitted: Identified, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
         # MJX makes a row of the friction constraint for joints with a limit; its size is set in each step.
-        loss = np.ones(fitted.bench.nv) if fitted.model.constraint else None
+        loss = np.array(fitted.model.constrained, float) if fitted.model.constraint else None
         (folder / BENCH).write_text(write_bare_bench(fitted, loss))
         written = write_module(
             *(fitted, folder, "mjx_drive.py.jinja", MODULE),

@@ -1,12 +1,12 @@
 """MuJoCo's own joint friction that moves a bench most like a law that MuJoCo does not have."""
 
 import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.optimize import nnls
 
 from frictionzoo.core.errors import RunError
@@ -20,6 +20,7 @@ from frictionzoo.models import FrictionModel
 from frictionzoo.models.base import sliding_torque
 from frictionzoo.models.mujoco_default import MujocoDefault
 from frictionzoo.result.identified import Identified
+from frictionzoo.result.names import name_some
 from frictionzoo.simulate import friction_of, make_engine
 from frictionzoo.simulate.rollout import make_rollout
 
@@ -56,11 +57,13 @@ def find_nearest(fitted: Identified) -> Nearest:
     # What a law looks at besides the state, MuJoCo's joints do not know.
     unknown = {name: np.full(velocity.shape, value) for name, value in model.inputs.items()}
     terms = evaluate_law(model, samples._replace(**unknown))
-    loss, viscous = (np.zeros(velocity.shape) if term is None else term for term in terms[1:])
-    if terms.torque is None and (loss == loss[0]).all() and (viscous == viscous[0]).all():
+    explicit, loss, viscous = (np.zeros(velocity.shape) if term is None else term for term in terms)
+    exact = (explicit == 0).all(axis=0) & (loss == loss[0]).all(axis=0) & (viscous == viscous[0]).all(axis=0)
+    if exact.all():
         return Nearest(bench, loss[0], viscous[0], say_exact(model) if model.inputs else "")
     torque = sliding_torque(np, terms, velocity)
-    start = nearest_frictionloss_and_damping(torque, velocity)
+    dry, damping = nearest_frictionloss_and_damping(torque, velocity)
+    start = np.where(exact, loss[0], dry), np.where(exact, viscous[0], damping)
     try:
         followed = fitted.follow(fitted.segments)
     except RunError:
@@ -68,54 +71,77 @@ def find_nearest(fitted: Identified) -> Nearest:
         rms, unit = _list(np.sqrt(np.square(left).mean(axis=0))), UNITS[fitted.bench.joint_type]["torque"]
         return Nearest(
             *(bench, *start),
-            f"A frictionloss and a damping are no {model.name}, and the fitted drive diverges in its own "
+            f"A frictionloss and a damping are no {_name(fitted, exact)}, and the fitted drive diverges in its own "
             f"{fitted.over}, so that they could not be refitted to those: they are the nearest to the law's torque at "
-            f"the measured states, from which they differ by {rms} {unit} RMS.",
+            f"the measured states, from which they differ by {rms} {unit} RMS.{_say_others(model, exact)}",
         )
-    return _refit(fitted, followed, *start)
+    return _refit(fitted, followed, *start, exact)
 
 
 def _refit(
-    fitted: Identified, followed: Segments, loss: Float[np.ndarray, "nv"], damping: Float[np.ndarray, "nv"]
+    fitted: Identified,
+    followed: Segments,
+    loss: Float[np.ndarray, "nv"],
+    damping: Float[np.ndarray, "nv"],
+    exact: Bool[np.ndarray, "nv"],
 ) -> Nearest:
     with jax.enable_x64(True):
-        objective = _pose(fitted, followed, loss, damping)
+        objective = _pose(fitted, followed, loss, damping, exact)
         progress, _ = search(LevenbergMarquardt(_ITERATIONS, 1e-8), objective)
         found = jax.tree.map(lambda value: np.asarray(value, np.float64), objective.space.values(progress.best))
     bench, friction = dict(found["bench"]), found["friction"]
     before, after = (float(np.sqrt(loss)) for loss in (progress.method.loss[0], progress.best_loss))
-    remark = _say(fitted, bench["armature"], before, after)
+    remark = _say(fitted, bench["armature"], before, after, exact)
     return Nearest(bench, friction["frictionloss"], friction["damping"], remark)
 
 
 def _pose(
-    fitted: Identified, followed: Segments, loss: Float[np.ndarray, "nv"], damping: Float[np.ndarray, "nv"]
+    fitted: Identified,
+    followed: Segments,
+    loss: Float[np.ndarray, "nv"],
+    damping: Float[np.ndarray, "nv"],
+    exact: Bool[np.ndarray, "nv"],
 ) -> Objective:
-    """The mean square distance of MuJoCo's friction from these rollouts, from this friction on."""
-    bench = fitted.bench.restarted(fitted.values["bench"])
+    """The mean square distance of MuJoCo's friction from these rollouts, from this friction on; exact joints stay."""
+    bench, free = fitted.bench.restarted(fitted.values["bench"]), (~exact).tolist()
+    bench.params["armature"] = replace(bench.params["armature"], identify=tuple(free))
     torque = float(np.std(fitted.samples.motor_torque)) or 1.0
     sizes = {"frictionloss": torque, "damping": torque / (float(np.std(fitted.samples.qvel)) or 1.0)}
     params = {
-        name: {"init": size, "low": _SMALLEST * size, "high": _LARGEST * size, "scale": size, "identify": True}
+        name: {"init": size, "low": _SMALLEST * size, "high": _LARGEST * size, "scale": size, "identify": free}
         for name, size in sizes.items()
     }
     model = MujocoDefault(bench.nv, params)
     for name, value in (("frictionloss", loss), ("damping", damping)):
-        start = np.clip(value, 2 * _SMALLEST * sizes[name], _LARGEST * sizes[name])
+        start = np.where(exact, value, np.clip(value, 2 * _SMALLEST * sizes[name], _LARGEST * sizes[name]))
         model.get_parameter(name).data.copy_(torch.from_numpy(start))
-    rollout = make_rollout(make_engine("auto", bench, friction_of(model), model.constraint), fitted.sampling)
+    constrained = (~exact | (loss > 0)).tolist()
+    rollout = make_rollout(make_engine("auto", bench, friction_of(model), constrained), fitted.sampling)
     return Objective(Space(bench, model, "float64"), rollout, followed, 1.0, 0.0, "none", 1.0, False)
 
 
-def _say(fitted: Identified, armature: Float[np.ndarray, "nv"], before: float, after: float) -> str:
+def _say(
+    fitted: Identified, armature: Float[np.ndarray, "nv"], before: float, after: float, exact: Bool[np.ndarray, "nv"]
+) -> str:
     identified, units = fitted.values["bench"]["armature"], UNITS[fitted.bench.joint_type]
     unit, inertia = units["position"], units["inertia"]
     return (
-        f"A frictionloss and a damping are no {fitted.model.name}: they and the armature were refitted to the fitted "
-        f"drive's own {fitted.over} and leave a position difference of {after:.3g} {unit} RMS ({before:.3g} {unit} "
-        f"with the friction nearest to the law's torque); armature {_list(armature)} instead of {_list(identified)} "
-        f"{inertia}."
+        f"A frictionloss and a damping are no {_name(fitted, exact)}: they and the armature were refitted to the "
+        f"fitted drive's own {fitted.over} and leave a position difference of {after:.3g} {unit} RMS ({before:.3g} "
+        f"{unit} with the friction nearest to the law's torque); armature {_list(armature[~exact])} instead of "
+        f"{_list(identified[~exact])} {inertia}.{_say_others(fitted.model, exact)}"
     )
+
+
+def _name(fitted: Identified, exact: Bool[np.ndarray, "nv"]) -> str:
+    """The laws that MuJoCo does not have, and where not all joints have such, those that do."""
+    joints = np.flatnonzero(~exact).tolist()
+    laws = ", ".join(dict.fromkeys(fitted.model.of_joint(joint)[0].name for joint in joints))
+    return f"{laws} (of {name_some([fitted.bench.joints[joint] for joint in joints])})" if exact.any() else laws
+
+
+def _say_others(model: FrictionModel, exact: Bool[np.ndarray, "nv"]) -> str:
+    return f" Those of the other joints are their law's{_say_where(model)}." if exact.any() else ""
 
 
 def _list(values: Float[np.ndarray, "nv"]) -> str:
@@ -144,5 +170,8 @@ def evaluate_law(model: FrictionModel, samples: DriveState) -> FrictionTerms:
 
 def say_exact(model: FrictionModel) -> str:
     """In words, that a frictionloss and a damping are the law, and where."""
-    where = "".join(f", at {name} {value:g} and at no other" for name, value in model.inputs.items())
-    return f"{model.name}: represented exactly by the frictionloss and damping below{where}."
+    return f"{model.name}: represented exactly by the frictionloss and damping below{_say_where(model)}."
+
+
+def _say_where(model: FrictionModel) -> str:
+    return "".join(f", at {name} {value:g} and at no other" for name, value in model.inputs.items())

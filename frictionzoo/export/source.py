@@ -5,7 +5,7 @@ import inspect
 import math
 import numbers
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import FunctionType, ModuleType
 from typing import Any
@@ -16,6 +16,7 @@ from jaxtyping import Float
 
 from frictionzoo.core.errors import ExportError
 from frictionzoo.core.state import DriveState, FrictionTerms
+from frictionzoo.models import FrictionModel
 
 INLINE = 64  # numbers up to which an array is written as text; a larger one, of a network, goes into a file beside
 _PROVIDED = (DriveState, FrictionTerms)
@@ -28,7 +29,7 @@ class Source:
 
     Attributes:
         imports: Import statements.
-        functions: Text of each function that is called, by name, and of each constant.
+        functions: Text of each function that is called, by name, of each constant, and of the class of each law in it.
         methods: Text of each method, by name.
         attributes: Value of each attribute that the methods read, as text, by name.
     """
@@ -37,6 +38,17 @@ class Source:
     functions: dict[str, str] = field(default_factory=dict)
     methods: dict[str, str] = field(default_factory=dict)
     attributes: dict[str, str] = field(default_factory=dict)
+
+    def take(self, other: "Source") -> None:
+        """What another needs around its class, too.
+
+        Raises:
+            ExportError: The two call different things by one name.
+        """
+        for name, text in other.functions.items():
+            if self.functions.setdefault(name, text) != text:
+                raise ExportError(f"{name}: two functions of this name, expected one; rename the law's")
+        self.imports.update(other.imports)
 
     def as_class(self, name: str, docstring: str) -> str:
         """A class of this name with these methods and attributes."""
@@ -65,10 +77,7 @@ def merge(*sources: Source) -> Source:
     """
     merged = Source()
     for source in sources:
-        for name, text in source.functions.items():
-            if merged.functions.setdefault(name, text) != text:
-                raise ExportError(f"{name}: two functions of this name, expected one; rename the law's")
-        merged.imports.update(source.imports)
+        merged.take(source)
     return merged
 
 
@@ -90,9 +99,22 @@ def _add_method(source: Source, owner: Any, name: str) -> None:
         found = getattr(owner, attribute, None)
         if inspect.ismethod(found):
             _add_method(source, owner, attribute)
+        elif isinstance(found, tuple) and any(isinstance(part, FrictionModel) for part in found):
+            source.attributes[attribute] = _add_laws(source, found)
         else:
             source.attributes[attribute] = _write_attribute(owner, attribute, found)
     _add_globals(source, function, tree)
+
+
+def _add_laws(source: Source, laws: Sequence[FrictionModel]) -> str:
+    """Laws that a law is made of, a class each; as text, an object of each."""
+    names = []
+    for number, law in enumerate(laws, 1):
+        own = read_source(law, "terms", "settle", "advance")
+        names.append(f"Law{number}")
+        source.take(own)
+        source.functions[names[-1]] = own.as_class(names[-1], f"The friction law {law.name} of some of the joints.")
+    return f"({', '.join(f'{name}()' for name in names)},)"
 
 
 def _read(function: Any) -> tuple[str, ast.FunctionDef]:
@@ -145,11 +167,16 @@ def _write_attribute(owner: Any, name: str, value: Any) -> str:
     """A number, a text, a collection of them, or modules, of which only the number counts."""
     if isinstance(value, torch.nn.ModuleList):
         return f"{len(value)} * [None]"
-    plain = (numbers.Number, str, bool, type(None))
-    if isinstance(value, plain) or (isinstance(value, list | tuple) and all(isinstance(item, plain) for item in value)):
+    if _is_plain(value):
         return repr(value)
     label = owner if isinstance(owner, str) else type(owner).__name__
     raise ExportError(
         f"{label}: {name} is a {type(value).__name__}, expected a number, a text or a function of the same file; keep "
         "arrays among the law's parameters or buffers, where `values` has them"
     )
+
+
+def _is_plain(value: Any) -> bool:
+    if isinstance(value, list | tuple):
+        return all(map(_is_plain, value))
+    return isinstance(value, numbers.Number | str | bool | type(None))

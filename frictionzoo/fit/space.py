@@ -21,16 +21,22 @@ class Place(NamedTuple):
     """Where the coordinates of a physical parameter are among the joints.
 
     Attributes:
-        joints: Index of each joint whose value is identified.
+        members: Index of each joint that has the parameter.
+        joints: Of these, the index of each one whose value is identified.
         group: Number of that joint's coordinate, among the parameter's own; joints that share a value have the same.
         first: Index of the first joint of each coordinate.
         names: Of each coordinate: the joint's name, or that of the joints that share it.
     """
 
+    members: Int[np.ndarray, "members"]
     joints: Int[np.ndarray, "identified"]
     group: Int[np.ndarray, "identified"]
     first: Int[np.ndarray, "own"]
     names: tuple[str, ...]
+
+    def among_members(self, joints: Int[np.ndarray, "_"]) -> Int[np.ndarray, "_"]:
+        """Where these joints are in an array of the values of all members."""
+        return np.searchsorted(self.members, joints)
 
 
 class Space:
@@ -75,7 +81,7 @@ class Space:
         self.names: list[str] = [*self.params, *self.weights]
         coordinates = [self._to_coordinate(name, self._get(self._values, name)) for name in self.names]
         self.labels: list[str] = [
-            name if np.sum(place.group == own) == bench.nv else f"{name}/{place.names[own]}"
+            name if np.sum(place.group == own) == len(place.members) else f"{name}/{place.names[own]}"
             for name, place in self.places.items()
             for own in range(len(place.names))
         ]
@@ -99,9 +105,16 @@ class Space:
         return values
 
     def identified(self, vector: Float[Array, "coordinates"]) -> dict[str, Float[Array, "nv"]]:
-        """Physical values of the identified parameters by full name; a network's weights are left out."""
-        values = self.values(vector)
-        return {name: self._get(values, name) for name in self.params}
+        """Physical values of the identified parameters by full name; a network's weights are left out.
+
+        NaN where a joint does not have the parameter.
+        """
+        values, found = self.values(vector), {}
+        for name, place in self.places.items():
+            own = self._get(values, name)
+            whole = len(place.members) == self._nv
+            found[name] = own if whole else jnp.full(self._nv, jnp.nan, own.dtype).at[place.members].set(own)
+        return found
 
     def pick(self, rows: Mapping[str, Shaped[np.ndarray, "nv ..."]]) -> dict[str, Shaped[np.ndarray, "..."]]:
         """Of arrays with a row a joint, by full name, the row of each coordinate, by its label; others are left out."""
@@ -178,16 +191,17 @@ class Space:
     def _to_coordinate(self, name: str, value: Array) -> Array:
         if name not in self.params:
             return value
-        return self.params[name].to_coordinate(value[self.places[name].first], jnp)
+        place = self.places[name]
+        return self.params[name].to_coordinate(value[place.among_members(place.first)], jnp)
 
     def _from_coordinate(self, name: str, coordinate: Array) -> Array:
-        """The values of all joints: those that are identified from their coordinates, the others as they are."""
+        """The values of all joints that have it: identified ones from their coordinates, the others as they are."""
         if name not in self.params:
             return coordinate
         place, value = self.places[name], self.params[name].from_coordinate(coordinate, jnp)
-        if len(place.joints) == self._nv:
-            return value if len(place.first) == self._nv else value[place.group]
-        return self._get(self._values, name).at[place.joints].set(value[place.group])
+        if len(place.joints) == len(place.members):
+            return value if len(place.first) == len(place.members) else value[place.group]
+        return self._get(self._values, name).at[place.among_members(place.joints)].set(value[place.group])
 
     @staticmethod
     def _get(values: Mapping[str, Mapping[str, Array]], name: str) -> Array:
@@ -196,18 +210,19 @@ class Space:
 
 
 def _place(name: str, param: Param, bench: Bench, values: Float[np.ndarray, "nv"]) -> Place:
-    groups, nv = bench.groups(param), bench.nv
+    groups, nv, members = bench.groups(param), bench.nv, param.members(bench.nv)
     free = np.flatnonzero(param.each("identify", nv))
     numbers: dict[str, int] = {}
     group = np.array([numbers.setdefault(groups[joint], len(numbers)) for joint in free.tolist()], int)
     first = free[[int(np.argmax(group == number)) for number in range(len(numbers))]].astype(int)
-    alike = {**{what: param.each(what, nv) for what in ("low", "high", "identify")}, "init": values}
-    for joint, of in enumerate(groups):
-        other = groups.index(of)
+    alike = {**{what: param.each(what, nv) for what in ("low", "high", "identify")}, "init": param.spread(values, nv)}
+    for joint in members:
+        of = groups[joint]
+        other = next(first for first in members if groups[first] == of)
         for what, given in alike.items():
             if given[joint] != given[other]:
                 came = f"{given[other]:g} of {bench.joints[other]} and {given[joint]:g} of {bench.joints[joint]}"
                 raise ConfigError(
                     f"{name}.{what}: {came}, which share a value ({of}); expected the same, or another tie"
                 )
-    return Place(free, group, first, tuple(numbers))
+    return Place(np.array(members), free, group, first, tuple(numbers))

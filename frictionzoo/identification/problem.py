@@ -22,6 +22,7 @@ from frictionzoo.fit.link_inertia import LinkInertia
 from frictionzoo.fit.objective import Recordings
 from frictionzoo.fit.start import begin_where
 from frictionzoo.models import FrictionModel
+from frictionzoo.models.by_name import complete_laws
 from frictionzoo.result.evaluate import Evaluation
 from frictionzoo.result.identified import Identified
 from frictionzoo.result.record import describe_data
@@ -76,6 +77,7 @@ class Problem:
             FrictionzooError: The input is at fault.
         """
         began = time.perf_counter()
+        settings = {**settings, "model": complete_laws(settings["model"], settings)}
         bench, dataset = build(settings["bench"]), build(settings["data"]).load()
         model = build(settings["model"], nv=bench.nv)
         model.bind(bench.joints)

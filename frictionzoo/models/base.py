@@ -31,6 +31,7 @@ class FrictionModel(Described, torch.nn.Module, ABC):
         dimensions: Dimension of each physical parameter, a key of `frictionzoo.core.params.UNITS`.
         constraint: Whether the law answers with a `frictionloss`, so that the simulated joint needs MuJoCo's friction
             constraint.
+        constrained: The same of each joint; where not, the `frictionloss` that others answer with is 0.
         dissipative: Whether the law promises never to give energy to the drive, whatever its values within bounds: all
             its terms together oppose the motion while the joint slides, and hold it where it stands still. Of a law
             with a memory: at constant velocity, for what bends springs back.
@@ -49,8 +50,8 @@ class FrictionModel(Described, torch.nn.Module, ABC):
 
     name: ClassVar[str]
     dimensions: ClassVar[Mapping[str, str]] = {}
-    constraint: ClassVar[bool] = False
-    dissipative: ClassVar[bool] = False
+    constraint: bool = False
+    dissipative: bool = False
     inputs: Mapping[str, float] = {}
     memory: int = 0
 
@@ -62,6 +63,19 @@ class FrictionModel(Described, torch.nn.Module, ABC):
         self.params: dict[str, Param] = read_params(type(self).__name__, self.dimensions, params or {})
         for name, param in self.params.items():
             self.register_parameter(name, torch.nn.Parameter(_initial(param, nv), requires_grad=param.is_identified))
+
+    @property
+    def constrained(self) -> tuple[bool, ...]:
+        """See above."""
+        return self.nv * (self.constraint,)
+
+    def of_joint(self, joint: int) -> tuple["FrictionModel", int, str]:
+        """The law of one joint, its place in that law, and what stands before that law's names in this one's values.
+
+        Args:
+            joint: Its index.
+        """
+        return self, joint, ""
 
     def begin(self, values: Mapping[str, Any]) -> None:
         """Let parameters begin with these values, each of shape (nv,), by name."""

@@ -108,10 +108,12 @@ def _check_bounds(model: FrictionModel) -> None:
             _fail(model, "values", f"{name} is NaN or infinite; give finite values in the constructor and in prepare")
     parameters = dict(model.named_parameters())
     for name, param in model.params.items():
-        if name not in parameters or tuple(parameters[name].shape) != (model.nv,):
-            _fail(model, "values", f"{name} is no parameter of shape ({model.nv},); leave it to FrictionModel.__init__")
+        members = param.members(model.nv)
+        if name not in parameters or tuple(parameters[name].shape) != (len(members),):
+            shape = f"({len(members)},)"
+            _fail(model, "values", f"{name} is no parameter of shape {shape}; leave it to FrictionModel.__init__")
         value = parameters[name].detach()
-        low, high = (torch.tensor(param.each(side, model.nv)) for side in ("low", "high"))
+        low, high = (torch.tensor(param.each(side, model.nv)[members]) for side in ("low", "high"))
         if not ((value >= low) & (value <= high)).all():
             _fail(
                 model,
@@ -126,8 +128,12 @@ def _check_terms(model: FrictionModel, samples: DriveState) -> None:
         state = samples.map(lambda signal, shape=(*batch, model.nv): np.resize(signal, shape))
         terms = _torch_terms(model, state)
         _check_kinds(model, terms, "torch", torch.Tensor, batch)
-        if terms.frictionloss is not None and not bool((terms.frictionloss > 0).all()):
-            _fail(model, "frictionloss", "is 0 or negative somewhere, where MuJoCo locks the joint; keep it above 0")
+        if terms.frictionloss is not None:
+            limits = terms.frictionloss.broadcast_to(*batch, model.nv)[..., list(model.constrained)]
+            if not bool((limits > 0).all()):
+                _fail(
+                    model, "frictionloss", "is 0 or negative somewhere, where MuJoCo locks the joint; keep it above 0"
+                )
         if not isinstance(model, TorchFriction):
             _check_kinds(model, _jax_terms(model, state), "jax.numpy", jax.ShapeDtypeStruct, batch)
 
@@ -276,7 +282,8 @@ def _check_dissipation(model: FrictionModel, samples: DriveState) -> None:
     for _ in range(1 + DRAWS):
         _check_power(model, drawn, samples)
         for name, param in model.params.items():
-            low, high = (param.to_coordinate(param.each(side, model.nv), np) for side in ("low", "high"))
+            ends = (param.each(side, model.nv)[param.members(model.nv)] for side in ("low", "high"))
+            low, high = (param.to_coordinate(end, np) for end in ends)
             value = param.from_coordinate(random.uniform(low, high), np)
             drawn[name] = torch.tensor(value)
 

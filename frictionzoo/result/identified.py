@@ -44,7 +44,7 @@ class Parameter(NamedTuple):
     """One physical parameter, as a run left it.
 
     Attributes:
-        value: Of each joint, in `unit`.
+        value: Of each joint, in `unit`; NaN where its law has no such parameter.
         unit: Its unit.
         identified: Whether the fit chose it; else it was known.
         interval: Lower and upper end of the 95 % interval of each joint; NaN where there is none.

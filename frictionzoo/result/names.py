@@ -51,12 +51,13 @@ def merge_known(rows: Sequence[ValueRow]) -> list[ValueRow]:
     return [
         {
             **own[0],
-            "name": _name_first([row["name"] for row in own]),
+            "name": name_first([row["name"] for row in own]),
             "joints": [j for row in own for j in row["joints"]],
         }
         for own in merged.values()
     ]
 
 
-def _name_first(names: Sequence[str]) -> str:
+def name_first(names: Sequence[str]) -> str:
+    """Names in a table, the first of many."""
     return ", ".join(names) if len(names) < 3 else f"{names[0]} and {len(names) - 1} more"

@@ -225,12 +225,15 @@ def _list_parameters(
 ) -> list[types.ParameterRow]:
     identifiable = uncertainty.identifiable
     return [
-        {
-            **_describe_value(owner, bench, name, param, values[name], uncertainty),
-            "owner": owner,
-            "interval": _interval(uncertainty.intervals.get(f"{owner}.{name}")),
-            "identifiable": identifiable.get(f"{owner}.{name}"),
-        }
+        cast(
+            types.ParameterRow,
+            {
+                **_describe_value(owner, bench, name, param, values[name], uncertainty),
+                "owner": owner,
+                "interval": _interval(uncertainty.intervals.get(f"{owner}.{name}")),
+                "identifiable": identifiable.get(f"{owner}.{name}"),
+            },
+        )
         for name, param in params.items()
     ]
 
@@ -242,10 +245,10 @@ def _describe_value(
     return {
         "name": name,
         "owner": "bench",
-        "value": _one_or_all(np.atleast_1d(np.asarray(value, np.float64)).tolist()),
+        "value": _one_or_all(param.spread(np.asarray(value, np.float64), bench.nv).tolist()),
         "unit": param.unit(bench.joint_type),
-        "low": _as_given(param.low),
-        "high": _as_given(param.high),
+        "low": _as_given(param, "low", bench.nv),
+        "high": _as_given(param, "high", bench.nv),
         "identified": param.is_identified,
         "at_bound": any(row["at_bound"] for row in by_joint),
         "by_joint": by_joint,
@@ -260,9 +263,9 @@ def _list_joints(joints: Sequence[str], judged: Judgement, without: Judgement) -
     ]
 
 
-def _as_given(bound: Any) -> Any:
+def _as_given(param: Param, side: str, nv: int) -> Any:
     """A bound of all joints, or a list with one for each."""
-    return list(bound) if isinstance(bound, tuple) else bound
+    return param.each(side, nv).tolist() if isinstance(getattr(param, side), tuple) else getattr(param, side)
 
 
 def _one_or_all(by_joint: list[Any]) -> Any:

@@ -21,6 +21,7 @@ from frictionzoo.result.kinds import (
     Sha256,
     Simulator,
     Text,
+    WhereThere,
 )
 from frictionzoo.result.torque_types import LinksRow, TorqueRow
 
@@ -113,13 +114,14 @@ class ParameterRow(TypedDict):
     """MuJoCo's or the literature's word."""
     owner: Literal["bench", "friction"]
     """What it belongs to."""
-    value: float | PerJoint
-    """A number for one joint, a list in the order of the joints for several."""
+    value: float | WhereThere
+    """A number for one joint, a list in the order of the joints for several; null where a joint's law has no such
+    parameter."""
     unit: str
     """SI unit; 1 for a pure number."""
-    low: float | PerJoint
+    low: float | WhereThere
     """Lower bound of the fit; a list in the order of the joints where they differ."""
-    high: float | PerJoint
+    high: float | WhereThere
     """Upper bound of the fit, likewise."""
     identified: bool
     """True: the fit chose the value, of several joints that of one at least. False: it was given."""

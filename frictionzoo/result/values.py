@@ -1,13 +1,16 @@
 """Parameters joint by joint: one entry a joint, or a group of joints that share a value."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from frictionzoo.bench.base import Bench
 from frictionzoo.core.params import Param
 from frictionzoo.fit.uncertainty import Uncertainty
-from frictionzoo.result.types import ValueRow
+from frictionzoo.result.names import name_first
+from frictionzoo.result.types import ParameterRow, ReferenceRow, ValueRow
 
 ALL = "all joints"
 
@@ -19,11 +22,11 @@ def list_values(bench: Bench, param: Param, full: str, value: np.ndarray, uncert
         bench: Its joints, and which of them share the value.
         param: The parameter.
         full: Its full name, `bench.armature`.
-        value: Of each joint.
+        value: Of each joint that has it.
         uncertainty: How far the data determine what was identified.
     """
     nv = bench.nv
-    value = np.broadcast_to(np.asarray(value, np.float64), nv)
+    value = param.spread(np.asarray(value, np.float64), nv)
     free, low, high = (param.each(what, nv) for what in ("identify", "low", "high"))
     reached = free & param.is_at_bound(value)
     ends = uncertainty.intervals.get(full, np.full((nv, 2), np.nan))
@@ -46,15 +49,24 @@ def list_values(bench: Bench, param: Param, full: str, value: np.ndarray, uncert
     return [describe(*group) for group in _group(bench, param, value).items()]
 
 
+def read_values(parameter: ParameterRow | ReferenceRow) -> Float[np.ndarray, "nv"]:
+    """The values of all joints; NaN where a joint's law has no such parameter."""
+    value: Any = parameter["value"]
+    return np.atleast_1d(np.array(value, np.float64))
+
+
 def _group(bench: Bench, param: Param, value: np.ndarray) -> dict[str, list[int]]:
     """Joints by the name of their group, in the order of the first of each."""
-    groups = bench.groups(param)
+    groups, members = bench.groups(param), param.members(bench.nv)
     if not param.is_identified:
         # Nothing holds known values of a group together.
-        alike = {group: {value[i] for i, of in enumerate(groups) if of == group} for group in groups}
+        alike = {group: {value[i] for i in members if groups[i] == group} for group in groups}
         groups = [of if len(alike[of]) == 1 else bench.joints[i] for i, of in enumerate(groups)]
-        groups = [ALL] * bench.nv if bench.nv > 1 and (value == value[0]).all() else groups
+        same = bench.nv > 1 and (value[members] == value[members[0]]).all()
+        groups = [ALL] * bench.nv if same else groups
     found: dict[str, list[int]] = {}
-    for joint, group in enumerate(groups):
-        found.setdefault(group, []).append(joint)
+    for joint in members:
+        found.setdefault(groups[joint], []).append(joint)
+    if ALL in found and len(members) < bench.nv:
+        found = {name_first([bench.joints[joint] for joint in members]): members}
     return found

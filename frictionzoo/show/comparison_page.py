@@ -15,6 +15,7 @@ from frictionzoo.comparison.statistics import MATTERS
 from frictionzoo.comparison.types import Comparison, DifferenceRow, RolloutsRow, RunRow
 from frictionzoo.core.output import write_atomically
 from frictionzoo.result.types import ParameterRow, ValueRow
+from frictionzoo.result.values import read_values
 from frictionzoo.show.colors import DARK
 from frictionzoo.show.comparison_plots import Look, choose_looks, plot_comparison
 from frictionzoo.show.page import Check, render_page
@@ -119,7 +120,7 @@ def _list_parameters(entries: Sequence[RunRow]) -> Iterator[dict[str, Any]]:
     keys = [key for parameters in held for key in parameters]
     for key in sorted(dict.fromkeys(keys), key=lambda key: -keys.count(key)):
         found = [parameters.get(key) for parameters in held]
-        values = [p and {**p, "value": float(np.mean(p["value"]))} for p in found]
+        values = [p and {**p, "value": float(np.nanmean(read_values(p)))} for p in found]
         joints = [
             {"name": row["joint"], "values": [p and _pick_value(p, row["joint"]) for p in found]}
             for row in entries[0]["by_joint"]
@@ -127,8 +128,8 @@ def _list_parameters(entries: Sequence[RunRow]) -> Iterator[dict[str, Any]]:
         yield dict(zip(("owner", "name", "unit"), key, strict=True)) | {"values": values, "by_joint": joints}
 
 
-def _pick_value(parameter: ParameterRow, joint: str) -> ValueRow:
-    return next(row for row in parameter["by_joint"] if joint in row["joints"])
+def _pick_value(parameter: ParameterRow, joint: str) -> ValueRow | None:
+    return next((row for row in parameter["by_joint"] if joint in row["joints"]), None)
 
 
 def list_errors_by_joint(comparison: Comparison) -> list[dict[str, Any]]:

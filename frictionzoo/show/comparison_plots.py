@@ -14,6 +14,7 @@ from frictionzoo.comparison.runs import Run
 from frictionzoo.comparison.statistics import MATTERS
 from frictionzoo.comparison.types import Comparison, PairRow
 from frictionzoo.result.types import MetricsRow, ParameterRow
+from frictionzoo.result.values import read_values
 from frictionzoo.show.colors import BEST, GRID, RUNS, SOFT
 from frictionzoo.show.figure import (
     FLATTENED,
@@ -113,8 +114,10 @@ def _draw_parameters(run: Run, joint: int, color: str) -> list[Mark]:
     iteration = history["iteration"][shown].astype(np.float64)
     marks: list[Mark] = [Stripe(low=best, high=best, color=BEST, dash=(4.0, 3.0))]
     for i, (name, parameter) in enumerate(_identified(run).items()):
+        value = float(read_values(parameter)[joint])
+        if np.isnan(value):
+            continue
         curve = np.reshape(history[name], (len(history["iteration"]), -1))[shown, joint]
-        value = float(np.ravel(parameter["value"])[joint])
         points = {"width": 0.0, "marker": MARKERS[i % len(MARKERS)], "size": 5.0}
         look: dict[str, Any] = points if grid else {"dash": DASHES[i % len(DASHES)]}
         said = f"{parameter['name']} = {value:.4g} {format_unit(parameter['unit'])}".rstrip()

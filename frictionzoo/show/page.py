@@ -12,6 +12,7 @@ from plotly.offline import get_plotlyjs
 
 from frictionzoo.result.names import merge_known
 from frictionzoo.result.types import ParameterRow, ValueRow
+from frictionzoo.result.values import read_values
 from frictionzoo.show import with_plotly
 from frictionzoo.show.colors import DARK
 from frictionzoo.show.figure import Figure
@@ -92,7 +93,9 @@ def _environment() -> Environment:
 
 def _overview(parameter: ParameterRow) -> dict[str, Any]:
     """A parameter of several joints in one line: the mean or the range, and what is doubtful."""
-    values, rows = np.ravel(parameter["value"]), [row for row in parameter["by_joint"] if row["identified"]]
+    rows, first = [row for row in parameter["by_joint"] if row["identified"]], parameter["by_joint"][0]
+    values = read_values(parameter)
+    values = values[~np.isnan(values)]
     ended = sum(row["at_bound"] for row in rows)
     vague = sum(row["identifiable"] is False and not row["at_bound"] for row in rows)
     counts = (ended, "at a bound"), (vague, "not identifiable")
@@ -100,9 +103,13 @@ def _overview(parameter: ParameterRow) -> dict[str, Any]:
     spread = low if low == high else f"{low} to {high}"
     return {
         "value": format_number(float(values.mean())) if rows else spread,
-        "said": ("shared by all joints" if len(parameter["by_joint"]) == 1 else spread) if rows else "known",
+        "said": (_say_whose(first) if len(parameter["by_joint"]) == 1 else spread) if rows else "known",
         "doubt": ", ".join(what if len(rows) == 1 else f"{n} of {len(rows)} {what}" for n, what in counts if n),
     }
+
+
+def _say_whose(row: ValueRow) -> str:
+    return f"shared by {row['name']}" if len(row["joints"]) > 1 else row["name"]
 
 
 def _place(row: ValueRow) -> float:

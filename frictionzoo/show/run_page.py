@@ -235,7 +235,7 @@ def list_joints(result: Result) -> list[dict[str, Any]]:
             (p, value) for p in result["parameters"] for value in p["by_joint"] if row["joint"] in value["joints"]
         ]
         # What all joints share is no matter of this one.
-        doubts = [_doubt_value(p, value) for p, value in values if len(p["by_joint"]) > 1]
+        doubts = [_doubt_value(p, value) for p, value in values if len(value["joints"]) < len(result["joints"])]
         shown = {"name": row["joint"], "errors": errors, "parameters": values, "open": row is largest}
         found.append({**shown, "doubt": "; ".join(filter(None, doubts))})
     return found

@@ -84,7 +84,7 @@ def _plot_history(result: Result, curves: Curves) -> Iterator[Figure]:
     for name in names:
         lines = _name_lines(result, name)
         columns = np.reshape(history[name], (len(iteration), -1)).T.astype(np.float64)[list(lines.values())]
-        label, unit = name.rpartition(".")[2], units.get(name, "")
+        label, unit = name.partition(".")[2] or name, units.get(name, "")
         reached = _say_reached(columns[:, at])
         y = Axis(unit=unit) if name in units else scale_values("", "", columns.ravel(), apart=10.0)
         marks = list(_draw_courses(iteration, dict(zip(lines, columns, strict=True)), at, result))

@@ -144,7 +144,7 @@ def _list_parameters(result: Result) -> Rows:
     rows = [("parameter", *(["joint"] if several else []), "value", "95 % interval", "unit", "")]
     for parameter in result["parameters"]:
         name = f"{parameter['owner']}.{parameter['name']}"
-        for row in merge_known(parameter["by_joint"]) if several else [parameter]:
+        for row in merge_known(parameter["by_joint"]) if several else parameter["by_joint"]:
             joint, status = [row["name"]] if several else [], say_status(row)
             status = "at a bound" if several and row["at_bound"] else status
             found = _format_value(row["value"]), format_interval(row["interval"])

@@ -1,7 +1,7 @@
 """Which engine simulates a bench."""
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from frictionzoo.bench import Bench
 from frictionzoo.core.errors import BenchError, ConfigError, closest
@@ -15,7 +15,7 @@ _MEASURED_JOINTS = 17
 """Up to so many joints of a branch `specialised` was measured, and is faster."""
 
 
-def make_engine(choice: str, bench: Bench, friction: Friction, constraint: bool) -> Engine:
+def make_engine(choice: str, bench: Bench, friction: Friction, constraint: bool | Sequence[bool]) -> Engine:
     """The engine that was asked for.
 
     Args:
@@ -23,7 +23,7 @@ def make_engine(choice: str, bench: Bench, friction: Friction, constraint: bool)
             elsewhere.
         bench: What is simulated.
         friction: The friction law's formula over `jax.numpy`.
-        constraint: Whether the law answers with a `frictionloss`.
+        constraint: Whether the law answers with a `frictionloss`, or for which joints.
 
     Raises:
         ConfigError: No such engine, or `specialised` does not apply.
@@ -52,7 +52,7 @@ def naming_what_mjx_lacks(bench: Bench) -> Iterator[None]:
         ) from error
 
 
-def _make_engine(choice: str, bench: Bench, friction: Friction, constraint: bool) -> Engine:
+def _make_engine(choice: str, bench: Bench, friction: Friction, constraint: bool | Sequence[bool]) -> Engine:
     if choice == "mjx":
         return MjxEngine(bench, friction, constraint)
     most = max(bench.branches.count(number) for number in bench.branches)

@@ -43,9 +43,9 @@ class Drive:
                 f"a law of {model.nv} joints on {bench.source} with {bench.nv}, expected as many; set its nv"
             )
         if isinstance(model, TorchFriction):
-            simulated = make_engine(engine, bench, AS_GIVEN, model.constraint)
+            simulated = make_engine(engine, bench, AS_GIVEN, model.constrained)
             return cls(model, simulated, make_torch_rollout(simulated, model, sampling))
-        simulated = make_engine(engine, bench, friction_of(model), model.constraint)
+        simulated = make_engine(engine, bench, friction_of(model), model.constrained)
         if any(simulated.branches) and not looks_at_one_joint(model):
             simulated.branches = (0,) * bench.nv
         return cls(model, simulated, make_rollout(simulated, sampling))

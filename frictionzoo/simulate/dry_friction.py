@@ -37,7 +37,7 @@ def dry_friction(
 
     where s_i is quadratic, softness_i x^2 / 2, while the constraint's force stays within the limit, and linear beyond.
     For one joint the answer is closed; for several it is found by Newton's method, of which only the last step is
-    differentiated (the implicit function theorem).
+    differentiated (the implicit function theorem). Where the limit is 0, so are the force and its derivative.
 
     Source: MuJoCo documentation, "Computation", "Constraint model", primal problem and friction loss.
 
@@ -46,11 +46,12 @@ def dry_friction(
         force: All other forces [N m or N].
         softness: `efc_D` of each joint's row [kg m^2 or kg].
         reference: `efc_aref` of each joint's row [rad/s^2 or m/s^2].
-        limit: `frictionloss` [N m or N].
+        limit: `frictionloss` [N m or N]; 0 for a joint without dry friction.
     """
     if len(force) == 1:
         ((alone,),) = inertia
-        return jnp.clip((reference - force / alone) / (1 / alone + 1 / softness), -limit, limit)
+        held = (reference - force / alone) / (1 / alone + 1 / softness)
+        return jnp.where(limit == 0, 0.0, jnp.clip(held, -limit, limit))
     problem = (inertia, force, softness, reference, limit)
     sliding = _find_sliding(*jax.lax.stop_gradient(problem))
     return _force(_accelerations(*problem, sliding), *problem[2:], sliding)
@@ -72,7 +73,8 @@ def _force(acceleration: Array, softness: Array, reference: Array, limit: Array,
 
 def _pieces(acceleration: Array, softness: Array, reference: Array, limit: Array) -> Float[Array, "nv"]:
     pull = softness * (acceleration - reference)
-    return jnp.where(pull > limit, 1.0, jnp.where(pull < -limit, -1.0, 0.0)).astype(acceleration.dtype)
+    slides = (pull > limit) | (limit == 0)  # without dry friction nothing holds, not even a joint that nothing pulls
+    return jnp.where(slides, 1.0, jnp.where(pull < -limit, -1.0, 0.0)).astype(acceleration.dtype)
 
 
 def _find_sliding(inertia: Rows, force: Array, softness: Array, reference: Array, limit: Array) -> Float[Array, "nv"]:

@@ -84,7 +84,7 @@ class MjxEngine(Engine):
     Args:
         bench: What is simulated.
         friction: The friction law's formula over `jax.numpy`.
-        constraint: Whether the law answers with a `frictionloss`.
+        constraint: Whether the law answers with a `frictionloss`, or for which joints; it is 0 for the others.
         fields: Which numbers of links come with the load, before the joint-space inertia: those by which branches that
             are alike differ.
     """
@@ -93,7 +93,11 @@ class MjxEngine(Engine):
     forward_limit = 16
 
     def __init__(
-        self, bench: Bench, friction: Friction, constraint: bool, fields: Sequence[tuple[str, int]] = ()
+        self,
+        bench: Bench,
+        friction: Friction,
+        constraint: bool | Sequence[bool],
+        fields: Sequence[tuple[str, int]] = (),
     ) -> None:
         model = bench.compile(constraint)
         # For one joint a single Newton iteration is exact, and only then does MJX avoid a while loop, which reverse

@@ -173,7 +173,7 @@ def _in_engine(
 
 def _in_c(bench: Bench, model: FrictionModel, values: Values, cases: Cases) -> Float[np.ndarray, "2 cases steps nv"]:
     values = _without_delay(values)
-    text = bench.mjcf(values["bench"], np.ones(bench.nv) if model.constraint else None)
+    text = bench.mjcf(values["bench"], np.array(model.constrained, float) if model.constraint else None)
     compiled = mujoco.MjModel.from_xml_string(text)
     own, law = compiled.dof_damping.copy(), _Law(model, values["friction"], float(compiled.opt.timestep))
     worlds = [_World(bench, compiled, *case) for case in zip(cases.qpos, cases.qvel, cases.load, strict=True)]

@@ -33,7 +33,7 @@ class SpecialisedEngine(Engine):
     Args:
         bench: What is simulated: hinges or slides, without contacts, limits, tendons and equalities.
         friction: The friction law's formula over `jax.numpy`.
-        constraint: Whether the law answers with a `frictionloss`.
+        constraint: Whether the law answers with a `frictionloss`, or for which joints; it is 0 for the others.
 
     Raises:
         CannotSpecialiseError: The bench has something else.
@@ -42,7 +42,7 @@ class SpecialisedEngine(Engine):
     name = "specialised"
     forward_limit = 3
 
-    def __init__(self, bench: Bench, friction: Friction, constraint: bool) -> None:
+    def __init__(self, bench: Bench, friction: Friction, constraint: bool | Sequence[bool]) -> None:
         model = bench.compile(constraint)
         _refuse_other_constraints(model)
         self._groups = groups_of(bench, not model.opt.disableflags & NO_FRICTION_CONSTRAINT)
@@ -52,7 +52,7 @@ class SpecialisedEngine(Engine):
         self._order = np.argsort(np.concatenate([group.joints.ravel() for group in self._groups]))
         self._bench = bench
         self._friction = friction
-        self._constraint = constraint
+        self._constraint = bool(np.any(constraint))
         self._timestep = float(model.opt.timestep)
         flags = model.opt.disableflags
         self._damper = not flags & mujoco.mjtDisableBit.mjDSBL_DAMPER
