@@ -230,7 +230,9 @@ def test_what_mujoco_has_is_exported_as_it_is_and_the_rest_is_the_nearest(found:
     assert hip["dof_frictionloss"] == hip["dof_damping"] == 0 < knee["dof_frictionloss"]
 
 
-@pytest.mark.parametrize("target", ["mujoco", "torchscript", "mjlab", "isaaclab", pytest.param("mjx", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "target", ["mujoco", "torchscript", "mjlab", "isaaclab", pytest.param("mjx", marks=pytest.mark.slow)]
+)
 def test_it_is_written_for_other_programs(found: fz.Identified, tmp_path: Path, target: str) -> None:
     written = found.export(target, tmp_path / target).export
     assert written is not None
