@@ -147,9 +147,8 @@ class Bench(Described):
         Raises:
             ConfigError: A command may act so late that it is none of this drive.
         """
-        delay = self.params.get("delay")
         latest = 0.0
-        if delay is not None:
+        if (delay := self.params.get("delay")) is not None:
             init, high, free = (delay.each(what, self.nv) for what in ("init", "high", "identify"))
             latest = float(np.where(free, high, init).max())
         history = int(np.ceil(latest / interval - 1e-9))
@@ -165,9 +164,7 @@ class Bench(Described):
         return {name: np.array(param.each("init", self.nv)) for name, param in self.params.items()} | self._start
 
     def groups(self, param: Param) -> list[str]:
-        """Name of the group of each joint that shares the values of a parameter; a joint alone has its own name.
-
-        Joints that do not have the parameter are named, too.
+        """Name of the group of each joint that shares the values of a parameter, if it has that; alone, its own name.
 
         Raises:
             ConfigError: A joint belongs to two groups, or a pattern fits none.
