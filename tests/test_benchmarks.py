@@ -23,6 +23,7 @@ QUICKEST = {  # script: its arguments, and the rows that it has to give
     ),
     "torch_only": ("--quick --engines specialised", 3),
     "robot": ("--variants torque --parts legs --segments 4 --length 10 --iterations 2 --seconds 0.5", 3),
+    "whole_robot": (f"{ROOT}/frictionzoo/bench/assets/knee_rod.xml --recordings 2 --seconds 2 --segments 5", 1),
     "arm": ("--bandwidths 40 --recordings 1 --seconds 3 --sure 0.1", 5),
     "branches": ("--segments 4 --length 10 --dtypes float64", 2),
     "growth": ("--samples 1e4 --lengths 50 --widths 16 --segments 200", 3),

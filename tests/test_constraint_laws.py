@@ -21,6 +21,7 @@ from frictionzoo.fit.chunk import search
 from frictionzoo.models import get_model
 from frictionzoo.simulate import friction_of, make_engine
 from frictionzoo.simulate.dry_friction import dry_friction
+from frictionzoo.simulate.linear import rows_of
 from frictionzoo.simulate.rollout import make_rollout
 
 pytestmark = pytest.mark.usefixtures("in_haste")
@@ -233,13 +234,15 @@ def test_a_joint_without_dry_friction_moves_as_if_there_were_none(joints: int) -
         np.arange(joints) - 5.0,
     ]
     for force in map(jnp.asarray, pulls):
-        found = dry_friction(inertia, force, softness, reference, limit)
+        found = dry_friction(rows_of(inertia), force, softness, reference, limit)
         assert (np.asarray(found)[free] == 0).all() and (np.abs(found) <= limit).all()
-        slope = jax.jacfwd(dry_friction, (0, 1, 2, 3))(inertia, force, softness, reference, limit)
+        given = inertia, force, softness, reference, limit
+        slope = jax.jacfwd(lambda inertia, *row: dry_friction(rows_of(inertia), *row), (0, 1, 2, 3))(*given)
         assert all((np.asarray(part)[free] == 0).all() for part in slope)
         if joints > 1:  # the others are held or slide as in the system that the free joint leaves
             kept = np.flatnonzero(limit)
             rest = np.linalg.inv(np.linalg.inv(inertia)[np.ix_(kept, kept)])
             alone = rest @ np.linalg.solve(inertia, force)[kept]
-            expected = dry_friction(jnp.asarray(rest), jnp.asarray(alone), softness[kept], reference[kept], limit[kept])
+            row = softness[kept], reference[kept], limit[kept]
+            expected = dry_friction(rows_of(jnp.asarray(rest)), jnp.asarray(alone), *row)
             np.testing.assert_allclose(np.asarray(found)[kept], expected, atol=1e-12)

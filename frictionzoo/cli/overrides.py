@@ -63,9 +63,9 @@ def refuse_no_choice(arguments: Sequence[str]) -> None:
 
 
 def _may_be(group: str, names: Sequence[Any]) -> bool:
-    """Whether a group that may be left out takes each of these; null leaves it out."""
-    choices = list_choices(group)
-    return all(name is None or name in choices for name in names)
+    """Whether a group that may be left out takes each of these; null is what `start` is where it is left out."""
+    choices = [*list_choices(group), *([None] if group == "start" else [])]
+    return all(name in choices for name in names)
 
 
 def _refuse_no_setting(override: Override) -> None:

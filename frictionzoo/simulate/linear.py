@@ -18,7 +18,12 @@ Rows = tuple[tuple[Any, ...], ...]
 
 def solve_spd(matrix: Float[Array, "nv nv"], right: Float[Array, "nv"]) -> Float[Array, "nv"]:
     """Solution of a symmetric positive definite system, by Cholesky's L D L' without square roots."""
-    return solve_rows(tuple(tuple(matrix[i, j] for j in range(i + 1)) for i in range(len(right))), right)
+    return solve_rows(rows_of(matrix), right)
+
+
+def rows_of(matrix: Float[Array, "nv nv"]) -> Rows:
+    """A symmetric matrix by its rows."""
+    return tuple(tuple(matrix[i, j] for j in range(i + 1)) for i in range(len(matrix)))
 
 
 @jax.custom_jvp
