@@ -2,8 +2,10 @@
 
 `python experiments/reproduce.py kovalev2026` does what `expected.yaml` in `experiments/kovalev2026` says: it runs the
 commands, compares all their runs, checks the numbers, and puts the table between the marks in the folder's README.md.
-Several names run one after the other, and none stands for all. With `--small` they are what the section `small` says
-instead, as the slow tests do it: seconds on less data, with numbers of its own, and the page stays as it is.
+Where it has `folds`, each command runs once for each of them, with its options, and runs of one fold are compared with
+each other. Several names run one after the other, and none stands for all. With `--small` they are what the section
+`small` says instead, as the slow tests do it: seconds on less data, with numbers of its own, and the page stays as it
+is.
 """
 
 import argparse
@@ -15,7 +17,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import yaml
 
@@ -85,32 +87,52 @@ def check(comparison: Comparison, checks: list[dict[str, Any]]) -> Iterator[str]
     Args:
         comparison: Of the experiment's runs.
         checks: `run` (may be left out where there is one), `path` in its entry, and `expected` with `relative`, or
-            `at_most`.
+            `at_most`, which is a share of the same value of another run where that is named, `of`. Each is made in
+            every fold, or in `fold`.
     """
+    folds = list(dict.fromkeys(entry.get("fold") for entry in comparison["runs"]))
     for expected in checks:
-        entry = find_run(comparison, expected.get("run"))
-        value = look_up(entry, expected["path"])
-        if not agrees(value, expected):
-            yield f"{entry['label']}: {expected['path']} is {value}, expected {expected}"
+        for fold in [expected["fold"]] if "fold" in expected else folds:
+            entry, path = find_run(comparison, expected.get("run"), fold), expected["path"]
+            value = look_up(entry, path)
+            if "of" in expected:
+                value = compare_with(value, look_up(find_run(comparison, expected["of"], fold), path))
+            if not all(agrees(one, expected) for one in (value if isinstance(value, list) else [value])):
+                where = entry["label"] if fold is None else f"{entry['label']}, {fold}"
+                yield f"{where}: {path} is {value}, expected {expected}"
 
 
-def find_run(comparison: Comparison, label: str | None) -> RunRow:
+def compare_with(value: Any, other: Any) -> Any:
+    """Values as shares of another run's; None where one of the two is.
+
+    Args:
+        value: A number, or a list of them.
+        other: Likewise.
+    """
+    if isinstance(value, list):
+        return [compare_with(*pair) for pair in zip(value, other, strict=True)]
+    return None if value is None or not other else value / other
+
+
+def find_run(comparison: Comparison, label: str | None, fold: str | None = None) -> RunRow:
     """The entry of a run.
 
     Args:
         comparison: Of the experiment's runs.
         label: The run's; None for the only one.
+        fold: The fold's; None where there are none.
     """
-    found = [entry for entry in comparison["runs"] if label in (None, entry["label"])]
+    found = [e for e in comparison["runs"] if label in (None, e["label"]) and e.get("fold") == fold]
     if len(found) != 1:
         raise SystemExit(f"{label}: {len(found)} runs, expected one of {[run['label'] for run in comparison['runs']]}")
     return found[0]
 
 
-def look_up(entry: Mapping[str, object], path: str) -> Any:
+def look_up(entry: Mapping[str, Any], path: str) -> Any:
     """A value of a run's entry; `parameters.OWNER.NAME` is that parameter's value, or None where there is none.
 
-    Of several joints, `parameters.OWNER.NAME.2` is that of the third.
+    Of several joints, `parameters.OWNER.NAME.2` is that of the third. Where a key is `*`, the value is a list, of all
+    entries of one.
 
     Args:
         entry: Of `comparison.json`.
@@ -121,9 +143,11 @@ def look_up(entry: Mapping[str, object], path: str) -> Any:
         value = next((p["value"] for p in entry["parameters"] if (p["owner"], p["name"]) == (owner, name)), None)
         return value[int(joint[0])] if joint and value is not None else value
     value: Any = entry
-    for key in path.split("."):
-        value = value[int(key)] if isinstance(value, list) else value[key]
-    return value
+    key, _, rest = path.partition(".")
+    if key == "*":
+        return [look_up(each, rest) if rest else each for each in value]
+    value = value[int(key)] if isinstance(value, list) else value[key]
+    return look_up(value, rest) if rest else value
 
 
 def agrees(value: float | None, expected: Mapping[str, float]) -> bool:
@@ -146,7 +170,8 @@ def tabulate(comparison: Comparison, expected: Mapping[str, Any]) -> str:
     Args:
         comparison: Of the experiment's runs.
         expected: With `table`, a list of columns: `head`, and `values` (paths in a run's entry, multiplied by `scale`)
-            put into `format`; or `published`, the name of a mapping from label to text.
+            put into `format`, or one path with `*`, of which each value is; or `published`, the name of a mapping from
+            label to text.
     """
     columns = expected["table"]
     rows = [[_cell(entry, column, expected) for column in columns] for entry in comparison["runs"]]
@@ -158,6 +183,8 @@ def _cell(entry: Mapping[str, Any], column: Mapping[str, Any], expected: Mapping
     if "published" in column:
         return expected[column["published"]].get(entry["label"], "")
     values = [look_up(entry, path) for path in column["values"]]
+    if "*" in column["values"][0].split("."):
+        return ", ".join(column["format"].format(value) for value in values[0])
     if None in values:
         return ""
     scale = column.get("scale")
@@ -178,6 +205,29 @@ def write_table(name: str, table: str) -> None:
     write_atomically(page, text.encode())
 
 
+def compare(expected: Mapping[str, Any], output: Path, small: bool, start: Callable[..., Any] = start) -> Comparison:
+    """Run an experiment and compare its runs; with folds, those of each fold, in the order of their labels.
+
+    Args:
+        expected: As in `expected.yaml`.
+        output: Where runs and comparisons go.
+        small: Write no comparison.
+        start: As in `run`.
+
+    Raises:
+        CalledProcessError: A run fails.
+    """
+    if "folds" in expected:
+        entries = []
+        for number, (fold, options) in enumerate(expected["folds"].items()):
+            commands = [" ".join([command, *options]) for command in expected["commands"]]
+            found = compare({"commands": commands}, output / str(number), small, start)
+            entries += sorted(({**entry, "fold": fold} for entry in found["runs"]), key=lambda entry: entry["label"])
+        return cast(Comparison, {"runs": entries})
+    folders = run(expected["commands"], output, start)
+    return compare_runs(*read_runs(folders)) if small else write_comparison(folders, output / "comparison")
+
+
 def reproduce(name: str, output: Path, small: bool) -> list[str]:
     """Run an experiment and write its table; returns one line for each number that is not as expected.
 
@@ -188,10 +238,9 @@ def reproduce(name: str, output: Path, small: bool) -> list[str]:
     """
     expected = read_expected(name, small)
     try:
-        folders = run(expected["commands"], output)
+        comparison = compare(expected, output, small)
     except subprocess.CalledProcessError as error:
         return [f"{name}: {shlex.join(error.cmd)} ended with status {error.returncode}"]
-    comparison = compare_runs(*read_runs(folders)) if small else write_comparison(folders, output / "comparison")
     if "table" in expected and not small:
         write_table(name, tabulate(comparison, expected))
     return [f"{name}: {line}" for line in check(comparison, expected["checks"])]

@@ -13,8 +13,6 @@ import yaml
 from conftest import needs_data
 
 from frictionzoo.cli.run import NOT_IDENTIFIED
-from frictionzoo.comparison.record import compare_runs
-from frictionzoo.comparison.runs import read_runs
 from frictionzoo.core.state import DriveState
 from frictionzoo.logs import files
 
@@ -44,8 +42,9 @@ def test_an_experiment_gives_what_its_page_says(name, tmp_path, make, call, monk
         assert (finished := call(*arguments)).status in (0, NOT_IDENTIFIED), finished.err
 
     expected = reproduce.read_expected(name, small=True)
-    folders = reproduce.run(expected["commands"], tmp_path, start)
-    missed = list(reproduce.check(compare_runs(*read_runs(folders)), expected["checks"]))
+    comparison = reproduce.compare(expected, tmp_path, small=True, start=start)
+    folders = sorted(path.parent for path in tmp_path.rglob("friction.safetensors"))
+    missed = list(reproduce.check(comparison, expected["checks"]))
     for check in expected.get("friction_torque", []):
         model, still = make("model", f"experiment={name}", nv=1), torch.zeros((1, 1), dtype=torch.float64)
         model.load_state_dict(safetensors.torch.load((folders[0] / "friction.safetensors").read_bytes()))
@@ -103,6 +102,34 @@ def test_checks_find_what_is_not_as_expected():
         list(reproduce.check(comparison, [{"path": "test.position_mae", "at_most": 1.0}]))
 
 
+def test_a_check_may_be_against_another_run_in_each_fold_and_of_each_joint():
+    def entry(label, fold, *joints):
+        return {"label": label, "fold": fold, "by_joint": [{"error": joint} for joint in joints]}
+
+    runs = [entry("a", "1", 1.0, 2.0), entry("b", "1", 2.0, 2.0), entry("a", "2", 1.0, 3.0), entry("b", "2", 2.0, 2.0)]
+    check = {"run": "a", "path": "by_joint.*.error", "of": "b", "at_most": 1.0}
+    (found,) = reproduce.check({"runs": runs}, [check])
+    assert found.startswith("a, 2: by_joint.*.error is [0.5, 1.5], expected ")
+    assert not list(reproduce.check({"runs": runs}, [check | {"fold": "1"}]))
+    runs[1]["by_joint"][0]["error"] = None
+    assert len(list(reproduce.check({"runs": runs}, [check | {"fold": "1"}]))) == 1
+    column = {"head": "error", "values": ["by_joint.*.error"], "format": "{:.1f}"}
+    fold = {"head": "fold", "values": ["fold"], "format": "{}"}
+    assert reproduce.tabulate({"runs": runs[:1]}, {"table": [fold, column]}).splitlines()[2] == "| 1 | 1.0, 2.0 |"
+
+
+def test_each_fold_is_a_comparison_of_its_own(tmp_path, monkeypatch):
+    monkeypatch.setattr(reproduce, "read_runs", lambda folders: (folders, []))
+    monkeypatch.setattr(
+        reproduce, "compare_runs", lambda runs, _: {"runs": [{"label": f"{r.name}"} for r in runs[::-1]]}
+    )
+    expected = {"commands": [reproduce.PROGRAM + "a", reproduce.PROGRAM + "b"], "folds": {"x": [], "y": ["c=1"]}}
+    ran = []
+    found = reproduce.compare(expected, tmp_path, small=True, start=lambda *arguments: ran.append(arguments[:-1]))
+    assert ran == [("a",), ("b",), ("a", "c=1"), ("b", "c=1")]
+    assert [(run["fold"], run["label"]) for run in found["runs"]] == [("x", "0"), ("x", "1"), ("y", "0"), ("y", "1")]
+
+
 def test_each_command_runs_in_a_folder_of_its_own(tmp_path):
     ran = []
     commands = ["python -m frictionzoo.run -m model=a,b", "python -m frictionzoo.run 'x=[1, 2]'"]
@@ -138,7 +165,7 @@ def test_the_table_goes_between_the_marks_and_the_small_variant_leaves_it(tmp_pa
     expected = {"commands": ["full"], "checks": [check], "table": table, "small": small}
     page.with_name("expected.yaml").write_text(yaml.safe_dump(expected))
     monkeypatch.setattr(reproduce, "EXPERIMENTS", tmp_path)
-    monkeypatch.setattr(reproduce, "run", lambda commands, output: commands)
+    monkeypatch.setattr(reproduce, "run", lambda commands, *more: commands)
     monkeypatch.setattr(reproduce, "read_runs", lambda ran: [ran])
     monkeypatch.setattr(reproduce, "compare_runs", lambda ran: {"runs": [ENTRY] * (ran == ["small"])})
     monkeypatch.setattr(reproduce, "write_comparison", lambda ran, output: {"runs": [ENTRY] * (ran == ["full"])})
