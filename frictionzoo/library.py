@@ -174,7 +174,7 @@ def read(
 @_naming_arguments()
 def identify(
     bench: Bench,
-    law: str | FrictionModel,
+    law: str | FrictionModel | Mapping[str, Any],
     logs: Logs | Log | Sequence[Log],
     *,
     test: float | Split | None = None,
@@ -194,7 +194,8 @@ def identify(
 
     Args:
         bench: The test stand.
-        law: Name of a friction law, or one of one's own; it stays as it is, the fitted one is the result's.
+        law: Name of a friction law, or one of one's own; it stays as it is, the fitted one is the result's. Or a law
+            for each pattern of joints' names, as `by_joint` takes them.
         logs: Recordings.
         test: Which of them judge the result: the last share of each, or a rule; None as they were read.
         method: Name of a fit, `auto`, `lm`, `adam`, `grid` or `known`, or one with options of its own.
@@ -226,8 +227,12 @@ def identify(
     given: dict[str, Any] = {name: options for name, options in sections.items() if options is not None}
     given |= {"seed": seed, "dtype": dtype, "engine": engine, "device": device, "compilation_cache": compilation_cache}
     settings = compose_settings(given)
-    model = _make_law(law, bench.nv, {k: settings[k] for k in ("scale", "seed")}) if isinstance(law, str) else law
-    if isinstance(law, str):
+    if isinstance(law, FrictionModel):
+        model = law
+    else:
+        name, options = ("by_joint", {"laws": law}) if isinstance(law, Mapping) else (law, {})
+        model = _make_law(name, bench.nv, {k: settings[k] for k in ("scale", "seed")}, options)
+        model.bind(bench.joints)
         model.begin(bench.initial_friction(model.params))
     described = {name: value for name, value in describe(model).items() if name != "nv"}
     settings |= {"bench": describe(bench), "data": dict(recordings.section), "fit": describe(fit), "model": described}
@@ -238,7 +243,10 @@ def identify(
 
 @_naming_arguments()
 def compare(
-    bench: Bench, laws: Sequence[str | FrictionModel], logs: Logs | Log | Sequence[Log], **how: Unpack[How]
+    bench: Bench,
+    laws: Sequence[str | FrictionModel | Mapping[str, Any]],
+    logs: Logs | Log | Sequence[Log],
+    **how: Unpack[How],
 ) -> Compared:
     """Identify a drive with several laws, each on the same recordings and judged on the same rollouts.
 
@@ -260,7 +268,7 @@ def compare(
         try:
             drives.append(identify(bench, law, recordings, **how))
         except FrictionzooError as error:
-            name = law if isinstance(law, str) else law.name
+            name = law if isinstance(law, str) else law.name if isinstance(law, FrictionModel) else "by_joint"
             failures.append(Failure(name, name, str(error)))
     if not drives:
         reasons = dict.fromkeys(failure.reason for failure in failures)
@@ -300,8 +308,10 @@ def _make_law(name: str, nv: int, shared: Mapping[str, Any], options: Mapping[st
     return build(law_section(name, shared, options or {}), nv=nv)
 
 
-def _refuse_unknown(law: str | FrictionModel) -> None:
+def _refuse_unknown(law: str | FrictionModel | Mapping[str, Any]) -> None:
     """Refuse what is no law, or has no name by which a result could be loaded."""
+    if isinstance(law, Mapping):  # they are looked at one by one where they are made
+        return
     if isinstance(law, str):
         if law not in list_choices("model"):
             get_model(law)

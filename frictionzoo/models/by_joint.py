@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from frictionzoo.core.build import build
-from frictionzoo.core.errors import ConfigError, ModelError
+from frictionzoo.core.errors import ConfigError, ModelError, closest
 from frictionzoo.core.params import fits
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models import FrictionModel, TorchFriction, Values, register_model
@@ -176,7 +176,10 @@ def _make(option: str, section: Section, nv: int) -> FrictionModel:
             f"model.laws: {option}: {section!r}, expected a law's section; frictionzoo.law('by_joint', laws=...) knows "
             "laws by name"
         )
-    law = build({key: value for key, value in section.items() if key != "nv"}, nv=nv)
+    try:
+        law = build({key: value for key, value in section.items() if key != "nv"}, nv=nv)
+    except ConfigError as error:
+        raise ConfigError(f"model.laws: {option}: {error}") from error
     if not isinstance(law, FrictionModel):
         raise ConfigError(f"model.laws: {option}: {section['_target_']}, expected a friction law")
     if isinstance(law, TorchFriction | ByJoint):
@@ -197,13 +200,9 @@ def _assign(patterns: Sequence[str], joints: Sequence[str]) -> list[list[int]]:
         groups[fitting[0]].append(index)
     for pattern, own in groups.items():
         if not own:
-            before = [joint for joint in joints if fits(pattern, joint, "model.laws")]
-            why = (
-                f"{before[0]} has the law of a pattern before it" if before else f"it fits none of {', '.join(joints)}"
-            )
-            raise ConfigError(
-                f"model.laws: {pattern}: no joint for it ({why}), expected one; change it or leave it out"
-            )
+            taken = [joint for joint in joints if fits(pattern, joint, "model.laws")]
+            why = f"{taken[0]} has the law of a pattern before it; put it first" if taken else closest(pattern, joints)
+            raise ConfigError(f"model.laws: {pattern}: no joint for it; {why}, or leave it out")
     return [*groups.values()]
 
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from frictionzoo.core.config import compose_settings, list_choices
-from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.errors import ConfigError, ModelError
 from frictionzoo.core.registry import dotted_name
 from frictionzoo.models.registry import get_model
 
@@ -67,5 +67,5 @@ def _complete(where: str, law: Any, shared: Mapping[str, Any]) -> dict[str, Any]
         )
     try:
         return law_section(name, shared, options)
-    except ConfigError as error:
-        raise ConfigError(f"model.laws: {where}: {error}") from None
+    except (ConfigError, ModelError) as error:
+        raise type(error)(f"model.laws: {where}: {error}") from None
