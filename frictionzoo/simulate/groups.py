@@ -18,7 +18,7 @@ from frictionzoo.core.state import FrictionTerms
 from frictionzoo.simulate import tree
 from frictionzoo.simulate.base import Values, without_memory
 from frictionzoo.simulate.fold import Specialised, specialise
-from frictionzoo.simulate.linear import Rows, add_diagonal
+from frictionzoo.simulate.linear import FEW_JOINTS, Rows, add_diagonal
 from frictionzoo.simulate.mjx import Acting, MjxEngine, ModelInputs
 
 
@@ -145,7 +145,7 @@ def _specialised(
 
 
 def _specialise_rigid(bench: Bench, differ: Sequence[int]) -> Specialised:
-    """What the links ask for, with its slopes along displacement and velocity."""
+    """What the links ask for, with its slopes along displacement and velocity where these are not too many."""
     model = bench.compile(constraint=False)
     falls = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
     gravity = model.opt.gravity if falls else np.zeros(3)
@@ -160,7 +160,8 @@ def _specialise_rigid(bench: Bench, differ: Sequence[int]) -> Specialised:
         at = tree.poses(own, displacement)
         return tree.joint_inertia(own, at), tree.bias_torque(own, at, qvel, gravity)
 
-    return specialise(rigid, numbers, *[np.zeros(bench.nv)] * 2, moving=(1, 2))
+    moving = (1, 2) if bench.nv <= FEW_JOINTS else ()
+    return specialise(rigid, numbers, *[np.zeros(bench.nv)] * 2, moving=moving)
 
 
 def _links(model: mujoco.MjModel) -> list[tree.Link]:

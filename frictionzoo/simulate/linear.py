@@ -11,7 +11,9 @@ import jax.numpy as jnp
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
-_WRITTEN_OUT = 7  # joints up to which it is
+FEW_JOINTS = 7
+"""Up to so many, equations are written out and slopes folded; of more it takes minutes to compile them."""
+
 Rows = tuple[tuple[Any, ...], ...]
 """A symmetric matrix by its lower triangle, row by row: single numbers, which are not put together in memory."""
 
@@ -47,7 +49,7 @@ def add_diagonal(rows: Rows, diagonal: Float[Array, "nv"]) -> Rows:
 
 def multiply(rows: Rows, vector: Float[Array, "nv"]) -> Float[Array, "nv"]:
     """A symmetric matrix times a vector."""
-    if len(rows) > _WRITTEN_OUT:
+    if len(rows) > FEW_JOINTS:
         return jnp.matmul(_matrix(rows), vector, precision="highest")
     size = range(len(rows))
     return jnp.stack([_dot([rows[max(i, j)][min(i, j)] for j in size], list(vector)) for i in size])
@@ -68,7 +70,7 @@ class _Many(NamedTuple):
 
 
 def _factorise(rows: Rows) -> _Few | _Many:
-    if len(rows) > _WRITTEN_OUT:
+    if len(rows) > FEW_JOINTS:
         matrix = _matrix(rows)
         root = solve_triangular(jnp.linalg.cholesky(matrix), jnp.eye(len(rows), dtype=matrix.dtype), lower=True)
         return _Many(matrix, jnp.matmul(root.T, root, precision="highest"))

@@ -17,7 +17,7 @@ from frictionzoo.simulate.base import UNFUSED, Engine, Friction, Values, control
 from frictionzoo.simulate.dry_friction import dry_friction
 from frictionzoo.simulate.fold import CannotSpecialiseError
 from frictionzoo.simulate.groups import Dynamics, groups_of
-from frictionzoo.simulate.linear import add_diagonal, solve_rows
+from frictionzoo.simulate.linear import FEW_JOINTS, add_diagonal, solve_rows
 
 
 class SpecialisedEngine(Engine):
@@ -59,7 +59,8 @@ class SpecialisedEngine(Engine):
         euler = model.opt.integrator == mujoco.mjtIntegrator.mjINT_EULER
         self._damps_implicitly = not flags & mujoco.mjtDisableBit.mjDSBL_EULERDAMP if euler else self._damper
         self.compiler_options: Mapping[str, Any] = {} if bench.nv == 1 else UNFUSED
-        self.keeps_slopes: bool = bench.nv > 1  # of one joint, one program is as fast and compiled sooner
+        most = max(group.joints.shape[1] for group in self._groups)
+        self.keeps_slopes: bool = bench.nv > 1 and most <= FEW_JOINTS  # of one joint, one program is compiled sooner
 
     def step(
         self, values: Values, qpos: Array, qvel: Array, signals: Signals, load: Array, memory: Array
