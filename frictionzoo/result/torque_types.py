@@ -105,7 +105,7 @@ class GravityRow(TypedDict):
     angle: NotNegative
     """Between the two: how far the base stands askew [rad]."""
     error: NotNegative | None
-    """Standard error of the angle, the larger of two directions' [rad]; null: infinite."""
+    """Standard error of the angle, with the links' prior, the larger of two directions' [rad]; null: infinite."""
 
 
 class LinksRow(TypedDict):
