@@ -72,6 +72,7 @@ class Loss(TypedDict, total=False):
     robust_scale: float
     refine: bool
     continuity: float
+    by_joint: bool
 
 
 class Judging(TypedDict, total=False):
@@ -201,7 +202,7 @@ def identify(
         method: Name of a fit, `auto`, `lm`, `adam`, `grid` or `known`, or one with options of its own.
         segments: What the fit compares: `count` windows of `length` samples.
         loss: What the fit minimises: weights of `position` and `velocity`, `robust`, `robust_scale`, `refine`,
-            `continuity`.
+            `continuity`, `by_joint`.
         evaluation: The rollouts that judge: `horizons` [s], `rollouts`, `placement`, `trajectory` [s] and others.
         loop: `chunk`, `patience`, `progress`.
         scale: Typical `torque`, `velocity`, `damping` and `inertia` of the drive, of which bounds and initial values of

@@ -1,6 +1,7 @@
 """Branches of a robot: simulated side by side as MuJoCo does, and derivatives taken only where a parameter acts."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -135,7 +136,9 @@ def equations(bench: Bench, model: FrictionModel, refine: bool, alone: bool) -> 
     if alone:
         object.__setattr__(rollout, "branches", (0,) * 5)
     space = Space(bench, model, "float64")
-    objective = Objective(space, rollout, segments(bench, sampling), 1.0, 0.01, refine=refine)
+    together = replace(segments(bench, sampling), follows=np.arange(7) % 4 > 0) if refine else segments(bench, sampling)
+    loss = {"refine": refine, "continuity": 0.1 if refine else 0.0, "by_joint": refine}
+    objective = Objective(space, rollout, together, 1.0, 0.01, **loss).balanced()
     found = objective.compile_normal_equations()(np.asarray(space.start))
     return found, len(objective._sparsity.seeds)
 

@@ -143,9 +143,9 @@ def test_an_experiment_starts_with_the_command_that_runs_it(path: Path) -> None:
 
 
 def _choices(path: Path) -> list[str]:
-    """Model and fit that an experiment chooses, as overrides."""
+    """Model, fit and start that an experiment chooses, as overrides."""
     defaults = OmegaConf.load(path).get("defaults", [])
-    groups = [(group, f"override /{group}") for group in ("model", "fit")]
+    groups = [(group, f"override /{group}") for group in ("model", "fit", "start")]
     return [f"{group}={entry[key]}" for entry in defaults for group, key in groups if key in entry]
 
 

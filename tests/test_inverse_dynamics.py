@@ -24,7 +24,7 @@ from frictionzoo.core.log import Log
 from frictionzoo.core.state import DriveState
 from frictionzoo.fit import InverseDynamics, Space
 from frictionzoo.fit.motion import Decimation, Filtering
-from frictionzoo.fit.objective import Recordings
+from frictionzoo.fit.recordings import Recordings
 from frictionzoo.fit.torque_balance import Links, balance
 from frictionzoo.fit.torque_equation import TorqueEquation
 from frictionzoo.models import FrictionModel

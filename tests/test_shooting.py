@@ -18,6 +18,7 @@ from frictionzoo.core.segments import Segments, cut_segments
 from frictionzoo.fit import LevenbergMarquardt, Objective, Space
 from frictionzoo.fit import blocks as blocks_module
 from frictionzoo.fit.chunk import search
+from frictionzoo.fit.loss import Loss
 from frictionzoo.fit.normal_equations import NormalEquations
 from frictionzoo.fit.shooting import solve_chain
 from frictionzoo.models.registry import get_model
@@ -85,7 +86,16 @@ def shoot(bench: Bench, law: str, length: int, *logs: Log, **loss: Any) -> Shot:
     return Shot(Objective(Space(bench, model, "float64"), rollout, segments, **WEIGHTS | loss), segments)
 
 
-def dense_equations(shot: Shot, vector: np.ndarray) -> NormalEquations:
+def root_mean_squares(shot: Shot) -> np.ndarray:
+    """Of each joint's errors of position and velocity from measured states, where the objective begins."""
+    objective, segments = shot.objective, shot.segments
+    values = objective.space.values(objective.space.start)
+    predicted = objective._rollout.compiled(values, segments.qpos[:, 0], segments.qvel[:, 0], segments.signals)
+    errors = predicted[0] - segments.qpos[:, 1:], predicted[1] - segments.qvel[:, 1:]
+    return np.sqrt([np.mean(np.square(error), axis=(0, 1)) for error in errors])
+
+
+def dense_equations(shot: Shot, vector: np.ndarray, roots: np.ndarray) -> NormalEquations:
     """The same of states and coordinates in one dense matrix, the states found by scipy."""
     objective, segments = shot.objective, shot.segments
     follows, count = np.asarray(segments.follows), segments.count
@@ -96,16 +106,15 @@ def dense_equations(shot: Shot, vector: np.ndarray) -> NormalEquations:
         qpos, qvel = jnp.moveaxis(states.reshape(count, 2, 2), 1, 0)
         predicted = objective._rollout(objective.space.values(vector), qpos, qvel, *driven)
         parts = []
-        for weight, own, after, measured in (
-            (WEIGHTS["position"], qpos, predicted[0], segments.qpos),
-            (WEIGHTS["velocity"], qvel, predicted[1], segments.qvel),
+        for root, own, after, measured in zip(
+            roots, (qpos, qvel), predicted, (segments.qpos, segments.qvel), strict=True
         ):
             errors = (
                 own - measured[:, 0],
                 after - measured[:, 1:],
                 CONTINUITY**0.5 * (after[:-1, -1] - own[1:])[follows[1:]],
             )
-            parts += [np.sqrt(weight) * error.ravel() for error in errors]
+            parts += [(root * error).ravel() for error in errors]
         return jnp.concatenate(parts)
 
     errors, slopes = jax.jit(residuals), jax.jit(jax.jacfwd(residuals))
@@ -126,17 +135,15 @@ def dense_equations(shot: Shot, vector: np.ndarray) -> NormalEquations:
 def test_equations_are_the_dense_ones(bench: Bench, monkeypatch: pytest.MonkeyPatch, in_haste: None) -> None:
     monkeypatch.setattr(blocks_module, "BLOCK_STATES", 60)  # 3 of the 8 segments: the last block is not full
     logs = [noisy(swing(0.1, seed), 1e-3, 0.03) for seed in (0, 1)]
-    shot = shoot(bench, "coulomb_smooth", 10, *logs, continuity=CONTINUITY)
-    objective, vector = shot.objective, np.asarray(shot.objective.space.start) + 0.1
+    shot = shoot(bench, "coulomb_smooth", 10, *logs, position=2.0, velocity=0.5, continuity=CONTINUITY, by_joint=True)
+    roots = np.sqrt([[2.0], [0.5]]) / root_mean_squares(shot)
+    objective, vector = shot.objective.balanced(), np.asarray(shot.objective.space.start) + 0.1
     assert objective.data.weight.shape == (3, 3) and objective.data.linked.sum() == 6
-    ours, dense = objective.compile_normal_equations()(vector), dense_equations(shot, vector)
+    ours, dense = objective.compile_normal_equations()(vector), dense_equations(shot, vector, roots)
     assert ours.loss == pytest.approx(dense.loss, rel=1e-9)
     scale = np.sqrt(np.diag(dense.hessian))
     np.testing.assert_allclose(ours.gradient / scale, dense.gradient / scale, atol=1e-6 * np.sqrt(dense.loss))
     np.testing.assert_allclose(ours.hessian, dense.hessian, atol=1e-7 * np.outer(scale, scale).max())
-    loss, gradient = objective.compile(objective.value_and_grad("forward"))(vector, objective.data)
-    assert loss == pytest.approx(dense.loss, rel=1e-9)
-    np.testing.assert_allclose(gradient / scale, 2 * dense.gradient / scale, atol=1e-5 * np.sqrt(dense.loss))
 
 
 @pytest.mark.slow
@@ -146,10 +153,25 @@ def test_an_arm_is_found_again_by_short_segments_that_hold_together(bench: Bench
     errors = []
     for continuity in (0.0, 10.0):
         objective = shoot(bench, "mujoco_default", 10, *logs, continuity=continuity, **weights).objective
+        vector = objective.space.start
+        loss, gradient = objective.compile(objective.value_and_grad("forward"))(vector, objective.data)
+        equations = objective.compile_normal_equations()(np.asarray(vector))
+        assert loss == pytest.approx(equations.loss, rel=1e-9)
+        np.testing.assert_allclose(gradient, 2 * equations.gradient, atol=1e-4 * np.abs(gradient).max())
         found = objective.space.identified(search(LevenbergMarquardt(20, 1e-6), objective)[0].best)
         off = [np.abs(np.log(value / np.array(TRUTH[name.split(".")[1]]))) for name, value in found.items()]
         errors.append(np.stack(off))
     assert errors[1].max() < 0.03 and errors[1].mean() < 0.3 * errors[0].mean()
+
+
+def test_a_joint_that_stands_still_is_not_all_that_counts() -> None:
+    loss = Loss(4.0, 1.0, "none", 1.0, False, 0.0, True)
+    np.testing.assert_allclose(loss.roots, [[2.0, 1.0]])
+    weighed = loss.over(np.array([[0.25, 1.0], [0.0, 0.0]]))
+    np.testing.assert_allclose(weighed.roots, [[4.0, 1.0], [4e4, 1e4]])
+    assert np.isfinite(loss.over(np.zeros((2, 2))).roots).all()
+    with pytest.raises(ConfigError, match=r"loss\.by_joint=true: rollouts of the segments are not finite"):
+        loss.over(np.array([[np.nan, 1.0]]))
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,8 @@ from frictionzoo.fit.blocks import Blocks
 from frictionzoo.fit.link_inertia import LinkInertia
 from frictionzoo.fit.motion import Filtering
 from frictionzoo.fit.normal_equations import NormalEquations
-from frictionzoo.fit.objective import Objective, Recordings
+from frictionzoo.fit.objective import Objective
+from frictionzoo.fit.recordings import Recordings
 
 Scores = Callable[
     [Float[np.ndarray, "coordinates"]], tuple[NormalEquations, Float[np.ndarray, "stretches coordinates"]]

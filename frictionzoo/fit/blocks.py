@@ -1,8 +1,9 @@
 """Segments as a fit holds them: in blocks that fit into a processor's cache, spread over the devices."""
 
 import operator
-from collections.abc import Iterable, Iterator
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -11,9 +12,11 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array
 
 from frictionzoo.core.segments import Segments
+from frictionzoo.core.threads import usable_threads
 from frictionzoo.simulate.rollout import Rollout
 from frictionzoo.simulate.torch_rollout import TorchRollout
 
+T = TypeVar("T")
 BLOCK_STATES = 25_000
 """States of a joint that are simulated at once: they fit into a processor's cache, and memory does not grow."""
 
@@ -66,6 +69,15 @@ def each_part(data: Blocks, states: tuple[Array, Array]) -> Iterator[tuple[Block
         yield block, states[0][index], states[1][index]
 
 
+def side_by_side(function: Callable[[Any], T], parts: Iterable[Any], devices: int) -> list[T]:
+    """Of each part: operations are too small for several threads, blocks side by side are not.
+
+    Devices have threads of their own.
+    """
+    with ThreadPoolExecutor(usable_threads() if devices == 1 else 1) as pool:
+        return list(pool.map(function, parts))
+
+
 def alone(block: Blocks) -> Blocks:
     """As data of one block."""
     return jax.tree.map(lambda part: part[None], block)
@@ -76,8 +88,9 @@ def to_numpy(parts: Iterable[Array]) -> list[np.ndarray]:
     return [np.asarray(part, np.float64) for part in parts]
 
 
-def into_blocks(segments: Segments, stretches: int, dtype: Any, devices: list[Any], kept: bool = False) -> Blocks:
+def into_blocks(segments: Segments, stretches: int, dtype: Any, rollout: Rollout) -> Blocks:
     """Equal blocks; where the segments do not fill the last, its rest repeats the last segment with no weight."""
+    devices, kept = devices_of(rollout), rollout.keeps_slopes
     largest = max(1, (KEPT_STATES if kept else BLOCK_STATES) // (segments.length * segments.qpos.shape[2]))
     blocks = max(-(-segments.count // largest), min(KEPT_BLOCKS, segments.count) if kept else 1)
     size = -(-segments.count // blocks)

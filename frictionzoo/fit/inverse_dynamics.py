@@ -13,7 +13,8 @@ from frictionzoo.fit.blocks import Blocks
 from frictionzoo.fit.link_inertia import LinkInertia, identify_links, spread_of
 from frictionzoo.fit.lm import MOST_COORDINATES
 from frictionzoo.fit.motion import BANDWIDTH, Filtering
-from frictionzoo.fit.objective import Objective, Recordings
+from frictionzoo.fit.objective import Objective
+from frictionzoo.fit.recordings import Recordings
 from frictionzoo.fit.space import Space
 from frictionzoo.fit.tilt import Tilt, Tilted
 from frictionzoo.fit.torque_balance import balance

@@ -1,7 +1,7 @@
 """How errors of predicted states count: weights, robust losses, and initial states that are estimated along."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -10,6 +10,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from frictionzoo.core.errors import ConfigError, closest
+from frictionzoo.fit.blocks import Blocks, each
+from frictionzoo.simulate import Values
 
 ROBUST: Mapping[str, Callable[[Any], Any]] = {
     "none": lambda z: z,
@@ -18,11 +20,15 @@ ROBUST: Mapping[str, Callable[[Any], Any]] = {
     "cauchy": jnp.log1p,
 }
 """Losses of a squared residual over the squared scale, as in scipy.optimize.least_squares."""
+_LEAST = 1e-8  # of the largest mean square of a joint; a joint that stands still has none
 
 
 @dataclass(frozen=True)
 class Loss:
     """How errors count; `Objective` says what its arguments mean.
+
+    Attributes:
+        size: Root mean square of each joint's errors of position and velocity, over which they count; None for 1 in SI.
 
     Raises:
         ConfigError: A weight is negative, or both are 0; the robust loss is unknown; options cannot be combined.
@@ -34,6 +40,8 @@ class Loss:
     robust_scale: float
     refine: bool
     continuity: float
+    by_joint: bool
+    size: Float[np.ndarray, "nv 2"] | None = None
 
     def __post_init__(self) -> None:
         position, velocity, robust = self.position, self.velocity, self.robust
@@ -55,14 +63,28 @@ class Loss:
             raise ConfigError(f"loss.continuity={self.continuity:g} with loss.refine=false; expected loss.refine=true")
 
     @property
-    def roots(self) -> Float[np.ndarray, "2"]:
-        """Of the weights of position and velocity."""
-        return np.sqrt([self.position, self.velocity])
+    def roots(self) -> Float[np.ndarray, "#nv 2"]:
+        """Of the weights of position and velocity, joint by joint."""
+        return np.sqrt([[self.position, self.velocity]]) / (1.0 if self.size is None else self.size)
 
     @property
-    def gap(self) -> Float[np.ndarray, "2"] | None:
+    def gap(self) -> Float[np.ndarray, "#nv 2"] | None:
         """The same of the gap between segments; None where they stand alone."""
         return np.sqrt(self.continuity) * self.roots if self.continuity else None
+
+    def over(self, squares: Float[np.ndarray, "nv 2"]) -> "Loss":
+        """The same with each joint's errors over these mean squares, of which none counts as next to nothing.
+
+        Raises:
+            ConfigError: They are not finite.
+        """
+        if not np.isfinite(squares).all():
+            raise ConfigError(
+                "loss.by_joint=true: rollouts of the segments are not finite where the fit begins; begin elsewhere, or "
+                "lower segments.length"
+            )
+        least = _LEAST * np.max(squares, axis=0, initial=np.finfo(float).tiny)
+        return replace(self, size=np.sqrt(np.maximum(squares, least)))
 
     def sum(self, squares: Array) -> Float[Array, ""]:
         """Of squared residuals, what they count."""
@@ -81,3 +103,14 @@ class Loss:
         if exact:
             curvature = share + 2 * squares * jnp.vectorize(jax.grad(jax.grad(robust)))(squares)
         return share, curvature
+
+
+def mean_squares(rollout: Callable[..., tuple[Any, Any]], values: Values, data: Blocks) -> Float[np.ndarray, "nv 2"]:
+    """Of each joint's errors of position and velocity over all segments, from measured initial states."""
+    found = np.zeros((data.qpos.shape[3], 2))
+    for block in each(data):
+        predicted = rollout(values, block.qpos[:, 0], block.qvel[:, 0], block.signals, block.load)
+        measured = block.qpos[:, 1:], block.qvel[:, 1:]
+        squares = np.stack([np.square(new - old) for new, old in zip(predicted, measured, strict=True)], axis=-1)
+        found += np.einsum("stvk,s->vk", squares, block.weight)
+    return found / (float(data.weight.sum()) * (data.qpos.shape[2] - 1))

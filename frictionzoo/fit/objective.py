@@ -1,9 +1,8 @@
 """What a fit minimises."""
 
 import copy
-from collections.abc import Callable, Hashable, Iterable
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple, TypeVar
+from collections.abc import Callable, Hashable
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -12,39 +11,22 @@ import torch
 from jax.sharding import NamedSharding, PartitionSpec
 from jaxtyping import Array, Float
 
-from frictionzoo.bench import Bench
 from frictionzoo.core.errors import ConfigError
-from frictionzoo.core.log import Log
 from frictionzoo.core.segments import Segments
-from frictionzoo.core.threads import usable_threads
-from frictionzoo.fit.blocks import MOST_STRETCHES, Blocks, alone, devices_of, each, each_part, into_blocks, to_numpy
-from frictionzoo.fit.loss import Loss
+from frictionzoo.fit.blocks import MOST_STRETCHES, Blocks, alone, each, each_part, into_blocks, side_by_side, to_numpy
+from frictionzoo.fit.loss import Loss, mean_squares
 from frictionzoo.fit.normal_equations import NormalEquations
+from frictionzoo.fit.recordings import Recordings
 from frictionzoo.fit.shooting import Equations, Mixed, Shooting, follow, join_equations
 from frictionzoo.fit.space import Space
 from frictionzoo.fit.sparsity import Sparsity
 from frictionzoo.fit.tangents import Seen, Tangents
-from frictionzoo.models import FrictionModel
 from frictionzoo.simulate import Values
 from frictionzoo.simulate.bridge import as_torch_function, to_arrays, to_tensors
 from frictionzoo.simulate.rollout import FORWARD, Rollout
 from frictionzoo.simulate.torch_rollout import TorchRollout
 
 T = TypeVar("T")
-
-
-class Recordings(NamedTuple):
-    """What the segments were cut from, for a method that looks at whole recordings.
-
-    Attributes:
-        bench: The test stand.
-        model: The friction law, ready for the data.
-        logs: As the bench accepts them.
-    """
-
-    bench: Bench
-    model: FrictionModel
-    logs: tuple[Log, ...]
 
 
 class Objective:
@@ -76,6 +58,7 @@ class Objective:
         continuity: Weight of the gap between the end of a segment and the initial state of the next one of the same
             recording, over that of an error of position or velocity; 0 where segments stand alone. With it, short
             segments act as one long rollout that cannot diverge.
+        by_joint: Whether `balanced` weighs joints.
 
     Raises:
         ConfigError: A weight is negative, or both are 0; the robust loss is unknown or cannot be combined; initial
@@ -94,8 +77,9 @@ class Objective:
         robust_scale: float = 1.0,
         refine: bool = False,
         continuity: float = 0.0,
+        by_joint: bool = False,
     ) -> None:
-        self._loss = Loss(position, velocity, robust, robust_scale, refine, continuity)
+        self._loss = Loss(position, velocity, robust, robust_scale, refine, continuity, by_joint)
         if refine and isinstance(rollout, TorchRollout):
             raise ConfigError(
                 f"loss.refine=true: {rollout.law} exists only in torch, with no forward mode; set loss.refine=false"
@@ -108,8 +92,7 @@ class Objective:
         self.space: Space = space
         self.compile: Callable[..., Any] = rollout.compile
         self.stretches: int = min(segments.count, MOST_STRETCHES)
-        shape = self.stretches, space.start.dtype, devices_of(rollout), rollout.keeps_slopes
-        self.data: Blocks = into_blocks(segments, *shape)
+        self.data: Blocks = into_blocks(segments, self.stretches, space.start.dtype, rollout)
         self.devices: int = len(self.data.weight.sharding.device_set)
         self._first = min(self.data.weight.sharding.device_set, key=lambda device: device.id)
         self._rollout = rollout
@@ -130,6 +113,22 @@ class Objective:
         """The same objective with other initial coordinates, brought into the bounds."""
         other = copy.copy(self)
         other.space = self.space.starting(vector)
+        return other
+
+    def balanced(self) -> "Objective":
+        """The same objective with each joint's errors over their size where the fit begins, if that is asked for.
+
+        That size is the root mean square of errors of position and of velocity over all segments, from measured initial
+        states: what is left of a joint says how far it can be trusted, as in weighted least squares.
+
+        Raises:
+            ConfigError: The rollouts are not finite there.
+        """
+        if not self._loss.by_joint:
+            return self
+        other = copy.copy(self)
+        errors = mean_squares(self._rollout.compiled, self.space.values(self.space.start), self.data)
+        other._loss, other._programs = self._loss.over(errors), {}
         return other
 
     def remember(self, what: Hashable, make: Callable[[], T]) -> T:
@@ -271,7 +270,7 @@ class Objective:
         compiled = self._compile_both(look, equations, next(each(self.data)))
 
         def evaluate(vector: Array, data: Blocks) -> list[Any]:
-            parts = self._side_by_side(lambda block: to_numpy(compiled(vector, block)), each(data))
+            parts = side_by_side(lambda block: to_numpy(compiled(vector, block)), each(data), self.devices)
             return [np.stack(part).sum(axis=0) for part in zip(*parts, strict=True)]
 
         return evaluate
@@ -289,7 +288,7 @@ class Objective:
 
         def evaluate(vector: Array, data: Blocks) -> list[Any]:
             blocks = each_part(data, find(vector, data))
-            parts = self._side_by_side(lambda part: jax.tree.map(np.asarray, equations(vector, part)), blocks)
+            parts = side_by_side(lambda part: jax.tree.map(np.asarray, equations(vector, part)), blocks, self.devices)
             return to_numpy(finish(join_equations(parts), jax.tree.map(np.asarray, data)))
 
         evaluate(start, self.data)  # compiles the rest
@@ -303,11 +302,6 @@ class Objective:
         first = self.compile(look, FORWARD).lower(start, example).compile()
         second = jax.jit(then, compiler_options=FORWARD).lower(first(start, example), example).compile()
         return lambda vector, part: second(first(vector, part), part)
-
-    def _side_by_side(self, function: Callable[[Any], T], parts: Iterable[Any]) -> list[T]:
-        """Of each part. Operations are too small for several threads, blocks side by side are not; devices have own."""
-        with ThreadPoolExecutor(usable_threads() if self.devices == 1 else 1) as pool:
-            return list(pool.map(function, parts))
 
     def _states(self, vector: Array, data: Blocks) -> tuple[Array, Array]:
         """Where segments start, and the next ones, (blocks, segments, twice_nv): as measured, or as fits all best.
@@ -358,9 +352,9 @@ class Objective:
         """Weighted errors of position and velocity, with that of the initial state first where it is refined."""
         errors = []
         for root, start, after, measured in zip(
-            self._loss.roots, (qpos, qvel), predicted, (block.qpos, block.qvel), strict=True
+            self._loss.roots.T, (qpos, qvel), predicted, (block.qpos, block.qvel), strict=True
         ):
-            if root == 0:
+            if not root.any():
                 continue
             whole = jnp.concatenate([start[:, None], after], axis=1) if self._loss.refine else after
             errors.append(root * (whole - (measured if self._loss.refine else measured[:, 1:])))

@@ -80,12 +80,12 @@ class Shooting(NamedTuple):
         residuals: Of a block, from values, own and following initial states and the block: weighted errors of position
             and velocity, the gap last where segments hold together.
         sparsity: Branches of the robot.
-        root: Root of the weight of a gap's position and velocity; None where segments stand alone.
+        root: Root of the weight of each joint's gap in position and velocity; None where segments stand alone.
     """
 
     residuals: Callable[[Values, Array, Array, Blocks], Float[Array, "segments time nv kinds"]]
     sparsity: Sparsity
-    root: Float[np.ndarray, "2"] | None
+    root: Float[np.ndarray, "#nv 2"] | None
 
     def find_states(self, values: Values, data: Blocks) -> Float[Array, "blocks segments twice_nv"]:
         """Where the segments start: as fits them, and what follows, best.
@@ -139,7 +139,7 @@ class Shooting(NamedTuple):
         right = mixed.own
         if self.root is not None:
             before, root = self._before(data), self._by_state(right.dtype)
-            right = right - (before[:, None] * root)[:, :, None] * jnp.roll(mixed.gap, 1, axis=1)
+            right = right - before[:, None, None] * root[..., None] * jnp.roll(mixed.gap, 1, axis=1)
         solved = self._solve(diagonal + self._unused(data.weight.ravel()), beside, right)
         taken = jnp.einsum("bsit,bsi->bst", solved, gradient, precision="highest")
         return taken, jnp.einsum("bsit,bsiu->btu", solved, right, precision="highest")
@@ -165,8 +165,8 @@ class Shooting(NamedTuple):
         if self.root is None:
             return local.hessian, local.gap_slopes, local.gradient
         before, root = self._before(data)[:, None], self._by_state(local.gradient.dtype)
-        diagonal = local.hessian + jax.vmap(jnp.diag)(before * jnp.square(root))
-        beside = -data.linked.ravel()[:, None, None] * local.gap_slopes * root
+        diagonal = local.hessian + before[:, None] * jax.vmap(jax.vmap(jnp.diag))(jnp.square(root))
+        beside = -data.linked.ravel()[:, None, None] * local.gap_slopes * root[:, :, None]
         return diagonal, beside, local.gradient - before * root * jnp.roll(local.gap, 1, axis=1)
 
     def _solve(self, diagonal: Array, beside: Array, right: Float[Array, "branches segments state many"]) -> Array:
@@ -175,9 +175,10 @@ class Shooting(NamedTuple):
         solve = jax.vmap(solve_spd, in_axes=(None, 1), out_axes=1)
         return jax.vmap(jax.vmap(solve))(diagonal, right)
 
-    def _by_state(self, dtype: Any) -> Float[Array, "state"]:
+    def _by_state(self, dtype: Any) -> Float[Array, "branches 1 state"]:
         assert self.root is not None
-        return jnp.asarray(np.repeat(self.root, len(self.sparsity.states) // 2), dtype)
+        nv = self.sparsity.states.shape[1] // 2
+        return self.sparsity.states_by_branch(jnp.asarray(np.broadcast_to(self.root, (nv, 2)).T.reshape(1, -1), dtype))
 
     def _before(self, data: Blocks) -> Float[Array, "segments"]:
         """Whether each segment begins where the one before it ends."""

@@ -17,7 +17,7 @@ from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.fit.blocks import MOST_STRETCHES
 from frictionzoo.fit.motion import Filtering, Motion
 from frictionzoo.fit.normal_equations import NormalEquations
-from frictionzoo.fit.objective import Recordings
+from frictionzoo.fit.recordings import Recordings
 from frictionzoo.fit.space import Space
 from frictionzoo.fit.sparsity import Sparsity
 from frictionzoo.fit.torque_balance import Box, Links

@@ -19,7 +19,7 @@ from frictionzoo.core.segments import Sampling, Segments, cut_segments
 from frictionzoo.core.state import DriveState
 from frictionzoo.fit import Fit, Objective, Space
 from frictionzoo.fit.link_inertia import LinkInertia
-from frictionzoo.fit.objective import Recordings
+from frictionzoo.fit.recordings import Recordings
 from frictionzoo.fit.start import begin_where
 from frictionzoo.models import FrictionModel
 from frictionzoo.models.by_name import complete_laws
@@ -130,6 +130,7 @@ class Problem:
         fit = fit.choose(objective)
         if fit.start is not None:
             objective = begin_where(fit.start, objective)
+        objective = objective.balanced()
         seconds = time.perf_counter() - began
         posed = (bench, dataset, doubts, sampling, segments, evaluation, drive, proof, samples, objective)
         return cls(*posed, fit, settings, seconds, links)
@@ -157,7 +158,7 @@ class Problem:
         bench = self.bench.restarted(teacher.values["bench"])
         drive = Drive.assemble(bench, self.drive.model, settings["engine"], self.sampling)
         space = Space(bench, drive.model, settings["dtype"])
-        objective = Objective(space, drive.rollout, segments, **settings["loss"])
+        objective = Objective(space, drive.rollout, segments, **settings["loss"]).balanced()
         return replace(self, bench=bench, segments=segments, drive=drive, objective=objective)
 
 

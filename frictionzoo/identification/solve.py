@@ -11,7 +11,7 @@ from jaxtyping import Float
 from frictionzoo.core.segments import Segments
 from frictionzoo.fit import Outcome, Space, estimate_uncertainty, fit_reference, run_fit
 from frictionzoo.fit.loop import Record
-from frictionzoo.fit.objective import Recordings
+from frictionzoo.fit.recordings import Recordings
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.identification.problem import Problem
 from frictionzoo.logs.cache import cache_folder

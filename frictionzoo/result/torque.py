@@ -14,7 +14,7 @@ from frictionzoo.core.errors import ConfigError, FrictionzooError, closest
 from frictionzoo.core.params import UNITS
 from frictionzoo.fit import Fit, Space
 from frictionzoo.fit.motion import Filtering
-from frictionzoo.fit.objective import Recordings
+from frictionzoo.fit.recordings import Recordings
 from frictionzoo.fit.torque_equation import TorqueEquation
 from frictionzoo.models import TorchFriction
 from frictionzoo.result import torque_types as types
