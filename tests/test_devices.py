@@ -18,14 +18,14 @@ FITS = {
 }
 COMPARE = """
 import sys
-from frictionzoo.fit import objective
+from frictionzoo.fit import blocks
 from frictionzoo.cli.run import NOT_IDENTIFIED, main
 from frictionzoo.show import with_matplotlib
 with_matplotlib.save_figure = lambda *_: None  # figures take long to render, and nobody looks
-devices = objective.devices_of
+devices = blocks.devices_of
 for name, own in {fits}.items():
     for count in (1, 2):
-        objective.devices_of = lambda rollout: devices(rollout)[:count]
+        blocks.devices_of = lambda rollout: devices(rollout)[:count]
         sys.argv[1:] = [*{options}, *own, f"hydra.run.dir={{name}}{{count}}"]
         try:
             main()
