@@ -10,8 +10,10 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from conftest import slow_but
 from test_branches import robot  # noqa: F401 - a fixture
 from test_fit import x64  # noqa: F401 - a fixture for all tests
+from test_robot import dog  # noqa: F401 - a fixture
 
 import frictionzoo as fz
 from frictionzoo.bench import Bench
@@ -95,6 +97,20 @@ def test_each_joint_has_the_terms_and_the_memory_of_its_law() -> None:
             torch.testing.assert_close(came[:, joint : joint + 1], wanted, rtol=0, atol=0)
     scale = [float(network.torque_scale) for network in law.laws if hasattr(network, "torque_scale")]
     assert scale == pytest.approx([samples.motor_torque[:, 3].std()])  # of its joint alone
+
+
+def test_it_keeps_the_contract_of_all_laws() -> None:
+    fz.check_model(by_joint(SEVERAL, 5))
+
+
+def test_each_law_begins_with_what_a_robots_file_says(dog: Callable[..., fz.Robot]) -> None:  # noqa: F811
+    bench, law = dog(), by_joint({".*_calf_joint": "stribeck", "left.*": "lugre", ".*": "mujoco_default"}, 4)
+    law.bind(bench.joints)
+    law.begin(bench.initial_friction(law.params))
+    begun = {name: value.tolist() for name, value in law.state_dict().items() if "loss" in name or "damping" in name}
+    assert begun["stribeck.frictionloss"] == [0.2, 0.2] and begun["stribeck.damping"] == [0.1, 0.1]
+    assert (begun["mujoco_default.frictionloss"], begun["mujoco_default.damping"]) == ([0.2], [0.1])
+    assert begun["lugre.micro_damping"] != [0.1]
 
 
 def test_networks_of_two_patterns_have_weights_of_their_own() -> None:
@@ -198,6 +214,7 @@ def test_a_fit_with_one_law_for_all_joints_is_that_of_the_law(leg: Callable[...,
     assert ours.metrics == plain.metrics
 
 
+@pytest.mark.slow
 def test_inverse_dynamics_takes_each_joints_law(leg: Callable[..., Bench], recorded: Log) -> None:
     start = identify(leg(), recorded, by_joint(HIP_AND_KNEE, 2), method="inverse_dynamics")
     hip, knee = (start.parameters[f"friction.{label}.damping"].value for label in TRUTH)
@@ -235,9 +252,10 @@ def test_what_mujoco_has_is_exported_as_it_is_and_the_rest_is_the_nearest(found:
     assert hip["dof_frictionloss"] == hip["dof_damping"] == 0 < knee["dof_frictionloss"]
 
 
-@pytest.mark.parametrize(
-    "target", ["mujoco", "torchscript", "mjlab", "isaaclab", pytest.param("mjx", marks=pytest.mark.slow)]
-)
+TARGETS = ["mujoco", "mjx", "torchscript", "mjlab", "isaaclab"]
+
+
+@pytest.mark.parametrize("target", slow_but(["mujoco", "torchscript"], TARGETS))
 def test_it_is_written_for_other_programs(found: fz.Identified, tmp_path: Path, target: str) -> None:
     written = found.export(target, tmp_path / target).export
     assert written is not None
@@ -245,6 +263,7 @@ def test_it_is_written_for_other_programs(found: fz.Identified, tmp_path: Path, 
     assert all(difference.largest < 1e-9 for difference in written.differences) == exact
 
 
+@pytest.mark.slow
 def test_laws_that_remember_are_written_side_by_side(found: fz.Identified, tmp_path: Path) -> None:
     remembering = {"law": "history_network", "hidden": [4], "memory": 3}
     law, rng = by_joint(["lugre", remembering], 2).double(), np.random.default_rng(0)

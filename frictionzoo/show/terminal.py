@@ -151,7 +151,7 @@ def _list_parameters(result: Result) -> Rows:
             rows.append((name, *joint, *found, parameter["unit"], status))
             name = ""  # once for all its joints
     if result["network"]:
-        joint = ["all joints"] if several else []
+        joint = [""] if several else []  # whose it is, the law says
         rows.append(("friction network", *joint, str(result["network"]["weights"]), "", "weights", "identified"))
     return rows
 
