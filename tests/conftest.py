@@ -439,7 +439,7 @@ def _make_result(place: int, label: str, curves: Curves, grid: bool) -> dict[str
                 ],
             }
         ],
-        **{"indistinct": [], "no_intervals": "nobody asked", "network": None},
+        **{"indistinct": [], "no_intervals": "nobody asked", "network": None, "torque": None, "links": None},
         "metrics": metrics,
         "by_horizon": [{"horizon": 0.5, **metrics}],
         "by_joint": [{"joint": name, **errors} for name in names],

@@ -3,6 +3,9 @@
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float
+
 from frictionzoo.result.types import ParameterRow, ReferenceRow, ValueRow
 
 NAMED = 4  # joints that a sentence names; the others are counted
@@ -61,3 +64,9 @@ def merge_known(rows: Sequence[ValueRow]) -> list[ValueRow]:
 def name_first(names: Sequence[str]) -> str:
     """Names in a table, the first of many."""
     return ", ".join(names) if len(names) < 3 else f"{names[0]} and {len(names) - 1} more"
+
+
+def read_values(parameter: ParameterRow | ReferenceRow) -> Float[np.ndarray, "nv"]:
+    """The values of all joints; NaN where a joint's law has no such parameter."""
+    value: Any = parameter["value"]
+    return np.atleast_1d(np.array(value, np.float64))

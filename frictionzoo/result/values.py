@@ -1,16 +1,14 @@
 """Parameters joint by joint: one entry a joint, or a group of joints that share a value."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from frictionzoo.bench.base import Bench
 from frictionzoo.core.params import Param
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.result.names import name_first
-from frictionzoo.result.types import ParameterRow, ReferenceRow, ValueRow
+from frictionzoo.result.types import ValueRow
 
 ALL = "all joints"
 
@@ -47,12 +45,6 @@ def list_values(bench: Bench, param: Param, full: str, value: np.ndarray, uncert
         }
 
     return [describe(*group) for group in _group(bench, param, value).items()]
-
-
-def read_values(parameter: ParameterRow | ReferenceRow) -> Float[np.ndarray, "nv"]:
-    """The values of all joints; NaN where a joint's law has no such parameter."""
-    value: Any = parameter["value"]
-    return np.atleast_1d(np.array(value, np.float64))
 
 
 def _group(bench: Bench, param: Param, value: np.ndarray) -> dict[str, list[int]]:

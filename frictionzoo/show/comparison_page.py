@@ -14,8 +14,8 @@ from frictionzoo.comparison.runs import Run
 from frictionzoo.comparison.statistics import MATTERS
 from frictionzoo.comparison.types import Comparison, DifferenceRow, RolloutsRow, RunRow
 from frictionzoo.core.output import write_atomically
+from frictionzoo.result.names import read_values
 from frictionzoo.result.types import ParameterRow, ValueRow
-from frictionzoo.result.values import read_values
 from frictionzoo.show.colors import DARK
 from frictionzoo.show.comparison_plots import Look, choose_looks, plot_comparison
 from frictionzoo.show.page import Check, render_page

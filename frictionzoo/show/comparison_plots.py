@@ -13,8 +13,8 @@ from jaxtyping import Float
 from frictionzoo.comparison.runs import Run
 from frictionzoo.comparison.statistics import MATTERS
 from frictionzoo.comparison.types import Comparison, PairRow
+from frictionzoo.result.names import read_values
 from frictionzoo.result.types import MetricsRow, ParameterRow
-from frictionzoo.result.values import read_values
 from frictionzoo.show.colors import BEST, GRID, RUNS, SOFT
 from frictionzoo.show.figure import (
     FLATTENED,

@@ -10,9 +10,8 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from plotly.offline import get_plotlyjs
 
-from frictionzoo.result.names import merge_known
+from frictionzoo.result.names import merge_known, read_values
 from frictionzoo.result.types import ParameterRow, ValueRow
-from frictionzoo.result.values import read_values
 from frictionzoo.show import with_plotly
 from frictionzoo.show.colors import DARK
 from frictionzoo.show.figure import Figure
