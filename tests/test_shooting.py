@@ -152,14 +152,14 @@ def test_an_arm_is_found_again_by_short_segments_that_hold_together(bench: Bench
     logs = [noisy(swing(1.0, seed), 1e-4, 0.02) for seed in (0, 1)]
     weights = {"position": 1e8, "velocity": 2500.0}  # of the noise's variances
     errors = []
-    for continuity in (0.0, 10.0):
+    # Held together, one corner, where a joint sticks, ends the search for all states before their own gradient is 0.
+    for continuity, near in ((0.0, 1e-6), (10.0, 1e-3)):
         objective = shoot(bench, "mujoco_default", 10, *logs, continuity=continuity, **weights).objective
         vector = objective.space.start
         loss, gradient = objective.compile(objective.value_and_grad("forward"))(vector, objective.data)
         equations = objective.compile_normal_equations()(np.asarray(vector))
         assert loss == pytest.approx(equations.loss, rel=1e-9)
-        # They differ by what is left of the states' own gradient: where joints stick, the search for states ends near.
-        np.testing.assert_allclose(gradient, 2 * equations.gradient, atol=1e-3 * np.abs(gradient).max())
+        np.testing.assert_allclose(gradient, 2 * equations.gradient, rtol=0, atol=near * np.abs(gradient).max())
         found = objective.space.identified(search(LevenbergMarquardt(20, 1e-6), objective)[0].best)
         off = [np.abs(np.log(value / np.array(TRUTH[name.split(".")[1]]))) for name, value in found.items()]
         errors.append(np.stack(off))
