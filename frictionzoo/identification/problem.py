@@ -31,6 +31,7 @@ from frictionzoo.simulate.drive import Drive
 from frictionzoo.simulate.proof import Proof, Recorded, initial_values, prove
 
 _log = logging.getLogger(__name__)
+_AT_ONCE = 25_000  # samples that are looked at together
 
 
 @dataclass(frozen=True)
@@ -164,11 +165,15 @@ class Problem:
 
 def _training_samples(drive: Drive, bench: Bench, dataset: Dataset) -> DriveState:
     """What the friction law sees in every training sample, with the bench's initial values, as numpy arrays."""
-    # All recordings at once: one by one, each of another length would be compiled for itself.
+    # All recordings as one: each of another length would be compiled for itself. In parts, so that memory does not grow.
     of_logs = [
         (log.qpos, log.qvel, log.signals, np.broadcast_to(log.load, (log.samples, len(log.load))))
         for log in dataset.train
     ]
     samples = jax.tree.map(lambda *parts: np.concatenate(parts), *of_logs)
-    state = drive.rollout.compile(jax.vmap(drive.engine.drive_state, in_axes=(None, 0, 0, 0, 0)))
-    return jax.tree.map(np.asarray, state({"bench": bench.initial_values()}, *samples))
+    values = {"bench": bench.initial_values()}
+
+    def see(samples: tuple[Any, ...]) -> DriveState:
+        return jax.lax.map(lambda one: drive.engine.drive_state(values, *one), samples, batch_size=_AT_ONCE)
+
+    return jax.tree.map(np.asarray, drive.rollout.compile(see)(samples))

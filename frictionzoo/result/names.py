@@ -1,4 +1,4 @@
-"""How parameters and joints are named in sentences, labels and tables."""
+"""How parameters and joints are named in sentences, labels and tables, and how values are read from a record."""
 
 from collections.abc import Sequence
 from typing import Any
