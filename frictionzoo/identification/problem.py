@@ -165,7 +165,7 @@ class Problem:
 
 def _training_samples(drive: Drive, bench: Bench, dataset: Dataset) -> DriveState:
     """What the friction law sees in every training sample, with the bench's initial values, as numpy arrays."""
-    # All recordings as one: each of another length would be compiled for itself. In parts, so that memory does not grow.
+    # All recordings as one, since each of another length would be compiled anew; in parts to bound the memory.
     of_logs = [
         (log.qpos, log.qvel, log.signals, np.broadcast_to(log.load, (log.samples, len(log.load))))
         for log in dataset.train
