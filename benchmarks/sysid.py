@@ -29,7 +29,7 @@ from frictionzoo.core.segments import Segments, cut_segments
 from frictionzoo.fit import LevenbergMarquardt, Objective, Space
 from frictionzoo.fit.chunk import begin, make_chunk
 from frictionzoo.models import FrictionModel
-from frictionzoo.simulate import friction_of, make_engine, specialised
+from frictionzoo.simulate import friction_of, make_engine
 from frictionzoo.simulate.rollout import make_rollout
 
 NAMES = ("armature", "damping", "frictionloss")
@@ -181,7 +181,6 @@ def _mapping(kinds: list) -> tuple[list, list]:
 def run_ours(bench: Bench, model: FrictionModel, segments: Segments, judge: Judge, dtype: str) -> dict[str, Any]:
     """One identification by frictionzoo, tracing and compiling included."""
     jax.clear_caches()
-    specialised._known.clear()
     jax.config.update("jax_enable_x64", dtype == "float64")
     began = time.perf_counter()
     engine = make_engine("auto", bench, friction_of(model), model.constraint)

@@ -227,6 +227,7 @@ def read_joints(path: Path) -> dict[str, dict[str, float]]:
     return {j: {name: float(getattr(model, name)[model.joint(j).dofadr[0]]) for name in names} for j in ("hip", "knee")}
 
 
+@pytest.mark.slow
 def test_what_mujoco_has_is_exported_as_it_is_and_the_rest_is_the_nearest(found: fz.Identified, tmp_path: Path) -> None:
     written = found.export("mjcf", tmp_path / "mjcf").export
     assert written is not None

@@ -29,7 +29,7 @@ _TAKES: dict[str, tuple[Any, ...]] = {
     "model.laws": ("", []),
     "segments.count": (0, None),
     "loop.patience": (0, None),
-    "fit.start": (None,),
+    "fit.start": ({}, None),
     "evaluation.rollouts": (0, None),
     "evaluation.torque.bandwidth": (0.1, None),
     "evaluation.torque.held": (True, None),
@@ -54,7 +54,14 @@ _TAKES: dict[str, tuple[Any, ...]] = {
     "data.clean.velocity_lag": (0.1, "", None),
 }
 _LARGEST, _LARGEST_SEED = 2**31 - 1, 2**63 - 1  # whole numbers as JAX counts in 32 bits, and as generators take them
-_KINDS = {bool: "true or false", int: "a whole number", float: "a number", list: "a list", str: "text"}
+_KINDS = {
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number",
+    list: "a list",
+    str: "text",
+    dict: "a section",
+}
 # Sections whose keys a user chooses: names of fields and signals, patterns of joints and their groups.
 _OPEN = (
     "model.laws",
