@@ -5,6 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+_NOTHING = 1e-24  # curvature, as a share of the largest, that is only rounding beside other entries
+
 
 class NormalEquations(NamedTuple):
     """The objective near a vector, as a linear least-squares problem; arrays in float64.
@@ -28,7 +30,8 @@ def compress(
     With J' J = V diag(w) V', the rows diag(sqrt(w)) V' are a Jacobian, and diag(1 / sqrt(w)) V' J' r are the residuals'
     part within its columns' span; the last residual is the rest, which no coordinate moves.
     """
-    scale = np.sqrt(np.maximum(np.diag(equations.hessian), np.finfo(float).tiny))
+    curvature = np.diag(equations.hessian)
+    scale = np.sqrt(np.maximum(curvature, max(_NOTHING * curvature.max(initial=0.0), np.finfo(float).tiny)))
     eigenvalues, vectors = np.linalg.eigh(equations.hessian / np.outer(scale, scale))
     kept = eigenvalues > np.finfo(float).eps * len(scale) * max(eigenvalues[-1], 0)
     roots = np.sqrt(np.where(kept, eigenvalues, 0.0))
