@@ -13,13 +13,21 @@ from frictionzoo.bench import Bench
 from frictionzoo.comparison.compared import Compared
 from frictionzoo.comparison.runs import Failure
 from frictionzoo.core.build import build
-from frictionzoo.core.config import compose_settings, list_choices
+from frictionzoo.core.config import AUTO, compose_settings, list_choices
 from frictionzoo.core.described import describe
-from frictionzoo.core.errors import ConfigError, FrictionzooError, LogError, ModelError, RunError, refuse_unlike
+from frictionzoo.core.errors import (
+    ConfigError,
+    FrictionzooError,
+    LogError,
+    ModelError,
+    RunError,
+    refuse_unlike,
+)
 from frictionzoo.core.log import Log
 from frictionzoo.fit import Fit
 from frictionzoo.fit.base import REGISTRY as METHODS
-from frictionzoo.identification import Problem, solve
+from frictionzoo.identification import Parts, Problem, solve
+from frictionzoo.identification.recipe import leave_open, refuse_unknown
 from frictionzoo.logs.cache import digest
 from frictionzoo.logs.clean import Cleaning
 from frictionzoo.logs.files import AS_IT_IS, UPRIGHT, Files
@@ -30,7 +38,6 @@ from frictionzoo.models.base import FrictionModel
 from frictionzoo.models.by_name import law_section
 from frictionzoo.models.registry import get_model
 from frictionzoo.result.identified import Identified
-from frictionzoo.simulate.context import computing
 
 # Options, as messages name them, that are arguments of another name here; not what looks alike in a file's path.
 _DATA = "columns|units|sign|fields|fields_from_name|where|exclude|inputs|payload|clean"
@@ -101,6 +108,7 @@ class How(TypedDict, total=False):
     """The options of `identify`, which describes them."""
 
     test: float | Split | None
+    recipe: str
     method: str | Fit
     segments: Cut
     loss: Loss
@@ -108,7 +116,7 @@ class How(TypedDict, total=False):
     loop: Looping
     scale: Mapping[str, float]
     seed: int
-    dtype: str
+    dtype: str | None
     engine: str
     device: str
     compilation_cache: str | None
@@ -179,6 +187,7 @@ def identify(
     logs: Logs | Log | Sequence[Log],
     *,
     test: float | Split | None = None,
+    recipe: str = AUTO,
     method: str | Fit = "auto",
     segments: Cut | None = None,
     loss: Loss | None = None,
@@ -186,7 +195,7 @@ def identify(
     loop: Looping | None = None,
     scale: Mapping[str, float] | None = None,
     seed: int = 0,
-    dtype: str = "float32",
+    dtype: str | None = None,
     engine: str = "auto",
     device: str = "auto",
     compilation_cache: str | None = "user",
@@ -199,6 +208,9 @@ def identify(
             for each pattern of joints' names, as `by_joint` takes them.
         logs: Recordings.
         test: Which of them judge the result: the last share of each, or a rule; None as they were read.
+        recipe: `auto`: what is not said here or by the bench is found on the training logs, and told with its reason in
+            `result["recipe"]`: precision, segments, loss, whether commands act late or the encoder's zero is another,
+            and the simulation step. `given`: it is that of the configuration, the paper's.
         method: Name of a fit, `auto`, `lm`, `adam`, `grid` or `known`, or one with options of its own.
         segments: What the fit compares: `count` windows of `length` samples.
         loss: What the fit minimises: weights of `position` and `velocity`, `robust`, `robust_scale`, `refine`,
@@ -208,7 +220,7 @@ def identify(
         scale: Typical `torque`, `velocity`, `damping` and `inertia` of the drive, of which bounds and initial values of
             a law that is named are multiples; 1 in SI units where nothing is said.
         seed: Of a network's initial weights, for a law that is named.
-        dtype: `float32` or `float64`.
+        dtype: `float32` or `float64`; None as the recipe has it.
         engine: `auto`, `specialised` or `mjx`.
         device: `auto`, `cpu` or `cuda`.
         compilation_cache: Where compiled functions are kept: `user`, a path, or None.
@@ -226,8 +238,10 @@ def identify(
     refuse_unlike("method", fit, Fit, f"a name, {', '.join(METHODS.names())}, or such an object")
     sections = {"segments": segments, "loss": loss, "evaluation": evaluation, "loop": loop, "scale": scale}
     given: dict[str, Any] = {name: options for name, options in sections.items() if options is not None}
-    given |= {"seed": seed, "dtype": dtype, "engine": engine, "device": device, "compilation_cache": compilation_cache}
-    settings = compose_settings(given)
+    given |= {"seed": seed, "engine": engine, "device": device, "compilation_cache": compilation_cache}
+    given |= {} if dtype is None else {"dtype": dtype}
+    refuse_unknown(recipe)
+    settings = compose_settings(given, f"recipe={recipe}")
     if isinstance(law, FrictionModel):
         model = law
     else:
@@ -236,10 +250,16 @@ def identify(
         model.bind(bench.joints)
         model.begin(bench.initial_friction(model.params))
     described = {name: value for name, value in describe(model).items() if name != "nv"}
-    settings |= {"bench": describe(bench), "data": dict(recordings.section), "fit": describe(fit), "model": described}
-    with computing(dtype, device, compilation_cache) as place:
-        problem = Problem.pose(bench, copy.deepcopy(model), recordings.divide(), fit, settings | {"logger": None})
-        return solve(problem, law if isinstance(law, str) else model.name, place)
+    told = describe(bench)
+    settings |= {
+        "bench": leave_open(told) if recipe == AUTO else told,
+        "data": dict(recordings.section),
+        "fit": describe(fit),
+        "model": described,
+    }
+    parts = Parts.settle(settings | {"logger": None}, bench, recordings.divide(), copy.deepcopy(model), fit)
+    with parts.computing() as place:
+        return solve(Problem.pose(parts), law if isinstance(law, str) else model.name, place)
 
 
 @_naming_arguments()

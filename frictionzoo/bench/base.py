@@ -29,9 +29,12 @@ _PARAMS = {"armature": "inertia", "delay": "time", "position_offset": "position"
 _OPTIONAL = ("delay", "position_offset")
 _ENCODER = ("position_offset",)
 DEFAULTS: dict[str, dict[str, Any]] = {
-    "armature": {"init": 0.01, "low": 1e-5, "high": 1.0, "scale": "log", "identify": True}
+    "armature": {"init": 0.01, "low": 1e-5, "high": 1.0, "scale": "log", "identify": True},
+    "delay": {"init": 0.0, "low": 0.0, "high": 0.1, "scale": 0.01, "identify": False},
+    "position_offset": {"init": 0.0, "low": -0.2, "high": 0.2, "scale": 0.1, "identify": False},
 }
-"""What a bench's parameter is where nothing else is said: the armature of a servo's joint [kg m^2]."""
+"""What a bench's parameter is where nothing else is said: the armature of a servo's joint [kg m^2], no delay [s], and
+an encoder whose zero is right [rad or m]."""
 _HEAVIER = 100.0  # times a fitted armature, or a part of it, within which it may move where a bench starts again
 
 

@@ -10,13 +10,12 @@ from frictionzoo import __version__
 from frictionzoo.core.build import build
 from frictionzoo.core.config import list_options
 from frictionzoo.fit.loop import Record
-from frictionzoo.identification import Problem, solve
+from frictionzoo.identification import Parts, Problem, solve
 from frictionzoo.logs.cache import digest
 from frictionzoo.result.identified import Identified
 from frictionzoo.result.record import describe_data, pick_metrics
 from frictionzoo.result.types import Result
 from frictionzoo.show.terminal import summarise_in_markdown
-from frictionzoo.simulate.context import computing
 
 
 def run_job(
@@ -38,8 +37,9 @@ def run_job(
     """
     settings = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
     logger = build(settings["logger"])
-    with computing(settings["dtype"], settings["device"], settings["compilation_cache"]) as device:
-        measured = Problem.from_settings(settings)
+    parts = Parts.from_settings(settings)
+    with parts.computing() as device:
+        measured = Problem.pose(parts)
         problem = measured if teacher is None else measured.following(teacher)
         record = Record(folder, logger, _identify(name, problem), _list_hyperparameters(name, problem))
         found = solve(problem, name, device, record=record, measured=measured)

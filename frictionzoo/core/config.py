@@ -18,6 +18,9 @@ from frictionzoo.core.described import describe
 from frictionzoo.core.errors import ConfigError, closest
 from frictionzoo.core.threads import count_cores, jobs_at_once, threads_each
 
+AUTO = "auto"
+"""Value of an option that is left open, for `recipe=auto` to choose."""
+
 _PACKAGE = Path(__file__).parents[1]
 # A wheel ships conf/ inside the package; in a checkout it stands beside it.
 CONF_DIR = _PACKAGE / "conf" if (_PACKAGE / "conf").is_dir() else _PACKAGE.parent / "conf"
@@ -28,6 +31,13 @@ _TAKES: dict[str, tuple[Any, ...]] = {
     "compilation_cache": ("", None),
     "model.laws": ("", []),
     "segments.count": (0, None),
+    "segments.length": (0,),
+    "loss.position": (0.1,),
+    "loss.velocity": (0.1,),
+    "loss.robust": ("",),
+    "loss.robust_scale": (0.1,),
+    "loss.refine": (True,),
+    "loss.by_joint": (True,),
     "loop.patience": (0, None),
     "fit.start": ({}, None),
     "evaluation.rollouts": (0, None),
@@ -178,7 +188,7 @@ def _is_open(key: str) -> bool:
 
 def _check_value(key: str, value: Any, default: Any) -> None:
     """ConfigError for a value of another kind than this option takes, or with a number that is none."""
-    if any(isinstance(text, str) and "${" in text for text in (value, default)):
+    if any(isinstance(text, str) and "${" in text for text in (value, default)) or value == default == AUTO:
         return
     examples = next((taken for name, taken in _TAKES.items() if fnmatchcase(key, name)), (default,))
     if default is None or key.endswith(".torque_limit.init"):  # a robot's file may say it

@@ -12,6 +12,7 @@ from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.registry import dotted_name
 
 T = TypeVar("T")
+D = TypeVar("D", bound="Described")
 
 
 class Described:
@@ -47,6 +48,13 @@ def describe(part: Any) -> Any:
         return part
     kind = type(part).__name__
     raise ConfigError(f"{kind}: expected numbers, text, lists or parts of frictionzoo, which a record can hold")
+
+
+def remake(part: D, **changed: Any) -> D:
+    """The same part with other arguments of its constructor, by name."""
+    args, kwargs = getattr(part, "_given")  # noqa: B009 - set in __new__
+    names = [name for name in inspect.signature(type(part).__init__).parameters][1:]
+    return type(part)(**{**dict(zip(names, args, strict=False)), **kwargs, **changed})
 
 
 def _arguments(cls: type, args: tuple[Any, ...], kwargs: Mapping[str, Any]) -> dict[str, Any]:

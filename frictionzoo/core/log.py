@@ -46,6 +46,7 @@ class Log:
             of shape (time, columns).
         inputs: Those that the bench's actuator law needs besides the command, by name; `Bench.accept` picks them.
         observed: Those that the friction law looks at, by name; `Bench.accept` picks them too.
+        velocity_estimated: Whether qvel was computed from qpos, so that it says nothing of its own.
         repairs: What cleaning changed, a sentence each.
         metadata: What else the source says about it (gains, notes).
 
@@ -65,6 +66,7 @@ class Log:
     extras: Mapping[str, Float[np.ndarray, "time _"]] = field(default_factory=dict)
     inputs: Mapping[str, Float[np.ndarray, "time nv"]] = field(default_factory=dict)
     observed: Mapping[str, Float[np.ndarray, "time nv"]] = field(default_factory=dict)
+    velocity_estimated: bool = False
     repairs: tuple[str, ...] = ()
     metadata: Mapping[str, Any] = field(default_factory=dict)
 

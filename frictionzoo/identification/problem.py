@@ -1,10 +1,11 @@
 """What is to be identified, from which recordings, and how: all of the input, looked at."""
 
+import contextlib
 import logging
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -21,17 +22,81 @@ from frictionzoo.fit import Fit, Objective, Space
 from frictionzoo.fit.link_inertia import LinkInertia
 from frictionzoo.fit.recordings import Recordings
 from frictionzoo.fit.start import begin_where
+from frictionzoo.identification.recipe import Settled, settle
+from frictionzoo.identification.stages import Choice, close
 from frictionzoo.models import FrictionModel
 from frictionzoo.models.by_name import complete_laws
 from frictionzoo.result.evaluate import Evaluation
 from frictionzoo.result.identified import Identified
 from frictionzoo.result.record import describe_data
 from frictionzoo.result.torque import choose_filtering
+from frictionzoo.simulate.context import computing
 from frictionzoo.simulate.drive import Drive
 from frictionzoo.simulate.proof import Proof, Recorded, initial_values, prove
 
 _log = logging.getLogger(__name__)
 _AT_ONCE = 25_000  # samples that are looked at together
+
+
+class Parts(NamedTuple):
+    """What a problem is made of.
+
+    Attributes:
+        settled: The bench and all options: `segments`, `loss` and `evaluation`, the arguments of `cut_segments`,
+            `Objective` and `Evaluation`; `engine`; `dtype`; and whatever else the record is to tell.
+        dataset: Recordings, train and test.
+        model: The friction law; it is made ready for the data, and a fit leaves the best values in it.
+        fit: How to find the parameters.
+        seconds: What it took to have them [s].
+    """
+
+    settled: Settled
+    dataset: Dataset
+    model: FrictionModel
+    fit: Fit
+    seconds: float
+
+    @classmethod
+    def from_settings(cls, settings: Mapping[str, Any]) -> "Parts":
+        """The parts that the settings describe.
+
+        Raises:
+            FrictionzooError: The input is at fault.
+        """
+        began = time.perf_counter()
+        settings = {**settings, "model": complete_laws(settings["model"], settings)}
+        bench, dataset = build({**settings["bench"], **close(settings["bench"])}), build(settings["data"]).load()
+        model = build(settings["model"], nv=bench.nv)
+        model.bind(bench.joints)
+        model.begin(bench.initial_friction(model.params))
+        parts = cls.settle(settings, bench, dataset, model, build(settings["fit"]))
+        return parts._replace(seconds=time.perf_counter() - began)
+
+    @classmethod
+    def settle(
+        cls, settings: Mapping[str, Any], bench: Bench, dataset: Dataset, model: FrictionModel, fit: Fit
+    ) -> "Parts":
+        """These parts, with what the settings leave open found on the training recordings.
+
+        Args:
+            settings: All options; an open one is `auto`.
+            bench: The test stand without what is open.
+            dataset: Recordings, train and test.
+            model: The friction law.
+            fit: How to find the parameters.
+
+        Raises:
+            FrictionzooError: The input is at fault.
+        """
+        began = time.perf_counter()
+        with computing("float64", settings["device"], settings["compilation_cache"]):
+            settled = settle(settings, bench, dataset, model, fit)
+        return cls(settled, dataset, model, fit, time.perf_counter() - began)
+
+    def computing(self) -> contextlib.AbstractContextManager[str]:
+        """JAX in the precision and on the device of the settings."""
+        settings = self.settled.settings
+        return computing(settings["dtype"], settings["device"], settings["compilation_cache"])
 
 
 @dataclass(frozen=True)
@@ -53,6 +118,7 @@ class Problem:
         settings: All options of the run.
         seconds: What posing it took [s].
         links: Link inertias that were identified before, and are the bench's; None where none were.
+        choices: What was left open of the settings, and found.
     """
 
     bench: Bench
@@ -69,41 +135,26 @@ class Problem:
     settings: Mapping[str, Any]
     seconds: float
     links: LinkInertia | None = None
+    choices: tuple[Choice, ...] = ()
 
     @classmethod
     def from_settings(cls, settings: Mapping[str, Any]) -> "Problem":
-        """The problem that the settings describe.
+        """The problem that the settings describe, in the precision and on the device of the present `computing`.
 
         Raises:
             FrictionzooError: The input is at fault.
         """
-        began = time.perf_counter()
-        settings = {**settings, "model": complete_laws(settings["model"], settings)}
-        bench, dataset = build(settings["bench"]), build(settings["data"]).load()
-        model = build(settings["model"], nv=bench.nv)
-        model.bind(bench.joints)
-        model.begin(bench.initial_friction(model.params))
-        problem = cls.pose(bench, model, dataset, build(settings["fit"]), settings)
-        return replace(problem, seconds=time.perf_counter() - began)
+        return cls.pose(Parts.from_settings(settings))
 
     @classmethod
-    def pose(
-        cls, bench: Bench, model: FrictionModel, dataset: Dataset, fit: Fit, settings: Mapping[str, Any]
-    ) -> "Problem":
+    def pose(cls, parts: "Parts") -> "Problem":
         """The problem of these parts, in the precision and on the device of the present `computing`.
-
-        Args:
-            bench: The test stand.
-            model: The friction law; it is made ready for the data, and a fit leaves the best values in it.
-            dataset: Recordings, train and test.
-            fit: How to find the parameters.
-            settings: `segments`, `loss` and `evaluation`, the arguments of `cut_segments`, `Objective` and
-                `Evaluation`; `engine`; `dtype`; and whatever else the record is to tell.
 
         Raises:
             FrictionzooError: The input is at fault.
         """
         began = time.perf_counter()
+        settings, bench, dataset, model, fit = parts.settled.settings, parts.settled.bench, *parts[1:4]
         model.bind(bench.joints)
         bench = bench.observing(model.inputs)
         accepted = bench.accept_all(dataset)
@@ -116,7 +167,7 @@ class Problem:
             told = {name: describe(bench)[name] for name in ("inertia", "gravity")}
             settings = {**settings, "bench": {**settings["bench"], **told}}
         dataset = bench.accept_all(dataset) if links else accepted
-        doubts = doubt_recordings(dataset, bench) + doubt_motion(dataset, bench)
+        doubts = [*doubt_recordings(dataset, bench), *doubt_motion(dataset, bench), *parts.settled.doubts]
         sampling = bench.sampling(dataset.logs[0].timestep)
         segments = cut_segments(dataset.train, **settings["segments"], history=sampling.history)
         evaluation = Evaluation(dataset, bench.joint_type, **settings["evaluation"], history=sampling.history)
@@ -128,13 +179,15 @@ class Problem:
         space = Space(bench, drive.model, settings["dtype"])
         objective = Objective(space, drive.rollout, segments, **settings["loss"])
         objective.recordings = Recordings(bench, drive.model, dataset.train)
+        if parts.settled.start is not None:
+            objective = objective.starting(parts.settled.start)
         fit = fit.choose(objective)
         if fit.start is not None:
             objective = begin_where(fit.start, objective)
         objective = objective.balanced()
-        seconds = time.perf_counter() - began
+        seconds = parts.seconds + time.perf_counter() - began
         posed = (bench, dataset, doubts, sampling, segments, evaluation, drive, proof, samples, objective)
-        return cls(*posed, fit, settings, seconds, links)
+        return cls(*posed, fit, settings, seconds, links, parts.settled.choices)
 
     def following(self, teacher: Identified) -> "Problem":
         """The same problem with a fitted drive's rollouts in place of the measured segments, judged as before.

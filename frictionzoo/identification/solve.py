@@ -78,6 +78,7 @@ def solve(
         warnings=problem.doubts,
         device=device,
         uncertainty=uncertainty,
+        recipe=[{"option": option, "value": value, "reason": reason} for option, value, reason in problem.choices],
     )
     return _hand_over(problem, outcome, build_result(found), _collect_curves(problem, outcome, judgement, baseline))
 

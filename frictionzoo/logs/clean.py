@@ -112,6 +112,7 @@ class Piece:
     time: Float[np.ndarray, "time"]
     signals: Signals
     repairs: tuple[str, ...] = ()
+    velocity_estimated: bool = False
 
     def say(self, *sentences: str) -> "Piece":
         """The same with more said about it."""
@@ -168,6 +169,7 @@ def _finish(piece: Piece, name: str, recording: Recording, cleaning: Cleaning) -
         recording.sha256,
         recording.simulated,
         extras={extra: piece.signals[extra] for extra in EXTRAS if extra in piece.signals},
+        velocity_estimated=piece.velocity_estimated,
         repairs=piece.repairs,
         metadata=recording.fields,
     )
@@ -354,4 +356,5 @@ def _choose_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
     cutoff, order = cleaning.cutoff, cleaning.order
     qvel = _each(estimate_velocity, piece.signals["qpos"], timestep, cutoff, order, name, "data.clean.cutoff")
     how = f"zero-phase Butterworth low-pass of order {order} at {cutoff:g} Hz, central differences"
-    return replace(piece, signals={**piece.signals, "qvel": qvel}).say(f"qvel estimated from qpos: {how}")
+    estimated = replace(piece, signals={**piece.signals, "qvel": qvel}, velocity_estimated=True)
+    return estimated.say(f"qvel estimated from qpos: {how}")

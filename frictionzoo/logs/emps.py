@@ -77,6 +77,7 @@ class Emps(Source):
             raw.ctrl,
             hashlib.sha256(content).hexdigest(),
             simulated=False,
+            velocity_estimated=True,
             metadata={"citation": CITATION, "file": file_name},
         )
 

@@ -1,5 +1,7 @@
 """What a signal tells by itself or beside another: breaks, spikes, outliers, quantum, lag and velocity."""
 
+import math
+
 import numpy as np
 import scipy.signal
 from jaxtyping import Bool, Float, Int
@@ -16,6 +18,7 @@ TOP = 0.001  # share of the samples on either side that may lie beyond what coun
 LONGEST_LAG = 0.1  # s, searched on either side
 ALIKE = 0.9  # correlation from which on two signals are delayed copies of each other
 ORDER = 2  # of the velocity estimate's filter; its cut-off is a tenth of the sample rate, at most 50 Hz
+_DIFFERENCES = 6  # largest order of differences that noise is sought in
 MOST_ORDER = 20  # of a filter; above, its coefficients are rounding
 
 Signal = Float[np.ndarray, "time"]
@@ -90,6 +93,22 @@ def find_quantum(signal: Signal) -> float | None:
     few = ratio < 1000  # beyond, the rounding of the quantum itself decides
     whole = np.abs(ratio[few] - np.round(ratio[few])) < 0.1
     return quantum if whole.mean() >= QUANTISED else None
+
+
+def find_noise(signal: Signal) -> float:
+    """Standard deviation of the white noise in a signal that is smooth from sample to sample, in its own unit.
+
+    A d-th difference takes away what a polynomial of that order leaves behind, and multiplies the variance of noise by
+    the binomial coefficient of 2 d over d: of orders up to `_DIFFERENCES`, the least remainder is taken. Rounding to
+    steps counts as noise of a twelfth of their square.
+
+    Source: P. Hall, J. Kay, D. Titterington, "Asymptotically optimal difference-based estimation of variance in
+    nonparametric regression", Biometrika 77(3), 1990.
+    """
+    orders = range(1, min(_DIFFERENCES, len(signal) - 1) + 1)
+    left = [float(np.square(np.diff(signal, order)).mean()) / math.comb(2 * order, order) for order in orders]
+    rounding = (find_quantum(signal) or 0.0) / math.sqrt(12)
+    return max(math.sqrt(min(left, default=0.0)), rounding)
 
 
 def find_lag(signal: Signal, reference: Signal, timestep: float) -> tuple[float, float] | None:

@@ -30,7 +30,7 @@ from frictionzoo.result.values import list_values
 from frictionzoo.result.verdict import doubt_sizes, explain_failure
 from frictionzoo.simulate.proof import Proof
 
-SCHEMA_VERSION: Final = 6
+SCHEMA_VERSION: Final = 7
 PACKAGES = ("frictionzoo", "mujoco", "mujoco-mjx", "jax", "torch", "optax", "lightning", "numpy")
 
 
@@ -63,6 +63,7 @@ class Findings:
         warnings: What makes the result doubtful, a sentence each.
         device: Where it ran.
         uncertainty: How far the data determine what was identified.
+        recipe: What was left open of the settings, and found.
     """
 
     name: str
@@ -84,6 +85,7 @@ class Findings:
     warnings: Sequence[str]
     device: str
     uncertainty: Uncertainty
+    recipe: Sequence[types.ChoiceRow] = ()
 
 
 def build_result(found: Findings) -> types.Result:
@@ -125,6 +127,7 @@ def build_result(found: Findings) -> types.Result:
         "evaluation": {"sha256": found.evaluation.sha256, "window": found.evaluation.window},
         "fit": found.fit,
         "timing": found.timing,
+        "recipe": list(found.recipe),
         "seed": found.settings["seed"],
         "dtype": found.settings["dtype"],
         "engine": cast(types.Simulator, found.engine),

@@ -265,11 +265,22 @@ class FitRow(TypedDict):
     iterations: by more than a third of half their interval, or 1 % of their value where they have none."""
 
 
+class ChoiceRow(TypedDict):
+    """An option that was left open."""
+
+    option: Text
+    """Its dotted name."""
+    value: float | bool | str | None
+    """What was chosen."""
+    reason: Text
+    """Why."""
+
+
 class TimingRow(TypedDict):
     """Wall-clock seconds."""
 
     setup: NotNegative
-    """Reading or making data, building bench and model."""
+    """Reading or making data, building bench and model, and finding what was left open of the settings."""
     compile: NotNegative
     """Compiling the fit's rollouts."""
     fit: NotNegative
@@ -319,7 +330,7 @@ class Result(TypedDict):
     fitted). A run writes this file last: where it exists, the run's other files do too.
     """
 
-    schema_version: Literal[6]
+    schema_version: Literal[7]
     """Raised by every change that a reader of this file could notice."""
     model: Text
     """The chosen model, a file of conf/model."""
@@ -359,6 +370,9 @@ class Result(TypedDict):
     evaluation: EvaluationRow
     fit: FitRow
     timing: TimingRow
+    recipe: list[ChoiceRow]
+    """With `recipe=auto`, what was left open and found on the training recordings, in the order in which it was found;
+    empty where all options were given."""
     seed: int
     """Seed of everything random in the run."""
     dtype: Number

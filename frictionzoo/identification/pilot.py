@@ -1,0 +1,163 @@
+"""A fit ahead of the fit: what settings are chosen by."""
+
+import copy
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from frictionzoo.bench import Bench
+from frictionzoo.core.errors import FitError
+from frictionzoo.core.log import Log
+from frictionzoo.core.segments import cut_rollouts, cut_segments
+from frictionzoo.fit import Objective, Space
+from frictionzoo.fit.chunk import search
+from frictionzoo.fit.lm import LevenbergMarquardt
+from frictionzoo.fit.normal_equations import NormalEquations
+from frictionzoo.fit.uncertainty import assess
+from frictionzoo.models import FrictionModel
+from frictionzoo.simulate import Values
+from frictionzoo.simulate.drive import Drive
+
+_TRIES, _TOLERANCE = 60, 1e-6
+_ROLLOUTS = 64  # by which errors are told
+_DISTURBED = 1e-3  # share of a joint's speed by which initial velocities are disturbed
+
+
+class Found(NamedTuple):
+    """Where a pilot ended.
+
+    Attributes:
+        labels: Name of each coordinate, as `Space.labels` has it.
+        vector: The coordinates.
+        half: Half of the 95 % interval of each; NaN where there is none.
+        at_bound: Whether its value ended at a bound.
+    """
+
+    labels: list[str]
+    vector: Float[np.ndarray, "coordinates"]
+    half: Float[np.ndarray, "coordinates"]
+    at_bound: Bool[np.ndarray, "coordinates"]
+
+    def among(self, labels: Sequence[str], otherwise: Float[np.ndarray, "others"]) -> Float[np.ndarray, "others"]:
+        """The coordinates of these names, another's where there is none."""
+        known = dict(zip(self.labels, self.vector, strict=True))
+        return np.array([known.get(label, value) for label, value in zip(labels, otherwise, strict=True)])
+
+
+class Pilot:
+    """A problem of which only the fit is posed, in float64.
+
+    Args:
+        bench: The test stand.
+        model: The law; it stays as it is.
+        logs: Recordings that it is fitted on.
+        segments: Arguments of `cut_segments`.
+        loss: Of `Objective`.
+        engine: Name of the engine.
+
+    Raises:
+        FrictionzooError: The input is at fault.
+    """
+
+    def __init__(
+        self,
+        bench: Bench,
+        model: FrictionModel,
+        logs: Sequence[Log],
+        segments: Mapping[str, Any],
+        loss: Mapping[str, Any],
+        engine: str,
+    ) -> None:
+        self.bench: Bench = bench.observing(model.inputs)
+        accepted = tuple(map(self.bench.accept, logs))
+        self._sampling = self.bench.sampling(accepted[0].timestep)
+        self._drive = Drive.assemble(self.bench, copy.deepcopy(model), engine, self._sampling)
+        self.segments = cut_segments(accepted, **segments, history=self._sampling.history)
+        space = Space(self.bench, self._drive.model, "float64")
+        self.objective: Objective = Objective(space, self._drive.rollout, self.segments, **loss).balanced()
+
+    @property
+    def space(self) -> Space:
+        """What it moves."""
+        return self.objective.space
+
+    @property
+    def start(self) -> Float[np.ndarray, "coordinates"]:
+        """Where it begins of itself."""
+        return np.asarray(self.space.start, np.float64)
+
+    def fit(self, start: Float[np.ndarray, "coordinates"] | None = None) -> Found:
+        """The best vector, by Levenberg-Marquardt.
+
+        Raises:
+            FitError: The loss is not finite where it begins.
+        """
+        objective = self.objective if start is None else self.objective.starting(start)
+        progress, _ = search(LevenbergMarquardt(_TRIES, _TOLERANCE), objective)
+        vector = np.asarray(progress.best, np.float64)
+        if bool(progress.broken) or not np.isfinite(vector).all():
+            raise FitError("the loss is not finite where the fit begins")
+        equations, scores = self.objective.compile_scores()(vector)
+        found = assess(self.space, vector, equations, scores)
+        ends = self.space.pick({name: found.intervals[name] for name in self.space.places})
+        half = np.array([self._half(label, np.asarray(ends[label])) for label in self.space.labels])
+        return Found(self.space.labels, vector, half, self.space.at_bound(vector))
+
+    def moves(self, found: Found) -> Float[np.ndarray, "coordinates"]:
+        """By how many of its half intervals each parameter would move from where another pilot of the same ended.
+
+        One step of Gauss and Newton; 0 where there is no interval.
+        """
+        equations = self.objective.compile_normal_equations()(found.vector)
+        free = np.isfinite(found.half) & ~found.at_bound
+        step = np.zeros(len(free))
+        step[free] = -_solve(equations, np.flatnonzero(free))
+        return np.where(free, np.abs(step) / np.where(free, found.half, 1.0), 0.0)
+
+    def values(self, vector: Float[np.ndarray, "coordinates"]) -> Values:
+        """Of all parameters."""
+        return self.space.values(np.asarray(vector, self.space.start.dtype))
+
+    def errors(
+        self, vector: Float[np.ndarray, "coordinates"], logs: Sequence[Log], horizon: float
+    ) -> Float[np.ndarray, "batch time nv"]:
+        """Errors of position in rollouts of this length [s] from measured states, one after the other in recordings."""
+        accepted = tuple(map(self.bench.accept, logs))
+        windows = cut_rollouts(accepted, horizon, _ROLLOUTS, "consecutive", 0, self._sampling.history)
+        qpos, _ = self._drive.rollout.compiled(
+            self.values(vector), windows.qpos[:, 0], windows.qvel[:, 0], windows.signals, windows.loads
+        )
+        return np.asarray(qpos) - windows.qpos[:, 1:]
+
+    def growth(self) -> Float[np.ndarray, "time"]:
+        """How far a disturbed initial velocity carries the position, over what it does without any force.
+
+        Median over segments, of the joint in which it is largest, at the initial values.
+        """
+        cut, values = self.segments, self.values(self.start)
+        kept = np.unique(np.linspace(0, cut.count - 1, _ROLLOUTS).astype(int))
+        qpos, qvel = cut.qpos[kept, 0], cut.qvel[kept, 0]
+        signals = cut.signals.map(lambda signal: signal[kept])
+        disturbed = _DISTURBED * np.sqrt(np.square(cut.qvel).mean(axis=(0, 1))) + np.finfo(float).tiny
+        ends = [
+            np.asarray(self._drive.rollout.compiled(values, qpos, start, signals, cut.loads[kept])[0])
+            for start in (qvel, qvel + disturbed)
+        ]
+        time = np.arange(1, cut.length + 1) * cut.timestep
+        grown = np.abs(ends[1] - ends[0]) / (disturbed * time[:, None])
+        return np.nan_to_num(np.median(grown.max(axis=2), axis=0), nan=np.inf)
+
+    def _half(self, label: str, ends: Float[np.ndarray, "2"]) -> float:
+        """Half an interval in the optimiser's coordinate."""
+        param = self.space.params[label.partition("/")[0]]
+        low, high = param.to_coordinate(ends, np)
+        return float(high - low) / 2
+
+
+def _solve(equations: NormalEquations, free: Any) -> Float[np.ndarray, "free"]:
+    """H^-1 g of these coordinates."""
+    hessian, gradient = equations.hessian[np.ix_(free, free)], equations.gradient[free]
+    scale = np.sqrt(np.diag(hessian))
+    return np.linalg.lstsq(hessian / np.outer(scale, scale), gradient / scale, rcond=1e-10)[0] / scale

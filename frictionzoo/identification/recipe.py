@@ -1,0 +1,77 @@
+"""Settings that find themselves: what a user leaves open is chosen on the training data alone, with a reason each."""
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from frictionzoo.bench import Bench
+from frictionzoo.core.config import AUTO
+from frictionzoo.core.errors import ConfigError, closest
+from frictionzoo.core.log import Dataset
+from frictionzoo.fit import Fit
+from frictionzoo.identification.stages import Choice, Stages
+from frictionzoo.models import FrictionModel
+
+_log = logging.getLogger(__name__)
+
+RECIPES = ("given", AUTO)
+_PERHAPS = {"delay": {"identify": AUTO, "high": 0.1}, "position_offset": {"identify": AUTO}}
+
+
+@dataclass(frozen=True)
+class Settled:
+    """Settings of which nothing is left open.
+
+    Attributes:
+        settings: All options of the run.
+        bench: The test stand with them.
+        choices: What was left open, in the order in which it was chosen.
+        start: Coordinates at which the fit begins; None: at the initial values.
+        doubts: Where the accuracy that was sought is not reached, a sentence each.
+    """
+
+    settings: Mapping[str, Any]
+    bench: Bench
+    choices: tuple[Choice, ...] = ()
+    start: Float[np.ndarray, "coordinates"] | None = None
+    doubts: tuple[str, ...] = ()
+
+
+def settle(settings: Mapping[str, Any], bench: Bench, dataset: Dataset, model: FrictionModel, fit: Fit) -> Settled:
+    """Choose what the settings leave open, on the training recordings alone, in float64.
+
+    Args:
+        settings: All options; an open one is `auto`. What is not, stays.
+        bench: The test stand without what is open.
+        dataset: Recordings.
+        model: The law, bound to the joints of the bench; it stays as it is.
+        fit: How parameters are to be found.
+
+    Raises:
+        FrictionzooError: The input is at fault.
+    """
+    refuse_unknown(settings["recipe"])
+    if settings["recipe"] != AUTO:
+        return Settled(settings, bench)
+    stages = Stages(settings, bench, dataset, model, fit)
+    choices = []
+    for choice in stages.run():
+        _log.info("%s", choice)
+        choices.append(choice)
+    return Settled(stages.settings, stages.bench(), tuple(choices), stages.start, tuple(stages.doubts))
+
+
+def refuse_unknown(recipe: str) -> None:
+    """ConfigError where there is no such recipe."""
+    if recipe not in RECIPES:
+        raise ConfigError(f"recipe={recipe}: no such recipe; {closest(recipe, RECIPES)}")
+
+
+def leave_open(bench: Mapping[str, Any]) -> dict[str, Any]:
+    """A bench's section that leaves open what its maker said nothing of."""
+    timestep = AUTO if bench.get("timestep") is None else bench["timestep"]
+    return {**bench, "params": {**_PERHAPS, **(bench.get("params") or {})}, "timestep": timestep}

@@ -1,0 +1,325 @@
+"""What a recipe chooses, stage by stage: weights, segments, loss, what is late or askew, and the simulation step."""
+
+import copy
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from frictionzoo.bench import Bench
+from frictionzoo.core.config import AUTO
+from frictionzoo.core.described import remake
+from frictionzoo.core.log import Dataset, Log
+from frictionzoo.fit import Fit
+from frictionzoo.fit.auto import Auto
+from frictionzoo.fit.lm import MOST_COORDINATES, LevenbergMarquardt
+from frictionzoo.identification.noise import Noise
+from frictionzoo.identification.pilot import Found, Pilot
+from frictionzoo.models import FrictionModel, TorchFriction
+
+OPTIONAL = {"delay": "commands act late", "position_offset": "the encoder's zero is another"}
+"""Parameters of a bench that are identified where recordings show them, and what they stand for."""
+_LONGEST, _SHORT = 1.0, 0.1  # s, of segments: with initial states that are estimated along, and for other fits
+_FEWEST = 10  # samples of a segment
+_GROWTH = 20.0  # times that a disturbance may grow within a segment
+_COARSEST, _FINEST = 5e-4, 1e-5  # s, of the simulation
+_FIRST_STEPS, _MOST_STEPS = 1.5e6, 5e6  # simulation steps times joints, of first fits and of the last
+_LEAST = 0.1  # share of the segments that is left where they are too many steps
+_MOVES = 1 / 3  # of half an interval, that a parameter may move by when the simulation step is halved
+_ROUNDS = 4  # of shorter steps
+_TAILS = 10.0  # fourth over squared second moment of the errors from which on a robust loss is tried; of noise 3
+_BETTER = 0.02  # share by which it has to predict the validation block better
+_WIDE = 1.5  # times the median absolute error, from which on one counts less than its square
+_VALIDATION = 0.2  # share of the training recordings
+
+
+class Choice(NamedTuple):
+    """What was chosen for an option that was left open, and why."""
+
+    option: str
+    value: Any
+    reason: str
+
+    def __str__(self) -> str:
+        value = "null" if self.value is None else self.value
+        return f"{self.option}={str(value).lower() if isinstance(value, bool) else value}: {self.reason}"
+
+
+def is_open(params: Mapping[str, Any], name: str) -> bool:
+    """Whether the section of a bench's parameters leaves open if this one is identified."""
+    return isinstance(params.get(name), Mapping) and params[name].get("identify") == AUTO
+
+
+def close(bench: Mapping[str, Any], free: bool = False) -> dict[str, Any]:
+    """Arguments of a bench, `params` and `timestep`, of which nothing is left open.
+
+    Args:
+        bench: Its section.
+        free: Whether what may be identified is; otherwise it is left out. A step that is open is the template's.
+    """
+    params, timestep = dict(bench.get("params") or {}), bench.get("timestep")
+    for name in OPTIONAL:
+        if is_open(params, name):
+            params[name] = {**params[name], "identify": free}
+    return {"params": params, "timestep": None if timestep == AUTO else timestep}
+
+
+class Stages:
+    """The settings on their way: what one stage chooses, the next ones use."""
+
+    def __init__(
+        self, settings: Mapping[str, Any], bench: Bench, dataset: Dataset, model: FrictionModel, fit: Fit
+    ) -> None:
+        self.settings: dict[str, Any] = copy.deepcopy(dict(settings))
+        self.doubts: list[str] = []
+        self.start: np.ndarray | None = None
+        self._given, self._plain, self._train, self._model, self._fit = settings, bench, dataset.train, model, fit
+        self._free = {name: is_open(settings["bench"]["params"], name) for name in OPTIONAL}
+        self._interval = dataset.train[0].timestep
+        self._step_is_open = settings["bench"].get("timestep") == AUTO
+        if self._step_is_open:  # the longest whole part of a sample interval that is no longer
+            longest = min(bench.timestep, _COARSEST)
+            self._set_step(self._interval / math.ceil(self._interval / longest - 1e-9))
+        self._bench = self.bench(free=True)
+        self._samples = sum(log.samples for log in dataset.train) * self._bench.nv
+        self._small = self._is_small()
+        self._found: Found | None = None
+
+    def _is_small(self) -> bool:
+        """Whether the fit is Levenberg-Marquardt's: then a pilot of it says what is best."""
+        owned = self._bench.params | self._model.params
+        count = sum(param.is_identified for param in owned.values()) * self._bench.nv
+        count += sum(t.numel() for n, t in self._model.named_parameters() if t.requires_grad and n not in owned)
+        of_few = 0 < count <= MOST_COORDINATES and not isinstance(self._model, TorchFriction)
+        return isinstance(self._fit, Auto | LevenbergMarquardt) and of_few
+
+    def bench(self, free: bool = False) -> Bench:
+        """The test stand by now, with what is still open identified or left out."""
+        return remake(self._plain, **close(self.settings["bench"], free))
+
+    def run(self) -> Iterator[Choice]:
+        """All stages."""
+        yield from self._weigh()
+        yield from self._choose_segments()
+        if self._small:
+            yield from self._choose_loss()
+            yield from self._choose_free()
+            yield from self._refine_step()
+        else:
+            yield from self._leave_out()
+        yield from self._set("segments.count", *self._count(_MOST_STEPS))
+
+    def _is_open(self, option: str) -> bool:
+        section, _, key = option.rpartition(".")
+        return (self._given[section] if section else self._given)[key] == AUTO
+
+    def _set(self, option: str, value: Any, reason: str) -> Iterator[Choice]:
+        """Choose an option if it is open."""
+        if not self._is_open(option):
+            return
+        section, _, key = option.rpartition(".")
+        (self.settings[section] if section else self.settings)[key] = value
+        yield Choice(option, value, reason)
+
+    def _weigh(self) -> Iterator[Choice]:
+        """Precision and weights."""
+        least_squares = "least squares are solved to the last digit: rounding must stay far below the noise"
+        network = "many steps of a gradient, each of which rounds far below what it changes"
+        yield from self._set("dtype", *(("float64", least_squares) if self._small else ("float32", network)))
+        noise, several = Noise.of(self._train), self._bench.nv > 1
+        position = " ".join(f"{each:.2g}" for each in noise.position)
+        yield from self._set("loss.position", 1.0, f"noise of the measured position: {position} {self._unit}")
+        if not self._small:
+            yield from self._set(
+                "loss.velocity", 1.0, "a network's fit begins at measured states, whose noise is in both"
+            )
+        else:
+            yield from self._set("loss.velocity", noise.velocity_weight, self._say_velocity(noise))
+        why = "each joint's errors count over what is left of them" if several else "there is one joint"
+        yield from self._set("loss.by_joint", several, why)
+        if not self._small:
+            yield from self._set("loss.refine", False, "estimating initial states takes too long for a network's fit")
+
+    def _say_velocity(self, noise: Noise) -> str:
+        if noise.velocity is None:
+            return "velocities were estimated from positions and say next to nothing besides"
+        measured = " ".join(f"{each:.2g}" for each in noise.velocity)
+        return f"noise of the measured velocity: {measured} {self._unit}/s"
+
+    @property
+    def _unit(self) -> str:
+        return {"hinge": "rad", "slide": "m"}[self._bench.joint_type]
+
+    def _choose_segments(self) -> Iterator[Choice]:
+        """As long as rollouts stay near the recording, however their initial state is off."""
+        if not self._is_open("segments.length"):
+            return
+        longest = self._samples_in(_LONGEST if self._small else _SHORT)
+        self.settings["segments"]["length"] = longest
+        grown = self._pilot().growth()
+        steady = int(np.argmax(grown > _GROWTH)) if (grown > _GROWTH).any() else longest
+        length = max(min(_FEWEST, longest), steady)
+        far = f"a disturbance of the velocity goes {grown[length - 1]:.2g} times as far as without forces"
+        yield from self._set("segments.length", length, f"{length * self._interval:.3g} s, in which {far}")
+
+    def _samples_in(self, seconds: float) -> int:
+        """Sample intervals of a segment that is at most so long, and fits into each recording."""
+        shortest = min(log.samples for log in self._train) - 1
+        return min(max(_FEWEST, round(seconds / self._interval)), shortest)
+
+    def _count(self, most_steps: float) -> tuple[int | None, str]:
+        """How many segments are simulated in so many steps, and why."""
+        length, step = self.settings["segments"]["length"], self._step
+        steps = self._samples * self._interval / step
+        if steps <= most_steps:
+            return None, "all there are"
+        share = max(most_steps / steps, _LEAST)
+        count = max(1, int(share * self._samples / self._bench.nv / length))
+        return count, f"{100 * share:.0f} % of all, evenly spread: with steps of {1e3 * step:.3g} ms these say enough"
+
+    def _pilot(self, most_steps: float = _FIRST_STEPS, **given: Any) -> Pilot:
+        """A pilot with the settings as they are by now; what is open of the bench is free.
+
+        Args:
+            most_steps: For which segments are left out.
+            given: `logs`, in place of all that train, and options of segments and loss in place of the settings'.
+        """
+        logs = given.pop("logs", self._train)
+        usual = {"robust": "none", "robust_scale": 1.0, "refine": True}
+        loss = {name: usual[name] if value == AUTO else value for name, value in self.settings["loss"].items()}
+        segments = {**self.settings["segments"], "length": given.pop("length", self.settings["segments"]["length"])}
+        if segments["count"] == AUTO:
+            segments["count"] = self._count(most_steps)[0]
+        return Pilot(self.bench(free=True), self._model, logs, segments, {**loss, **given}, self.settings["engine"])
+
+    def _choose_loss(self) -> Iterator[Choice]:
+        """Least squares, unless errors have long tails and a robust loss predicts a validation block better."""
+        pilot = self._pilot()
+        found = pilot.fit()
+        horizon = self._samples_in(float(self._given["evaluation"]["horizons"][0]))
+        errors = pilot.errors(found.vector, self._train, horizon * self._interval)
+        squares = np.square(errors[np.isfinite(errors)])
+        kurtosis = float(np.square(squares).mean() / np.square(squares.mean()))
+        told = f"errors have {'long' if kurtosis > _TAILS else 'no long'} tails (kurtosis {kurtosis:.3g}, of noise 3)"
+        scale = float(f"{_WIDE * np.median(np.sqrt(squares)):.2g}")
+        wanted = kurtosis > _TAILS and all(map(self._is_open, ("loss.robust", "loss.robust_scale", "loss.refine")))
+        share = self._validate(scale, horizon) if wanted else 1.0
+        if wanted:
+            told += f"; a robust loss predicts a validation block with {share:.3g} times the error of least squares"
+        if share < 1 - _BETTER:
+            yield from self._set("loss.robust", "soft_l1", told)
+            yield from self._set("loss.robust_scale", scale, f"{_WIDE} times the median error of position")
+            yield from self._set("loss.refine", False, "a robust loss begins at measured states")
+            if self._is_open("segments.length") and horizon > self.settings["segments"]["length"]:
+                self.settings["segments"]["length"] = horizon
+                yield Choice("segments.length", horizon, "longer: so it predicted the validation block")
+            return
+        self._found = found
+        along = "initial states are estimated along, so that the noise of measured ones does not bend the result"
+        yield from self._set("loss.robust", "none", told)
+        yield from self._set("loss.robust_scale", 1.0, "not used")
+        yield from self._set("loss.refine", True, along)
+
+    def _validate(self, scale: float, horizon: int) -> float:
+        """Mean error of a robust loss over that of least squares, on a block of recordings that neither has seen."""
+        fitted, block = divide(self._train)
+        length = min(horizon, min(log.samples for log in block) - 1)
+        robust = {"robust": "soft_l1", "robust_scale": scale, "refine": False}
+        longer = max(length, self.settings["segments"]["length"])
+        found = []
+        for given in ({}, {**robust, "length": longer}):
+            pilot = self._pilot(logs=fitted, **given)
+            found.append(float(np.abs(pilot.errors(pilot.fit().vector, block, length * self._interval)).mean()))
+        return found[1] / found[0]
+
+    def _choose_free(self) -> Iterator[Choice]:
+        """What of the bench recordings show: its interval does not hold 0."""
+        free = [name for name, is_free in self._free.items() if is_free]
+        if not free:
+            return
+        self._found = self._found or self._pilot().fit()
+        for name in free:
+            shown, told = self._is_shown(self._found, name)
+            self._identify(name, shown)
+            yield Choice(f"bench.params.{name}.identify", shown, f"{OPTIONAL[name] if shown else 'not shown'}: {told}")
+
+    def _is_shown(self, found: Found, name: str) -> tuple[bool, str]:
+        """Whether an optional parameter is, and its values with half their intervals."""
+        param = self._bench.params[name]
+        own = [at for at, label in enumerate(found.labels) if label.partition("/")[0] == f"bench.{name}"]
+        values, halves = (np.asarray(param.from_coordinate(of[own], np)) for of in (found.vector, found.half))
+        ended_high = found.at_bound[own] & (np.abs(values) > 0.5 * np.max(param.each("high", self._bench.nv)))
+        shown = bool((np.abs(values) > halves).any() or ended_high.any())
+        unit = param.unit(self._bench.joint_type)
+        said = (f"{v:.3g}" + (f" +- {h:.2g}" if np.isfinite(h) else "") for v, h in zip(values, halves, strict=True))
+        return shown, f"{', '.join(said)} {unit}" + ("" if np.isfinite(halves).any() else ", of which nothing is told")
+
+    def _identify(self, name: str, whether: bool) -> None:
+        params = dict(self.settings["bench"]["params"])
+        params[name] = {**params[name], "identify": whether}
+        self.settings["bench"] = {**self.settings["bench"], "params": params}
+
+    def _refine_step(self) -> Iterator[Choice]:
+        """Halved until no parameter moves by more than a third of half its interval."""
+        pilot = self._pilot()
+        found = pilot.fit(None if self._found is None else self._found.among(pilot.space.labels, pilot.start))
+        reason = ""
+        for _ in range(_ROUNDS if self._step_is_open else 0):
+            step = self._set_step(self._step / 2)
+            finer = self._pilot(_MOST_STEPS)
+            self._set_step(step)
+            moves = finer.moves(found)
+            largest = float(moves.max(initial=0.0))
+            reason = f"halved, {found.labels[int(moves.argmax())]} would move by {largest:.2g} of half its interval"
+            if largest <= _MOVES:
+                break
+            shortest = max(_FINEST, self._interval * self._samples * _LEAST / _MOST_STEPS)
+            halvings = min(math.ceil(math.log2(largest / _MOVES)), math.floor(math.log2(step / shortest)))
+            if halvings < 1:
+                self.doubts.append(
+                    f"bench.timestep={step:.3g} s: {reason}, expected at most {_MOVES:.2g}; shorter steps take long: "
+                    "set bench.timestep, and fewer segments with segments.count"
+                )
+                break
+            self._set_step(step / 2**halvings)
+            pilot = finer if halvings == 1 else self._pilot(_MOST_STEPS)
+            found = pilot.fit(found.vector)
+        self.start = found.vector
+        if self._step_is_open:
+            yield Choice("bench.timestep", self._step, reason)
+
+    @property
+    def _step(self) -> float:
+        """Of the simulation [s]."""
+        step = self.settings["bench"].get("timestep")
+        return self._plain.timestep if step in (None, AUTO) else step
+
+    def _set_step(self, step: float) -> float:
+        """Take another step; returns the one before."""
+        before = self._step
+        self.settings["bench"] = {**self.settings["bench"], "timestep": step}
+        return before
+
+    def _leave_out(self) -> Iterator[Choice]:
+        """What a fit without a pilot does not look for."""
+        for name in [name for name, free in self._free.items() if free]:
+            self._identify(name, False)
+            why = "not looked for beside a network; fit a law of few parameters first, and set it as that finds it"
+            yield Choice(f"bench.params.{name}.identify", False, why)
+        yield from self._set("loss.robust", "none", "the errors' tails are looked at in fits of few parameters")
+        yield from self._set("loss.robust_scale", 1.0, "not used")
+        if self._step_is_open:
+            yield Choice("bench.timestep", self._step, f"at most {1e3 * _COARSEST:g} ms, a whole part of the interval")
+
+
+def divide(logs: tuple[Log, ...]) -> tuple[tuple[Log, ...], tuple[Log, ...]]:
+    """Recordings to fit, and a validation block: every fifth of many, the last fifth of each of few."""
+    every = round(1 / _VALIDATION)
+    if len(logs) >= every:
+        return tuple(log for at, log in enumerate(logs) if at % every), logs[::every]
+    cuts = [(log, round((1 - _VALIDATION) * log.samples)) for log in logs]
+    return (
+        tuple(log.between(0, cut, "fitted") for log, cut in cuts),
+        tuple(log.between(cut, log.samples, "validation") for log, cut in cuts),
+    )
