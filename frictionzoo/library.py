@@ -13,7 +13,7 @@ from frictionzoo.bench import Bench
 from frictionzoo.comparison.compared import Compared
 from frictionzoo.comparison.runs import Failure
 from frictionzoo.core.build import build
-from frictionzoo.core.config import AUTO, compose_settings, list_choices
+from frictionzoo.core.config import compose_settings, list_choices
 from frictionzoo.core.described import describe
 from frictionzoo.core.errors import (
     ConfigError,
@@ -24,6 +24,7 @@ from frictionzoo.core.errors import (
     refuse_unlike,
 )
 from frictionzoo.core.log import Log
+from frictionzoo.core.params import AUTO
 from frictionzoo.fit import Fit
 from frictionzoo.fit.base import REGISTRY as METHODS
 from frictionzoo.identification import Parts, Problem, solve

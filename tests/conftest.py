@@ -205,7 +205,7 @@ def _record(path: Path) -> None:
 def tiny(recording: Path) -> tuple[str, ...]:
     """Overrides of a job of seconds. Its rollouts have one shape, so that little is compiled."""
     return (
-        *("data=files", f"data.train=[{recording}]", "data.split.gap=0.05", "dtype=float64"),
+        *("data=files", "recipe=given", f"data.train=[{recording}]", "data.split.gap=0.05", "dtype=float64"),
         *("segments.count=20", "loop.chunk=2", "loop.progress=false"),
         *(f"{option}={value}" for option, value in BRIEF.items()),
     )

@@ -87,9 +87,10 @@ def known_options():
     """Dotted names of all options and sections in the files of conf/."""
     known = set()
     for path in CONF_DIR.glob("**/*.yaml"):
-        whole = path.read_text().startswith("# @package _global_") or path.parent == CONF_DIR
+        package = re.match(r"# @package (\S+)", path.read_text())
+        own = package[1] if package else path.parent.name
         file = OmegaConf.to_container(OmegaConf.load(path))
-        for key, _ in list_options(file, "" if whole else f"{path.parent.name}."):
+        for key, _ in list_options(file, "" if own == "_global_" or path.parent == CONF_DIR else f"{own}."):
             known |= set(itertools.accumulate(key.split("."), "{}.{}".format))
     return known
 

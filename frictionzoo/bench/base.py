@@ -18,7 +18,7 @@ from frictionzoo.bench.template import Template, in_full
 from frictionzoo.core.described import Described
 from frictionzoo.core.errors import BenchError, ConfigError, closest, refuse_unlike
 from frictionzoo.core.log import Dataset, Log, Payload
-from frictionzoo.core.params import Param, group_joints, read_params, read_tie
+from frictionzoo.core.params import AUTO, Param, group_joints, read_params, read_tie
 from frictionzoo.core.segments import Sampling
 from frictionzoo.core.state import DriveState
 
@@ -70,7 +70,7 @@ class Bench(Described):
         solreffriction: Time constant [s] and damping ratio of MuJoCo's friction constraint. MuJoCo's default is
             (0.02, 1); a shorter time constant makes sticking stiffer.
         payload: Name of the body that carries the payloads of recordings; None for recordings without.
-        timestep: Simulation step [s]; None for the template's.
+        timestep: Simulation step [s]; None for the template's, `auto` likewise until a recipe has found one.
         inertia: Ten parameters of bodies by name, as `frictionzoo.bench.inertia` has them, in place of those of the
             template: what `fit=inverse_dynamics` found with `fit.links`, or another's identification.
         gravity: In the frame of the world [m/s^2], of a base that stands askew; None for the template's.
@@ -91,7 +91,7 @@ class Bench(Described):
         params: Mapping[str, Any] | None = None,
         solreffriction: Sequence[float] = (0.02, 1.0),
         payload: str | None = None,
-        timestep: float | None = None,
+        timestep: float | str | None = None,
         tie: Any = None,
         inertia: Mapping[str, Sequence[float | int]] | None = None,
         gravity: Sequence[float | int] | None = None,
@@ -110,7 +110,8 @@ class Bench(Described):
         self.notes: tuple[str, ...] = ()
         self.inertia: Mapping[str, Sequence[float | int]] = inertia or {}
         self.gravity: Sequence[float | int] | None = gravity
-        self._template = self._open(mjcf, joint, timestep).with_inertia(self.inertia).with_gravity(gravity)
+        step = None if timestep is None or timestep == AUTO else float(timestep)
+        self._template = self._open(mjcf, joint, step).with_inertia(self.inertia).with_gravity(gravity)
         self.joints: tuple[str, ...] = self._template.joints
         self.unlimited: np.ndarray = np.full((self.nv, 2), np.nan)
         self._tie = read_tie("bench.tie", tie)

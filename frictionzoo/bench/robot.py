@@ -1,6 +1,5 @@
 """A robot's own model file, MJCF or URDF as its maker publishes it, as a bench."""
 
-import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -15,9 +14,8 @@ from frictionzoo.bench.base import DEFAULTS, Bench
 from frictionzoo.bench.robot_file import ReadActuator, RobotFile, read_robot
 from frictionzoo.bench.template import Template
 from frictionzoo.core.errors import BenchError, ConfigError
-from frictionzoo.core.params import Param
+from frictionzoo.core.params import AUTO, Param
 
-_log = logging.getLogger(__name__)
 _INSIDE = 1e-3  # share of the bounds' distance, in the optimiser's coordinate, by which a fit starts inside
 
 
@@ -68,14 +66,15 @@ class Robot(Bench):
         others: str = "fixed",
         solreffriction: Sequence[float] = (0.02, 1.0),
         payload: str | None = None,
-        timestep: float | None = None,
+        timestep: float | str | None = None,
         tie: Any = None,
         inertia: Mapping[str, Sequence[float | int]] | None = None,
         gravity: Sequence[float | int] | None = None,
     ) -> None:
         keep = () if payload is None else (payload,)
         choices = {"base": base, "contacts": contacts, "limits": limits, "others": others}
-        self.file: RobotFile = read_robot(mjcf, joint, **choices, keep=keep, timestep=timestep)
+        step = None if timestep is None or timestep == AUTO else float(timestep)
+        self.file: RobotFile = read_robot(mjcf, joint, **choices, keep=keep, timestep=step)
         sections = {**(params or {})}
         sections["armature"] = {"init": None, **_section(sections.get("armature", {}))}
         actuator = _read_actuator(mjcf, self.file) if actuator is None else actuator
@@ -85,8 +84,6 @@ class Robot(Bench):
         self.notes = tuple(self.file.notes)
         if limits == "leave_out":
             self.unlimited = self.file.ranges
-        for note in self.notes:
-            _log.info("%s: %s", mjcf, note)
 
     def _open(self, mjcf: str, joint: Any, timestep: float | None) -> Template:
         return Template.of(mjcf, self.file.root, self.file.joints)

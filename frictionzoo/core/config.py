@@ -16,10 +16,8 @@ from omegaconf import DictConfig, OmegaConf
 
 from frictionzoo.core.described import describe
 from frictionzoo.core.errors import ConfigError, closest
+from frictionzoo.core.params import AUTO
 from frictionzoo.core.threads import count_cores, jobs_at_once, threads_each
-
-AUTO = "auto"
-"""Value of an option that is left open, for `recipe=auto` to choose."""
 
 _PACKAGE = Path(__file__).parents[1]
 # A wheel ships conf/ inside the package; in a checkout it stands beside it.

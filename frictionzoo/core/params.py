@@ -12,6 +12,9 @@ from frictionzoo.core.errors import ConfigError, closest
 AT_BOUND = 1e-4
 """Share of the bounds' distance, in the optimiser's coordinate, that counts as reaching a bound."""
 
+AUTO = "auto"
+"""Value of an option that is left open; `recipe=auto` chooses it on the training recordings."""
+
 LARGEST = 1e12
 """Bound of a known value that a robot's file is to say, in any unit."""
 
@@ -62,7 +65,7 @@ class Param:
         high: Upper bound.
         scale: `log`: the optimiser moves the logarithm, so that a step is a share of the value (needs low > 0); or a
             positive number: it moves value / scale, so that a step is a share of that number.
-        identify: Whether a fit may change it.
+        identify: Whether a fit may change it; in a configuration also `auto`, which is no until a recipe says yes.
         tie: Joints that share one value; None: those that the bench ties.
         joints: Indices of the joints that have such a quantity, in order; what differs from joint to joint has entries
             for these alone. None: all.
@@ -115,7 +118,7 @@ class Param:
         except (TypeError, ValueError) as error:
             raise ConfigError(f"{name}: {error}; init, low, high are numbers, scale is log or a number") from None
         try:
-            identify = _per_joint(config["identify"], _truth)
+            identify = config["identify"] != AUTO and _per_joint(config["identify"], _truth)
         except TypeError:
             raise ConfigError(f"{name}.identify={config['identify']}; expected true or false") from None
         return cls(name, dimension, init, low, high, scale, identify, read_tie(f"{name}.tie", config.get("tie")))

@@ -23,7 +23,7 @@ from frictionzoo.fit.link_inertia import LinkInertia
 from frictionzoo.fit.recordings import Recordings
 from frictionzoo.fit.start import begin_where
 from frictionzoo.identification.recipe import Settled, settle
-from frictionzoo.identification.stages import Choice, close
+from frictionzoo.identification.stages import Choice
 from frictionzoo.models import FrictionModel
 from frictionzoo.models.by_name import complete_laws
 from frictionzoo.result.evaluate import Evaluation
@@ -65,7 +65,7 @@ class Parts(NamedTuple):
         """
         began = time.perf_counter()
         settings = {**settings, "model": complete_laws(settings["model"], settings)}
-        bench, dataset = build({**settings["bench"], **close(settings["bench"])}), build(settings["data"]).load()
+        bench, dataset = build(settings["bench"]), build(settings["data"]).load()
         model = build(settings["model"], nv=bench.nv)
         model.bind(bench.joints)
         model.begin(bench.initial_friction(model.params))
@@ -155,6 +155,8 @@ class Problem:
         """
         began = time.perf_counter()
         settings, bench, dataset, model, fit = parts.settled.settings, parts.settled.bench, *parts[1:4]
+        for note in bench.notes:
+            _log.info("%s: %s", bench.source, note)
         model.bind(bench.joints)
         bench = bench.observing(model.inputs)
         accepted = bench.accept_all(dataset)

@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Float
 
 from frictionzoo.bench import Bench
-from frictionzoo.core.config import AUTO
 from frictionzoo.core.errors import ConfigError, closest
 from frictionzoo.core.log import Dataset
+from frictionzoo.core.params import AUTO
 from frictionzoo.fit import Fit
 from frictionzoo.identification.stages import Choice, Stages
 from frictionzoo.models import FrictionModel

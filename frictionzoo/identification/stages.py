@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from frictionzoo.bench import Bench
-from frictionzoo.core.config import AUTO
 from frictionzoo.core.described import remake
 from frictionzoo.core.log import Dataset, Log
+from frictionzoo.core.params import AUTO
 from frictionzoo.fit import Fit
 from frictionzoo.fit.auto import Auto
 from frictionzoo.fit.lm import MOST_COORDINATES, LevenbergMarquardt
@@ -51,20 +51,6 @@ def is_open(params: Mapping[str, Any], name: str) -> bool:
     return isinstance(params.get(name), Mapping) and params[name].get("identify") == AUTO
 
 
-def close(bench: Mapping[str, Any], free: bool = False) -> dict[str, Any]:
-    """Arguments of a bench, `params` and `timestep`, of which nothing is left open.
-
-    Args:
-        bench: Its section.
-        free: Whether what may be identified is; otherwise it is left out. A step that is open is the template's.
-    """
-    params, timestep = dict(bench.get("params") or {}), bench.get("timestep")
-    for name in OPTIONAL:
-        if is_open(params, name):
-            params[name] = {**params[name], "identify": free}
-    return {"params": params, "timestep": None if timestep == AUTO else timestep}
-
-
 class Stages:
     """The settings on their way: what one stage chooses, the next ones use."""
 
@@ -96,7 +82,11 @@ class Stages:
 
     def bench(self, free: bool = False) -> Bench:
         """The test stand by now, with what is still open identified or left out."""
-        return remake(self._plain, **close(self.settings["bench"], free))
+        section = self.settings["bench"]
+        params = dict(section.get("params") or {})
+        for name in (name for name in OPTIONAL if is_open(params, name)):
+            params[name] = {**params[name], "identify": free}
+        return remake(self._plain, params=params, timestep=section.get("timestep"))
 
     def run(self) -> Iterator[Choice]:
         """All stages."""

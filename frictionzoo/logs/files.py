@@ -31,7 +31,7 @@ _log = logging.getLogger(__name__)
 class Files(Source):
     """Files as a data set: train and test named apart, or divided by time, by file or by a field.
 
-    Each argument is the option of that name in `conf/data/files.yaml`, which describes it.
+    Each argument is the option of that name in `conf/recordings/files.yaml`, which describes it.
 
     Raises:
         ConfigError: An option is unknown or impossible.
