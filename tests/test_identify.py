@@ -78,7 +78,8 @@ class Mine(fz.FrictionModel):
         return fz.FrictionTerms(dry + values["viscous_coefficient"] * state.qvel)
 
 start = {"init": 0.2, "low": 1e-4, "high": 10.0, "scale": "log", "identify": True}
-options = dict(test=0.2, method="lm", evaluation=dict(horizons=[0.5], rollouts=2, places=2, trajectory=1.0))
+evaluation = dict(horizons=[0.5], rollouts=2, places=2, trajectory=1.0)
+options = dict(test=0.2, recipe="given", method="lm", evaluation=evaluation)
 mine = fz.identify(bench, Mine(1, {"coulomb_torque": start}), logs, **options)
 named = fz.identify(bench, "mine", logs, **options)
 mine.save("mine")
@@ -213,6 +214,7 @@ def test_the_block_runs_in_a_notebook(
 
 EVALUATION = {"horizons": [0.1], "rollouts": 1, "places": 1, "trajectory": 0.1, "window": 0.02}  # those of `tiny`
 QUICK: dict[str, Any] = {
+    "recipe": "given",
     "test": fz.Split(gap=0.05),
     "evaluation": EVALUATION,
     "loop": {"chunk": 2, "progress": False},
@@ -255,8 +257,9 @@ def test_options_are_those_of_the_configuration() -> None:
         assert {*config[section]} == {*kind.__annotations__}
     options = {name: p.default for name, p in signature.parameters.items() if p.kind is p.KEYWORD_ONLY}
     assert {*options} == {*library.How.__annotations__}
-    for name in ("seed", "dtype", "engine", "device", "compilation_cache"):
+    for name in ("seed", "engine", "device", "compilation_cache"):
         assert options[name] == config[name]
+    assert options["recipe"] == compose_config("data=files").recipe
 
 
 def test_what_was_read_twice_is_compared_under_two_labels(finished_run: Callable) -> None:

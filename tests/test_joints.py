@@ -138,7 +138,8 @@ def recorded(leg: Callable[..., Bench]) -> Log:
 
 def identify(bench: Bench, log: Log, law: MujocoDefault) -> fz.Identified:
     evaluation = {"horizons": [0.2], "trajectory": 0.5}
-    how: dict[str, Any] = {"test": 0.3, "method": "lm", "segments": {"length": 20, "count": 100}, "dtype": "float64"}
+    how: dict[str, Any] = {"recipe": "given", "test": 0.3, "method": "lm", "dtype": "float64"}
+    how["segments"] = {"length": 20, "count": 100}
     return fz.identify(bench, law, log, evaluation=evaluation, **how)  # pyright: ignore[reportArgumentType]
 
 

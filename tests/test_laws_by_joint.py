@@ -151,7 +151,8 @@ def recorded(leg: Callable[..., Bench]) -> Log:
 def identify(bench: Bench, log: Log, law: Any, **how: Any) -> fz.Identified:
     evaluation = {"horizons": [0.2], "trajectory": 0.5}
     cut = {"length": 20, "count": 100}
-    return fz.identify(bench, law, log, test=0.3, segments=cut, dtype="float64", evaluation=evaluation, **how)
+    how |= {"recipe": "given", "test": 0.3, "segments": cut, "dtype": "float64", "evaluation": evaluation}
+    return fz.identify(bench, law, log, **how)
 
 
 @pytest.fixture(scope="module")

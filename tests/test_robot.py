@@ -129,7 +129,7 @@ def test_the_drives_of_legs_are_found_with_values_that_they_share(
 ) -> None:
     robot = dog(tie={"hip": ".*_hip_joint", "calf": ".*_calf_joint"}, timestep=0.002)
     how: dict[str, Any] = {"test": 0.3, "method": "lm", "segments": {"length": 50, "count": None}, "dtype": "float64"}
-    how["evaluation"] = {"horizons": [0.2], "trajectory": 0.4}
+    how |= {"recipe": "given", "evaluation": {"horizons": [0.2], "trajectory": 0.4}}
     found = fz.identify(robot, "mujoco_default", recorded, **how)
     for name in ("bench.armature", "friction.frictionloss", "friction.damping"):
         value = found.parameters[name].value

@@ -17,7 +17,7 @@ from frictionzoo.core.log import Dataset, Log
 from frictionzoo.fit import Adam, Auto, Fit, InverseDynamics, LevenbergMarquardt
 from frictionzoo.fit.base import as_start
 from frictionzoo.fit.start import begin_where
-from frictionzoo.identification import Problem
+from frictionzoo.identification import Parts, Problem
 from frictionzoo.simulate.context import computing
 
 STEP = 0.002  # s
@@ -71,8 +71,9 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
 def pose(bench: Bench, recorded: Dataset, fit: Fit, law: str = "mujoco_default") -> Problem:
     """The problem with this fit; its segments are few."""
     settings = {"segments": {"count": 20, "length": 5}, "loss": {}, "evaluation": SHORT}
-    settings |= {"engine": "auto", "dtype": "float64", "bench": {}}
-    return Problem.pose(bench, fz.law(law, 2), recorded, fit, settings)
+    settings |= {"engine": "auto", "dtype": "float64", "bench": {}, "recipe": "given"}
+    settings |= {"device": "cpu", "compilation_cache": None}
+    return Problem.pose(Parts.settle(settings, bench, recorded, fz.law(law, 2), fit))
 
 
 @pytest.fixture(scope="module")

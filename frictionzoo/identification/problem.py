@@ -16,6 +16,7 @@ from frictionzoo.core.build import build
 from frictionzoo.core.described import describe
 from frictionzoo.core.errors import RunError
 from frictionzoo.core.log import Dataset
+from frictionzoo.core.params import AUTO
 from frictionzoo.core.segments import Sampling, Segments, cut_segments
 from frictionzoo.core.state import DriveState
 from frictionzoo.fit import Fit, Objective, Space
@@ -30,7 +31,7 @@ from frictionzoo.result.evaluate import Evaluation
 from frictionzoo.result.identified import Identified
 from frictionzoo.result.record import describe_data
 from frictionzoo.result.torque import choose_filtering
-from frictionzoo.simulate.context import computing
+from frictionzoo.simulate.context import computing, refuse_precision
 from frictionzoo.simulate.drive import Drive
 from frictionzoo.simulate.proof import Proof, Recorded, initial_values, prove
 
@@ -89,6 +90,8 @@ class Parts(NamedTuple):
             FrictionzooError: The input is at fault.
         """
         began = time.perf_counter()
+        if settings["dtype"] != AUTO:
+            refuse_precision(settings["dtype"])  # before the first fit
         with computing("float64", settings["device"], settings["compilation_cache"]):
             settled = settle(settings, bench, dataset, model, fit)
         return cls(settled, dataset, model, fit, time.perf_counter() - began)

@@ -31,8 +31,7 @@ def computing(dtype: str, device: str = "auto", compilation_cache: str | None = 
     """
     # XLA would take most of a GPU's memory at once and leave torch none; it reads this when it first meets the GPU.
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
-    if dtype not in ("float32", "float64"):
-        raise ConfigError(f"dtype={dtype}; expected float32 or float64")
+    refuse_precision(dtype)
     if device not in ("auto", "cpu", "cuda"):
         raise ConfigError(f"device={device}; expected auto, cpu or cuda")
     try:
@@ -44,6 +43,12 @@ def computing(dtype: str, device: str = "auto", compilation_cache: str | None = 
     folder = cache_folder(compilation_cache)
     with jax.enable_x64(dtype == "float64"), jax.default_device(chosen), _keeping(folder):
         yield str(chosen.device_kind if chosen.platform != "cpu" else "cpu")
+
+
+def refuse_precision(dtype: str) -> None:
+    """ConfigError for a precision that is neither `float32` nor `float64`."""
+    if dtype not in ("float32", "float64"):
+        raise ConfigError(f"dtype={dtype}; expected float32 or float64")
 
 
 @contextlib.contextmanager
