@@ -126,6 +126,7 @@ def configure(compose: Callable[..., Any], folder: Path, file: Path, *overrides:
         *(
             "data=files",
             "bench=sts3215",
+            "recipe=given",
             "dtype=float64",
             "compilation_cache=null",
             f"data.train={folder}/*.json",

@@ -53,6 +53,7 @@ SMALL = {  # options that make a job quick, where it has them and the page does 
     "segments.count": "20",
     "fit.iterations": "20",
     "loop.progress": "false",
+    "recipe": "given",
     **BRIEF,
 }
 STAND = """<mujoco><option timestep="0.001"><flag contact="disable"/></option><worldbody><body name="arm">

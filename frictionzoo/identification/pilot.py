@@ -4,6 +4,7 @@ import copy
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -118,7 +119,7 @@ class Pilot:
 
     def values(self, vector: Float[np.ndarray, "coordinates"]) -> Values:
         """Of all parameters."""
-        return self.space.values(np.asarray(vector, self.space.start.dtype))
+        return self.space.values(jnp.asarray(vector, self.space.start.dtype))
 
     def errors(
         self, vector: Float[np.ndarray, "coordinates"], logs: Sequence[Log], horizon: float

@@ -1,0 +1,174 @@
+"""Settings that find themselves: what is chosen, why, and that what a user says stays as it is."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from omegaconf import OmegaConf
+
+import frictionzoo as fz
+from frictionzoo.core.build import build
+from frictionzoo.core.config import compose_config
+from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.log import Dataset, Log
+from frictionzoo.identification.noise import Noise
+from frictionzoo.identification.problem import Parts
+from frictionzoo.identification.stages import Choice, divide
+from frictionzoo.logs.signals import find_noise
+
+TIMESTEP, DELAY = 0.005, 0.012
+OPTIONS = ("data=twin", f"data.timestep={TIMESTEP}", "data.substeps=20", "data.samples=4000", "data.cache_dir=null")
+DRIVE = {"command_delay": DELAY, "load_share": 0.0, "ripple_torque": 0.0, "stribeck_velocity": 0.2}
+QUICK: dict[str, Any] = {"evaluation": {"horizons": [0.5], "rollouts": 2, "places": 2, "trajectory": 1.0}}
+
+
+def knee() -> fz.Bench:
+    return fz.Bench("knee_rod.xml", "knee", actuator=fz.PositionPD(kp=20, kd=1.0))
+
+
+@pytest.fixture(scope="module")
+def recorded() -> Dataset:
+    """A drive whose commands act late, with a coarse encoder and a noisy velocity."""
+    config = compose_config(*OPTIONS, *(f"data.drive.{name}={value}" for name, value in DRIVE.items()))
+    settings: Any = OmegaConf.to_container(config.data, resolve=True)
+    return build(settings).load()
+
+
+@pytest.fixture(scope="module")
+def found(recorded: Dataset) -> fz.Identified:
+    """What is found with nothing but the recording and the bench."""
+    return fz.identify(knee(), "coulomb_smooth", list(recorded.train), test=0.2, **QUICK)
+
+
+@pytest.mark.parametrize("noise", [1e-4, 1e-2])
+def test_noise_is_told_from_a_motion(noise: float) -> None:
+    time = np.arange(4000) * 0.01
+    motion = np.sin(3.0 * time) + 0.3 * np.sin(11.0 * time)
+    measured = motion + np.random.default_rng(0).normal(0.0, noise, len(time))
+    assert find_noise(measured) == pytest.approx(noise, rel=0.1)
+    assert find_noise(motion) < 0.02 * noise
+
+
+def test_rounding_counts_as_noise() -> None:
+    time = np.arange(4000) * 0.001
+    assert find_noise(np.round(np.sin(time) / 0.01) * 0.01) == pytest.approx(0.01 / np.sqrt(12), rel=0.2)
+
+
+def test_velocities_count_by_their_noise_and_estimated_ones_next_to_nothing(recorded: Dataset) -> None:
+    noise = Noise.of(recorded.train)
+    assert noise.velocity is not None and noise.velocity == pytest.approx(0.055, rel=0.1)
+    assert noise.velocity_weight == pytest.approx((noise.position / noise.velocity).item() ** 2, rel=0.01)
+    bare = [Log(**{**vars(log), "velocity_estimated": True}) for log in recorded.train]
+    assert Noise.of(bare).velocity is None and Noise.of(bare).velocity_weight < 1e-3 * noise.velocity_weight
+
+
+def test_a_choice_is_a_line() -> None:
+    assert str(Choice("loss.refine", True, "so it is")) == "loss.refine=true: so it is"
+    assert str(Choice("segments.count", None, "all")) == "segments.count=null: all"
+    assert str(Choice("loss.position", 1.0, "one")) == "loss.position=1.0: one"
+
+
+def test_a_validation_block_is_not_fitted(recorded: Dataset) -> None:
+    fitted, block = divide(recorded.train)
+    assert fitted[0].samples == pytest.approx(4 * block[0].samples, rel=0.01)
+    assert fitted[0].time[-1] < block[0].time[0]
+    several = tuple(Log(**{**vars(recorded.train[0]), "name": str(number)}) for number in range(10))
+    assert [log.name for log in divide(several)[1]] == ["0", "5"] and len(divide(several)[0]) == 8
+
+
+@pytest.mark.usefixtures("in_haste")
+def test_a_drive_is_found_with_nothing_said(found: fz.Identified) -> None:
+    values = {row["name"]: row["value"] for row in found.result["parameters"]}
+    assert values["armature"] == pytest.approx(0.04, rel=0.05)
+    assert values["delay"] == pytest.approx(DELAY, abs=5e-4)
+    chosen = {row["option"]: row["value"] for row in found.result["recipe"]}
+    assert chosen["bench.params.delay.identify"] is True and chosen["loss.refine"] is True
+    assert chosen["dtype"] == found.result["dtype"] == "float64"
+    settings = found.result["settings"]
+    for option, value in chosen.items():
+        part = settings
+        for key in option.split("."):
+            part = part[key]
+        assert part == value, option
+    assert all(row["reason"] for row in found.result["recipe"])
+
+
+@pytest.mark.usefixtures("in_haste")
+def test_halving_the_step_that_was_chosen_moves_nothing(found: fz.Identified, recorded: Dataset) -> None:
+    """Discretisation is checked: with half the step, parameters stay within a third of half their intervals."""
+    settings = found.result["settings"]
+    params = {name: {"init": 0.0, **own} for name, own in settings["bench"]["params"].items()}
+    bench = fz.Bench(
+        "knee_rod.xml",
+        "knee",
+        actuator=fz.PositionPD(kp=20, kd=1.0),
+        params=params,
+        timestep=settings["bench"]["timestep"] / 2,
+    )
+    how = {name: settings[name] for name in ("segments", "loss")}
+    finer = fz.identify(
+        bench, "coulomb_smooth", list(recorded.train), recipe="given", dtype="float64", test=0.2, **how, **QUICK
+    )
+    for one, other in zip(found.result["parameters"], finer.result["parameters"], strict=True):
+        if one["interval"]:
+            half = np.ptp(one["interval"]) / 2
+            assert abs(one["value"] - other["value"]) < 0.5 * half, one["name"]
+
+
+@pytest.mark.usefixtures("in_haste")
+def test_what_a_user_says_stays(recorded: Dataset) -> None:
+    bench = fz.Bench(
+        "knee_rod.xml", "knee", actuator=fz.PositionPD(kp=20, kd=1.0), params={"delay": DELAY}, timestep=TIMESTEP
+    )
+    how: dict[str, Any] = {"segments": {"length": 30}, "loss": {"velocity": 0.5, "refine": False}, "dtype": "float64"}
+    fit = fz.identify(bench, "coulomb_smooth", list(recorded.train), test=0.2, **how, **QUICK)
+    chosen = {row["option"] for row in fit.result["recipe"]}
+    assert chosen.isdisjoint({"segments.length", "loss.velocity", "loss.refine", "dtype", "bench.timestep"})
+    assert "bench.params.delay.identify" not in chosen
+    settings = fit.result["settings"]
+    assert settings["segments"]["length"] == 30 and settings["loss"]["velocity"] == 0.5
+    assert settings["loss"]["refine"] is False and settings["bench"]["timestep"] == TIMESTEP
+    assert {row["name"]: row["value"] for row in fit.result["parameters"]}["delay"] == DELAY
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("in_haste")
+def test_long_tails_call_for_a_robust_loss(recorded: Dataset) -> None:
+    """Where the drive is pushed now and then, and what pushed it is not in the log."""
+    log = recorded.train[0]
+    qpos, qvel = log.qpos.copy(), log.qvel.copy()
+    for at in range(300, log.samples - 100, 600):
+        push = 0.3 * np.sin(np.linspace(0, np.pi, 40))[:, None]
+        qpos[at : at + 40] += push
+        qvel[at : at + 40] += np.gradient(push[:, 0], TIMESTEP)[:, None]
+    pushed = Log(**{**vars(log), "qpos": qpos, "qvel": qvel})
+    fit = fz.identify(knee(), "coulomb_smooth", pushed, test=0.2, **QUICK)
+    chosen = {row["option"]: row for row in fit.result["recipe"]}
+    assert "long tails" in chosen["loss.robust"]["reason"] and "validation block" in chosen["loss.robust"]["reason"]
+
+
+def test_a_network_has_no_pilot(recorded: Dataset) -> None:
+    config = compose_config("data=twin", "recipe=auto", "model=neural_friction", "fit=adam")
+    settings: Any = OmegaConf.to_container(config, resolve=True)
+    law = fz.law("neural_friction", hidden=[4, 4])
+    bench = knee()
+    law.bind(bench.joints)
+    settled = Parts.settle(settings, bench, recorded, law, build(settings["fit"])).settled
+    chosen = {choice.option: choice.value for choice in settled.choices}
+    assert settled.start is None and chosen["loss.refine"] is False and chosen["dtype"] == "float32"
+    assert chosen["bench.params.delay.identify"] is False
+    assert "auto" not in [
+        str(value) for section in ("segments", "loss") for value in settled.settings[section].values()
+    ]
+
+
+def test_a_recipe_that_does_not_exist_is_refused(recorded: Dataset) -> None:
+    with pytest.raises(ConfigError, match=r"^recipe=best: no such recipe; expected one of auto, given"):
+        fz.identify(knee(), "coulomb_smooth", list(recorded.train), recipe="best")
+
+
+def test_what_is_open_is_nothing_without_a_recipe(call: Callable) -> None:
+    for option in ("segments.length=auto", "bench.timestep=auto", "dtype=auto", "loss.robust=auto"):
+        finished = call("recipe=given", option)
+        assert finished.status == 2 and finished.err.startswith(f"frictionzoo: {option}"), finished.err
