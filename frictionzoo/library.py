@@ -107,6 +107,7 @@ class How(TypedDict, total=False):
     evaluation: Judging
     loop: Looping
     scale: Mapping[str, float]
+    checkup: str
     seed: int
     dtype: str
     engine: str
@@ -185,6 +186,7 @@ def identify(
     evaluation: Judging | None = None,
     loop: Looping | None = None,
     scale: Mapping[str, float] | None = None,
+    checkup: str = "strict",
     seed: int = 0,
     dtype: str = "float32",
     engine: str = "auto",
@@ -207,6 +209,8 @@ def identify(
         loop: `chunk`, `patience`, `progress`.
         scale: Typical `torque`, `velocity`, `damping` and `inertia` of the drive, of which bounds and initial values of
             a law that is named are multiples; 1 in SI units where nothing is said.
+        checkup: `strict`, or `warn`: what is certainly wrong with the recordings, or with the bench for them, is a
+            warning of the result and no error.
         seed: Of a network's initial weights, for a law that is named.
         dtype: `float32` or `float64`.
         engine: `auto`, `specialised` or `mjx`.
@@ -226,7 +230,14 @@ def identify(
     refuse_unlike("method", fit, Fit, f"a name, {', '.join(METHODS.names())}, or such an object")
     sections = {"segments": segments, "loss": loss, "evaluation": evaluation, "loop": loop, "scale": scale}
     given: dict[str, Any] = {name: options for name, options in sections.items() if options is not None}
-    given |= {"seed": seed, "dtype": dtype, "engine": engine, "device": device, "compilation_cache": compilation_cache}
+    given |= {
+        "checkup": checkup,
+        "seed": seed,
+        "dtype": dtype,
+        "engine": engine,
+        "device": device,
+        "compilation_cache": compilation_cache,
+    }
     settings = compose_settings(given)
     if isinstance(law, FrictionModel):
         model = law

@@ -48,6 +48,8 @@ class Log:
         observed: Those that the friction law looks at, by name; `Bench.accept` picks them too.
         repairs: What cleaning changed, a sentence each.
         metadata: What else the source says about it (gains, notes).
+        units: Unit of signals by name, as the source or the user stated them, before they became SI; of those alone of
+            which somebody said it.
 
     Raises:
         LogError: Shapes disagree, a sample is not finite, or time is not uniform.
@@ -67,6 +69,7 @@ class Log:
     observed: Mapping[str, Float[np.ndarray, "time nv"]] = field(default_factory=dict)
     repairs: tuple[str, ...] = ()
     metadata: Mapping[str, Any] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         samples = len(self.time)

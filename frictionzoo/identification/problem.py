@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from frictionzoo.bench import Bench
-from frictionzoo.bench.doubts import doubt_motion, doubt_recordings
+from frictionzoo.checkup import check_up
 from frictionzoo.core.build import build
 from frictionzoo.core.described import describe
 from frictionzoo.core.errors import RunError
@@ -98,7 +98,7 @@ class Problem:
             dataset: Recordings, train and test.
             fit: How to find the parameters.
             settings: `segments`, `loss` and `evaluation`, the arguments of `cut_segments`, `Objective` and
-                `Evaluation`; `engine`; `dtype`; and whatever else the record is to tell.
+                `Evaluation`; `checkup`; `engine`; `dtype`; and whatever else the record is to tell.
 
         Raises:
             FrictionzooError: The input is at fault.
@@ -116,7 +116,7 @@ class Problem:
             told = {name: describe(bench)[name] for name in ("inertia", "gravity")}
             settings = {**settings, "bench": {**settings["bench"], **told}}
         dataset = bench.accept_all(dataset) if links else accepted
-        doubts = doubt_recordings(dataset, bench) + doubt_motion(dataset, bench)
+        doubts = check_up(dataset, bench, settings["checkup"])
         sampling = bench.sampling(dataset.logs[0].timestep)
         segments = cut_segments(dataset.train, **settings["segments"], history=sampling.history)
         evaluation = Evaluation(dataset, bench.joint_type, **settings["evaluation"], history=sampling.history)

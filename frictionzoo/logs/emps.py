@@ -78,6 +78,7 @@ class Emps(Source):
             hashlib.sha256(content).hexdigest(),
             simulated=False,
             metadata={"citation": CITATION, "file": file_name},
+            units={"qpos": "m", "ctrl": "V"},
         )
 
 

@@ -1,0 +1,80 @@
+"""Other readings of a recording, joints in another order or turned round, that agree better with what links need."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from frictionzoo.bench import Bench
+from frictionzoo.checkup.balance import balance, mismatch
+from frictionzoo.checkup.findings import Finding
+from frictionzoo.core.log import Log
+
+SHORT = 100  # samples; fewer tell nothing
+WORTH = 0.08  # share of a torque's variance that a joint leaves unexplained, from which on other readings are tried
+MUCH_BETTER = 0.5  # times what the recording as it is leaves unexplained, below which another reading is the right one
+GAINED = 0.1  # share of a torque's variance by which another reading has to be better, summed over joints
+
+
+def check_readings(log: Log, bench: Bench) -> Iterator[Finding]:
+    """Joints in another order or of another direction, where these explain the torque of a recording much better."""
+    if bench.nv == 1 or log.samples <= SHORT:
+        return
+    model = bench.compile(constraint=False)
+    found = balance(log, bench, model)
+    left = np.zeros(1) if found is None else mismatch(found)
+    if left.max() < WORTH:
+        return
+    best, text = MUCH_BETTER * left.sum(), ""
+    for sentence, change in _other_readings(bench):
+        other = balance(change(log), bench, model)
+        if other is not None:
+            total = float(mismatch(other).sum())
+            if total < best and left.sum() - total > GAINED:
+                best, text = total, sentence
+    if text:
+        yield Finding(
+            "reading",
+            False,
+            f"what the links need agrees with the actuators' torque much better ({left.sum():.2g} of it unexplained, "
+            f"then {best:.2g}, summed over joints) if {text}",
+            log.name,
+        )
+
+
+def _other_readings(bench: Bench) -> Iterator[tuple[str, Callable[[Log], Log]]]:
+    """Sentences that end with what mends it, and what each makes of a recording."""
+    for joint, name in enumerate(bench.joints):
+        sign = np.where(np.arange(bench.nv) == joint, -1, 1)
+        listed = f"[{','.join(map(str, sign))}]"
+        yield (
+            f"{name} turns the other way: set data.sign.qpos, data.sign.qvel and data.sign.ctrl={listed}, or turn its "
+            "axis in the MJCF",
+            _turning(sign),
+        )
+        for other in range(joint):
+            order = np.arange(bench.nv)
+            order[[joint, other]] = other, joint
+            pair = f"{bench.joints[other]} and {name}"
+            if bench.branches[joint] == bench.branches[other]:
+                yield (
+                    f"{pair} are swapped: put them in that order in bench.joint or data.columns",
+                    _ordering(order, True),
+                )
+                yield f"ctrl of {pair} are swapped: put data.columns.ctrl into that order", _ordering(order, False)
+
+
+def _turning(sign: np.ndarray) -> Callable[[Log], Log]:
+    def change(log: Log) -> Log:
+        inputs = {name: sign * v if name in ("ctrl_velocity", "ctrl_torque") else v for name, v in log.inputs.items()}
+        return replace(log, qpos=sign * log.qpos, qvel=sign * log.qvel, ctrl=sign * log.ctrl, inputs=inputs)
+
+    return change
+
+
+def _ordering(order: np.ndarray, whole: bool) -> Callable[[Log], Log]:
+    def change(log: Log) -> Log:
+        log = replace(log, ctrl=log.ctrl[:, order], inputs={name: v[:, order] for name, v in log.inputs.items()})
+        return replace(log, qpos=log.qpos[:, order], qvel=log.qvel[:, order]) if whole else log
+
+    return change
