@@ -30,8 +30,8 @@ def check_excitation(logs: Sequence[Log], bench: Bench) -> Iterator[Finding]:
             yield Finding(
                 "one way",
                 False,
-                f"the motion{of} never reverses ({100 * back:.2g} % of it goes the other way): a constant torque cannot "
-                "be told from dry friction; record both directions and name them in data.train",
+                f"the motion{of} never reverses ({100 * back:.2g} % of it goes the other way): a constant torque "
+                "cannot be told from dry friction; record both directions and name them in data.train",
                 joint=name,
             )
         if fast < ONE_SPEED * slow:

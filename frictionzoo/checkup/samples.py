@@ -112,8 +112,8 @@ def _find_noise(of: str, qpos: Signal) -> tuple[str, bool, str] | None:
         "noise",
         True,
         f"qpos{of} jumps between samples as noise does ({100 * ratio:.0f} % of white noise), expected a motion; "
-        "look at data.columns.qpos and at the sensor, or record faster, with a data.clean.step no longer than the recording's "
-        "own interval",
+        "look at data.columns.qpos and at the sensor, or record faster, with a data.clean.step no longer than the "
+        "recording's own interval",
     )
 
 

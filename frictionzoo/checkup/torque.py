@@ -59,8 +59,8 @@ def _check_joint(bench: Bench, joint: int, one: Explained, to_position: bool) ->
                 "opposed",
                 True,
                 f"ctrl{of} gives a torque opposite to what gravity and inertia need ({one.share:.3g} times), expected "
-                f"the same sign; set {signals}={say_sign(joint, bench.nv)}, or look at gravity and the joint's axis in the "
-                "MJCF",
+                f"the same sign; set {signals}={say_sign(joint, bench.nv)}, or look at gravity and the joint's axis in "
+                "the MJCF",
             )
         elif not 1 / TIMES < one.share < TIMES:
             yield (
