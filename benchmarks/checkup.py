@@ -1,8 +1,8 @@
 """What the check-up before a fit finds: `python benchmarks/checkup.py`.
 
 Every fault of a list is made on good recordings of several data sets, one at a time, and the check-up says what it
-finds: refused (E), told as a warning (W) or nothing (-), with ! where the option that mends it is not named; an empty cell
-where there is no such fault. Then good recordings are checked one by one, and all that is said of them is a false
+finds: refused (E), told as a warning (W) or nothing (-), with ! where the option that mends it is not named; an empty
+cell where there is no such fault. Then good recordings are checked one by one, and all that is said of them is a false
 alarm. Nothing is fitted.
 """
 
@@ -172,11 +172,11 @@ def keep_speed(log: Log, stand: Stand) -> Log:
 
 
 def alias(log: Log, stand: Stand) -> Log:
-    """With so few samples that half of the motion's power is above half their rate."""
+    """With so few samples, up to 0.5 s apart, that a tenth of the motion's power is above half their rate."""
     moved = log.qvel - log.qvel.mean(axis=0)
     power = np.cumsum((np.abs(np.fft.rfft(moved, axis=0)) ** 2).sum(axis=1))
-    middle = np.fft.rfftfreq(log.samples, log.timestep)[np.searchsorted(power, 0.5 * power[-1])]
-    every = max(2, int(1 / (2 * middle * log.timestep)))
+    middle = np.fft.rfftfreq(log.samples, log.timestep)[np.searchsorted(power, 0.9 * power[-1])]
+    every = max(2, min(int(1 / (2 * middle * log.timestep)), int(0.5 / log.timestep)))
     few = {name: getattr(log, name)[::every] for name in ("time", "qpos", "qvel", "ctrl")}
     rest = {part: {name: v[::every] for name, v in getattr(log, part).items()} for part in ("extras", "inputs")}
     return replace(log, **few, **rest)
@@ -207,7 +207,7 @@ FAULTS: Mapping[str, tuple[Maker, str]] = {
     ),
     "millimetres": (lambda log, stand: None if hinged(stand) else scale(log, 1e3), r"data\.units\.qpos=mm"),
     "milliseconds": (milliseconds, r"data\.units\.time=ms"),
-    "gear ratio forgotten": (forget_gear, r"gear.*data\.units\.(qpos=0\.03|ctrl)"),
+    "gear ratio forgotten": (forget_gear, r"gear.*data\.units\.(qpos=0\.0|ctrl)"),
     "commands of two joints swapped": (lambda log, stand: order(log, whole=False), r"swapped.*data\.columns\.ctrl"),
     "two joints swapped": (lambda log, stand: order(log, whole=True), r"swapped.*bench\.joint or data\.columns"),
     "commands 0.2 s late": (
@@ -256,6 +256,7 @@ def judge(fault: str, stand: Stand) -> tuple[str, str] | None:
     spoilt = tuple(log for log in (make(log, stand) for log in spread(stand.logs, LOGS)) if log is not None)
     if not spoilt:
         return None
+    spoilt = spoilt[:1] if fault == "one speed only" else spoilt  # each recording has its own
     bench = stand.bench
     if fault.startswith("another bench"):
         config = OmegaConf.to_container(compose_config(f"bench={OTHER_BENCH[bench.joint_type]}"), resolve=True)

@@ -24,7 +24,7 @@ from frictionzoo.logs.signals import smooth
 
 BANDWIDTH = 10.0  # Hz, up to which torque is compared; at most a tenth of the sample rate
 ORDER = 2
-EDGE = 0.3  # s at either end that the filter spoils
+EDGE = 0.5  # s at either end that the filter spoils, and in which delayed torques lie
 LONGEST = 20_000  # samples that are looked at
 ROWS = 1000  # of the regression
 SLOW = 0.05  # share of the top speed under which dry friction may hold the joint

@@ -1,10 +1,11 @@
 """A position beside the command that asks for it: sign, order of joints, size, zero, and when each was recorded."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
+import scipy.optimize
 from jaxtyping import Bool, Float
 
 from frictionzoo.bench import Bench
@@ -27,6 +28,7 @@ MUCH_BETTER, FAR_BETTER = (
 EARLY = 0.01  # s, by which a position is ahead of its command at the least
 LATE, GAINS = 0.2, 2.5  # s, and times damping over stiffness, by which it is late at the most
 QUARTER = 0.2  # s, within which a command of the other sign is sought
+COPIES, ABOUT = 0.98, 0.3  # correlation and relative size of a position that is what a command asks for
 LATEST_OTHER = 0.3  # s, by which a joint may follow another's command
 OTHER = 0.3  # times its own command's distance, within which a joint follows another's
 
@@ -66,7 +68,7 @@ def settling(log: Log, bench: Bench, joint: int, on: Bool[np.ndarray, "time"]) -
 
 
 def check_following(
-    log: Log, of: str, bench: Bench, joint: int, found: Followed, drifts: bool
+    log: Log, of: str, bench: Bench, joint: int, found: Followed, drifts: bool, swapped: int | None
 ) -> Iterator[tuple[str, bool, str]]:
     """What speaks against a command of position: kind, whether it is certain, and a sentence.
 
@@ -77,14 +79,19 @@ def check_following(
         joint: Index of the joint.
         found: Its position beside its command.
         drifts: Whether the lag changes along the recording, so that no one lag says anything.
+        swapped: Index of the joint whose command it follows instead of its own.
     """
     least = max(2 * log.timestep, EARLY)
     usual = found.likeness.between(-least, max(LATE, found.settles))
     best, slide = found.likeness.best, bench.joint_type == "slide"
-    swapped = _find_swap(log, of, bench, joint, found)
     opposed = found.likeness.between(0.0, QUARTER).correlation.min()
-    if swapped:
-        yield swapped
+    if swapped is not None:
+        yield (
+            "swapped",
+            True,
+            f"qpos{of} follows ctrl of {bench.joints[swapped]} and not its own: columns are swapped; put "
+            "data.columns.ctrl, or data.columns.qpos and data.columns.qvel, into the order of the bench's joints",
+        )
     elif opposed < -FOLLOWS and -opposed > usual.correlation.max():
         yield (
             "opposed",
@@ -95,34 +102,47 @@ def check_following(
     elif found.likeness.correlation[best] < IGNORES:
         yield (
             "ignored",
-            False,
+            found.work < 0,
             f"qpos{of} does not follow ctrl at any time (correlation {found.likeness.correlation[best]:.2f}): look "
-            "whether ctrl is a desired position (bench.actuator) and which joint's it is (data.columns.ctrl)",
+            "whether ctrl is a desired position (bench.actuator, or another bench) and which joint's it is "
+            "(data.columns.ctrl)",
         )
     elif found.likeness.correlation[best] > FOLLOWS:
         yield from () if drifts else _check_time(of, found, least)
         yield from _check_size(of, found, slide)
 
 
-def _find_swap(log: Log, of: str, bench: Bench, joint: int, found: Followed) -> tuple[str, bool, str] | None:
-    """The command of another joint, which this one follows much better."""
-    own = float(found.likeness.between(0.0, LATEST_OTHER).distance.min())
-    if own < OTHER * np.std(found.qpos[found.on]):
-        return None
-    nearest, at = own, joint
-    for other in range(bench.nv):
-        if other != joint:
-            beside = compare(found.qpos, log.ctrl[:, other], log.timestep, found.on).between(0.0, LATEST_OTHER)
-            if beside.correlation.max() > FOLLOWS and beside.distance.min() < min(nearest, OTHER * own):
-                nearest, at = float(beside.distance.min()), other
-    if at == joint:
-        return None
-    return (
-        "swapped",
-        True,
-        f"qpos{of} follows ctrl of {bench.joints[at]} and not its own: columns are swapped; put data.columns.ctrl, or "
-        "data.columns.qpos and data.columns.qvel, into the order of the bench's joints",
+def find_swaps(log: Log, followed: Mapping[int, Followed]) -> dict[int, int]:
+    """Joints that follow the command of another one, with that one: where an exchange among them makes all follow."""
+    own = {joint: float(one.likeness.between(0.0, LATEST_OTHER).distance.min()) for joint, one in followed.items()}
+    astray = [joint for joint, one in followed.items() if own[joint] > OTHER * np.std(one.qpos[one.on])]
+    apart = np.zeros((len(astray), len(astray)))
+    for row, joint in enumerate(astray):
+        one = followed[joint]
+        for column, other in enumerate(astray):
+            beside = compare(one.qpos, followed[other].ctrl, log.timestep, one.on).between(0.0, LATEST_OTHER)
+            apart[row, column] = float(beside.distance.min())
+    rows, columns = scipy.optimize.linear_sum_assignment(apart**2)
+    found = {astray[row]: astray[column] for row, column in zip(rows, columns, strict=True) if row != column}
+    nearer = all(
+        apart[row, column] < OTHER * apart[row, row] for row, column in zip(rows, columns, strict=True) if row != column
     )
+    return found if nearer else {}
+
+
+def check_asked(log: Log, of: str, joint: int) -> Iterator[tuple[str, bool, str]]:
+    """A command that is to be a torque, and that the position follows as if it were asked for."""
+    ctrl = log.ctrl[:, joint]
+    if np.ptp(ctrl) > 0:
+        likeness = compare(log.qpos[:, joint], ctrl, log.timestep, np.ones(log.samples, bool)).between(0.0, LATE)
+        if likeness.correlation.max() > COPIES and abs(likeness.scale[likeness.best] - 1) < ABOUT:
+            yield (
+                "asked",
+                False,
+                f"qpos{of} follows ctrl as a desired position (correlation {likeness.correlation.max():.3f}, "
+                f"{likeness.scale[likeness.best]:.2f} times its size), expected a torque or force: choose the bench of "
+                "these recordings (bench=NAME) or an actuator law for positions (bench.actuator._target_)",
+            )
 
 
 def check_drift(log: Log, found: Followed) -> Iterator[tuple[str, bool, str]]:
@@ -193,5 +213,6 @@ def _mend(scale: float, slide: bool) -> str:
     if abs(factor / size - 1) < DEGREE:
         return f"data.units.{signal}={unit}{alike}"
     return (
-        f"data.units.{signal}={1 / factor:.3g}{alike}, which a gear's ratio may be, or {unit}, which is {1 / size:.3g}"
+        f"data.units.{signal}={unit} if it is in {unit} ({size:.3g} times), or, of a gear's ratio that is left out, "
+        f"data.units.{signal}={1 / factor:.3g}{alike}"
     )

@@ -11,7 +11,7 @@ from frictionzoo.logs.signals import Signal
 FARTHEST = 1.0  # s, looked at on either side
 WINDOWS = 6  # of a recording, in each of which a lag is found anew
 SHORTEST = 50  # samples of a window
-SURE = 0.05  # s, within which the misfit is nearly as low as at the lag, of a lag that counts
+SURE = 0.15  # s, within which the misfit is nearly as low as at the lag, of a lag that counts
 NEARLY = 1.5  # times the lowest misfit
 ROUNDING = 1e-4  # misfit that is nothing
 DRIFT = 0.15  # s, by which a lag changes along a recording at the least if clocks drift; motions change it by less

@@ -25,29 +25,32 @@ def check_readings(log: Log, bench: Bench) -> Iterator[Finding]:
     left = np.zeros(1) if found is None else mismatch(found)
     if left.max() < WORTH:
         return
-    best, text = MUCH_BETTER * left.sum(), ""
-    for sentence, change in _other_readings(bench):
-        other = balance(change(log), bench, model)
+    branches, best, text = np.array(bench.branches), MUCH_BETTER, ""
+    before = after = 0.0
+    for joint, sentence, change in _other_readings(bench):
+        of_branch = branches == branches[joint]
+        other = balance(change(log), bench, model) if left[of_branch].max() > WORTH else None
         if other is not None:
-            total = float(mismatch(other).sum())
-            if total < best and left.sum() - total > GAINED:
-                best, text = total, sentence
+            whole, rest = float(left[of_branch].sum()), float(mismatch(other)[of_branch].sum())
+            if rest < best * whole and whole - rest > GAINED:
+                best, before, after, text = rest / whole, whole, rest, sentence
     if text:
         yield Finding(
             "reading",
             False,
-            f"what the links need agrees with the actuators' torque much better ({left.sum():.2g} of it unexplained, "
-            f"then {best:.2g}, summed over joints) if {text}",
+            f"what the links need agrees with the actuators' torque much better ({before:.2g} of it unexplained, then "
+            f"{after:.2g}, summed over joints that move each other) if {text}",
             log.name,
         )
 
 
-def _other_readings(bench: Bench) -> Iterator[tuple[str, Callable[[Log], Log]]]:
-    """Sentences that end with what mends it, and what each makes of a recording."""
+def _other_readings(bench: Bench) -> Iterator[tuple[int, str, Callable[[Log], Log]]]:
+    """A joint of each, the sentence that ends with what mends it, and what it makes of a recording."""
     for joint, name in enumerate(bench.joints):
         sign = np.where(np.arange(bench.nv) == joint, -1, 1)
         listed = f"[{','.join(map(str, sign))}]"
         yield (
+            joint,
             f"{name} turns the other way: set data.sign.qpos, data.sign.qvel and data.sign.ctrl={listed}, or turn its "
             "axis in the MJCF",
             _turning(sign),
@@ -58,10 +61,15 @@ def _other_readings(bench: Bench) -> Iterator[tuple[str, Callable[[Log], Log]]]:
             pair = f"{bench.joints[other]} and {name}"
             if bench.branches[joint] == bench.branches[other]:
                 yield (
+                    joint,
                     f"{pair} are swapped: put them in that order in bench.joint or data.columns",
                     _ordering(order, True),
                 )
-                yield f"ctrl of {pair} are swapped: put data.columns.ctrl into that order", _ordering(order, False)
+                yield (
+                    joint,
+                    f"ctrl of {pair} are swapped: put data.columns.ctrl into that order",
+                    _ordering(order, False),
+                )
 
 
 def _turning(sign: np.ndarray) -> Callable[[Log], Log]:

@@ -16,7 +16,7 @@ from frictionzoo.checkup.commands import check_command, check_work, work
 from frictionzoo.checkup.declared import check_declared
 from frictionzoo.checkup.excitation import check_excitation
 from frictionzoo.checkup.findings import Finding, settle
-from frictionzoo.checkup.following import Followed, check_drift, check_following, settling
+from frictionzoo.checkup.following import Followed, check_asked, check_drift, check_following, find_swaps, settling
 from frictionzoo.checkup.lags import compare
 from frictionzoo.checkup.motion import check_motion
 from frictionzoo.checkup.readings import check_readings
@@ -25,18 +25,19 @@ from frictionzoo.checkup.samples import (
     check_clock,
     check_position,
     check_stroke,
+    check_turns,
     check_velocity,
     find_isolated,
     leave_out,
     say_outliers,
 )
-from frictionzoo.checkup.torque import agrees, check_torque
+from frictionzoo.checkup.torque import KNOWN, agrees, check_torque
 from frictionzoo.core.log import Dataset, Log
 
 GAINS = ("kp", "kd")  # commands that move nothing by themselves
 CLOSELY = 40  # recordings, spread evenly, that are looked at in all ways; the others without following and torque
 
-READ = 2  # recordings of which other readings are tried
+READ = 1  # recording of which other readings are tried
 
 Said = tuple[str, bool, str]
 
@@ -104,7 +105,7 @@ def _check_signals(
             yield f"outliers {name}", False, say_outliers(log, f"{name}{of}", values[:, joint], far)
         values[:, joint] = leave_out(values[:, joint], far)
     qpos, qvel, ctrl = (cleaned[name][:, joint] for name in ("qpos", "qvel", "ctrl"))
-    found = list(check_position(of, qpos, ctrl, bench, joint))
+    found = list(check_position(of, qpos, ctrl, bench))
     yield from found
     if not any(certain for _, certain, _ in found):
         yield from check_velocity(log, of, qpos, qvel)
@@ -124,27 +125,34 @@ def _check_together(
         drift = list(check_drift(log, followed[best]))
         drifts = bool(drift)
         yield from (Finding(kind, certain, text, log.name) for kind, certain, text in drift)
-    named = False
+    swaps, named, wrong = find_swaps(log, followed), {name for name in bench.joints if drifts}, False
     for joint, name in enumerate(bench.joints):
-        for kind, certain, text in _check_commands(log, bench, joint, to_position, followed.get(joint), drifts):
-            named |= certain
+        beside = (followed.get(joint), drifts, swaps.get(joint))
+        for kind, certain, text in _check_commands(log, bench, joint, to_position, closely, *beside):
+            named, wrong = named | {name}, wrong or certain
             yield Finding(kind, certain, text, log.name, name)
-    if log.samples > SHORT and not named:
-        yield from _check_forces(log, bench, to_position, closely, works)
+    if log.samples > SHORT and not wrong:
+        yield from _check_forces(log, bench, to_position, closely, works, named)
 
 
 def _check_forces(
-    log: Log, bench: Bench, to_position: bool, closely: bool, works: Float[np.ndarray, "nv"]
+    log: Log, bench: Bench, to_position: bool, closely: bool, works: Float[np.ndarray, "nv"], named: set[str]
 ) -> Iterator[Finding]:
-    """Commands by the torque and the work that they do; work counts where torque does not tell the sign."""
+    """Commands of joints that are not named yet, by their torque and work; work counts where torque tells no sign."""
     found = balance(log, bench, bench.compile(constraint=False)) if closely else None
     explained = [explain(found, joint) if found else None for joint in range(bench.nv)]
-    named = set[str]()
-    for finding in check_torque(log, bench, found, explained, to_position) if found else ():
-        named |= {finding.joint} if finding.certain else set()
-        yield finding
+    told = [one for one in (check_torque(log, bench, found, explained, to_position) if found else ())]
+    told = [one for one in told if one.joint not in named]
+    opposed = [one.joint for one in told if one.kind == "opposed"]
+    known = [joint for joint, one in enumerate(explained) if one is not None and one.error < KNOWN * abs(one.share)]
+    if told and len(opposed) < len(known):  # not all joints alike
+        other = list(check_readings(log, bench))
+        yield from (reading._replace(certain=any(one.certain for one in told)) for reading in other)
+        told = [] if other else told
+    yield from told
+    named = named | {one.joint or name for one in told for name in bench.joints}
     for joint, name in enumerate(bench.joints):
-        if not named and _is_told(log, bench, joint) and not agrees(explained[joint]):
+        if name not in named and _is_told(log, bench, joint) and not agrees(explained[joint]):
             for kind, certain, text in check_work(_of(bench, joint), bench, joint, float(works[joint])):
                 yield Finding(kind, certain, text, log.name, name)
 
@@ -162,15 +170,29 @@ def _follow(log: Log, bench: Bench, works: Float[np.ndarray, "nv"]) -> dict[int,
 
 
 def _check_commands(
-    log: Log, bench: Bench, joint: int, to_position: bool, found: Followed | None, drifts: bool
+    log: Log,
+    bench: Bench,
+    joint: int,
+    to_position: bool,
+    closely: bool,
+    found: Followed | None,
+    drifts: bool,
+    swapped: int | None,
 ) -> Iterator[Said]:
     """What the command of a joint says, and others that a robot's drive gets beside it, each with the position."""
     on, of = _following(log, bench, joint), _of(bench, joint)
     if np.ptp(log.ctrl[:, joint]) > 0 or not _has_more(log, bench, joint):
         follows = log.qpos[on, joint] if to_position and on.any() else None
-        yield from check_command(of, log.ctrl[:, joint], follows)
-    if found is not None:
-        yield from check_following(log, of, bench, joint, found, drifts)
+        alone = list(check_command(of, log.ctrl[:, joint], follows))
+        yield from alone
+        if alone:
+            return
+    beside = [] if found is None else list(check_following(log, of, bench, joint, found, drifts, swapped))
+    yield from beside
+    if not beside and bench.joint_type == "hinge":
+        yield from check_turns(of, log.qpos[:, joint], bench.unlimited[joint])
+    if closely and not to_position and log.samples > SHORT:
+        yield from check_asked(log, of, joint)
 
 
 def _of(bench: Bench, joint: int) -> str:

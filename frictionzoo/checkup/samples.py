@@ -35,6 +35,7 @@ SHORT = 100  # samples; in fewer, signals are not compared with each other
 SLOWEST, FASTEST = 0.5, 2e-5  # s; no recording of a drive has longer or shorter sample intervals
 TURNS = 3.0  # a joint that turns through more may be in degrees
 STROKE = 5.0  # m; a slide that moves through more may be in millimetres
+FILLED = 0.1  # share of the limits of a joint that a motion in degrees goes through at the least
 FAST = 50.0  # m/s; no slide does
 BITS = range(8, 25)  # of encoders, whose step is a turn over a power of two
 EXACT = 0.002  # relative difference within which a step is such a one
@@ -49,7 +50,8 @@ def check_clock(log: Log) -> Iterator[Finding]:
             "clock",
             True,
             f"{log.timestep:.3g} s between samples, expected {FASTEST:g} to {SLOWEST:g} s of a drive's recording; set "
-            f"data.units.time{'=' + unit if log.timestep > SLOWEST else ''}",
+            f"data.units.time{'=' + unit if log.timestep > SLOWEST else ''}, or, if they are right, record faster or "
+            "set a shorter data.clean.step",
             log.name,
         )
 
@@ -78,7 +80,7 @@ def leave_out(values: Signal, far: Bool[np.ndarray, "time"]) -> Signal:
     return np.interp(np.arange(len(values)), kept, values[kept]) if far.any() else values
 
 
-def check_position(of: str, qpos: Signal, ctrl: Signal, bench: Bench, joint: int) -> Iterator[tuple[str, bool, str]]:
+def check_position(of: str, qpos: Signal, ctrl: Signal, bench: Bench) -> Iterator[tuple[str, bool, str]]:
     """What the position says alone: kind, whether it is certain, and a sentence. After what is certain, no more."""
     found = _find_still(of, qpos, ctrl) or _find_noise(of, qpos)
     if found is None and bench.joint_type == "hinge":
@@ -88,7 +90,6 @@ def check_position(of: str, qpos: Signal, ctrl: Signal, bench: Bench, joint: int
         return
     yield from _find_coarse(of, qpos)
     yield from _find_frozen(of, qpos)
-    yield from _find_turns(of, qpos, bench.unlimited[joint]) if bench.joint_type == "hinge" else ()
 
 
 def _find_still(of: str, qpos: Signal, ctrl: Signal) -> tuple[str, bool, str] | None:
@@ -167,13 +168,15 @@ def _find_frozen(of: str, qpos: Signal) -> Iterator[tuple[str, bool, str]]:
             return
 
 
-def _find_turns(of: str, qpos: Signal, limits: np.ndarray) -> Iterator[tuple[str, bool, str]]:
+def check_turns(of: str, qpos: Signal, limits: np.ndarray) -> Iterator[tuple[str, bool, str]]:
     """An angle that can be degrees and no radians, by its range, the encoder's step and the limits of the file."""
     span, low, high = float(np.ptp(qpos)), *limits
     degrees = np.radians(qpos)
     if span <= TURNS * math.tau and not high - low < span:
         return
-    inside = bool(((degrees >= low) & (degrees <= high)).all()) and not bool(((qpos >= low) & (qpos <= high)).all())
+    beyond = float(np.mean((qpos < low) | (qpos > high)))
+    inside = bool(((degrees >= low) & (degrees <= high)).all()) and beyond > 0.5
+    inside = inside and float(np.ptp(degrees)) > FILLED * (high - low)
     quantum = find_quantum(qpos)
     counts = quantum is not None and _is_step(quantum, 360.0) and not _is_step(quantum, math.tau)
     if span <= TURNS * math.tau and not (inside and counts):

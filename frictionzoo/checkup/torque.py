@@ -14,6 +14,7 @@ from frictionzoo.core.log import Log
 KNOWN = 0.1  # relative standard error up to which a share counts as known
 TIMES = 3.0  # factor by which an actuator's torque differs from what links need and something else is wrong
 OUTSIDE = 3.0  # factor by which an inertia is beyond the bounds of the armature
+FAR = 12.0  # times the armature's initial value, or its part, that is told
 PLAIN = 0.5  # share of a torque's variance that may be left where its inertia is to be told
 MUCH_BETTER = 0.5  # times what is left of the torque as recorded, below which another time is the right one
 EARLY, LATE = 0.01, 0.1  # s, between which a command acts, with the delay that a drive may have
@@ -39,12 +40,13 @@ def check_torque(
         explained: How that explains the torque of each joint.
         to_position: Whether commands are positions, whose sign and time `check_following` looks at.
     """
+    # Signs and sizes mean nothing of signals of different times.
+    times = [] if to_position else list(_check_time(log, found, explained))
+    yield from times
     for joint, one in enumerate(explained):
-        if one is not None:
+        if one is not None and not times:
             for kind, certain, text in _check_joint(bench, joint, one, to_position):
                 yield Finding(kind, certain, text, log.name, bench.joints[joint])
-    if not to_position:
-        yield from _check_time(log, found, explained)
 
 
 def _check_joint(bench: Bench, joint: int, one: Explained, to_position: bool) -> Iterator[tuple[str, bool, str]]:
@@ -85,7 +87,7 @@ def _torque_option(bench: Bench, factor: float) -> str:
 def _check_inertia(bench: Bench, joint: int, of: str, inertia: float) -> Iterator[tuple[str, bool, str]]:
     """The inertia of a joint without a load, which is its armature."""
     armature = bench.params["armature"]
-    low, high = (float(armature.each(side, bench.nv)[joint]) for side in ("low", "high"))
+    low, high, began = (float(armature.each(side, bench.nv)[joint]) for side in ("low", "high", "init"))
     slide = bench.joint_type == "slide"
     if inertia < 0:
         yield (
@@ -94,37 +96,33 @@ def _check_inertia(bench: Bench, joint: int, of: str, inertia: float) -> Iterato
             f"ctrl{of} gives a torque opposite to the acceleration, expected the same sign; set data.sign.ctrl="
             f"{say_sign(joint, bench.nv)}, or the sign of both qpos and qvel",
         )
-    elif not low / OUTSIDE < inertia < high * OUTSIDE:
+    elif not low / OUTSIDE < inertia < high * OUTSIDE or not 1 / FAR < inertia / began < FAR:
         unit = "kg" if slide else "kg m^2"
         yield (
             "inertia",
-            True,
-            f"the torque{of} moves an inertia of {inertia:.3g} {unit}, expected {low:g} to {high:g} of "
-            "bench.params.armature: qpos or ctrl has another unit, or a gear's ratio is left out; set data.units.qpos"
+            not low / OUTSIDE < inertia < high * OUTSIDE,
+            f"the torque{of} moves an inertia of {inertia:.3g} {unit}, expected {low:g} to {high:g}, about {began:g}, "
+            "of bench.params.armature: qpos or ctrl has another unit, or a gear's ratio is left out; set data.units.qpos"
             f"{('=mm' if slide else '=deg') if inertia < low else ''} or data.units.ctrl",
         )
 
 
 def _check_time(log: Log, found: Balance, explained: Sequence[Explained | None]) -> Iterator[Finding]:
     """A torque command that acts before it is given, or later than a drive's delay."""
-    joints = [
-        joint
-        for joint, one in enumerate(explained)
-        if one is not None and _both_ways(found.qvel[:, joint]) and one.inertia > 0
-    ]
+    joints = [joint for joint, one in enumerate(explained) if one is not None and _both_ways(found.qvel[:, joint])]
     if not joints:
         return
     lags, misfit = delayed(found, joints, slice(None))
     if not len(lags):
         return
     lag, usual = float(lags[misfit.argmin()]), misfit[(lags >= -EARLY) & (lags <= LATE)]
-    if misfit.min() > LEFT:
-        return
     drift = find_drift(
         [_window_lag(log, found, joints, rows) for rows in np.array_split(np.arange(len(found.torque)), WINDOWS)]
     )
     if drift is not None:
         yield Finding("drift", False, say_drift(drift), log.name)
+    elif misfit.min() > LEFT:
+        return
     elif lag < -EARLY and misfit.min() < MUCH_BETTER * usual.min():
         yield Finding(
             "early",
