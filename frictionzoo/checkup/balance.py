@@ -181,7 +181,7 @@ def delayed(
     return (steps * found.timestep, left / counted) if counted else (np.zeros(0), np.zeros(0))
 
 
-def _orthogonal(columns: Float[np.ndarray, "rows n"]) -> Float[np.ndarray, "rows n"]:
+def _orthogonal(columns: Float[np.ndarray, "rows n"]) -> Float[np.ndarray, "rows rank"]:
     """An orthonormal basis of what columns span."""
     basis, sizes, _ = np.linalg.svd(columns / np.maximum(np.abs(columns).max(axis=0), 1e-300), full_matrices=False)
     return basis[:, sizes > 1e-9 * sizes.max()]

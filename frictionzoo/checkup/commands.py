@@ -12,12 +12,13 @@ from frictionzoo.logs.signals import Signal
 
 SATURATED = 0.2  # share of a command's samples at the ends of its range that is told, if it is no sequence of steps
 PAST = 0.1  # share of a command's range by which the position passes it if the command is cut off
+FAR_PAST = 0.5  # the same of a sequence of steps, after which a position may swing
 LEVELS, HELD = 10, 0.9  # values that hold this share of the samples: such a command is a sequence of steps
 OPPOSED = 0.0  # share of the work that a command exchanges with the drive from which on it takes energy
 CARRIED = -0.5  # the same of a joint that others move, from which on it is told: it may brake what they do
 
 
-def check_command(of: str, ctrl: Signal, follows: Signal | None) -> Iterator[tuple[str, bool, str]]:
+def check_command(of: str, ctrl: Signal, follows: Float[np.ndarray, "on"] | None) -> Iterator[tuple[str, bool, str]]:
     """What the command alone says, and beside the position where that is to follow it."""
     low, high = float(ctrl.min()), float(ctrl.max())
     if low == high:
@@ -34,7 +35,7 @@ def check_command(of: str, ctrl: Signal, follows: Signal | None) -> Iterator[tup
     steps = np.sort(counts)[-LEVELS:].sum() > HELD * len(ctrl)
     # A position that is told to rest at two ends does not go far beyond them.
     passed = 1.0 if follows is None else max(low - follows.min(), follows.max() - high) / (high - low)
-    if ends > SATURATED and not steps and passed > PAST:
+    if ends > SATURATED and passed > PAST and (not steps or (follows is not None and passed > FAR_PAST)):
         yield (
             "saturated",
             False,

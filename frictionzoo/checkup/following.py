@@ -25,6 +25,7 @@ MUCH_BETTER, FAR_BETTER = (
     0.5,
     0.1,
 )  # times the misfit of what is recorded, below which another time is better, and right
+POOR = 0.003  # misfit at a usual lag below which a position follows, whatever else does better
 EARLY = 0.01  # s, by which a position is ahead of its command at the least
 LATE, GAINS = 0.2, 2.5  # s, and times damping over stiffness, by which it is late at the most
 QUARTER = 0.2  # s, within which a command of the other sign is sought
@@ -58,7 +59,7 @@ def settling(log: Log, bench: Bench, joint: int, on: Bool[np.ndarray, "time"]) -
     values, law, still = bench.initial_values(), bench.actuator, np.zeros_like(log.qpos)
     affine, small = law.affine(values), 1e-4
 
-    def torque(qvel: Float[np.ndarray, "time nv"], ctrl: Float[np.ndarray, "time nv"]) -> Signal:
+    def torque(qvel: Float[np.ndarray, "time nv"], ctrl: Float[np.ndarray, "time nv"]) -> np.ndarray:
         given = law.control(np, values, still, qvel, ctrl, log.inputs)
         return np.asarray(affine.gain * given + affine.bias2 * qvel)[on, joint]
 
@@ -166,15 +167,18 @@ def check_drift(log: Log, found: Followed) -> Iterator[tuple[str, bool, str]]:
 def _check_time(of: str, found: Followed, least: float) -> Iterator[tuple[str, bool, str]]:
     """Columns of other times: a position that is ahead of its command, or late by more than the drive can be."""
     likeness, lag = found.likeness, float(found.likeness.lags[found.likeness.best])
-    better = float(likeness.misfit.min() / max(likeness.between(-least, LATE).misfit.min(), 1e-12))
-    if lag < -least and better < (MUCH_BETTER if found.work < 0 else FAR_BETTER):
+    late = LATE + GAINS * found.settles
+    # A command that repeats itself is as alike a period later.
+    usual = float(likeness.between(-least, late).misfit.min())
+    better, poor = float(likeness.misfit.min()) / max(usual, 1e-12), usual > POOR
+    if lag < -least and (better < MUCH_BETTER if found.work < 0 else better < FAR_BETTER and poor):
         yield (
             "early",
             True,
             f"qpos{of} is ahead of ctrl by {-1e3 * lag:.3g} ms, expected to follow it: ctrl was recorded late; set "
             f"data.clean.command_lag={-lag + found.settles:.2g} (s), or as late as it was recorded",
         )
-    elif lag > LATE + GAINS * found.settles:
+    elif lag > late and better < MUCH_BETTER and poor:
         yield (
             "late",
             False,

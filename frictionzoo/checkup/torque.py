@@ -102,8 +102,8 @@ def _check_inertia(bench: Bench, joint: int, of: str, inertia: float) -> Iterato
             "inertia",
             not low / OUTSIDE < inertia < high * OUTSIDE,
             f"the torque{of} moves an inertia of {inertia:.3g} {unit}, expected {low:g} to {high:g}, about {began:g}, "
-            "of bench.params.armature: qpos or ctrl has another unit, or a gear's ratio is left out; set data.units.qpos"
-            f"{('=mm' if slide else '=deg') if inertia < low else ''} or data.units.ctrl",
+            "of bench.params.armature: qpos or ctrl has another unit, or a gear's ratio is left out; set "
+            f"data.units.qpos{('=mm' if slide else '=deg') if inertia < low else ''} or data.units.ctrl",
         )
 
 
