@@ -25,7 +25,7 @@ MUCH_BETTER, FAR_BETTER = (
     0.5,
     0.1,
 )  # times the misfit of what is recorded, below which another time is better, and right
-POOR = 0.003  # misfit at a usual lag below which a position follows, whatever else does better
+POOR = 0.02  # misfit at a usual lag below which a position follows, whatever else does better
 EARLY = 0.01  # s, by which a position is ahead of its command at the least
 LATE, GAINS = 0.2, 2.5  # s, and times damping over stiffness, by which it is late at the most
 QUARTER = 0.2  # s, within which a command of the other sign is sought

@@ -76,7 +76,7 @@ def compare(signal: Signal, reference: Signal, timestep: float, on: Bool[np.ndar
     sums = scipy.fft.irfft(np.stack([signals[s] * others[r] for s, r in pairs]), length)
     farthest = min(round(FARTHEST / timestep), len(signal) - 1)
     steps = np.arange(-farthest, farthest + 1)
-    sums = sums[:, steps]
+    sums = np.take(sums, steps, axis=1, mode="wrap")
     kept = sums[0] > max(2.0, 0.5 * weight.sum())
     sum_s, square_s, sum_r, square_r, product = sums[1:, kept] / sums[0, kept]
     both, variance_s, variance_r = product - sum_s * sum_r, square_s - sum_s**2, square_r - sum_r**2

@@ -13,6 +13,7 @@ from frictionzoo.core.log import Log
 SHORT = 100  # samples; fewer tell nothing
 WORTH = 0.08  # share of a torque's variance that a joint leaves unexplained, from which on other readings are tried
 MUCH_BETTER = 0.5  # times what the recording as it is leaves unexplained, below which another reading is the right one
+AS_GOOD = 1.5  # times what the best reading leaves unexplained, of one that is told with it
 GAINED = 0.1  # share of a torque's variance by which another reading has to be better, summed over joints
 
 
@@ -25,21 +26,23 @@ def check_readings(log: Log, bench: Bench) -> Iterator[Finding]:
     left = np.zeros(1) if found is None else mismatch(found)
     if left.max() < WORTH:
         return
-    branches, best, text = np.array(bench.branches), MUCH_BETTER, ""
-    before = after = 0.0
+    branches, better = np.array(bench.branches), list[tuple[float, float, str]]()
     for joint, sentence, change in _other_readings(bench):
         of_branch = branches == branches[joint]
         other = balance(change(log), bench, model) if left[of_branch].max() > WORTH else None
         if other is not None:
-            whole, rest = float(left[of_branch].sum()), float(mismatch(other)[of_branch].sum())
-            if rest < best * whole and whole - rest > GAINED:
-                best, before, after, text = rest / whole, whole, rest, sentence
-    if text:
+            before, after = float(left[of_branch].sum()), float(mismatch(other)[of_branch].sum())
+            if after < MUCH_BETTER * before and before - after > GAINED:
+                better.append((after, before, sentence))
+    if better:
+        after, before, _ = min(better)
+        # A leg that hangs down moves as its mirror image does: several readings may be as good.
+        said = [sentence for rest, whole, sentence in sorted(better) if rest < AS_GOOD * after and whole == before]
         yield Finding(
             "reading",
             False,
             f"what the links need agrees with the actuators' torque much better ({before:.2g} of it unexplained, then "
-            f"{after:.2g}, summed over joints that move each other) if {text}",
+            f"{after:.2g}, summed over joints that move each other) if {'; or if '.join(said)}",
             log.name,
         )
 
