@@ -28,6 +28,7 @@ EDGE = 0.5  # s at either end that the filter spoils, and in which delayed torqu
 LONGEST = 20_000  # samples that are looked at
 ROWS = 1000  # of the regression
 SLOW = 0.05  # share of the top speed under which dry friction may hold the joint
+BOTH_WAYS = 0.1  # share of the rows that move either way at the least
 FEW = 50  # rows; fewer tell nothing
 CORRELATED = 15.0  # neighbouring rows that are as good as one
 FARTHEST, FINEST = 0.5, 0.002  # s, by which a torque is delayed either way, and in steps of which
@@ -121,10 +122,11 @@ def balance(log: Log, bench: Bench, model: mujoco.MjModel) -> Balance | None:
 
 
 def explain(found: Balance, joint: int) -> Explained | None:
-    """The regression of a joint's torque; None where the joint moves too little for it."""
+    """The regression of a joint's torque; None where the joint moves too little, or one way, for it."""
     moving, columns = _passive(found, joint)
     torque, links = found.torque[moving, joint], found.links[moving, joint]
-    if moving.sum() < FEW or not np.ptp(torque) > 0:
+    forward = float(np.mean(found.qvel[moving, joint] > 0))
+    if moving.sum() < FEW or not np.ptp(torque) > 0 or not BOTH_WAYS < forward < 1 - BOTH_WAYS:
         return None
     inertial = columns[:, [0, -1]]
     alone = links - inertial @ np.linalg.lstsq(inertial, links, rcond=None)[0]

@@ -35,6 +35,7 @@ from frictionzoo.checkup.torque import KNOWN, agrees, check_torque
 from frictionzoo.core.log import Dataset, Log
 
 GAINS = ("kp", "kd")  # commands that move nothing by themselves
+BRIEF = 2.5  # s; a shorter recording has too few motions to compare commands and torque with
 CLOSELY = 40  # recordings, spread evenly, that are looked at in all ways; the others without following and torque
 
 READ = 1  # recording of which other readings are tried
@@ -117,8 +118,9 @@ def _check_together(
 ) -> Iterator[Finding]:
     """Commands beside what they do, joint by joint and by the torque of all."""
     log = replace(log, **cleaned)
+    closely = closely and log.samples > SHORT and float(log.time[-1] - log.time[0]) > BRIEF
     works = work(log, bench)
-    followed = _follow(log, bench, works) if to_position and closely and log.samples > SHORT else {}
+    followed = _follow(log, bench, works) if to_position and closely else {}
     drifts = False
     if followed:
         best = max(followed, key=lambda joint: followed[joint].likeness.correlation.max())
@@ -191,7 +193,7 @@ def _check_commands(
     yield from beside
     if not beside and bench.joint_type == "hinge":
         yield from check_turns(of, log.qpos[:, joint], bench.unlimited[joint])
-    if closely and not to_position and log.samples > SHORT:
+    if closely and not to_position:
         yield from check_asked(log, of, joint)
 
 

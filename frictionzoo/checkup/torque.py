@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from jaxtyping import Float
 
 from frictionzoo.bench import Bench
 from frictionzoo.checkup.balance import Balance, Explained, delayed
@@ -18,7 +17,6 @@ FAR = 12.0  # times the armature's initial value, or its part, that is told
 PLAIN = 0.5  # share of a torque's variance that may be left where its inertia is to be told
 MUCH_BETTER = 0.5  # times what is left of the torque as recorded, below which another time is the right one
 EARLY, LATE = 0.01, 0.1  # s, between which a command acts, with the delay that a drive may have
-BOTH_WAYS = 0.1  # share of the rows that move either way at the least where times are looked at
 OFFSETS = ("force_offset", "torque_offset")  # of actuator laws, beside what their commands ask for
 LEFT = 0.3  # share of the variance that may be left of a joint whose command's time is looked at
 
@@ -109,7 +107,7 @@ def _check_inertia(bench: Bench, joint: int, of: str, inertia: float) -> Iterato
 
 def _check_time(log: Log, found: Balance, explained: Sequence[Explained | None]) -> Iterator[Finding]:
     """A torque command that acts before it is given, or later than a drive's delay."""
-    joints = [joint for joint, one in enumerate(explained) if one is not None and _both_ways(found.qvel[:, joint])]
+    joints = [joint for joint, one in enumerate(explained) if one is not None]
     if not joints:
         return
     lags, misfit = delayed(found, joints, slice(None))
@@ -140,11 +138,6 @@ def _check_time(log: Log, found: Balance, explained: Sequence[Explained | None])
             "columns are of the same times",
             log.name,
         )
-
-
-def _both_ways(qvel: Float[np.ndarray, "rows"]) -> bool:
-    top = 0.05 * np.abs(qvel).max()
-    return min(float(np.mean(qvel > top)), float(np.mean(qvel < -top))) > BOTH_WAYS
 
 
 def _window_lag(log: Log, found: Balance, joints: list[int], rows: np.ndarray) -> tuple[float, float] | None:
