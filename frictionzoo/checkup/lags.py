@@ -73,7 +73,7 @@ def compare(signal: Signal, reference: Signal, timestep: float, on: Bool[np.ndar
     signals = [scipy.fft.rfft(each, length) for each in (weight, weight * signal, weight * signal**2)]
     others = [scipy.fft.rfft(each, length).conj() for each in (ones, reference, reference**2)]
     pairs = [(0, 0), (1, 0), (2, 0), (0, 1), (0, 2), (1, 1)]
-    sums = scipy.fft.irfft(np.stack([signals[s] * others[r] for s, r in pairs]), length)
+    sums = np.asarray(scipy.fft.irfft(np.stack([signals[s] * others[r] for s, r in pairs]), length))
     farthest = min(round(FARTHEST / timestep), len(signal) - 1)
     steps = np.arange(-farthest, farthest + 1)
     sums = np.take(sums, steps, axis=1, mode="wrap")
