@@ -116,6 +116,7 @@ class How(TypedDict, total=False):
     evaluation: Judging
     loop: Looping
     scale: Mapping[str, float]
+    checkup: str
     seed: int
     dtype: str | None
     engine: str
@@ -195,6 +196,7 @@ def identify(
     evaluation: Judging | None = None,
     loop: Looping | None = None,
     scale: Mapping[str, float] | None = None,
+    checkup: str = "strict",
     seed: int = 0,
     dtype: str | None = None,
     engine: str = "auto",
@@ -220,6 +222,8 @@ def identify(
         loop: `chunk`, `patience`, `progress`.
         scale: Typical `torque`, `velocity`, `damping` and `inertia` of the drive, of which bounds and initial values of
             a law that is named are multiples; 1 in SI units where nothing is said.
+        checkup: `strict`, or `warn`: what is certainly wrong with the recordings, or with the bench for them, is a
+            warning of the result and no error.
         seed: Of a network's initial weights, for a law that is named.
         dtype: `float32` or `float64`; None as the recipe has it.
         engine: `auto`, `specialised` or `mjx`.
@@ -239,7 +243,8 @@ def identify(
     refuse_unlike("method", fit, Fit, f"a name, {', '.join(METHODS.names())}, or such an object")
     sections = {"segments": segments, "loss": loss, "evaluation": evaluation, "loop": loop, "scale": scale}
     given: dict[str, Any] = {name: options for name, options in sections.items() if options is not None}
-    given |= {"seed": seed, "engine": engine, "device": device, "compilation_cache": compilation_cache}
+    given |= {"checkup": checkup, "seed": seed, "engine": engine, "device": device}
+    given["compilation_cache"] = compilation_cache
     given |= {} if dtype is None else {"dtype": dtype}
     refuse_unknown(recipe)
     settings = compose_settings(given, f"recipe={recipe}")

@@ -287,3 +287,13 @@ def test_what_was_done_to_bring_signals_to_one_clock_is_told():
     recording = replace(record(uniform()), notes=("ctrl held from 40 samples of its own on the 50 times of qpos",))
     (log,) = clean(recording, cleaning())
     assert log.repairs == recording.notes
+
+
+def test_commands_that_were_recorded_late_are_moved_and_the_rest_stays() -> None:
+    time = 0.01 * np.arange(300)
+    told = np.sign(np.sin(3 * time))
+    recording = record(time, qpos=np.sin(time), ctrl=np.concatenate([np.repeat(told[:1], 7), told[:-7]]))
+    (log,) = clean(recording, cleaning(command_lag=0.07))
+    np.testing.assert_array_equal(log.ctrl[:, 0], told[: log.samples])
+    np.testing.assert_array_equal(log.qpos[:, 0], np.sin(time)[: log.samples])
+    assert log.samples == 293 and "ctrl moved 0.07 s earlier" in log.repairs

@@ -1,17 +1,20 @@
 """Recordings that cannot be right: what is said of each kind of fault, and that clean ones pass."""
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from conftest import needs_data
 
-from frictionzoo.bench import Bench, PositionPD
-from frictionzoo.bench.doubts import doubt_motion, doubt_recordings
-from frictionzoo.core.errors import LogError
+from frictionzoo.bench import Bench, Force, PositionPD
+from frictionzoo.checkup import check_up, find_all
+from frictionzoo.checkup.motion import check_motion
+from frictionzoo.core.errors import ConfigError, LogError
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.logs.twin import Twin
 from frictionzoo.result.verdict import doubt_gain, doubt_reference, doubt_sizes, explain_failure, list_moving
@@ -26,6 +29,17 @@ def late(values: np.ndarray, samples: int) -> np.ndarray:
 
 def put(values: np.ndarray, number: float) -> np.ndarray:
     return np.where(np.arange(len(values))[:, None] == 1000, number, values)
+
+
+def advance(values: np.ndarray, share: float) -> np.ndarray:
+    """By a clock that gets ahead."""
+    at = np.arange(len(values))
+    return np.interp(at * (1 - share), at, values[:, 0])[:, None]
+
+
+def one_way(log: Log) -> dict[str, np.ndarray]:
+    qpos = np.cumsum(np.abs(np.diff(log.qpos, axis=0, prepend=log.qpos[:1])), axis=0)
+    return {"qpos": qpos, "qvel": np.abs(log.qvel), "ctrl": qpos + (log.ctrl - log.qpos) * np.sign(log.qvel)}
 
 
 def frozen(values: np.ndarray) -> np.ndarray:
@@ -45,7 +59,7 @@ def recorded(make: Callable) -> tuple[Log, Bench]:
 
 
 def doubts(log: Log, bench: Bench) -> str:
-    return "\n".join(doubt_recordings(Dataset("one", (bench.accept(log),), (bench.accept(log),)), bench))
+    return "\n".join(check_up(Dataset("one", (bench.accept(log),), (bench.accept(log),)), bench, "strict"))
 
 
 def test_a_clean_recording_raises_no_doubt(recorded: tuple[Log, Bench]) -> None:
@@ -70,16 +84,25 @@ def test_a_command_of_steps_is_not_cut_off(recorded: tuple[Log, Bench]) -> None:
 @pytest.mark.parametrize(
     ("spoil", "line"),
     [
-        (lambda log: {"ctrl": -log.ctrl}, r"ctrl takes energy from the drive all along .* set data\.sign\.ctrl=-1"),
-        (lambda log: {"qpos": -log.qpos, "qvel": -log.qvel}, "ctrl takes energy .* or the sign of both qpos and qvel"),
-        (lambda log: {"qpos": log.ctrl, "ctrl": log.qpos}, "ctrl takes energy .* qpos and ctrl are swapped"),
+        (lambda log: {"ctrl": -log.ctrl}, r"does the opposite of what ctrl asks for .* set data\.sign\.ctrl=-1"),
+        (lambda log: {"qpos": -log.qpos, "qvel": -log.qvel}, "does the opposite .* or the sign of both qpos and qvel"),
+        (lambda log: {"ctrl": late(log.ctrl, 200)}, r"is ahead of ctrl by 120 ms.* set data\.clean\.command_lag=0\.17"),
+        (lambda log: {"ctrl": 57.3 * log.ctrl}, r"0\.01725 times as far: set data\.units\.ctrl=deg"),
+        (lambda log: {"qpos": 57.3 * log.qpos, "qvel": 57.3 * log.qvel}, r"times as far: set data\.units\.qpos=deg"),
+        (lambda log: {"qpos": 30 * log.qpos, "qvel": 30 * log.qvel}, r"a gear's ratio .* data\.units\.qpos=0\.0337"),
+        (lambda log: {"qpos": log.qvel, "qvel": log.qpos}, "qvel is no copy of the position's derivative.*columns are"),
+        (lambda log: {"units": {"qpos": "mm"}}, "qpos is in mm, expected angles for knee of knee_rod.xml, a hinge"),
+        (
+            lambda log: {"units": {"ctrl": "V"}},
+            "ctrl is in V, expected a desired position for PositionPD of knee_rod.xml",
+        ),
         (lambda log: {"qvel": -log.qvel}, r"have opposite signs, expected the same; set data\.sign\.qvel=-1"),
         (lambda log: {"qpos": -log.qpos}, r"have opposite signs.*or data\.sign\.qpos=-1"),
         (
             lambda log: {"qpos": log.qpos % (2 * np.pi)},
             r"jumps by a whole turn \d+ times.*data\.clean\.wrap=6\.28",
         ),
-        (lambda log: {"time": 1000 * log.time}, r"1 s between samples, expected .*; set data\.units\.time"),
+        (lambda log: {"time": 1000 * log.time}, r"1 s between samples, expected .*; set data\.units\.time=ms"),
         (lambda log: {"qpos": 0 * log.qpos, "qvel": 0 * log.qvel}, "moves through 0 in all, while ctrl spans"),
         (lambda log: {"qpos": RNG.normal(size=log.qpos.shape)}, "jumps between samples as noise does"),
         (lambda log: {"ctrl": put(log.ctrl, 1e300)}, r"ctrl is 1e\+300 at sample 1000, expected at most 1e\+09"),
@@ -105,7 +128,6 @@ def test_what_is_certain_is_refused_with_what_mends_it(
             "qpos is late by 14.9 ms against qvel; set data.clean.velocity_lag=auto",
         ),
         (lambda log: {"time": 2 * log.time}, "qvel is 2 times the position's derivative: look at the units of time"),
-        (lambda log: {"qpos": log.qvel, "qvel": log.qpos}, "qvel is no copy of the position's derivative"),
         (lambda log: {"qvel": 0 * log.qvel}, "qvel is constant; set data.clean.velocity=estimated"),
         (lambda log: {"ctrl": 0 * log.ctrl + 1}, "ctrl is constant, 1: the motion tells little"),
         (lambda log: {"ctrl": cut_off(log.ctrl)}, "it seems to be cut off there"),
@@ -113,7 +135,16 @@ def test_what_is_certain_is_refused_with_what_mends_it(
         (lambda log: {"qpos": put(log.qpos, 40)}, "qpos has 1 samples far from those before and after, such as 40 at"),
         (lambda log: {"qvel": put(log.qvel, 1e6)}, "qvel has 1 samples far from those before and after, such as 1e+06"),
         (lambda log: {"ctrl": put(log.ctrl, 40)}, "set data.clean.spikes=repair"),
-        (lambda log: {"ctrl": 57.3 * log.ctrl}, "look at their units (data.units; 57.3 is a degree)"),
+        (
+            lambda log: {name: 57.3 * getattr(log, name) for name in ("qpos", "qvel", "ctrl")},
+            "it looks like degrees; set data.units.qpos=deg",
+        ),
+        (
+            lambda log: {"qpos": late(log.qpos, 400), "qvel": late(log.qvel, 400)},
+            "let bench.params.delay be identified",
+        ),
+        (lambda log: {"ctrl": advance(log.ctrl, 0.07)}, "their clocks drift apart; record both with one clock"),
+        (lambda log: one_way(log), "the motion never reverses (0 % of it goes the other way)"),
         (lambda log: {"qpos": log.qpos + 5}, "look whether both count from the same zero"),
     ],
 )
@@ -124,11 +155,77 @@ def test_what_is_likely_is_told_with_what_mends_it(
     assert text in doubts(replace(log, **spoil(log)), bench)
 
 
+def test_what_is_certain_is_a_warning_if_the_user_says_so(recorded: tuple[Log, Bench]) -> None:
+    log, bench = recorded
+    turned = replace(bench.accept(log), ctrl=-log.ctrl)
+    dataset = Dataset("one", (turned,), (turned,))
+    with pytest.raises(LogError, match=r"if it is right all the same, set checkup=warn$"):
+        check_up(dataset, bench, "strict")
+    (told,) = check_up(dataset, bench, "warn")
+    assert "data.sign.ctrl=-1" in told and told.endswith("(1 of 2 logs)")
+    with pytest.raises(ConfigError, match=r"checkup=lenient: unknown; .*strict"):
+        check_up(dataset, bench, "lenient")
+
+
+def test_a_position_on_a_bench_of_torques_is_told(recorded: tuple[Log, Bench], make: Callable) -> None:
+    log, bench = replace(recorded[0], units={}), make("bench", "bench=emps")
+    said = doubts(log, bench)
+    assert "qpos follows ctrl as a desired position" in said and "(bench=NAME)" in said
+
+
+def test_a_torque_before_a_gear_and_one_that_was_recorded_late_are_told(recorded: tuple[Log, Bench]) -> None:
+    log, _ = recorded
+    bench = Bench("knee_rod.xml", actuator=Force(force_gain=1.0, force_offset=0.0))
+    torque = 20 * (log.ctrl - log.qpos) - log.qvel
+
+    def kinds(ctrl: np.ndarray) -> dict[str, str]:
+        spoilt = replace(log, ctrl=ctrl, units={})
+        return {finding.kind: finding.text for finding in find_all(Dataset("one", (spoilt,), (spoilt,)), bench)}
+
+    assert kinds(torque) == {}
+    assert "force_gain" in kinds(torque / 30)["torque"] and "gear's ratio" in kinds(torque / 30)["torque"]
+    assert "data.sign.ctrl=-1" in kinds(-torque)["opposed"]
+    assert "data.clean.command_lag=0.099 (s)" in kinds(late(torque, 100))["early"]
+
+
+def test_joints_that_are_swapped_or_turned_are_told(leg: Callable, make: Callable) -> None:
+    """Hip and knee swing on their own, as MuJoCo C simulates them, each at frequencies of its own."""
+    bench: Bench = leg()
+    time = 0.001 * np.arange(6000)
+    asked = np.column_stack([0.5 * np.sin(7 * time) + 0.3, 0.8 * np.sin(11 * time) - 0.9])
+    model = mujoco.MjModel.from_xml_string(bench.mjcf(bench.initial_values(), damping=np.full(2, 0.2)))
+    data, states = mujoco.MjData(model), []
+    for command in asked:
+        states.append((data.qpos.copy(), data.qvel.copy()))
+        data.ctrl[:] = command
+        mujoco.mj_step(model, data)
+    qpos, qvel = (np.array(values) for values in zip(*states, strict=True))
+    log = Log("leg", time, qpos, qvel, asked, "0" * 64, simulated=True)
+
+    def said(qpos: np.ndarray, qvel: np.ndarray, ctrl: np.ndarray) -> str:
+        spoilt = replace(log, qpos=qpos, qvel=qvel, ctrl=ctrl)
+        return "\n".join(finding.text for finding in find_all(Dataset("leg", (spoilt,), (spoilt,)), bench))
+
+    assert said(qpos, qvel, asked) == ""
+    assert "qpos of hip follows ctrl of knee and not its own" in said(qpos, qvel, asked[:, ::-1])
+    assert "hip and knee are swapped: put them in that order" in said(qpos[:, ::-1], qvel[:, ::-1], asked[:, ::-1])
+    turn = np.array([1.0, -1.0])
+    # Of a leg that hangs down, either joint turned round gives the mirror image of the other.
+    assert re.search("(hip|knee) turns the other way: set data.sign.qpos", said(turn * qpos, turn * qvel, turn * asked))
+
+
+@needs_data
+def test_a_bench_of_another_unit_is_refused(make: Callable) -> None:
+    dataset, bench = make("data", "data=emps").load(), make("bench")
+    with pytest.raises(LogError, match=r"emps: qpos is in m, expected angles for knee .* choose the bench"):
+        check_up(bench.accept_all(dataset), bench, "strict")
+
+
 @needs_data
 @pytest.mark.parametrize("data", ["emps", "xl330"])
 def test_real_recordings_raise_no_doubt(make: Callable, data: str) -> None:
     bench, dataset = (make(group, f"data={data}") for group in ("bench", "data"))
-    assert doubt_recordings(bench.accept_all(dataset.load()), bench) == []
+    assert check_up(bench.accept_all(dataset.load()), bench, "strict") == []
 
 
 def test_what_mujoco_would_touch_on_the_way_is_told(recorded: tuple[Log, Bench], make: Callable, tmp_path) -> None:
@@ -140,7 +237,7 @@ def test_what_mujoco_would_touch_on_the_way_is_told(recorded: tuple[Log, Bench],
         "</body></worldbody></mujoco>"
     )
     bench = make("bench", f"bench.mjcf={path}", "bench.joint=j")
-    told = doubt_motion(Dataset("one", (log,), (log,)), bench)
+    told = [finding.text for finding in check_motion(Dataset("one", (log,), (log,)), bench)]
     assert any("joint j is at its limit in" in sentence for sentence in told)
     assert any("geoms floor and rod touch in" in sentence for sentence in told)
 

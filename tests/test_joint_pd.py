@@ -16,7 +16,7 @@ import torch
 
 import frictionzoo as fz
 from frictionzoo.bench import Actuator, Bench
-from frictionzoo.bench.doubts import doubt_recordings
+from frictionzoo.checkup import check_up
 from frictionzoo.core.errors import BenchError, ConfigError
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.segments import Sampling, cut_segments
@@ -232,13 +232,13 @@ def test_doubts_look_at_all_commands(leg: Any) -> None:
         bench: Bench = leg(law)
         log = bench.accept(read(move(still, gains)))
         data = Dataset("robot", (log,), (log,))
-        assert doubt_recordings(data, bench) == []
+        assert check_up(data, bench, "strict") == []
         turned = replace(log, extras={**log.extras, "ctrl_torque": -9 * log.extras["ctrl_torque"]})
         turned = bench.accept(turned)
-        told_of = doubt_recordings(Dataset("robot", (turned,), (turned,)), bench)
+        told_of = check_up(Dataset("robot", (turned,), (turned,)), bench, "warn")
         assert any("takes energy from the drive" in doubt for doubt in told_of)
     follows = bench.accept(read(move(told, GAINS)))
-    assert doubt_recordings(Dataset("robot", (follows,), (follows,)), bench) == []
+    assert check_up(Dataset("robot", (follows,), (follows,)), bench, "strict") == []
 
 
 def test_a_rollout_in_torch_takes_what_is_given(leg: Any, make: Any) -> None:

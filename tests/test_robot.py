@@ -11,7 +11,7 @@ import pytest
 import torch
 
 import frictionzoo as fz
-from frictionzoo.bench.doubts import doubt_motion
+from frictionzoo.checkup.motion import check_motion
 from frictionzoo.core.errors import BenchError, ConfigError
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.models.mujoco_default import MujocoDefault
@@ -102,11 +102,12 @@ def test_what_cannot_be_is_one_line(
 
 def test_motion_beyond_limits_that_were_left_out_is_told(dog: Callable[..., fz.Robot], recorded: Log) -> None:
     robot = dog()
-    assert doubt_motion(Dataset("dog", (recorded,), (recorded,)), robot) == []
+    assert list(check_motion(Dataset("dog", (recorded,), (recorded,)), robot)) == []
     far = replace(recorded, qpos=recorded.qpos + np.array([1.5, 0, 0, 0]))
-    (doubt,) = doubt_motion(Dataset("dog", (far,), (far,)), robot)
+    (doubt,) = (finding.text for finding in check_motion(Dataset("dog", (far,), (far,)), robot))
     assert doubt.startswith("joint left_hip_joint is beyond its limits in the file, -1 to 1, in ")
-    assert not any("beyond" in doubt for doubt in doubt_motion(Dataset("dog", (far,), (far,)), dog(limits="keep")))
+    kept = check_motion(Dataset("dog", (far,), (far,)), dog(limits="keep"))
+    assert not any("beyond" in finding.text for finding in kept)
 
 
 @pytest.fixture(scope="module")

@@ -60,6 +60,7 @@ _TAKES: dict[str, tuple[Any, ...]] = {
     "data.split.test": ([], "", 0.0),
     "data.clean.step": (0.1, None),
     "data.clean.velocity_lag": (0.1, "", None),
+    "data.clean.command_lag": (0.1, None),
 }
 _LARGEST, _LARGEST_SEED = 2**31 - 1, 2**63 - 1  # whole numbers as JAX counts in 32 bits, and as generators take them
 _KINDS = {

@@ -49,6 +49,8 @@ class Log:
         velocity_estimated: Whether qvel was computed from qpos, so that it says nothing of its own.
         repairs: What cleaning changed, a sentence each.
         metadata: What else the source says about it (gains, notes).
+        units: Unit of signals by name, as the source or the user stated them, before they became SI; of those alone of
+            which somebody said it.
 
     Raises:
         LogError: Shapes disagree, a sample is not finite, or time is not uniform.
@@ -69,6 +71,7 @@ class Log:
     velocity_estimated: bool = False
     repairs: tuple[str, ...] = ()
     metadata: Mapping[str, Any] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         samples = len(self.time)

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from frictionzoo.bench import Bench
-from frictionzoo.bench.doubts import doubt_motion, doubt_recordings
+from frictionzoo.checkup import check_up
 from frictionzoo.core.build import build
 from frictionzoo.core.described import describe
 from frictionzoo.core.errors import RunError
@@ -48,6 +48,7 @@ class Parts(NamedTuple):
         dataset: Recordings, train and test.
         model: The friction law; it is made ready for the data, and a fit leaves the best values in it.
         fit: How to find the parameters.
+        doubts: What of the recordings is likely to be wrong.
         seconds: What it took to have them [s].
     """
 
@@ -55,6 +56,7 @@ class Parts(NamedTuple):
     dataset: Dataset
     model: FrictionModel
     fit: Fit
+    doubts: list[str]
     seconds: float
 
     @classmethod
@@ -92,9 +94,12 @@ class Parts(NamedTuple):
         began = time.perf_counter()
         if settings["dtype"] != AUTO:
             refuse_precision(settings["dtype"])  # before the first fit
+        model.bind(bench.joints)
+        watching = bench.observing(model.inputs)
+        doubts = check_up(watching.accept_all(dataset), watching, settings["checkup"])
         with computing("float64", settings["device"], settings["compilation_cache"]):
             settled = settle(settings, bench, dataset, model, fit)
-        return cls(settled, dataset, model, fit, time.perf_counter() - began)
+        return cls(settled, dataset, model, fit, doubts, time.perf_counter() - began)
 
     def computing(self) -> contextlib.AbstractContextManager[str]:
         """JAX in the precision and on the device of the settings."""
@@ -172,7 +177,7 @@ class Problem:
             told = {name: describe(bench)[name] for name in ("inertia", "gravity")}
             settings = {**settings, "bench": {**settings["bench"], **told}}
         dataset = bench.accept_all(dataset) if links else accepted
-        doubts = [*doubt_recordings(dataset, bench), *doubt_motion(dataset, bench), *parts.settled.doubts]
+        doubts = [*parts.doubts, *parts.settled.doubts]
         sampling = bench.sampling(dataset.logs[0].timestep)
         segments = cut_segments(dataset.train, **settings["segments"], history=sampling.history)
         evaluation = Evaluation(dataset, bench.joint_type, **settings["evaluation"], history=sampling.history)

@@ -67,6 +67,8 @@ class Cleaning(Described):
         order: Order of its filter, which runs forwards and backwards.
         velocity_lag: Time by which the measured velocity lags the position, which is taken out [s]; `auto` finds it;
             None leaves it.
+        command_lag: Time by which the recorded commands are late, which is taken out [s]; None leaves it. It is the
+            recorder's; by which a command acts late is the bench's `delay`.
         shortest: Shorter pieces are left out [s].
 
     Raises:
@@ -82,6 +84,7 @@ class Cleaning(Described):
     cutoff: float = 20.0
     order: int = 2
     velocity_lag: float | str | None = None
+    command_lag: float | None = None
     shortest: float = 0.1
 
     def __post_init__(self) -> None:
@@ -155,6 +158,7 @@ def _finish(piece: Piece, name: str, recording: Recording, cleaning: Cleaning) -
     piece = _fill_nan(piece)
     piece = _repair_spikes(piece) if cleaning.spikes == "repair" else piece
     piece = _shift_velocity(piece, name, cleaning)
+    piece = _shift_commands(piece, name, cleaning)
     piece = _resample(piece, name, cleaning)
     piece = _choose_velocity(piece, name, cleaning)
     if piece.time[0] != 0:
@@ -261,6 +265,21 @@ def _shift_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
     cut = piece.keep(kept)
     sentence = f"qvel moved {lag:.4g} s earlier, {cleaning.resample} between samples"
     return replace(cut, signals={**cut.signals, "qvel": moved}).say(sentence)
+
+
+def _shift_commands(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
+    """The commands moved to when they were given; the end, where there is none then, is cut."""
+    if cleaning.command_lag is None:
+        return piece
+    later = piece.time + cleaning.command_lag
+    kept = (later >= piece.time[0]) & (later <= piece.time[-1])
+    if kept.sum() < 2:
+        raise LogError(f"{name}: shorter than data.clean.command_lag={cleaning.command_lag:g} s; set a smaller one")
+    commands = [signal for signal in COMMANDS if signal in piece.signals]
+    cut = piece.keep(kept)
+    moved = {signal: _each(_sample, piece.signals[signal], piece.time, later[kept], "held") for signal in commands}
+    sentence = f"{', '.join(commands)} moved {cleaning.command_lag:.4g} s earlier"
+    return replace(cut, signals={**cut.signals, **moved}).say(sentence)
 
 
 def _find_lag(piece: Piece, name: str) -> float:

@@ -79,6 +79,7 @@ class Emps(Source):
             simulated=False,
             velocity_estimated=True,
             metadata={"citation": CITATION, "file": file_name},
+            units={"qpos": "m", "ctrl": "V"},
         )
 
 

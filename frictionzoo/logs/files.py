@@ -171,7 +171,8 @@ class Files(Source):
                 name: np.full((log.samples, 1), _constant(recording, name, given))
                 for name, given in self.inputs.items()
             }
-            logs.append(replace(log, payload=payload, extras={**log.extras, **constants}, metadata=recording.fields))
+            more = {"payload": payload, "extras": {**log.extras, **constants}, "metadata": recording.fields}
+            logs.append(replace(log, **more, units=self.units))
         return logs
 
     def _report(self, recordings: Sequence[Recording], logs: Sequence[Sequence[Log]]) -> None:

@@ -224,7 +224,8 @@ class Twin(Source):
         arrays = cached(self.cache_file(), SIGNALS, self._record)
         metadata = {"controller": asdict(self.controller), "drive": asdict(self.drive), "seed": self.seed}
         time, qpos, qvel, ctrl = (arrays[name] for name in SIGNALS)
-        log = Log(self.name, time, qpos, qvel, ctrl, digest(arrays), simulated=True, metadata=metadata)
+        units = {"qpos": "rad", "ctrl": "rad"}
+        log = Log(self.name, time, qpos, qvel, ctrl, digest(arrays), simulated=True, metadata=metadata, units=units)
         train, test = split_by_time(log, **self.split)
         return Dataset(self.name, (train,), (test,))
 

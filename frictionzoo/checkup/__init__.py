@@ -1,0 +1,6 @@
+"""The check-up of recordings and of the bench for them, before a fit."""
+
+from frictionzoo.checkup.findings import CHECKUPS, Finding
+from frictionzoo.checkup.recordings import check_up, find_all
+
+__all__ = ["CHECKUPS", "Finding", "check_up", "find_all"]

@@ -1,0 +1,209 @@
+"""The torque that a bench's actuator gives at recorded states, beside the torque that its links need for the motion.
+
+    torque = share * links(qpos, qvel, qacc) + inertia * qacc + viscous * qvel + dry * sign(qvel) + offset
+
+holds over a recording, all signals behind one low-pass, with a share of 1 if signs, units, gears and the order of the
+joints are those of the bench. The torque is that of the actuator law at initial values, what links need is MuJoCo's
+inverse dynamics of the bench without armature. Each joint is a linear regression; no simulation is needed.
+
+Source: the inverse dynamic model of M. Gautier, "Dynamic identification of robots with power model", ICRA 1997.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from frictionzoo.bench import Bench
+from frictionzoo.bench.regressor import inverse_torque
+from frictionzoo.core.errors import ConfigError, LogError
+from frictionzoo.core.log import Log
+from frictionzoo.logs.signals import smooth
+
+BANDWIDTH = 10.0  # Hz, up to which torque is compared; at most a tenth of the sample rate
+ORDER = 2
+EDGE = 0.5  # s at either end that the filter spoils, and in which delayed torques lie
+LONGEST = 20_000  # samples that are looked at
+ROWS = 1000  # of the regression
+SLOW = 0.05  # share of the top speed under which dry friction may hold the joint
+BOTH_WAYS = 0.1  # share of the rows that move either way at the least
+FEW = 50  # rows; fewer tell nothing
+CORRELATED = 15.0  # neighbouring rows that are as good as one
+FARTHEST, FINEST = 0.5, 0.002  # s, by which a torque is delayed either way, and in steps of which
+ALIKE = 1e-6  # share of what links need that their inertia alone does not explain, of a joint without a load
+
+
+class Balance(NamedTuple):
+    """Filtered signals of one recording, rows spread over it.
+
+    Attributes:
+        torque: Of the actuators [N m or N].
+        links: What links, springs and dampers of the bench need [N m or N].
+        qvel: [rad/s or m/s].
+        qacc: [rad/s^2 or m/s^2].
+        rows: Index of each row's sample.
+        when: Its time [s].
+        whole: Torque in all samples [N m or N].
+        timestep: Sample interval [s].
+    """
+
+    torque: Float[np.ndarray, "rows nv"]
+    links: Float[np.ndarray, "rows nv"]
+    qvel: Float[np.ndarray, "rows nv"]
+    qacc: Float[np.ndarray, "rows nv"]
+    rows: Int[np.ndarray, "rows"]
+    when: Float[np.ndarray, "rows"]
+    whole: Float[np.ndarray, "time nv"]
+    timestep: float
+
+
+class Explained(NamedTuple):
+    """How a joint's torque is explained.
+
+    Attributes:
+        left: Share of the torque's variance that is not.
+        share: What the torque is of that which links need; NaN where that is nothing, or not to be told from inertia.
+        error: Its standard error.
+        inertia: Of the armature, with the links' where `share` is NaN [kg m^2 or kg].
+        inertia_error: Its standard error.
+    """
+
+    left: float
+    share: float
+    error: float
+    inertia: float
+    inertia_error: float
+
+
+def actuator_torque(
+    log: Log, bench: Bench, qvel: Float[np.ndarray, "time nv"] | None = None
+) -> Float[np.ndarray, "time nv"]:
+    """Torque of the actuators at recorded states [N m or N], with initial values and what `enable` lets through.
+
+    Args:
+        log: Accepted by the bench.
+        bench: The test stand.
+        qvel: Velocities in place of the recorded ones [rad/s or m/s].
+    """
+    values, qvel = bench.initial_values(), log.qvel if qvel is None else qvel
+    ctrl = bench.actuator.control(np, values, log.qpos, qvel, log.ctrl, log.inputs)
+    affine = bench.actuator.affine(values)
+    torque = affine.gain * ctrl + affine.bias0 + affine.bias1 * log.qpos + affine.bias2 * qvel
+    return np.asarray(log.inputs.get("enable", 1.0) * torque)
+
+
+def balance(log: Log, bench: Bench, model: mujoco.MjModel) -> Balance | None:
+    """Both sides of a recording's torque balance; None where it is too short to filter.
+
+    Args:
+        log: Accepted by the bench.
+        bench: The test stand.
+        model: It compiled, without a friction constraint; the log's load is put into it.
+    """
+    log = log.between(0, LONGEST, "start") if log.samples > LONGEST else log
+    cutoff = min(BANDWIDTH, 0.1 / log.timestep)
+    try:
+        qpos, torque = (
+            smooth(values, log.timestep, cutoff, ORDER, log.name, "")
+            for values in (log.qpos, actuator_torque(log, bench))
+        )
+    except (LogError, ConfigError):
+        return None
+    qvel = np.gradient(qpos, log.timestep, axis=0)
+    qacc = np.gradient(qvel, log.timestep, axis=0)
+    edge = min(round(EDGE / log.timestep), log.samples // 10)
+    rows = np.arange(edge, log.samples - edge, max(1, (log.samples - 2 * edge) // ROWS))
+    bench.put_load(model, log.load)
+    links = inverse_torque(model, qpos[rows], qvel[rows], qacc[rows])
+    found = Balance(torque[rows], links, qvel[rows], qacc[rows], rows, log.time[rows], torque, log.timestep)
+    return found if all(np.isfinite(values).all() for values in found) else None
+
+
+def explain(found: Balance, joint: int) -> Explained | None:
+    """The regression of a joint's torque; None where the joint moves too little, or one way, for it."""
+    moving, columns = _passive(found, joint)
+    torque, links = found.torque[moving, joint], found.links[moving, joint]
+    forward = float(np.mean(found.qvel[moving, joint] > 0))
+    if moving.sum() < FEW or not np.ptp(torque) > 0 or not BOTH_WAYS < forward < 1 - BOTH_WAYS:
+        return None
+    inertial = columns[:, [0, -1]]
+    alone = links - inertial @ np.linalg.lstsq(inertial, links, rcond=None)[0]
+    loaded = np.std(alone) > ALIKE * np.std(links) and np.ptp(links) > 0
+    columns = np.column_stack([links, columns]) if loaded else columns
+    values, errors, left = _regress(columns, torque)
+    share, error = (values[0], errors[0]) if loaded else (np.nan, np.nan)
+    at = int(loaded)
+    return Explained(left, float(share), float(error), float(values[at]), float(errors[at]))
+
+
+def mismatch(found: Balance) -> Float[np.ndarray, "nv"]:
+    """Share of each joint's torque that is not explained if the links need what the bench says; 0 where none moves."""
+    left = np.zeros(found.torque.shape[1])
+    for joint in range(len(left)):
+        moving, columns = _passive(found, joint)
+        torque, links = found.torque[moving, joint], found.links[moving, joint]
+        if moving.sum() >= FEW and np.ptp(torque) > 0:
+            rest = torque - links
+            rest = rest - columns @ np.linalg.lstsq(columns, rest, rcond=None)[0]
+            left[joint] = np.var(rest) / np.var(torque)
+    return left
+
+
+def delayed(
+    found: Balance, joints: Sequence[int], part: slice
+) -> tuple[Float[np.ndarray, "lags"], Float[np.ndarray, "lags"]]:
+    """What is left of the torque of joints if it acts late, for each of many lags [s]: the mean of their shares.
+
+    Args:
+        found: The balance.
+        joints: Which of them.
+        part: Rows that are looked at.
+    """
+    rows = found.rows[part]
+    step = max(1, round(FINEST / found.timestep))
+    steps = np.arange(-(FARTHEST // found.timestep), FARTHEST // found.timestep + 1, step).astype(int)
+    steps = steps[(rows[0] - steps >= 0) & (rows[-1] - steps < len(found.whole))]
+    left, counted = np.zeros(len(steps)), 0
+    cut = found._replace(
+        torque=found.torque[part], links=found.links[part], qvel=found.qvel[part], qacc=found.qacc[part]
+    )
+    for joint in joints:
+        moving, columns = _passive(cut, joint)
+        columns = np.column_stack([cut.links[moving, joint], columns])
+        if moving.sum() >= FEW:
+            basis = _orthogonal(columns)
+            for at, samples in enumerate(steps):
+                torque = found.whole[rows[moving] - samples, joint]
+                torque = torque - torque.mean()
+                whole = max(float(torque @ torque), 1e-300)
+                left[at] += (whole - float(np.sum((basis.T @ torque) ** 2))) / whole
+            counted += 1
+    return (steps * found.timestep, left / counted) if counted else (np.zeros(0), np.zeros(0))
+
+
+def _orthogonal(columns: Float[np.ndarray, "rows n"]) -> Float[np.ndarray, "rows rank"]:
+    """An orthonormal basis of what columns span."""
+    basis, sizes, _ = np.linalg.svd(columns / np.maximum(np.abs(columns).max(axis=0), 1e-300), full_matrices=False)
+    return basis[:, sizes > 1e-9 * sizes.max()]
+
+
+def _passive(found: Balance, joint: int) -> tuple[Bool[np.ndarray, "rows"], Float[np.ndarray, "moving 4"]]:
+    """Rows in which a joint moves, and in them what inertia and friction are factors of."""
+    speed = np.abs(found.qvel[:, joint])
+    moving = speed > SLOW * np.quantile(speed, 0.99)
+    qvel, qacc = found.qvel[moving, joint], found.qacc[moving, joint]
+    return moving, np.column_stack([qacc, qvel, np.sign(qvel), np.ones(len(qvel))])
+
+
+def _regress(
+    columns: Float[np.ndarray, "rows n"], torque: Float[np.ndarray, "rows"]
+) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"], float]:
+    """Least squares: values, standard errors, and the share of the variance that is left."""
+    size = np.maximum(np.abs(columns).max(axis=0), 1e-300)
+    scaled = columns / size
+    values = np.linalg.lstsq(scaled, torque, rcond=None)[0]
+    rest = torque - scaled @ values
+    spread = CORRELATED * np.var(rest) * np.diag(np.linalg.pinv(scaled.T @ scaled))
+    return values / size, np.sqrt(spread) / size, float(np.var(rest) / np.var(torque))

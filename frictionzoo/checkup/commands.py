@@ -1,0 +1,75 @@
+"""What a command says alone, and by the work that it does."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float
+
+from frictionzoo.bench import Bench
+from frictionzoo.checkup.balance import actuator_torque
+from frictionzoo.core.log import Log
+from frictionzoo.logs.signals import Signal
+
+SATURATED = 0.2  # share of a command's samples at the ends of its range that is told, if it is no sequence of steps
+PAST = 0.1  # share of a command's range by which the position passes it if the command is cut off
+FAR_PAST = 0.5  # the same of a sequence of steps, after which a position may swing
+LEVELS, HELD = 10, 0.9  # values that hold this share of the samples: such a command is a sequence of steps
+OPPOSED = 0.0  # share of the work that a command exchanges with the drive from which on it takes energy
+CARRIED = -0.5  # the same of a joint that others move, from which on it is told: it may brake what they do
+
+
+def check_command(of: str, ctrl: Signal, follows: Float[np.ndarray, "on"] | None) -> Iterator[tuple[str, bool, str]]:
+    """What the command alone says, and beside the position where that is to follow it."""
+    low, high = float(ctrl.min()), float(ctrl.max())
+    if low == high:
+        yield (
+            "constant",
+            False,
+            f"ctrl{of} is constant, {low:.4g}: the motion tells little of the drive; look at data.columns.ctrl",
+        )
+        return
+    # Resampling rounds levels, and puts a few values between them.
+    share = np.round((ctrl - low) / (high - low), 6)
+    ends = float(np.mean((share == 0) | (share == 1)))
+    _, counts = np.unique(share, return_counts=True)
+    steps = np.sort(counts)[-LEVELS:].sum() > HELD * len(ctrl)
+    # A position that is told to rest at two ends does not go far beyond them.
+    passed = 1.0 if follows is None else max(low - follows.min(), follows.max() - high) / (high - low)
+    if ends > SATURATED and passed > PAST and (not steps or (follows is not None and passed > FAR_PAST)):
+        yield (
+            "saturated",
+            False,
+            f"ctrl{of} is at an end of its range, {low:.4g} or {high:.4g}, in {100 * ends:.0f} % of the samples: it "
+            "seems to be cut off there; record what the drive got (data.columns.ctrl), or a smaller motion",
+        )
+
+
+def check_work(of: str, bench: Bench, joint: int, share: float) -> Iterator[tuple[str, bool, str]]:
+    """A command that takes energy; of a joint that others move and that gravity may drive, that is only doubtful."""
+    took = f"ctrl{of} takes energy from the drive all along ({100 * share:.0f} % of what it exchanges)"
+    alone = bench.branches.count(bench.branches[joint]) == 1
+    if alone and share < OPPOSED:
+        yield (
+            "work",
+            True,
+            f"{took}, expected to give it; set data.sign.ctrl=-1, or the sign of both qpos and qvel, or look whether "
+            "qpos and ctrl are swapped, have other units or another zero, or belong to other times (data.columns, "
+            "data.units, data.clean.command_lag)",
+        )
+    elif not alone and share < CARRIED:
+        yield (
+            "work",
+            False,
+            f"{took}: right where gravity or other joints move it, else look at its sign (data.sign.ctrl)",
+        )
+
+
+def work(log: Log, bench: Bench) -> Float[np.ndarray, "nv"]:
+    """Net work that the commands did on each joint, as a share of what they exchanged.
+
+    The actuator's torque with initial values, its damping left out, as if the joint stood still. Over a recording,
+    friction and damping take what the commands give, but for what the drive stores between its first and its last
+    state; so the net work is not negative, however late the drive follows, up to half a period.
+    """
+    power = actuator_torque(log, bench, np.zeros_like(log.qvel)) * log.qvel
+    return power.sum(axis=0) / np.maximum(np.abs(power).sum(axis=0), 1e-300)

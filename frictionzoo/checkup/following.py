@@ -1,0 +1,222 @@
+"""A position beside the command that asks for it: sign, order of joints, size, zero, and when each was recorded."""
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+import numpy as np
+import scipy.optimize
+from jaxtyping import Bool, Float
+
+from frictionzoo.bench import Bench
+from frictionzoo.checkup.findings import say_sign
+from frictionzoo.checkup.lags import SHORTEST, WINDOWS, Likeness, compare, find_drift, pick_lag, say_drift
+from frictionzoo.core.log import Log
+from frictionzoo.logs.signals import Signal
+
+FOLLOWS = 0.9  # correlation from which on a position follows its command
+IGNORES = 0.5  # and below which it does not
+LARGER = 3.0  # times; a position moves no more than it is told to
+SMALLER = 8.0  # times; while it follows, it moves no less
+FAR_SMALLER = 20.0  # times; no weak gain explains this
+APART = 0.5  # times the motion that position and command are apart at the least
+DEGREE = 0.1  # relative difference to 57.3 of a factor that is taken for degrees
+MUCH_BETTER, FAR_BETTER = (
+    0.5,
+    0.1,
+)  # times the misfit of what is recorded, below which another time is better, and right
+POOR = 0.02  # misfit at a usual lag below which a position follows, whatever else does better
+EARLY = 0.01  # s, by which a position is ahead of its command at the least
+LATE, GAINS = 0.2, 2.5  # s, and times damping over stiffness, by which it is late at the most
+QUARTER = 0.2  # s, within which a command of the other sign is sought
+COPIES, ABOUT = 0.98, 0.3  # correlation and relative size of a position that is what a command asks for
+LATEST_OTHER = 0.3  # s, by which a joint may follow another's command
+OTHER = 0.3  # times its own command's distance, within which a joint follows another's
+
+
+class Followed(NamedTuple):
+    """A joint's position beside its command.
+
+    Attributes:
+        qpos: The position, without samples that stand apart [rad or m].
+        ctrl: The command, alike.
+        on: Samples in which the drive is to follow.
+        likeness: Of the two.
+        settles: Damping over stiffness of the actuator law, by which a position is late [s].
+        work: Net work that the command does, as a share of what it exchanges.
+    """
+
+    qpos: Signal
+    ctrl: Signal
+    on: Bool[np.ndarray, "time"]
+    likeness: Likeness
+    settles: float
+    work: float
+
+
+def settling(log: Log, bench: Bench, joint: int, on: Bool[np.ndarray, "time"]) -> float:
+    """Damping over stiffness of the actuator law near its desired position [s]; 0 where that is not to be told."""
+    values, law, still = bench.initial_values(), bench.actuator, np.zeros_like(log.qpos)
+    affine, small = law.affine(values), 1e-4
+
+    def torque(qvel: Float[np.ndarray, "time nv"], ctrl: Float[np.ndarray, "time nv"]) -> np.ndarray:
+        given = law.control(np, values, still, qvel, ctrl, log.inputs)
+        return np.asarray(affine.gain * given + affine.bias2 * qvel)[on, joint]
+
+    stiffness = float(np.median(torque(still, still + small) - torque(still, still - small)))
+    damping = float(np.median(torque(still - small, still) - torque(still + small, still)))
+    return max(damping / stiffness, 0.0) if stiffness > 0 else 0.0
+
+
+def check_following(
+    log: Log, of: str, bench: Bench, joint: int, found: Followed, drifts: bool, swapped: int | None
+) -> Iterator[tuple[str, bool, str]]:
+    """What speaks against a command of position: kind, whether it is certain, and a sentence.
+
+    Args:
+        log: The recording.
+        of: The joint, in messages.
+        bench: The test stand.
+        joint: Index of the joint.
+        found: Its position beside its command.
+        drifts: Whether the lag changes along the recording, so that no one lag says anything.
+        swapped: Index of the joint whose command it follows instead of its own.
+    """
+    least = max(2 * log.timestep, EARLY)
+    usual = found.likeness.between(-least, max(LATE, found.settles))
+    best, slide = found.likeness.best, bench.joint_type == "slide"
+    opposed = found.likeness.between(0.0, QUARTER).correlation.min()
+    if swapped is not None:
+        yield (
+            "swapped",
+            True,
+            f"qpos{of} follows ctrl of {bench.joints[swapped]} and not its own: columns are swapped; put "
+            "data.columns.ctrl, or data.columns.qpos and data.columns.qvel, into the order of the bench's joints",
+        )
+    elif opposed < -FOLLOWS and -opposed > usual.correlation.max():
+        yield (
+            "opposed",
+            True,
+            f"qpos{of} does the opposite of what ctrl asks for (correlation {opposed:.2f}), expected to follow it; set "
+            f"data.sign.ctrl={say_sign(joint, bench.nv)}, or the sign of both qpos and qvel",
+        )
+    elif found.likeness.correlation[best] < IGNORES:
+        yield (
+            "ignored",
+            found.work < 0,
+            f"qpos{of} does not follow ctrl at any time (correlation {found.likeness.correlation[best]:.2f}): look "
+            "whether ctrl is a desired position (bench.actuator, or another bench) and which joint's it is "
+            "(data.columns.ctrl)",
+        )
+    elif found.likeness.correlation[best] > FOLLOWS:
+        yield from () if drifts else _check_time(of, found, least)
+        yield from _check_size(of, found, slide)
+
+
+def find_swaps(log: Log, followed: Mapping[int, Followed]) -> dict[int, int]:
+    """Joints that follow the command of another one, with that one: where an exchange among them makes all follow."""
+    own = {joint: float(one.likeness.between(0.0, LATEST_OTHER).distance.min()) for joint, one in followed.items()}
+    astray = [joint for joint, one in followed.items() if own[joint] > OTHER * np.std(one.qpos[one.on])]
+    apart = np.zeros((len(astray), len(astray)))
+    for row, joint in enumerate(astray):
+        one = followed[joint]
+        for column, other in enumerate(astray):
+            beside = compare(one.qpos, followed[other].ctrl, log.timestep, one.on).between(0.0, LATEST_OTHER)
+            apart[row, column] = float(beside.distance.min())
+    rows, columns = scipy.optimize.linear_sum_assignment(apart**2)
+    found = {astray[row]: astray[column] for row, column in zip(rows, columns, strict=True) if row != column}
+    nearer = all(
+        apart[row, column] < OTHER * apart[row, row] for row, column in zip(rows, columns, strict=True) if row != column
+    )
+    return found if nearer else {}
+
+
+def check_asked(log: Log, of: str, joint: int) -> Iterator[tuple[str, bool, str]]:
+    """A command that is to be a torque, and that the position follows as if it were asked for."""
+    ctrl = log.ctrl[:, joint]
+    if np.ptp(ctrl) > 0:
+        likeness = compare(log.qpos[:, joint], ctrl, log.timestep, np.ones(log.samples, bool)).between(0.0, LATE)
+        if likeness.correlation.max() > COPIES and abs(likeness.scale[likeness.best] - 1) < ABOUT:
+            yield (
+                "asked",
+                False,
+                f"qpos{of} follows ctrl as a desired position (correlation {likeness.correlation.max():.3f}, "
+                f"{likeness.scale[likeness.best]:.2f} times its size), expected a torque or force: choose the bench of "
+                "these recordings (bench=NAME) or an actuator law for positions (bench.actuator._target_)",
+            )
+
+
+def check_drift(log: Log, found: Followed) -> Iterator[tuple[str, bool, str]]:
+    """A lag behind the command that changes along the recording."""
+    lags = []
+    for window in np.array_split(np.arange(log.samples), WINDOWS):
+        # Commands before and after it are wanted too.
+        around = slice(max(0, window[0] - len(window)), window[-1] + len(window))
+        inside = np.zeros(log.samples, bool)
+        inside[window] = found.on[window]
+        lag = None
+        if inside.sum() >= SHORTEST:
+            part = compare(found.qpos[around], found.ctrl[around], log.timestep, inside[around])
+            follows = len(part.lags) > 2 and part.correlation.max() > FOLLOWS
+            lag = pick_lag(part.lags, part.misfit) if follows else None
+        lags.append(None if lag is None else (float(log.time[window].mean()), lag))
+    if drift := find_drift(lags):
+        yield "drift", False, say_drift(drift)
+
+
+def _check_time(of: str, found: Followed, least: float) -> Iterator[tuple[str, bool, str]]:
+    """Columns of other times: a position that is ahead of its command, or late by more than the drive can be."""
+    likeness, lag = found.likeness, float(found.likeness.lags[found.likeness.best])
+    late = LATE + GAINS * found.settles
+    # A command that repeats itself is as alike a period later.
+    usual = float(likeness.between(-least, late).misfit.min())
+    better, poor = float(likeness.misfit.min()) / max(usual, 1e-12), usual > POOR
+    if lag < -least and (better < MUCH_BETTER if found.work < 0 else better < FAR_BETTER and poor):
+        yield (
+            "early",
+            True,
+            f"qpos{of} is ahead of ctrl by {-1e3 * lag:.3g} ms, expected to follow it: ctrl was recorded late; set "
+            f"data.clean.command_lag={-lag + found.settles:.2g} (s), or as late as it was recorded",
+        )
+    elif lag > late and better < MUCH_BETTER and poor:
+        yield (
+            "late",
+            False,
+            f"qpos{of} is late by {1e3 * lag:.3g} ms against ctrl, of which the controller's gains explain "
+            f"{1e3 * found.settles:.3g} ms: let bench.params.delay be identified (bench.params.delay.identify=true and "
+            f"bench.params.delay.high={lag:.2g}), or look whether the columns are of the same times",
+        )
+
+
+def _check_size(of: str, found: Followed, slide: bool) -> Iterator[tuple[str, bool, str]]:
+    """A position of another size or zero than what it is told to be."""
+    scale = float(found.likeness.scale[found.likeness.best])
+    qpos, ctrl = found.qpos[found.on], found.ctrl[found.on]
+    moved, asked, apart = np.ptp(qpos), np.ptp(ctrl), float(np.abs(qpos - ctrl).min())
+    if scale > LARGER or scale < 1 / SMALLER:
+        yield (
+            "size",
+            scale > LARGER or scale < 1 / FAR_SMALLER,
+            f"qpos{of} moves through {moved:.3g} where ctrl asks for {asked:.3g}, {scale:.4g} times as far: set "
+            f"{_mend(scale, slide)}",
+        )
+    elif apart > APART * max(moved, asked):
+        yield (
+            "zero",
+            False,
+            f"qpos{of} and ctrl are never less than {apart:.3g} apart over a motion of {max(moved, asked):.3g}: look "
+            "whether both count from the same zero (bench.params.position_offset)",
+        )
+
+
+def _mend(scale: float, slide: bool) -> str:
+    """Which unit, or ratio of a gear, makes a position of the size of its command."""
+    signal, factor = ("qpos", scale) if scale > 1 else ("ctrl", 1 / scale)
+    unit, size = ("mm", 1000.0) if slide else ("deg", 180 / math.pi)
+    alike = " (and data.units.qvel alike)" if signal == "qpos" else ""
+    if abs(factor / size - 1) < DEGREE:
+        return f"data.units.{signal}={unit}{alike}"
+    return (
+        f"data.units.{signal}={unit} if it is in {unit} ({size:.3g} times), or, of a gear's ratio that is left out, "
+        f"data.units.{signal}={1 / factor:.3g}{alike}"
+    )

@@ -1,0 +1,74 @@
+"""What the drive and the simulation may not have in common at the recorded positions: limits, contacts."""
+
+from collections.abc import Iterator
+
+import mujoco
+import numpy as np
+
+from frictionzoo.bench import Bench
+from frictionzoo.bench.compiled import can_collide
+from frictionzoo.checkup.findings import Finding
+from frictionzoo.core.log import Dataset
+
+STATES = 2000  # recorded states at which contacts and limits are looked for
+
+
+def check_motion(dataset: Dataset, bench: Bench) -> Iterator[Finding]:
+    """Limits and contacts of the model where the recordings have been."""
+    yield from _find_limits(dataset, bench)
+    yield from _find_pushes(dataset, bench)
+
+
+def _find_limits(dataset: Dataset, bench: Bench) -> Iterator[Finding]:
+    """Motion beyond limits that were left out."""
+    qpos = np.concatenate([log.qpos for log in dataset.logs])
+    for joint, (low, high), positions in zip(bench.joints, bench.unlimited, qpos.T, strict=True):
+        beyond = (positions < low) | (positions > high)
+        if beyond.any():
+            share = f"{100 * beyond.mean():.2g} % of the recorded positions"
+            yield Finding(
+                "limits",
+                False,
+                f"joint {joint} is beyond its limits in the file, {low:.4g} to {high:.4g}, in {share}, which span "
+                f"{positions.min():.4g} to {positions.max():.4g}: a stop may have pushed there, or zero and sign of "
+                "the joint are not the file's (data.sign, bench.limits=keep)",
+                joint=joint,
+            )
+
+
+def _find_pushes(dataset: Dataset, bench: Bench) -> Iterator[Finding]:
+    """What MuJoCo C does at the recorded positions and the drive may not have done: touch a limit, make contact."""
+    model = bench.compile(constraint=False)
+    limited = model.jnt_limited.any() or model.tendon_limited.any()
+    if not (limited or model.npair or can_collide(model)):
+        return
+    data, found = mujoco.MjData(model), dict[str, int]()
+    qpos = np.concatenate([log.qpos for log in dataset.logs])
+    qpos = qpos[:: max(1, len(qpos) // STATES)]
+    for position in qpos:
+        data.qpos[:] = position
+        mujoco.mj_fwdPosition(model, data)
+        for what in {*_limits(model, data), *_contacts(model, data)}:
+            found[what] = found.get(what, 0) + 1
+    for what, times in found.items():
+        yield Finding(
+            what,
+            False,
+            f"{what} in {100 * times / len(qpos):.2g} % of the recorded positions: MuJoCo pushes there, and friction "
+            "is identified against that; look whether the drive was there, or leave it out of the MJCF",
+        )
+
+
+def _limits(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[str]:
+    for row in range(data.nefc):
+        kind, index = data.efc_type[row], data.efc_id[row]
+        if kind == mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT:
+            yield f"joint {model.joint(index).name} is at its limit"
+        elif kind == mujoco.mjtConstraint.mjCNSTR_LIMIT_TENDON:
+            yield f"tendon {model.tendon(index).name or index} is at its limit"
+
+
+def _contacts(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[str]:
+    for index in range(data.ncon):
+        geoms = (model.geom(geom) for geom in data.contact[index].geom)
+        yield "geoms {} and {} touch".format(*(geom.name or f"number {geom.id}" for geom in geoms))

@@ -1,0 +1,91 @@
+"""Other readings of a recording, joints in another order or turned round, that agree better with what links need."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from frictionzoo.bench import Bench
+from frictionzoo.checkup.balance import balance, mismatch
+from frictionzoo.checkup.findings import Finding
+from frictionzoo.core.log import Log
+
+SHORT = 100  # samples; fewer tell nothing
+WORTH = 0.08  # share of a torque's variance that a joint leaves unexplained, from which on other readings are tried
+MUCH_BETTER = 0.5  # times what the recording as it is leaves unexplained, below which another reading is the right one
+AS_GOOD = 1.5  # times what the best reading leaves unexplained, of one that is told with it
+GAINED = 0.1  # share of a torque's variance by which another reading has to be better, summed over joints
+
+
+def check_readings(log: Log, bench: Bench) -> Iterator[Finding]:
+    """Joints in another order or of another direction, where these explain the torque of a recording much better."""
+    if bench.nv == 1 or log.samples <= SHORT:
+        return
+    model = bench.compile(constraint=False)
+    found = balance(log, bench, model)
+    left = np.zeros(1) if found is None else mismatch(found)
+    if left.max() < WORTH:
+        return
+    branches, better = np.array(bench.branches), list[tuple[float, float, str]]()
+    for joint, sentence, change in _other_readings(bench):
+        of_branch = branches == branches[joint]
+        other = balance(change(log), bench, model) if left[of_branch].max() > WORTH else None
+        if other is not None:
+            before, after = float(left[of_branch].sum()), float(mismatch(other)[of_branch].sum())
+            if after < MUCH_BETTER * before and before - after > GAINED:
+                better.append((after, before, sentence))
+    if better:
+        after, before, _ = min(better)
+        # A leg that hangs down moves as its mirror image does: several readings may be as good.
+        said = [sentence for rest, whole, sentence in sorted(better) if rest < AS_GOOD * after and whole == before]
+        yield Finding(
+            "reading",
+            False,
+            f"what the links need agrees with the actuators' torque much better ({before:.2g} of it unexplained, then "
+            f"{after:.2g}, summed over joints that move each other) if {'; or if '.join(said)}",
+            log.name,
+        )
+
+
+def _other_readings(bench: Bench) -> Iterator[tuple[int, str, Callable[[Log], Log]]]:
+    """A joint of each, the sentence that ends with what mends it, and what it makes of a recording."""
+    for joint, name in enumerate(bench.joints):
+        sign = np.where(np.arange(bench.nv) == joint, -1, 1)
+        listed = f"[{','.join(map(str, sign))}]"
+        yield (
+            joint,
+            f"{name} turns the other way: set data.sign.qpos, data.sign.qvel and data.sign.ctrl={listed}, or turn its "
+            "axis in the MJCF",
+            _turning(sign),
+        )
+        for other in range(joint):
+            order = np.arange(bench.nv)
+            order[[joint, other]] = other, joint
+            pair = f"{bench.joints[other]} and {name}"
+            if bench.branches[joint] == bench.branches[other]:
+                yield (
+                    joint,
+                    f"{pair} are swapped: put them in that order in bench.joint or data.columns",
+                    _ordering(order, True),
+                )
+                yield (
+                    joint,
+                    f"ctrl of {pair} are swapped: put data.columns.ctrl into that order",
+                    _ordering(order, False),
+                )
+
+
+def _turning(sign: np.ndarray) -> Callable[[Log], Log]:
+    def change(log: Log) -> Log:
+        inputs = {name: sign * v if name in ("ctrl_velocity", "ctrl_torque") else v for name, v in log.inputs.items()}
+        return replace(log, qpos=sign * log.qpos, qvel=sign * log.qvel, ctrl=sign * log.ctrl, inputs=inputs)
+
+    return change
+
+
+def _ordering(order: np.ndarray, whole: bool) -> Callable[[Log], Log]:
+    def change(log: Log) -> Log:
+        log = replace(log, ctrl=log.ctrl[:, order], inputs={name: v[:, order] for name, v in log.inputs.items()})
+        return replace(log, qpos=log.qpos[:, order], qvel=log.qvel[:, order]) if whole else log
+
+    return change

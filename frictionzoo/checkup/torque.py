@@ -1,0 +1,146 @@
+"""What speaks against a recording, or against the bench, by the torque that its actuators give and its links need."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from frictionzoo.bench import Bench
+from frictionzoo.checkup.balance import Balance, Explained, delayed
+from frictionzoo.checkup.findings import Finding, say_sign
+from frictionzoo.checkup.lags import WINDOWS, find_drift, pick_lag, say_drift
+from frictionzoo.core.log import Log
+
+KNOWN = 0.1  # relative standard error up to which a share counts as known
+TIMES = 3.0  # factor by which an actuator's torque differs from what links need and something else is wrong
+OUTSIDE = 3.0  # factor by which an inertia is beyond the bounds of the armature
+FAR = 12.0  # times the armature's initial value, or its part, that is told
+PLAIN = 0.5  # share of a torque's variance that may be left where its inertia is to be told
+MUCH_BETTER = 0.5  # times what is left of the torque as recorded, below which another time is the right one
+EARLY, LATE = 0.01, 0.1  # s, between which a command acts, with the delay that a drive may have
+OFFSETS = ("force_offset", "torque_offset")  # of actuator laws, beside what their commands ask for
+LEFT = 0.3  # share of the variance that may be left of a joint whose command's time is looked at
+
+
+def agrees(one: Explained | None) -> bool:
+    """Whether a joint's torque is known to have the sign and the size that its links need."""
+    return one is not None and one.error < KNOWN * one.share and 1 / TIMES < one.share < TIMES
+
+
+def check_torque(
+    log: Log, bench: Bench, found: Balance, explained: Sequence[Explained | None], to_position: bool
+) -> Iterator[Finding]:
+    """Signs, sizes, order and times of a recording, by its torque balance.
+
+    Args:
+        log: Accepted by the bench.
+        bench: The test stand.
+        found: The recording's torque balance.
+        explained: How that explains the torque of each joint.
+        to_position: Whether commands are positions, whose sign and time `check_following` looks at.
+    """
+    # Signs and sizes mean nothing of signals of different times.
+    times = [] if to_position else list(_check_time(log, found, explained))
+    yield from times
+    for joint, one in enumerate(explained):
+        if one is not None and not times:
+            for kind, certain, text in _check_joint(bench, joint, one, to_position):
+                yield Finding(kind, certain, text, log.name, bench.joints[joint])
+
+
+def _check_joint(bench: Bench, joint: int, one: Explained, to_position: bool) -> Iterator[tuple[str, bool, str]]:
+    """Sign and size of a joint's torque against what its links need, or of its inertia."""
+    of = f" of {bench.joints[joint]}" if bench.nv > 1 else ""
+    if any(param.is_identified for name, param in bench.actuator.params.items() if name not in OFFSETS):
+        return  # its size is not known yet
+    if one.error < KNOWN * abs(one.share):
+        if one.share < 0:
+            signals = "data.sign.qpos, data.sign.qvel and data.sign.ctrl" if to_position else "data.sign.ctrl"
+            yield (
+                "opposed",
+                True,
+                f"ctrl{of} gives a torque opposite to what gravity and inertia need ({one.share:.3g} times), expected "
+                f"the same sign; set {signals}={say_sign(joint, bench.nv)}, or look at gravity and the joint's axis in "
+                "the MJCF",
+            )
+        elif not 1 / TIMES < one.share < TIMES:
+            yield (
+                "torque",
+                not 1 / TIMES**2 < one.share < TIMES**2,
+                f"the actuator{of} gives {one.share:.3g} times the torque that gravity and inertia need: a gear's "
+                f"ratio is left out, or ctrl has another unit; set {_torque_option(bench, 1 / one.share)}",
+            )
+    elif np.isnan(one.share) and one.left < PLAIN and one.inertia_error < KNOWN * abs(one.inertia):
+        yield from _check_inertia(bench, joint, of, one.inertia)
+
+
+def _torque_option(bench: Bench, factor: float) -> str:
+    """What makes an actuator's torque so many times as large."""
+    if "force_gain" in bench.actuator.params:
+        return (
+            f"bench.actuator.params.force_gain.init to {factor:.3g} times what it is, or data.units.ctrl={factor:.3g}"
+        )
+    return f"bench.actuator.params.kp and kd to {factor:.3g} times what they are, or data.units"
+
+
+def _check_inertia(bench: Bench, joint: int, of: str, inertia: float) -> Iterator[tuple[str, bool, str]]:
+    """The inertia of a joint without a load, which is its armature."""
+    armature = bench.params["armature"]
+    low, high, began = (float(armature.each(side, bench.nv)[joint]) for side in ("low", "high", "init"))
+    slide = bench.joint_type == "slide"
+    if inertia < 0:
+        yield (
+            "opposed",
+            True,
+            f"ctrl{of} gives a torque opposite to the acceleration, expected the same sign; set data.sign.ctrl="
+            f"{say_sign(joint, bench.nv)}, or the sign of both qpos and qvel",
+        )
+    elif not low / OUTSIDE < inertia < high * OUTSIDE or not 1 / FAR < inertia / began < FAR:
+        unit = "kg" if slide else "kg m^2"
+        yield (
+            "inertia",
+            not low / OUTSIDE < inertia < high * OUTSIDE,
+            f"the torque{of} moves an inertia of {inertia:.3g} {unit}, expected {low:g} to {high:g}, about {began:g}, "
+            "of bench.params.armature: qpos or ctrl has another unit, or a gear's ratio is left out; set "
+            f"data.units.qpos{('=mm' if slide else '=deg') if inertia < low else ''} or data.units.ctrl",
+        )
+
+
+def _check_time(log: Log, found: Balance, explained: Sequence[Explained | None]) -> Iterator[Finding]:
+    """A torque command that acts before it is given, or later than a drive's delay."""
+    joints = [joint for joint, one in enumerate(explained) if one is not None]
+    if not joints:
+        return
+    lags, misfit = delayed(found, joints, slice(None))
+    if not len(lags):
+        return
+    lag, usual = float(lags[misfit.argmin()]), misfit[(lags >= -EARLY) & (lags <= LATE)]
+    drift = find_drift(
+        [_window_lag(log, found, joints, rows) for rows in np.array_split(np.arange(len(found.torque)), WINDOWS)]
+    )
+    if drift is not None:
+        yield Finding("drift", False, say_drift(drift), log.name)
+    elif misfit.min() > LEFT:
+        return
+    elif lag < -EARLY and misfit.min() < MUCH_BETTER * usual.min():
+        yield Finding(
+            "early",
+            True,
+            f"the motion is ahead of ctrl by {-1e3 * lag:.3g} ms, expected to follow it: ctrl was recorded late; set "
+            f"data.clean.command_lag={-lag:.2g} (s)",
+            log.name,
+        )
+    elif lag > LATE and misfit.min() < MUCH_BETTER * usual.min():
+        yield Finding(
+            "late",
+            False,
+            f"the motion is late by {1e3 * lag:.3g} ms against ctrl: let bench.params.delay be identified "
+            f"(bench.params.delay.identify=true and bench.params.delay.high={1.5 * lag:.2g}), or look whether the "
+            "columns are of the same times",
+            log.name,
+        )
+
+
+def _window_lag(log: Log, found: Balance, joints: list[int], rows: np.ndarray) -> tuple[float, float] | None:
+    lags, misfit = delayed(found, joints, slice(rows[0], rows[-1] + 1))
+    lag = pick_lag(lags, misfit) if len(lags) > 2 else None
+    return None if lag is None else (float(found.when[rows].mean()), lag)
