@@ -15,11 +15,12 @@ for ROS 2 and LeRobot; inputs.NAME=VALUE; output=FOLDER; without RUN also bench=
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point; without arguments, for those of the command line. A user's mistake is one line and exit status 2."""
-    runs, texts = _split(_parse(arguments).options)
+    parsed = _parse(arguments)
+    runs = parsed.folders
     if len(runs) > 1:
         fail(f"{runs[1]}: expected KEY=VALUE, or the folder of one run")
     with mistakes_in_one_line():
-        options = read_options(texts, "velocity=4")
+        options = read_options(parsed.options, "velocity=4")
         # Imported here, so that --help does not wait for it.
         from frictionzoo.excite.excitation import excite
         from frictionzoo.excite.summary import summarise_excitation
@@ -32,12 +33,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(summarise_excitation(excitation.note, folder))
 
 
-def _split(texts: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Folders and options."""
-    return [text for text in texts if "=" not in text], [text for text in texts if "=" in text]
-
-
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Folders, which have no `=` in them, and options."""
     parser = argparse.ArgumentParser(
         prog="python -m frictionzoo.excite",
         usage="python -m frictionzoo.excite [RUN] KEY=VALUE ...",
@@ -47,4 +44,7 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
         epilog=_OPTIONS,
     )
     parser.add_argument("options", metavar="KEY=VALUE", nargs="+", help="limits, and more")
-    return parser.parse_args(arguments)
+    parsed = parser.parse_args(arguments)
+    parsed.folders = [text for text in parsed.options if "=" not in text]
+    parsed.options = [text for text in parsed.options if "=" in text]
+    return parsed

@@ -142,36 +142,6 @@ class Sensitivity:
         whole = jnp.concatenate([jnp.stack(start, axis=-1)[:, None], states], axis=1)
         return Sensed(whole[..., 0], whole[..., 1], slopes)
 
-    def inform(self, slopes: Float[Array, "segments tangents batch length nv 2"]) -> Information:
-        """What the fit finds from white noise in all samples.
-
-        With J the derivative of a segment's states by the coordinates, P that by its initial state, W the weights and
-        V the variances of a sample's noise n, a step of the fit is H^-1 s with
-
-            H = sum J' W J,   s = sum J' W (n - P n_0)
-
-        where n_0 is the noise of the segment's first sample, which is the last one of the segment before: the gradient
-        is a sum of independent terms, one a sample, of which each contributes to the covariance of s.
-
-        Source: G. Goodwin, R. Payne, "Dynamic System Identification: Experiment Design and Data Analysis", 1977, for
-        information as what an experiment is designed by.
-        """
-        count = slopes.shape[1] - 2 * slopes.shape[4]
-        weights, variances = jnp.asarray(self.weights), jnp.asarray(self.noise.variances)
-        by_value, by_state = slopes[:, :count], slopes[:, count:]
-        weighed = weights * by_value
-        hessian = jnp.einsum("sibtjk,shbtjk->bih", weighed, by_value)
-        # By position and velocity of each joint, in the order in which they are stacked.
-        start = -jnp.einsum("sibtjk,shbtjk->sbih", weighed, by_state)
-        start = jnp.moveaxis(start.reshape(*start.shape[:3], 2, -1), 3, 4)
-        last = jnp.moveaxis(weighed[:, :, :, -1], 1, 2)
-        nothing = jnp.zeros_like(last[:1])
-        edge = jnp.concatenate([start, nothing]) + jnp.concatenate([nothing, last])
-        inner = weighed[:, :, :, :-1]
-        spread = jnp.einsum("sibtjk,shbtjk,k->bih", inner, inner, variances)
-        spread += jnp.einsum("sbijk,sbhjk,k->bih", edge, edge, variances)
-        return Information(hessian, spread)
-
     def half_widths(self, information: Information, segments: int) -> Float[np.ndarray, "batch coordinates"]:
         """Half of each 95 % interval, in the optimiser's coordinates, as `estimate_uncertainty` will report it.
 
@@ -190,6 +160,44 @@ class Sensitivity:
         vectors, qpos, qvel = (jnp.asarray(part, dtype) for part in parts)
         spread = (len(unit), batch, nv)
         return vectors, jnp.broadcast_to(qpos[:, None], spread), jnp.broadcast_to(qvel[:, None], spread)
+
+
+def inform(
+    slopes: Float[Array, "segments tangents batch length nv 2"], weights: tuple[float, float], noise: Noise
+) -> Information:
+    """What the fit finds from white noise in all samples.
+
+    With J the derivative of a segment's states by the coordinates, P that by its initial state, W the weights and
+    V the variances of a sample's noise n, a step of the fit is H^-1 s with
+
+        H = sum J' W J,   s = sum J' W (n - P n_0)
+
+    where n_0 is the noise of the segment's first sample, which is the last one of the segment before: the gradient
+    is a sum of independent terms, one a sample, of which each contributes to the covariance of s.
+
+    Source: G. Goodwin, R. Payne, "Dynamic System Identification: Experiment Design and Data Analysis", 1977, for
+    information as what an experiment is designed by.
+
+    Args:
+        slopes: As `Sensed` has them.
+        weights: Of squared errors of position and velocity.
+        noise: Of the sensors.
+    """
+    count = slopes.shape[1] - 2 * slopes.shape[4]
+    variances = jnp.asarray(noise.variances)
+    by_value, by_state = slopes[:, :count], slopes[:, count:]
+    weighed = jnp.asarray(weights) * by_value
+    hessian = jnp.einsum("sibtjk,shbtjk->bih", weighed, by_value)
+    # By position and velocity of each joint, in the order in which they are stacked.
+    start = -jnp.einsum("sibtjk,shbtjk->sbih", weighed, by_state)
+    start = jnp.moveaxis(start.reshape(*start.shape[:3], 2, -1), 3, 4)
+    last = jnp.moveaxis(weighed[:, :, :, -1], 1, 2)
+    nothing = jnp.zeros_like(last[:1])
+    edge = jnp.concatenate([start, nothing]) + jnp.concatenate([nothing, last])
+    inner = weighed[:, :, :, :-1]
+    spread = jnp.einsum("sibtjk,shbtjk,k->bih", inner, inner, variances)
+    spread += jnp.einsum("sbijk,sbhjk,k->bih", edge, edge, variances)
+    return Information(hessian, spread)
 
 
 def relative(space: Space, vector: np.ndarray, half: np.ndarray) -> Mapping[str, tuple[float, float, float]]:

@@ -46,7 +46,7 @@ class Plan:
     rate: float = 0.0
     ramp: float = 1.0
     period: float = 20.0
-    bandwidth: float = 5.0
+    bandwidth: float = 8.0
     margin: float = 0.05
     points: float = 100.0
     fps: float = 50.0
@@ -136,8 +136,8 @@ def _settle(options: Mapping[str, str], run: Identified | None) -> dict[str, Any
             raise ConfigError(f"{group}={name}: {run.place} has chosen it; leave it out")
         if name not in list_choices(group):
             raise ConfigError(f"{group}={name}: unknown; {closest(name, list_choices(group))}")
-    plain = compose_config(*(f"{g}={n}" for g, n in chosen.items())) if run is None else run.result["settings"]
-    plain = plain if isinstance(plain, DictConfig) else OmegaConf.create(dict(plain))
+    given = compose_config(*(f"{g}={n}" for g, n in chosen.items())) if run is None else run.result["settings"]
+    plain = OmegaConf.create(OmegaConf.to_container(given) if isinstance(given, DictConfig) else dict(given))
     values = [read_value(f"{name}={value}") for name, value in options.items() if name not in chosen]
     config = cast(DictConfig, OmegaConf.merge(plain, *values))
     check_overrides(config, plain)

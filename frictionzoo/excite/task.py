@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from frictionzoo.bench import Bench
 from frictionzoo.core.state import Signals
-from frictionzoo.excite.information import Information, Sensitivity
+from frictionzoo.excite.information import Information, Sensitivity, inform
 from frictionzoo.excite.limits import Limits
 from frictionzoo.models import FrictionModel
 from frictionzoo.simulate.drive import Drive
@@ -105,7 +105,7 @@ class Task:
         observe = make_observer(self.drive.engine, self.sensitivity.sampling)
         torque = observe(self.sensitivity.space.values(vector), qpos, qvel, driving, load).motor_torque
         motion = Motion(ctrl[:, :steps], speed[:, :steps], qpos, qvel, torque)
-        return Seen(motion, self.sensitivity.inform(sensed.slopes))
+        return Seen(motion, inform(sensed.slopes, self.sensitivity.weights, self.sensitivity.noise))
 
     def expect(
         self, ctrl: Float[np.ndarray, "samples nv"], speed: Float[np.ndarray, "samples nv"], home: np.ndarray

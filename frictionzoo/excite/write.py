@@ -80,5 +80,7 @@ def files_of(
     }
 
 
-def _sample(at: Signal, time: Signal, signal: Float[np.ndarray, "samples nv"]) -> Float[np.ndarray, "points nv"]:
+def _sample(
+    at: Float[np.ndarray, "points"], time: Float[np.ndarray, "samples"], signal: Float[np.ndarray, "samples nv"]
+) -> Float[np.ndarray, "points nv"]:
     return np.stack([np.interp(at, time, column) for column in signal.T], axis=1)
