@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -73,7 +73,7 @@ def design(task: Task, series: Series, limits: Limits, search: Search, reference
 
     Args:
         task: The drive.
-        series: Of one period.
+        series: As `Series.shortened` has it.
         limits: What the command and the motion have to keep.
         search: How.
         reference: Half of each interval, in the optimiser's coordinates, over which `worst` counts.
@@ -91,17 +91,16 @@ def design(task: Task, series: Series, limits: Limits, search: Search, reference
     optimiser = optax.adam(optax.cosine_decay_schedule(_STEP, search.iterations))
     vectors = jnp.asarray(begin / size[:, None, None])
     state = optimiser.init(vectors)
-    first = best = None
-    kept = vectors
+    course, kept = [], vectors
+    best = jnp.full(len(vectors), jnp.inf)
     for _ in range(search.iterations):
         (_, (values, _)), gradient = look(vectors, size)
-        first = values if first is None else first
-        better = jnp.isfinite(values) if best is None else values < best
-        best = jnp.where(better, values, jnp.inf if best is None else best)
-        kept = jnp.where(better[:, None, None], vectors, kept)
+        better = values < best  # of NaN, False
+        best, kept = jnp.where(better, values, best), jnp.where(better[:, None, None], vectors, kept)
+        course.append(values)
         updates, state = optimiser.update(jnp.nan_to_num(gradient, posinf=0.0, neginf=0.0), state)
-        vectors = optax.apply_updates(vectors, updates)
-    found, began = (np.asarray(value, np.float64) for value in (best, first))
+        vectors = vectors + cast(Array, updates)
+    found, began = (np.asarray(value, np.float64) for value in (best, course[0]))
     if not np.isfinite(found).any():
         raise ConfigError("no command moves this drive within these limits; raise them, or doubt the bench")
     chosen = int(np.nanargmin(found))
@@ -123,7 +122,7 @@ def _assess(
 
     def total(vectors: Array, size: Array) -> tuple[Array, tuple[Array, Array]]:
         ctrl, speed = series.command(jnp, vectors * size[:, None, None], limits.home)
-        motion, information = task.see(ctrl, speed, limits.home)
+        motion, information = task.see(ctrl, speed, limits.home, series.steady)
         shares = jnp.moveaxis(motion.shares(jnp, limits), 1, 0).reshape(len(vectors), len(KINDS), -1)
         excess = jnp.maximum(shares - 1, 0)
         penalty = _OVER * excess.max(axis=2).sum(axis=1) + _MEAN * jnp.square(excess).mean(axis=2).sum(axis=1)

@@ -1,5 +1,6 @@
 """What a drive may do while it is excited, and what share of that a command makes use of."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -89,7 +90,7 @@ class Limits:
         return (self.home - position) / (self.home - self.low)
 
 
-def refuse_unholdable(bench: Bench, values: dict[str, Any], inputs: dict[str, Any], limits: Limits) -> None:
+def refuse_unholdable(bench: Bench, values: Mapping[str, Any], inputs: Mapping[str, Any], limits: Limits) -> None:
     """Refuse a drive that no command holds at a position, and limits within which it cannot rest where it begins.
 
     Args:

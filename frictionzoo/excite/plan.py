@@ -111,17 +111,15 @@ class Request:
         Raises:
             ConfigError: One is missing, unknown or impossible.
         """
-        rest, parts = dict(options), []
-        for part in (Plan, Noise, Search):
-            own = {field.name for field in fields(part)} & rest.keys()
-            parts.append(_build(part, {name: rest.pop(name) for name in own}))
+        rest = dict(options)
+        plan, noise, search = _take(Plan, rest), _take(Noise, rest), _take(Search, rest)
         limits = {name: _parse(name, rest.pop(name)) for name in (*LIMITS, "home") if name in rest}
         for name in LIMITS:
             if name not in limits:
                 raise ConfigError(f"{name} is missing; state what the drive may do: position=1.5 velocity=4 torque=2")
         inputs = {name: _number(name, rest.pop(name)) for name in [*rest] if name.startswith(_INPUTS)}
         named = {name.removeprefix(_INPUTS): value for name, value in inputs.items()}
-        return cls(*parts, limits, named, _settle(rest, run))
+        return cls(plan, noise, search, limits, named, _settle(rest, run))
 
 
 def _settle(options: Mapping[str, str], run: Identified | None) -> dict[str, Any]:
@@ -137,7 +135,8 @@ def _settle(options: Mapping[str, str], run: Identified | None) -> dict[str, Any
         if name not in list_choices(group):
             raise ConfigError(f"{group}={name}: unknown; {closest(name, list_choices(group))}")
     given = compose_config(*(f"{g}={n}" for g, n in chosen.items())) if run is None else run.result["settings"]
-    plain = OmegaConf.create(OmegaConf.to_container(given) if isinstance(given, DictConfig) else dict(given))
+    free = OmegaConf.to_container(given) if isinstance(given, DictConfig) else dict(given)
+    plain = cast(DictConfig, OmegaConf.create(free))
     values = [read_value(f"{name}={value}") for name, value in options.items() if name not in chosen]
     config = cast(DictConfig, OmegaConf.merge(plain, *values))
     check_overrides(config, plain)
@@ -153,12 +152,12 @@ def segment_length(settings: Mapping[str, Any], interval: float) -> int:
     return max(2, round(_LENGTH / interval)) if length is None else int(length)
 
 
-def _build(part: type[Part], given: Mapping[str, str]) -> Part:
-    """A part of the request from its options as text."""
+def _take(part: type[Part], options: dict[str, str]) -> Part:
+    """A part of the request from its options as text, which are then gone."""
     found = {}
     for field in fields(part):
-        if field.name in given:
-            text, kind = given[field.name], cast(type, field.type)
+        if field.name in options:
+            text, kind = options.pop(field.name), cast(type, field.type)
             found[field.name] = text if kind is str else _number(field.name, text, kind)
     return part(**found)
 

@@ -1,6 +1,6 @@
 """The command as a Fourier series that begins and ends softly."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -31,6 +31,7 @@ class Series:
         period: T in samples.
         ramp: Samples of each ramp.
         bandwidth: Highest frequency [Hz].
+        ends: Whether it ends with a ramp; else it is cut off while it repeats itself.
 
     Raises:
         ConfigError: A period holds no harmonic up to the bandwidth, or samples are too rare for it.
@@ -41,6 +42,7 @@ class Series:
     period: int
     ramp: int
     bandwidth: float
+    ends: bool = True
 
     def __post_init__(self) -> None:
         if self.harmonics < 1 or not self.bandwidth < 0.25 / self.interval:
@@ -61,18 +63,20 @@ class Series:
 
     @property
     def shortened(self) -> "Series":
-        """The same with a single period between its ramps, where it has more."""
-        return Series(min(self.samples, self.period + 2 * self.ramp + 1), *self._rest)
+        """Its first ramp and a period that stands for all, where it has several."""
+        once = self.ramp + self.period + 1
+        return self if self.samples < once + self.period else replace(self, samples=once, ends=False)
 
     @property
-    def _rest(self) -> tuple[float, int, int, float]:
-        return self.interval, self.period, self.ramp, self.bandwidth
+    def steady(self) -> int:
+        """The sample from which on what a recording tells is counted."""
+        return 0 if self.ends else self.ramp
 
     @cached_property
     def window(self) -> Signal:
         """The factor w at each sample."""
         rise = np.clip(np.arange(self.samples) / self.ramp, 0, 1)
-        rise = np.minimum(rise, rise[::-1])
+        rise = np.minimum(rise, rise[::-1]) if self.ends else rise
         return rise**3 * (10 - 15 * rise + 6 * rise**2)
 
     @cached_property

@@ -22,7 +22,9 @@ def summarise_excitation(note: Mapping[str, Any], folder: Path) -> str:
         share = "" if row["share"] != row["share"] else f"{100 * row['share']:.2g} %"
         width = f"+- {row['half_width']:.2g}" if known else ""
         rows.append((row["name"], f"{row['value']:.4g}", width, row["unit"], share if known else "not identifiable"))
-    used = [("in MuJoCo C", *(["joint"] if several else []), "from", "to", "allowed", "unit", "of the limit")]
+    used: list[tuple[str, ...]] = [
+        ("in MuJoCo C", *(["joint"] if several else []), "from", "to", "allowed", "unit", "of the limit")
+    ]
     for row in note["limits"]:
         low, high = row["allowed"]
         joint = [row["joint"]] if several else []

@@ -94,8 +94,11 @@ class Task:
         observed = {name: lengthen(xp.asarray(value)) for name, value in self.bench.observed.items()}
         return Signals(lengthen(ctrl), {name: lengthen(given[name]) for name in names}, observed)
 
-    def see(self, ctrl: Array, speed: Array, home: Float[np.ndarray, "nv"]) -> Seen:
-        """Motion and information of commands of shape (batch, samples, nv); to be compiled, and differentiable."""
+    def see(self, ctrl: Array, speed: Array, home: Float[np.ndarray, "nv"], steady: int = 0) -> Seen:
+        """Motion and information of commands of shape (batch, samples, nv); to be compiled, and differentiable.
+
+        Segments that begin before the sample `steady` are no part of the information.
+        """
         vector, signals = jnp.asarray(self.vector), self.signals(jnp, ctrl, speed)
         load = jnp.broadcast_to(jnp.asarray(self.load), (len(ctrl), len(self.load)))
         sensed = self.sensitivity.look(vector, home, signals, load)
@@ -105,7 +108,12 @@ class Task:
         observe = make_observer(self.drive.engine, self.sensitivity.sampling)
         torque = observe(self.sensitivity.space.values(vector), qpos, qvel, driving, load).motor_torque
         motion = Motion(ctrl[:, :steps], speed[:, :steps], qpos, qvel, torque)
-        return Seen(motion, inform(sensed.slopes, self.sensitivity.weights, self.sensitivity.noise))
+        return Seen(
+            motion,
+            inform(
+                sensed.slopes[-(-steady // self.sensitivity.length) :], self.sensitivity.weights, self.sensitivity.noise
+            ),
+        )
 
     def expect(
         self, ctrl: Float[np.ndarray, "samples nv"], speed: Float[np.ndarray, "samples nv"], home: np.ndarray
@@ -125,11 +133,11 @@ class Task:
         steps = acting.map(lambda signal: np.asarray(signal, np.float64).reshape(1, -1, self.bench.nv))
         start = Cases(home[None], np.zeros((1, self.bench.nv)), steps, self.load[None])
         qpos, qvel, torque = simulate_in_c(self.bench, self.model, values, start)[:, 0]
-        held = [np.repeat(signal[:-1], sampling.substeps, axis=0) for signal in (ctrl, speed)]
-        before = [
-            np.concatenate([first, after]) for first, after in zip((start.qpos, start.qvel), (qpos, qvel), strict=True)
+        held, rate = (np.repeat(signal[:-1], sampling.substeps, axis=0) for signal in (ctrl, speed))
+        sampled = [
+            np.concatenate([first, after])[:: sampling.substeps]
+            for first, after in ((start.qpos, qpos), (start.qvel, qvel))
         ]
-        sampled = [states[:: sampling.substeps] for states in before]
         torques = torque[:: sampling.substeps]
-        whole = Motion(*held, qpos, qvel, torque)
-        return Motion(ctrl, speed, *sampled, np.concatenate([torques, torques[-1:]])), whole
+        whole = Motion(held, rate, qpos, qvel, torque)
+        return Motion(ctrl, speed, sampled[0], sampled[1], np.concatenate([torques, torques[-1:]])), whole
