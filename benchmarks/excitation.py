@@ -74,9 +74,9 @@ def main() -> None:
 def parse() -> argparse.Namespace:
     """The command line."""
     parser = make_parser("excitation", __doc__)
-    parser.add_argument("--starts", type=int, default=2, metavar="N", help="searches")
-    parser.add_argument("--iterations", type=int, default=1500, metavar="N", help="steps of each")
-    parser.add_argument("--period", type=float, default=10.0, metavar="S", help="longest one of the command [s]")
+    parser.add_argument("--starts", type=int, default=4, metavar="N", help="searches")
+    parser.add_argument("--iterations", type=int, default=2000, metavar="N", help="steps of each")
+    parser.add_argument("--period", type=float, default=4.0, metavar="S", help="longest one of the command [s]")
     parser.add_argument("overrides", nargs="*", help="options of the run, such as data.samples=20000")
     return parser.parse_args()
 
@@ -123,8 +123,8 @@ def ask(options: argparse.Namespace, twin: Twin, reached: dict[str, float]) -> d
         "seconds": (twin.samples - 1) * twin.timestep,
         "rate": 1 / twin.timestep,
         "period": options.period,
-        "bandwidth": 16,  # Hz
-        "margin": 0.01,  # the drive is known well
+        "bandwidth": 20,  # Hz
+        "margin": 0.02,  # the drive is known well
         "quantum": twin.sensor.position_quantum,
         "velocity_noise": twin.sensor.velocity_noise,
         "bench.timestep": twin.timestep,  # a design needs no finer one

@@ -22,12 +22,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with mistakes_in_one_line():
         options = read_options(parsed.options, "velocity=4")
         # Imported here, so that --help does not wait for it.
-        from frictionzoo.excite.excitation import excite
+        from frictionzoo.excite.excitation import excite, refuse_existing
         from frictionzoo.excite.summary import summarise_excitation
         from frictionzoo.result.identified import Identified
 
         run = Identified.load(Path(runs[0])) if runs else None
         folder = Path(options.pop("output", Path(*runs) / "excitation"))
+        refuse_existing(folder)  # before the search
         excitation = excite(options, run)
         excitation.save(folder)
         print(summarise_excitation(excitation.note, folder))

@@ -18,7 +18,7 @@ from frictionzoo.excite.task import Seen, Task
 
 CRITERIA = ("determinant", "worst")
 _BEGIN = 0.8  # share of the limits with which a search begins
-_STEP = 0.2  # of Adam, as a share of the coefficients' root mean square
+_STEP = 0.1  # of Adam, as a share of the coefficients' root mean square
 _SPECTRA = (0.5, 0.0, 1.0)  # exponents by which velocities fall with frequency where searches begin, in turn
 _OVER, _MEAN = 4.0, 100.0  # what the farthest excess costs, and what the mean square of all does
 _SHARP = 20.0  # of the smooth maximum

@@ -60,8 +60,7 @@ class Excitation:
         Raises:
             OutputError: The folder exists, or cannot be written; nothing is left behind then.
         """
-        if folder.exists():
-            raise OutputError(f"{folder}: it exists already, expected a new folder; remove it or set output to another")
+        refuse_existing(folder)
         parts = files_of(self.joints, self.interval, self.motion, self.inputs, self.points, self.fps)
         try:
             for name, content in parts.items():
@@ -71,6 +70,12 @@ class Excitation:
         except BaseException:
             shutil.rmtree(folder, ignore_errors=True)
             raise
+
+
+def refuse_existing(folder: Path) -> None:
+    """OutputError for a folder that is there already."""
+    if folder.exists():
+        raise OutputError(f"{folder}: it exists already, expected a new folder; remove it or set output to another")
 
 
 def excite(options: Mapping[str, str], run: Identified | None = None) -> Excitation:
@@ -134,20 +139,20 @@ def prepare(request: Request, run: Identified | None) -> Task:
         raise ConfigError(f"{model.name} exists only in torch, with no exact sensitivities; take a law over xp")
     interval = 1 / request.plan.rate if request.plan.rate else bench.timestep
     bench.check_interval(interval, f"rate={1 / interval:g}")
-    sampling = bench.sampling(interval)
-    drive = Drive.assemble(bench, model, settings["engine"], sampling)
-    if not drive.rollout.reverse:
-        raise ConfigError(f"engine={drive.engine.name}: no reverse mode for this bench; set engine=specialised")
+    constants = _pick_inputs(bench, request.inputs, run)
     space = Space(bench, model, "float64")
     if space.weights:
         raise ConfigError(f"{model.name}: a network, whose weights no recording determines; take a law with parameters")
     if not space.names:
         raise ConfigError("nothing is identified, expected parameters to learn of; set identify=true of some")
-    weights = tuple(float(settings["loss"][kind]) for kind in ("position", "velocity"))
+    sampling = bench.sampling(interval)
+    drive = Drive.assemble(bench, model, settings["engine"], sampling)
+    if not drive.rollout.reverse:
+        raise ConfigError(f"engine={drive.engine.name}: no reverse mode for this bench; set engine=specialised")
+    weights = float(settings["loss"]["position"]), float(settings["loss"]["velocity"])
     length = segment_length(settings, interval)
-    sensitivity = Sensitivity(space, drive.rollout, sampling, length, (weights[0], weights[1]), request.noise)
+    sensitivity = Sensitivity(space, drive.rollout, sampling, length, weights, request.noise)
     vector = np.asarray(space.start) if run is None else _coordinates(space, run)
-    constants = _pick_inputs(bench, request.inputs, run)
     return Task(bench, model, drive, sensitivity, vector, constants, bench.load(NO_PAYLOAD))
 
 

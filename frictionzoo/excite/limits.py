@@ -103,6 +103,7 @@ def refuse_unholdable(bench: Bench, values: Mapping[str, Any], inputs: Mapping[s
         ConfigError: The command is no position, or holding the drive takes more torque than is allowed.
     """
     still = np.zeros(bench.nv)
+    inputs = {"ctrl_velocity": still, **inputs}
 
     def torque(qpos: np.ndarray, command: np.ndarray) -> np.ndarray:
         control = bench.actuator.control(np, values, qpos, still, command, inputs)
