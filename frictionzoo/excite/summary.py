@@ -34,8 +34,8 @@ def summarise_excitation(note: Mapping[str, Any], folder: Path) -> str:
     return "\n\n".join(
         [
             f"{command['seconds']:g} s at {command['rate']:g} samples/s, soft within {command['ramp']:g} s at both "
-            f"ends. Expected of a fit of segments of {note['fit']['length']} samples, with an encoder step of "
-            f"{noise['quantum']:.3g}, position noise of {noise['position_noise']:.3g} and velocity noise of "
+            f"ends.\nExpected of a fit of segments of {note['fit']['length']} samples, with an encoder step of "
+            f"{noise['quantum']:.3g},\nposition noise of {noise['position_noise']:.3g} and velocity noise of "
             f"{noise['velocity_noise']:.3g}:",
             align(rows),
             align(used),
