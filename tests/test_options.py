@@ -16,10 +16,9 @@ from frictionzoo.cli.explain import explain
 from frictionzoo.cli.overrides import refuse_no_choice
 from frictionzoo.cli.resume import restore_overrides
 from frictionzoo.core.build import build
-from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, list_options
+from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, list_options, read_value
 from frictionzoo.core.errors import ConfigError, FrictionzooError
 from frictionzoo.core.state import DriveState
-from frictionzoo.distill.distillation import _read_value
 from frictionzoo.export.write import read_number
 from frictionzoo.fit import loggers, loop
 from frictionzoo.identification import problem
@@ -275,7 +274,7 @@ def test_a_step_of_an_export_that_is_no_number_is_refused() -> None:
 def test_a_value_that_a_distillation_cannot_read_is_refused() -> None:
     for option in ("seed=[", "fit.tries='", "loop={chunk"):
         with pytest.raises(ConfigError, match=r"cannot be read, expected KEY=VALUE") as refused:
-            _read_value(option)
+            read_value(option)
         assert str(refused.value).startswith(f"{option}: ")
 
 

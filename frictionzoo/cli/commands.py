@@ -16,6 +16,7 @@ COMMANDS = {
     "inspect": "look at recordings before any fit",
     "export": "write an identified drive for another program",
     "distill": "fit a simpler law to an identified drive",
+    "excite": "design the command to record next, within limits",
     "list": "list laws, methods, formats and what else can be chosen",
 }
 """What each command does; it is the module of that name in this package, with a `main` that takes its arguments."""
@@ -57,6 +58,8 @@ examples (RUN stands for a run's folder, outputs/DATE/TIME_DATA_MODEL):
   The identified drive as MJCF; a simpler law for it
     frictionzoo export RUN target=mjcf
     frictionzoo distill RUN model=stribeck
+  The command to record next, for a drive that a run found
+    frictionzoo excite RUN position=1.5 velocity=4 torque=2
 
 options of a run:
   GROUP=FILE    a file of conf/: of bench, data, experiment, fit, logger, model

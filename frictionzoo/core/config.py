@@ -8,6 +8,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, cast
 
+import yaml
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
@@ -134,6 +135,14 @@ def compose_settings(given: Mapping[str, Any], *choices: str) -> dict[str, Any]:
     changed = cast(DictConfig, OmegaConf.merge(changed, describe(given)))
     check_overrides(changed, plain)
     return cast(dict[str, Any], OmegaConf.to_container(changed, resolve=True))
+
+
+def read_value(option: str) -> DictConfig:
+    """The configuration that has one option, `KEY=VALUE`; ConfigError for a value that is not YAML."""
+    try:
+        return OmegaConf.from_dotlist([option])
+    except yaml.YAMLError:
+        raise ConfigError(f"{option}: cannot be read, expected KEY=VALUE; close quotes and brackets") from None
 
 
 def list_choices(group: str) -> list[str]:

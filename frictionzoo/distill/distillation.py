@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from omegaconf import DictConfig, OmegaConf
 
 from frictionzoo.cli.job import run_job
 from frictionzoo.cli.overrides import refuse_no_choice
 from frictionzoo.comparison.runs import read_runs
-from frictionzoo.core.config import check_overrides, compose_config, list_choices
+from frictionzoo.core.config import check_overrides, compose_config, list_choices, read_value
 from frictionzoo.core.errors import ConfigError, OutputError, closest
 from frictionzoo.core.output import to_json, write_atomically
 from frictionzoo.core.params import UNITS
@@ -96,20 +95,12 @@ def compose_student(teacher: Identified, options: Mapping[str, str]) -> DictConf
     chosen = {group: options[group] for group in _GROUPS if group in options}
     refuse_no_choice([f"{group}={name}" for group, name in chosen.items()])
     plain = _replace_choices(teacher, {"fit": "auto"} | chosen)
-    values = (_read_value(f"{option}={value}") for option, value in options.items() if option not in chosen)
+    values = (read_value(f"{option}={value}") for option, value in options.items() if option not in chosen)
     config = OmegaConf.merge(plain, *values)
     assert isinstance(config, DictConfig)
     check_overrides(config, plain)
     config["teacher"] = str(Path(teacher.place).resolve())
     return config
-
-
-def _read_value(option: str) -> DictConfig:
-    """The configuration that has one option; ConfigError for a value that is not YAML."""
-    try:
-        return OmegaConf.from_dotlist([option])
-    except yaml.YAMLError:
-        raise ConfigError(f"{option}: cannot be read, expected KEY=VALUE; close quotes and brackets") from None
 
 
 def _replace_choices(teacher: Identified, choices: Mapping[str, str]) -> DictConfig:

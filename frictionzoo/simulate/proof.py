@@ -153,7 +153,7 @@ def _compare(
     What overflows in MuJoCo C, which begins anew then, is no simulation to compare with from there on.
     """
     ours = _in_engine(bench, model, engine, values, cases)
-    theirs = np.stack([_in_c(bench, model, each, cases) for each in values])
+    theirs = np.stack([simulate_in_c(bench, model, each, cases)[:2] for each in values])
     sound = np.logical_and.accumulate((np.abs(theirs) < _OVERFLOW).all(axis=(1, 4)), axis=2)[:, None, ..., None]
     with np.errstate(invalid="ignore", over="ignore"):
         difference = np.abs(ours - theirs) / np.maximum(1.0, np.abs(theirs))
@@ -171,22 +171,37 @@ def _in_engine(
         return np.stack([[np.asarray(part) for part in simulate(each, *cases)] for each in known])
 
 
-def _in_c(bench: Bench, model: FrictionModel, values: Values, cases: Cases) -> Float[np.ndarray, "2 cases steps nv"]:
+def simulate_in_c(
+    bench: Bench, model: FrictionModel, values: Values, cases: Cases
+) -> Float[np.ndarray, "3 cases steps nv"]:
+    """Rollouts in MuJoCo C, which knows nothing of the engines: the law's terms are computed in torch.
+
+    Args:
+        bench: The test stand.
+        model: The friction law.
+        values: Values of both; commands act in the step of which they are, whatever the delay.
+        cases: Initial states, and what drives each simulation step.
+
+    Returns:
+        Position [rad or m] and velocity [rad/s or m/s] after each step, and the actuators' torque [N m or N] in it; NaN
+        from where one overflows.
+    """
     values = _without_delay(values)
     text = bench.mjcf(values["bench"], np.array(model.constrained, float) if model.constraint else None)
     compiled = mujoco.MjModel.from_xml_string(text)
     own, law = compiled.dof_damping.copy(), _Law(model, values["friction"], float(compiled.opt.timestep))
     worlds = [_World(bench, compiled, *case) for case in zip(cases.qpos, cases.qvel, cases.load, strict=True)]
-    found = np.empty((2, *cases.signals.ctrl.shape))
+    found = np.empty((3, *cases.signals.ctrl.shape))
     for step in range(cases.signals.ctrl.shape[1]):
         qpos, qvel = (np.array([getattr(world.data, name) for world in worlds]) for name in ("qpos", "qvel"))
         signals = cases.signals.map(itemgetter((slice(None), step)))
         control = bench.actuator.control(np, values["bench"], qpos, qvel, signals.ctrl, signals.inputs)
         torques = zip(*(world.drive(ctrl, own) for world, ctrl in zip(worlds, control, strict=True)), strict=True)
-        terms = law(DriveState(qpos, qvel, signals.ctrl, *map(np.array, torques), **signals.observed))
+        motor, others = map(np.array, torques)
+        terms = law(DriveState(qpos, qvel, signals.ctrl, motor, others, **signals.observed))
         for index, world in enumerate(worlds):
             world.step(own, *(None if term is None else term[index] for term in terms))
-            found[:, index, step] = world.data.qpos, world.data.qvel
+            found[:, index, step] = world.data.qpos, world.data.qvel, motor[index]
     return found
 
 
@@ -254,10 +269,10 @@ class _World:
 
 def _find_fault(bench: Bench, model: FrictionModel, engine: str, values: Sequence[Values], cases: Cases) -> str | None:
     """What, left out, makes the engine agree with MuJoCo C; in words."""
-    as_it_is, trials = _in_c(bench, model, values[0], cases), []
+    as_it_is, trials = simulate_in_c(bench, model, values[0], cases), []
     for what, other in bench.simpler():
         try:
-            changes = not np.array_equal(_in_c(other, model, values[0], cases), as_it_is)
+            changes = not np.array_equal(simulate_in_c(other, model, values[0], cases), as_it_is)
         except (FrictionzooError, ValueError):
             continue
         trials.append((not changes, what, other))

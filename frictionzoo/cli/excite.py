@@ -1,0 +1,51 @@
+"""Command line: `python -m frictionzoo.excite velocity=4 torque=2 position=1.5` designs the command to record next."""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from frictionzoo.cli.mistakes import fail, mistakes_in_one_line
+from frictionzoo.core.options import read_options
+
+_OPTIONS = """options: position=REACH or [LOW,HIGH], velocity=, torque=, what the drive may do, in rad, rad/s and N m,
+or m, m/s and N; home, where it rests; seconds, rate, ramp, period, bandwidth, margin; quantum, position_noise and
+velocity_noise of the sensors; criterion=determinant or worst, starts, iterations, seed; points and fps of the files
+for ROS 2 and LeRobot; inputs.NAME=VALUE; output=FOLDER; without RUN also bench=NAME, model=NAME and their options."""
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Entry point; without arguments, for those of the command line. A user's mistake is one line and exit status 2."""
+    parsed = _parse(arguments)
+    runs = parsed.folders
+    if len(runs) > 1:
+        fail(f"{runs[1]}: expected KEY=VALUE, or the folder of one run")
+    with mistakes_in_one_line():
+        options = read_options(parsed.options, "velocity=4")
+        # Imported here, so that --help does not wait for it.
+        from frictionzoo.excite.excitation import excite, refuse_existing
+        from frictionzoo.excite.summary import summarise_excitation
+        from frictionzoo.result.identified import Identified
+
+        run = Identified.load(Path(runs[0])) if runs else None
+        folder = Path(options.pop("output", Path(*runs) / "excitation"))
+        refuse_existing(folder)  # before the search
+        excitation = excite(options, run)
+        excitation.save(folder)
+        print(summarise_excitation(excitation.note, folder))
+
+
+def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Folders, which have no `=` in them, and options."""
+    parser = argparse.ArgumentParser(
+        prog="python -m frictionzoo.excite",
+        usage="python -m frictionzoo.excite [RUN] KEY=VALUE ...",
+        description="Design the command to record next, of which a fit learns the most within limits; check it in "
+        "MuJoCo C, and say which parameter will be known to what per cent. RUN is the folder of a finished run, whose "
+        "values are taken for the drive's; without it, initial values are.",
+        epilog=_OPTIONS,
+    )
+    parser.add_argument("options", metavar="KEY=VALUE", nargs="+", help="limits, and more")
+    parsed = parser.parse_args(arguments)
+    parsed.folders = [text for text in parsed.options if "=" not in text]
+    parsed.options = [text for text in parsed.options if "=" in text]
+    return parsed

@@ -1,0 +1,253 @@
+"""From limits to the command to record next, checked in MuJoCo C, and to what will be known after it."""
+
+import json
+import shutil
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from frictionzoo.bench import Bench
+from frictionzoo.bench.compiled import NO_PAYLOAD
+from frictionzoo.core.build import build
+from frictionzoo.core.errors import ConfigError, OutputError
+from frictionzoo.core.output import to_json, write_atomically
+from frictionzoo.core.params import UNITS
+from frictionzoo.excite.design import design, scale_within
+from frictionzoo.excite.information import Sensitivity, relative
+from frictionzoo.excite.limits import KINDS, Limits, refuse_unholdable
+from frictionzoo.excite.plan import Request, segment_length
+from frictionzoo.excite.task import Motion, Task
+from frictionzoo.excite.write import files_of
+from frictionzoo.fit import Space
+from frictionzoo.fit.uncertainty import WIDEST
+from frictionzoo.models import FrictionModel, TorchFriction
+from frictionzoo.result.identified import Identified
+from frictionzoo.simulate.context import computing
+from frictionzoo.simulate.drive import Drive
+
+NOTE = "excitation.json"
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """A command that is ready to be recorded.
+
+    Attributes:
+        motion: The command at each sample, and what it leads to in MuJoCo C.
+        inputs: What else the actuator law gets, by name, of shape (samples, nv).
+        interval: Between samples [s].
+        joints: Names.
+        note: What `excitation.json` holds.
+        points: Of the trajectory in a second.
+        fps: Actions in a second.
+    """
+
+    motion: Motion
+    inputs: Mapping[str, Float[np.ndarray, "samples nv"]]
+    interval: float
+    joints: tuple[str, ...]
+    note: Mapping[str, Any]
+    points: float
+    fps: float
+
+    def save(self, folder: Path) -> None:
+        """Write the command and what is expected of it, `excitation.json` last.
+
+        Raises:
+            OutputError: The folder exists, or cannot be written; nothing is left behind then.
+        """
+        refuse_existing(folder)
+        parts = files_of(self.joints, self.interval, self.motion, self.inputs, self.points, self.fps)
+        try:
+            for name, content in parts.items():
+                write_atomically(folder / name, content)
+            text = json.dumps(to_json({**self.note, "files": list(parts)}), indent=2, allow_nan=False)
+            write_atomically(folder / NOTE, (text + "\n").encode())
+        except BaseException:
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
+
+
+def refuse_existing(folder: Path) -> None:
+    """OutputError for a folder that is there already."""
+    if folder.exists():
+        raise OutputError(f"{folder}: it exists already, expected a new folder; remove it or set output to another")
+
+
+def excite(options: Mapping[str, str], run: Identified | None = None) -> Excitation:
+    """Design the command to record next.
+
+    Args:
+        options: By name, as text: `position`, `velocity` and `torque`, what the drive may do; those of `Plan`, `Noise`
+            and `Search`; `home`; `inputs.NAME`; and those of a run that tell which drive it is and how it is
+            fitted.
+        run: The run whose values are taken for the drive's; None for initial values of conf/.
+
+    Raises:
+        FrictionzooError: An option or the run is at fault, or no command keeps the limits.
+    """
+    request = Request.read(options, run)
+    plan, settings = request.plan, request.settings
+    with computing("float64", settings["device"], settings["compilation_cache"]):
+        task = prepare(request, run)
+        limits = Limits.read(task.bench.nv, **request.limits)
+        refuse_unholdable(task.bench, task.values["bench"], task.constants, limits)
+        sensitivity, kept = task.sensitivity, limits.within(1 - plan.margin)
+        series = plan.series(sensitivity.sampling.interval, sensitivity.length)
+        if sensitivity.segments(series.shortened.samples) < 2:
+            raise ConfigError(
+                f"seconds={plan.seconds:g}: fewer than two of the fit's segments of {sensitivity.length} samples; "
+                "record for longer or lower segments.length"
+            )
+        found = design(task, series.shortened, kept, request.search, _known_before(sensitivity.space, run))
+        coefficients, seen = scale_within(task, series, kept, found.coefficients)
+        ctrl, speed = series.command(np, coefficients, limits.home)
+        motion, whole = task.see_in_c(ctrl, speed, limits.home)
+        half = sensitivity.half_widths(seen.information, sensitivity.segments(series.samples))[0]
+    used = whole.shares(np, limits).max(axis=1)
+    _refuse_beyond(used, task.bench)
+    note = {
+        "run": None if run is None else str(Path(run.place).resolve()),
+        "joints": list(task.bench.joints),
+        "parameters": _list_parameters(task, half),
+        "limits": _list_limits(task.bench, limits, whole, used),
+        "command": {**asdict(plan), "rate": 1 / series.interval, "home": limits.home.tolist()},
+        "noise": asdict(request.noise),
+        "search": {**asdict(request.search), "began": found.first.tolist(), "ended": found.values.tolist()},
+        "fit": {"length": sensitivity.length, "weights": list(sensitivity.weights)},
+    }
+    given = {"ctrl_velocity": speed} | {name: np.tile(own, (len(ctrl), 1)) for name, own in task.constants.items()}
+    commands = {name: given[name] for name in task.bench.actuator.commands}
+    return Excitation(motion, commands, series.interval, task.bench.joints, note, plan.points, plan.fps)
+
+
+def prepare(request: Request, run: Identified | None) -> Task:
+    """The drive that is asked for, simulated in float64: in a `computing` of that.
+
+    Raises:
+        FrictionzooError: Its bench, law or run is at fault, or no recording can tell its parameters.
+    """
+    settings = request.settings
+    bench: Bench = build(settings["bench"])
+    model = _make_law(bench, settings) if run is None else run.model
+    bench = bench.observing(model.inputs)
+    if isinstance(model, TorchFriction):
+        raise ConfigError(f"{model.name} exists only in torch, with no exact sensitivities; take a law over xp")
+    interval = 1 / request.plan.rate if request.plan.rate else bench.timestep
+    bench.check_interval(interval, f"rate={1 / interval:g}")
+    constants = _pick_inputs(bench, request.inputs, run)
+    space = Space(bench, model, "float64")
+    if space.weights:
+        raise ConfigError(f"{model.name}: a network, whose weights no recording determines; take a law with parameters")
+    if not space.names:
+        raise ConfigError("nothing is identified, expected parameters to learn of; set identify=true of some")
+    sampling = bench.sampling(interval)
+    drive = Drive.assemble(bench, model, settings["engine"], sampling)
+    if not drive.rollout.reverse:
+        raise ConfigError(f"engine={drive.engine.name}: no reverse mode for this bench; set engine=specialised")
+    weights = float(settings["loss"]["position"]), float(settings["loss"]["velocity"])
+    length = segment_length(settings, interval)
+    sensitivity = Sensitivity(space, drive.rollout, sampling, length, weights, request.noise)
+    vector = np.asarray(space.start) if run is None else _coordinates(space, run)
+    return Task(bench, model, drive, sensitivity, vector, constants, bench.load(NO_PAYLOAD))
+
+
+def _make_law(bench: Bench, settings: Mapping[str, Any]) -> FrictionModel:
+    model = build(settings["model"], nv=bench.nv)
+    model.bind(bench.joints)
+    model.begin(bench.initial_friction(model.params))
+    return model.double()
+
+
+def _coordinates(space: Space, run: Identified) -> Float[np.ndarray, "coordinates"]:
+    """Of the values that a run found."""
+    found = [np.zeros(0)]
+    for name, place in space.places.items():
+        values = run.parameters[name].value[place.first]
+        found.append(space.params[name].to_coordinate(values, np))
+    return np.concatenate(found)
+
+
+def _known_before(space: Space, run: Identified | None) -> Float[np.ndarray, "coordinates"]:
+    """Half of each interval that a run found, in coordinates; 1 where there is none."""
+    if run is None:
+        return np.ones(len(space.start))
+    half = []
+    for name, place in space.places.items():
+        low, high = run.parameters[name].interval[place.first].T
+        half.append((space.params[name].to_coordinate(high, np) - space.params[name].to_coordinate(low, np)) / 2)
+    whole = np.concatenate(half)
+    return np.where(np.isfinite(whole) & (whole > 0), whole, 1.0)
+
+
+def _pick_inputs(
+    bench: Bench, given: Mapping[str, float], run: Identified | None
+) -> dict[str, Float[np.ndarray, "nv"]]:
+    """What the actuator law gets besides the command: as given, as a run had it, or what it takes where it has none."""
+    law, found = bench.actuator, {}
+    for name in given:
+        if name not in law.inputs:
+            needed = ", ".join(law.inputs) or "nothing"
+            raise ConfigError(f"inputs.{name}: {type(law).__name__} needs {needed} besides the command; leave it out")
+    for name in law.inputs:
+        if name in given:
+            found[name] = np.full(bench.nv, given[name])
+        elif name == "ctrl_velocity":
+            continue  # the command's own
+        elif run is not None:
+            found[name] = np.median(run.segments.signals.inputs[name], axis=(0, 1))
+        elif name in law.optional_inputs:
+            found[name] = np.full(bench.nv, law.optional_inputs[name])
+        else:
+            raise ConfigError(f"inputs.{name} is missing: {type(law).__name__} needs it; give inputs.{name}=VALUE")
+    return found
+
+
+def _refuse_beyond(used: Float[np.ndarray, "kinds nv"], bench: Bench) -> None:
+    """Refuse a command under which MuJoCo C goes beyond a limit."""
+    if not (used <= 1).all():
+        kind, joint = np.unravel_index(np.argmax(np.nan_to_num(used, nan=np.inf)), used.shape)
+        raise ConfigError(
+            f"in MuJoCo C, the {KINDS[kind]} of {bench.joints[joint]} takes {used[kind, joint]:.3g} of its limit, "
+            "expected at most 1; raise margin"
+        )
+
+
+def _list_parameters(task: Task, half: Float[np.ndarray, "coordinates"]) -> list[dict[str, Any]]:
+    """A row a coordinate: its value, and how well it will be known."""
+    space = task.sensitivity.space
+    rows = relative(space, task.vector, half)
+    units = {name: param.unit(task.bench.joint_type) for name, param in space.params.items()}
+    return [
+        {
+            "name": label,
+            "unit": units[label.partition("/")[0]],
+            "value": value,
+            "half_width": width,
+            "share": share,
+            "identifiable": bool(own < WIDEST),
+        }
+        for (label, (value, width, share)), own in zip(rows.items(), half.tolist(), strict=True)
+    ]
+
+
+def _list_limits(
+    bench: Bench, limits: Limits, whole: Motion, used: Float[np.ndarray, "kinds nv"]
+) -> list[dict[str, Any]]:
+    """A row a limited quantity and joint: what it reaches in MuJoCo C, and what it may."""
+    signals = whole.ctrl, whole.speed, whole.qpos, whole.qvel, whole.torque
+    ends = {"position": (limits.low, limits.high)}
+    ends |= {kind: (-getattr(limits, kind), getattr(limits, kind)) for kind in ("velocity", "torque")}
+    rows = []
+    for kind, signal, share in zip(KINDS, signals, used, strict=True):
+        quantity = kind.rpartition(" ")[2]
+        for joint, name in enumerate(bench.joints):
+            reached = [signal[:, joint].min(), signal[:, joint].max()]
+            allowed = [end[joint] for end in ends[quantity]]
+            row = {"joint": name, "quantity": kind, "unit": UNITS[bench.joint_type][quantity]}
+            rows.append({**row, "reached": reached, "allowed": allowed, "share": share[joint]})
+    return rows

@@ -1,0 +1,176 @@
+"""Options of `python -m frictionzoo.excite`: what is recorded how, and whatever of a run tells which drive it is."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any, TypeVar, cast
+
+import yaml
+from omegaconf import DictConfig, OmegaConf
+
+from frictionzoo.core.config import check_overrides, compose_config, list_choices, read_value
+from frictionzoo.core.errors import ConfigError, closest, refuse_outside
+from frictionzoo.excite.design import Search
+from frictionzoo.excite.information import Noise
+from frictionzoo.excite.series import Series
+from frictionzoo.models.by_name import complete_laws
+from frictionzoo.result.identified import Identified
+
+Part = TypeVar("Part", bound=Any)  # any dataclass of numbers and names
+LIMITS = ("position", "velocity", "torque")
+_GROUPS = ("bench", "model", "data", "experiment")
+_OF_A_RUN = ("bench", "model", "scale", "segments.length", "loss.position", "loss.velocity", "engine", "device")
+_INPUTS = "inputs."
+_LENGTH = 0.1  # s, of segments where nothing is said
+_KINDS = {float: "a number", int: "a whole number", str: "a name"}
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is recorded.
+
+    Attributes:
+        seconds: Length of the command [s].
+        rate: Samples in a second, of the command and of the recording; 0 for one in each simulation step.
+        ramp: How long it takes to start, and to stop [s].
+        period: Longest time after which the command repeats itself [s].
+        bandwidth: Highest frequency in it [Hz].
+        margin: Share of each limit that is left, for a drive that is not just as simulated.
+        points: Of the trajectory for ROS 2, in a second.
+        fps: Actions for LeRobot in a second.
+
+    Raises:
+        ConfigError: One is impossible.
+    """
+
+    seconds: float = 20.0
+    rate: float = 0.0
+    ramp: float = 1.0
+    period: float = 20.0
+    bandwidth: float = 8.0
+    margin: float = 0.05
+    points: float = 100.0
+    fps: float = 50.0
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("seconds", 0.1, 10_000),
+            ("rate", 0, 100_000),
+            ("ramp", 0.01, 1000),
+            ("period", 0.1, 1000),
+            ("bandwidth", 0.01, 10_000),
+            ("margin", 0, 0.9),
+            ("points", 1, 10_000),
+            ("fps", 1, 10_000),
+        ):
+            refuse_outside(name, getattr(self, name), low, high)
+        if not self.seconds > 2 * self.ramp:
+            raise ConfigError(f"seconds={self.seconds:g}: expected more than both ramps of {self.ramp:g} s")
+
+    def series(self, interval: float, length: int) -> Series:
+        """The command's form, whose periods are whole numbers of segments.
+
+        Args:
+            interval: Between samples [s].
+            length: Of a segment, in samples.
+        """
+        samples, ramp = round(self.seconds / interval) + 1, max(round(self.ramp / interval), 1)
+        between = samples - 1 - 2 * ramp
+        times = max(1, -(-between // max(round(self.period / interval), 1)))
+        period = max(1, between // (times * length)) * length
+        return Series(samples, interval, period, ramp, self.bandwidth)
+
+
+@dataclass(frozen=True)
+class Request:
+    """All that was asked for.
+
+    Attributes:
+        plan: What is recorded.
+        noise: Of its sensors.
+        search: How the command is searched.
+        limits: `position`, `velocity`, `torque`, and `home` where it is given, as they came.
+        inputs: What the actuator law needs besides the command, by name.
+        settings: Those of a run, of which bench and law are taken.
+    """
+
+    plan: Plan
+    noise: Noise
+    search: Search
+    limits: Mapping[str, Any]
+    inputs: Mapping[str, float]
+    settings: Mapping[str, Any]
+
+    @classmethod
+    def read(cls, options: Mapping[str, str], run: Identified | None) -> "Request":
+        """The request of options as text.
+
+        Args:
+            options: By name.
+            run: Whose drive it is; None for the one that options of a run choose.
+
+        Raises:
+            ConfigError: One is missing, unknown or impossible.
+        """
+        rest = dict(options)
+        plan, noise, search = _take(Plan, rest), _take(Noise, rest), _take(Search, rest)
+        limits = {name: _parse(name, rest.pop(name)) for name in (*LIMITS, "home") if name in rest}
+        for name in LIMITS:
+            if name not in limits:
+                raise ConfigError(f"{name} is missing; state what the drive may do: position=1.5 velocity=4 torque=2")
+        inputs = {name: _number(name, rest.pop(name)) for name in [*rest] if name.startswith(_INPUTS)}
+        named = {name.removeprefix(_INPUTS): value for name, value in inputs.items()}
+        return cls(plan, noise, search, limits, named, _settle(rest, run))
+
+
+def _settle(options: Mapping[str, str], run: Identified | None) -> dict[str, Any]:
+    """The settings of a run: its own, or those of the files that are chosen, with these options in place of theirs."""
+    chosen = {name: value for name, value in options.items() if name in _GROUPS}
+    own = [field.name for part in (Plan, Noise, Search) for field in fields(part)]
+    for name in options:
+        if name not in _GROUPS and not f"{name}.".startswith(tuple(f"{each}." for each in _OF_A_RUN)):
+            raise ConfigError(f"{name}: unknown option; {closest(name, [*LIMITS, 'home', *own, *_OF_A_RUN, 'output'])}")
+    for group, name in chosen.items():
+        if run is not None:
+            raise ConfigError(f"{group}={name}: {run.place} has chosen it; leave it out")
+        if name not in list_choices(group):
+            raise ConfigError(f"{group}={name}: unknown; {closest(name, list_choices(group))}")
+    given = compose_config(*(f"{g}={n}" for g, n in chosen.items())) if run is None else run.result["settings"]
+    free = OmegaConf.to_container(given) if isinstance(given, DictConfig) else dict(given)
+    plain = cast(DictConfig, OmegaConf.create(free))
+    values = [read_value(f"{name}={value}") for name, value in options.items() if name not in chosen]
+    config = cast(DictConfig, OmegaConf.merge(plain, *values))
+    check_overrides(config, plain)
+    settings = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
+    if run is None and "segments.length" not in options:
+        settings["segments"]["length"] = None
+    return {**settings, "model": complete_laws(settings["model"], settings)}
+
+
+def segment_length(settings: Mapping[str, Any], interval: float) -> int:
+    """Samples in a segment of the fit that is foreseen: as the settings say, or a tenth of a second."""
+    length = settings["segments"]["length"]
+    return max(2, round(_LENGTH / interval)) if length is None else int(length)
+
+
+def _take(part: type[Part], options: dict[str, str]) -> Part:
+    """A part of the request from its options as text, which are then gone."""
+    found = {}
+    for field in fields(part):
+        if field.name in options:
+            text, kind = options.pop(field.name), cast(type, field.type)
+            found[field.name] = text if kind is str else _number(field.name, text, kind)
+    return part(**found)
+
+
+def _number(name: str, text: str, kind: type = float) -> Any:
+    try:
+        return kind(text)
+    except ValueError:
+        raise ConfigError(f"{name}={text}: expected {_KINDS[kind]}") from None
+
+
+def _parse(name: str, text: str) -> Any:
+    try:
+        return yaml.safe_load(text)
+    except yaml.YAMLError:
+        raise ConfigError(f"{name}={text}: cannot be read, expected a number or a list; close brackets") from None
