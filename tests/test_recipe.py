@@ -19,7 +19,7 @@ from frictionzoo.logs.signals import find_noise
 
 TIMESTEP, DELAY = 0.005, 0.012
 OPTIONS = ("data=twin", f"data.timestep={TIMESTEP}", "data.substeps=20", "data.samples=4000", "data.cache_dir=null")
-DRIVE = {"command_delay": DELAY, "load_share": 0.0, "ripple_torque": 0.0, "stribeck_velocity": 0.2}
+DRIVE = {"command_delay": DELAY, "load_share": 0.0, "ripple_torque": 0.0, "static_torque": 0.11}
 QUICK: dict[str, Any] = {"evaluation": {"horizons": [0.5], "rollouts": 2, "places": 2, "trajectory": 1.0}}
 
 
