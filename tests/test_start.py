@@ -71,7 +71,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
 def pose(bench: Bench, recorded: Dataset, fit: Fit, law: str = "mujoco_default") -> Problem:
     """The problem with this fit; its segments are few."""
     settings = {"segments": {"count": 20, "length": 5}, "loss": {}, "evaluation": SHORT}
-    settings |= {"engine": "auto", "dtype": "float64", "bench": {}, "recipe": "given"}
+    settings |= {"engine": "auto", "dtype": "float64", "bench": {}, "recipe": "given", "checkup": "strict"}
     settings |= {"device": "cpu", "compilation_cache": None}
     return Problem.pose(Parts.settle(settings, bench, recorded, fz.law(law, 2), fit))
 
