@@ -100,11 +100,14 @@ class Pilot:
         vector = np.asarray(progress.best, np.float64)
         if bool(progress.broken) or not np.isfinite(vector).all():
             raise FitError("the loss is not finite where the fit begins")
+        at_bound = self.space.at_bound(vector)
+        if self.objective.stretches < 2:  # no spread between segments
+            return Found(self.space.labels, vector, np.full(len(vector), np.nan), at_bound)
         equations, scores = self.objective.compile_scores()(vector)
         found = assess(self.space, vector, equations, scores)
         ends = self.space.pick({name: found.intervals[name] for name in self.space.places})
         half = np.array([self._half(label, np.asarray(ends[label])) for label in self.space.labels])
-        return Found(self.space.labels, vector, half, self.space.at_bound(vector))
+        return Found(self.space.labels, vector, half, at_bound)
 
     def moves(self, found: Found) -> Float[np.ndarray, "coordinates"]:
         """By how many of its half intervals each parameter would move from where another pilot of the same ended.

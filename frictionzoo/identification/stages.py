@@ -22,6 +22,7 @@ OPTIONAL = {"delay": "commands act late", "position_offset": "the encoder's zero
 """Parameters of a bench that are identified where recordings show them, and what they stand for."""
 _LONGEST, _SHORT = 1.0, 0.1  # s, of segments: with initial states that are estimated along, and for other fits
 _FEWEST = 10  # samples of a segment
+_MANY = 10  # segments that there are at the least, for the spread between them says how sure a value is
 _GROWTH = 20.0  # times that a disturbance may grow within a segment
 _COARSEST, _FINEST = 5e-4, 1e-5  # s, of the simulation
 _FIRST_STEPS, _MOST_STEPS = 1e6, 3e6  # simulation steps times joints, of first fits and of the last
@@ -154,9 +155,10 @@ class Stages:
         yield from self._set("segments.length", length, f"{length * self._interval:.3g} s, in which {far}")
 
     def _samples_in(self, seconds: float) -> int:
-        """Sample intervals of a segment that is at most so long, and fits into each recording."""
+        """Sample intervals of a segment that is at most so long, fits into each recording, and has many others beside."""
         shortest = min(log.samples for log in self._train) - 1
-        return min(max(_FEWEST, round(seconds / self._interval)), shortest)
+        among_many = self._samples // self._bench.nv // _MANY
+        return min(max(_FEWEST, min(round(seconds / self._interval), among_many)), shortest)
 
     def _count(self, most_steps: float) -> tuple[int | None, str]:
         """How many segments are simulated in so many steps, and why."""
