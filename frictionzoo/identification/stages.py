@@ -155,7 +155,7 @@ class Stages:
         yield from self._set("segments.length", length, f"{length * self._interval:.3g} s, in which {far}")
 
     def _samples_in(self, seconds: float) -> int:
-        """Sample intervals of a segment that is at most so long, fits into each recording, and has many others beside."""
+        """Sample intervals of a segment: at most so long, within each recording, and with many others beside it."""
         shortest = min(log.samples for log in self._train) - 1
         among_many = self._samples // self._bench.nv // _MANY
         return min(max(_FEWEST, min(round(seconds / self._interval), among_many)), shortest)
