@@ -251,6 +251,11 @@ def test_a_fit_at_its_bounds_that_gains_little_did_not_identify_the_drive() -> N
     assert "bench.armature and bench.kp ended at their bounds, and the test error is 40 % of no friction's" in why
     assert first == "qvel is late"
     assert explain_failure(result | {"parameters": parameters[:1]}) is None
+    for value, refused in ((0.1, False), (2.0, True)):  # a drive without dry friction is a drive
+        bound = {"name": "knee", "at_bound": True, "low": 0.1, "high": 2.0, "value": value}
+        torque = {"owner": "friction", "unit": "N m", "at_bound": True, "by_joint": [bound]}
+        both = [{**torque, "name": name} for name in ("static_torque", "kinetic_torque")]
+        assert (explain_failure(result | {"parameters": both}) is not None) == refused
     assert explain_failure(result | {"metrics": metrics | {"test": {"position_mae": 0.03}}}) is None
     assert explain_failure(result | {"metrics": metrics | {"test": {"position_mae": None}}})
 

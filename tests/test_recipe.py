@@ -111,9 +111,9 @@ def test_halving_the_step_that_was_chosen_moves_nothing(found: fz.Identified, re
         bench, "coulomb_smooth", list(recorded.train), recipe="given", dtype="float64", test=0.2, **how, **QUICK
     )
     for one, other in zip(found.result["parameters"], finer.result["parameters"], strict=True):
-        if one["interval"]:
-            half = np.ptp(one["interval"]) / 2
-            assert abs(one["value"] - other["value"]) < 0.5 * half, one["name"]
+        (of_joint,), (again,) = one["by_joint"], other["by_joint"]
+        if ends := of_joint["interval"]:
+            assert abs(of_joint["value"] - again["value"]) < 0.25 * (ends[1] - ends[0]), one["name"]
 
 
 @pytest.mark.usefixtures("in_haste")

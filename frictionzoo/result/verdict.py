@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from frictionzoo.core.params import Param
+from frictionzoo.core.params import UNITS, Param
 from frictionzoo.result.names import name_some, name_where, say_bounds
 from frictionzoo.result.types import ParameterRow, ReferenceRow, Result
 
@@ -13,6 +13,7 @@ BOUNDS = 2  # identified parameters at bounds from which on that is doubted
 LITTLE = 1 / 3  # of the test error without friction; a law that identifies a drive leaves less
 NOTHING = 2 / 3  # of that error; a law that leaves more explains next to nothing
 FAR = 20.0  # times from where it began, at which an identified value of the bench is told
+_SIZES = {UNITS[joint][of] for joint in UNITS for of in ("torque", "damping")}
 LATE = 0.1  # share of the iterations, the last ones, in which a parameter may not move
 MOVING = 1 / 3  # of half its interval, by which it moves then
 MOVING_BLINDLY = 0.01  # of its value, where it has no interval
@@ -22,9 +23,10 @@ def explain_failure(result: Result) -> list[str] | None:
     """Why a fit did not identify the drive, and the likely reasons, the likeliest first; None where it may have.
 
     It did not if several parameters ended at a bound and the test error is still more than a third of that without
-    friction: then the law makes up for something else with values that no drive has.
+    friction: then the law makes up for something else with values that no drive has. What ended at the lower bound of a
+    friction's size is simply not there: a drive without dry friction is a drive.
     """
-    ended = [name_where(p, at_bound=True) for p in result["parameters"] if p["at_bound"]]
+    ended = [name_where(p, at_bound=True) for p in result["parameters"] if p["at_bound"] and not _is_absent(p)]
     error, without = (result["metrics"][part]["position_mae"] for part in ("test", "baseline"))
     gained_little = error is None or (without is not None and error > LITTLE * without)
     if len(ended) < BOUNDS or not gained_little:
@@ -37,6 +39,14 @@ def explain_failure(result: Result) -> list[str] | None:
         "commands act late, which bench.params.delay would find",
         "the recordings do not excite the drive, or the bounds are not those of this drive",
     ]
+
+
+def _is_absent(parameter: ParameterRow) -> bool:
+    """Whether it is the size of a part of the friction, a torque or a damping, and the fit found that there is none."""
+    if parameter["owner"] != "friction" or parameter["unit"] not in _SIZES:
+        return False
+    ended = [row for row in parameter["by_joint"] if row["at_bound"]]
+    return all(row["value"] - row["low"] < row["high"] - row["value"] for row in ended)
 
 
 def doubt_gain(result: Result) -> str | None:
