@@ -21,7 +21,9 @@ from frictionzoo.models import FrictionModel
 from frictionzoo.simulate import Values
 from frictionzoo.simulate.drive import Drive
 
-_TRIES, _TOLERANCE = 60, 1e-6
+EXACT = 3e-3
+"""Half an interval in the optimiser's coordinate, a share of the value or of its scale, that need not be narrower."""
+_TRIES, _TOLERANCE = 40, 1e-6
 _ROLLOUTS = 64  # by which errors are told
 _DISTURBED = 1e-3  # share of a joint's speed by which initial velocities are disturbed
 
@@ -112,13 +114,13 @@ class Pilot:
     def moves(self, found: Found) -> Float[np.ndarray, "coordinates"]:
         """By how many of its half intervals each parameter would move from where another pilot of the same ended.
 
-        One step of Gauss and Newton; 0 where there is no interval.
+        One step of Gauss and Newton; 0 where there is no interval. One that is narrower than `EXACT` counts as that.
         """
         equations = self.objective.compile_normal_equations()(found.vector)
         free = np.isfinite(found.half) & ~found.at_bound
         step = np.zeros(len(free))
         step[free] = -_solve(equations, np.flatnonzero(free))
-        return np.where(free, np.abs(step) / np.where(free, found.half, 1.0), 0.0)
+        return np.where(free, np.abs(step) / np.maximum(np.where(free, found.half, 1.0), EXACT), 0.0)
 
     def values(self, vector: Float[np.ndarray, "coordinates"]) -> Values:
         """Of all parameters."""

@@ -263,7 +263,8 @@ class Stages:
             self._set_step(step)
             moves = finer.moves(found)
             largest = float(moves.max(initial=0.0))
-            reason = f"halved, {found.labels[int(moves.argmax())]} would move by {largest:.2g} of half its interval"
+            moved = found.labels[int(moves.argmax())]
+            reason = f"halved, {moved} would move by {largest:.2g} of half its interval, or of 0.3 %"
             if largest <= _MOVES:
                 break
             shortest = max(_FINEST, self._interval * self._samples * _LEAST / _MOST_STEPS)
