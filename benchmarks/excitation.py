@@ -20,7 +20,7 @@ from frictionzoo.core.segments import split_by_time
 from frictionzoo.excite.excitation import excite, prepare
 from frictionzoo.excite.information import relative
 from frictionzoo.excite.plan import Request
-from frictionzoo.identification import Problem, solve
+from frictionzoo.identification import Parts, Problem, solve
 from frictionzoo.logs.twin import Twin
 from frictionzoo.result.identified import Identified
 from frictionzoo.simulate.context import computing
@@ -107,11 +107,10 @@ def record(twin: Twin, ctrl: np.ndarray) -> tuple[Dataset, dict[str, float]]:
 
 def identify(settings: dict[str, Any], dataset: Dataset) -> Identified:
     """The drive that a run finds."""
-    with computing(settings["dtype"], settings["device"], settings["compilation_cache"]) as device:
-        bench = build(settings["bench"])
-        model = build(settings["model"], nv=bench.nv)
-        problem = Problem.pose(bench, model, dataset, build(settings["fit"]), settings)
-        return solve(problem, "coulomb_stribeck", device)
+    bench = build(settings["bench"])
+    parts = Parts.settle(settings, bench, dataset, build(settings["model"], nv=bench.nv), build(settings["fit"]))
+    with parts.computing() as device:
+        return solve(Problem.pose(parts), "coulomb_stribeck", device)
 
 
 def ask(options: argparse.Namespace, twin: Twin, reached: dict[str, float]) -> dict[str, str]:

@@ -314,7 +314,7 @@ def test_no_value_of_any_option_is_a_traceback(
     monkeypatch.setattr(loggers, "_require", lambda *packages: None)  # loggers whose package is not installed
     simulated = choices[0].startswith("data=t")
     small = [option for option in tiny if not (simulated and option.startswith("data"))]
-    config, plain = compose_config(*small, *choices), compose_once("data=files", choices[0])
+    config, plain = compose_config(*small, *choices), compose_once("data=files", "recipe=given", choices[0])
     for key, value in absurd_values(prefix, config):
         line = judge(config, plain, key, value)
         # A number may be refused by what it leads to; what is none, only as itself.

@@ -96,7 +96,8 @@ class Parts(NamedTuple):
             refuse_precision(settings["dtype"])  # before the first fit
         model.bind(bench.joints)
         watching = bench.observing(model.inputs)
-        doubts = check_up(watching.accept_all(dataset), watching, settings["checkup"])
+        train, test = (tuple(map(watching.accept, logs)) for logs in (dataset.train, dataset.test))
+        doubts = check_up(Dataset(dataset.name, train, test), watching, settings["checkup"])
         with computing("float64", settings["device"], settings["compilation_cache"]):
             settled = settle(settings, bench, dataset, model, fit)
         return cls(settled, dataset, model, fit, doubts, time.perf_counter() - began)
