@@ -258,7 +258,7 @@ def identify(
     described = {name: value for name, value in describe(model).items() if name != "nv"}
     told = describe(bench)
     settings |= {
-        "bench": leave_open(told) if recipe == AUTO else told,
+        "bench": leave_open(told, settings["bench"]) if recipe == AUTO else told,
         "data": dict(recordings.section),
         "fit": describe(fit),
         "model": described,

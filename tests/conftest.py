@@ -278,16 +278,22 @@ def job_settings(compilation_cache: Path) -> Iterator[None]:
     _configure_jax(before)
 
 
-def run_main(*overrides: str) -> Finished:
-    """Does in this process, in the present folder, what `python -m frictionzoo.run` does in its own."""
+def finish(command: Callable[[], None]) -> Finished:
+    """Does in this process what a command does in its own."""
     out, err, status = io.StringIO(), io.StringIO(), 0
-    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        patch.setattr(sys, "argv", ["frictionzoo", *overrides])
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         try:
-            main()
+            command()
         except SystemExit as end:
             status = int(end.code or 0)
     return Finished(status, out.getvalue(), err.getvalue())
+
+
+def run_main(*overrides: str) -> Finished:
+    """Does in this process, in the present folder, what `python -m frictionzoo.run` does in its own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["frictionzoo", *overrides])
+        return finish(main)
 
 
 @pytest.fixture

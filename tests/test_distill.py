@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import safetensors.torch
 import torch
-from conftest import Finished, job_settings
+from conftest import Finished, finish, job_settings
 
 from frictionzoo.cli.distill import main
 from frictionzoo.cli.export import main as export
@@ -40,20 +40,9 @@ def teacher(finished_run: Callable[[str], tuple[Path, Finished]]) -> Path:
 
 
 @pytest.fixture
-def distill(capsys: pytest.CaptureFixture[str]) -> Callable[..., Finished]:
+def distill() -> Callable[..., Finished]:
     """Does in this process what `python -m frictionzoo.distill` does in its own."""
-
-    def distill(folder: Path, *options: str) -> Finished:
-        capsys.readouterr()
-        try:
-            main([str(folder), *options])
-            status = 0
-        except SystemExit as end:
-            status = int(end.code or 0)
-        written = capsys.readouterr()
-        return Finished(status, written.out, written.err)
-
-    return distill
+    return lambda folder, *options: finish(lambda: main([str(folder), *options]))
 
 
 def read(folder: Path) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 import pytest
 import yaml
-from conftest import Finished, job_settings
+from conftest import Finished, finish, job_settings
 
 import frictionzoo as fz
 from frictionzoo.bench import Bench, Force
@@ -44,18 +44,11 @@ def settings_as_they_were(compilation_cache: Path) -> Iterator[None]:
 
 
 @pytest.fixture
-def command(capsys: pytest.CaptureFixture[str]) -> Callable[..., Finished]:
+def command() -> Callable[..., Finished]:
     """Does in this process what `python -m frictionzoo.excite` does in its own."""
 
     def command(*arguments: str, **options: str) -> Finished:
-        capsys.readouterr()
-        try:
-            main([*arguments, *(f"{name}={value}" for name, value in options.items())])
-            status = 0
-        except SystemExit as end:
-            status = int(end.code or 0)
-        written = capsys.readouterr()
-        return Finished(status, written.out, written.err)
+        return finish(lambda: main([*arguments, *(f"{name}={value}" for name, value in options.items())]))
 
     return command
 

@@ -10,7 +10,6 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from conftest import slow_but
 from test_branches import robot  # noqa: F401 - a fixture
 from test_fit import x64  # noqa: F401 - a fixture for all tests
 from test_robot import dog  # noqa: F401 - a fixture
@@ -257,7 +256,8 @@ def test_what_mujoco_has_is_exported_as_it_is_and_the_rest_is_the_nearest(found:
 TARGETS = ["mujoco", "mjx", "torchscript", "mjlab", "isaaclab"]
 
 
-@pytest.mark.parametrize("target", slow_but(["mujoco", "torchscript"], TARGETS))
+@pytest.mark.slow
+@pytest.mark.parametrize("target", TARGETS)
 def test_it_is_written_for_other_programs(found: fz.Identified, tmp_path: Path, target: str) -> None:
     written = found.export(target, tmp_path / target).export
     assert written is not None

@@ -94,6 +94,7 @@ def test_a_drive_is_found_with_nothing_said(found: fz.Identified) -> None:
     assert all(row["reason"] for row in found.result["recipe"])
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("in_haste")
 def test_halving_the_step_that_was_chosen_moves_nothing(found: fz.Identified, recorded: Dataset) -> None:
     """Discretisation is checked: with half the step, parameters stay within a third of half their intervals."""

@@ -125,6 +125,8 @@ def recorded(dog: Callable[..., fz.Robot]) -> Log:
     return Log("dog", time, *states, ctrl, sha256="0" * 64, simulated=True)
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("in_haste")
 def test_the_drives_of_legs_are_found_with_values_that_they_share(
     dog: Callable[..., fz.Robot], recorded: Log, tmp_path: Path
 ) -> None:

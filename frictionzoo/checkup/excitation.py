@@ -10,9 +10,7 @@ from frictionzoo.core.log import Log
 
 MOVING = 0.05  # share of the top speed from which on a joint moves
 ONE_WAY = 0.01  # share of the moving samples that go the other way, below which a joint does not reverse
-ONE_SPEED = (
-    1.5  # times the tenth of the slowest moving samples that the fastest tenth is faster, of more than one speed
-)
+ONE_SPEED = 1.5  # times by which the fastest tenth of the moving samples is at least faster than the slowest
 
 
 def check_excitation(logs: Sequence[Log], bench: Bench) -> Iterator[Finding]:

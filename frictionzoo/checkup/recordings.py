@@ -143,8 +143,8 @@ def _check_forces(
     """Commands of joints that are not named yet, by their torque and work; work counts where torque tells no sign."""
     found = balance(log, bench, bench.compile(constraint=False)) if closely else None
     explained = [explain(found, joint) if found else None for joint in range(bench.nv)]
-    told = [one for one in (check_torque(log, bench, found, explained, to_position) if found else ())]
-    told = [one for one in told if one.joint not in named]
+    said = check_torque(log, bench, found, explained, to_position) if found else ()
+    told = [one for one in said if one.joint not in named]
     opposed = [one.joint for one in told if one.kind == "opposed"]
     known = [joint for joint, one in enumerate(explained) if one is not None and one.error < KNOWN * abs(one.share)]
     if told and len(opposed) < len(known):  # not all joints alike

@@ -16,7 +16,7 @@ from frictionzoo.fit import Objective, Space
 from frictionzoo.fit.chunk import search
 from frictionzoo.fit.lm import LevenbergMarquardt
 from frictionzoo.fit.normal_equations import NormalEquations
-from frictionzoo.fit.uncertainty import assess
+from frictionzoo.fit.uncertainty import WIDEST, assess
 from frictionzoo.models import FrictionModel
 from frictionzoo.simulate import Values
 from frictionzoo.simulate.drive import Drive
@@ -114,10 +114,11 @@ class Pilot:
     def moves(self, found: Found) -> Float[np.ndarray, "coordinates"]:
         """By how many of its half intervals each parameter would move from where another pilot of the same ended.
 
-        One step of Gauss and Newton; 0 where there is no interval. One that is narrower than `EXACT` counts as that.
+        One step of Gauss and Newton; 0 of what the data do not determine. An interval that is narrower than `EXACT`
+        counts as that.
         """
         equations = self.objective.compile_normal_equations()(found.vector)
-        free = np.isfinite(found.half) & ~found.at_bound
+        free = (found.half < WIDEST) & ~found.at_bound  # of NaN, False
         step = np.zeros(len(free))
         step[free] = -_solve(equations, np.flatnonzero(free))
         return np.where(free, np.abs(step) / np.maximum(np.where(free, found.half, 1.0), EXACT), 0.0)

@@ -94,6 +94,8 @@ class Parts(NamedTuple):
         began = time.perf_counter()
         if settings["dtype"] != AUTO:
             refuse_precision(settings["dtype"])  # before the first fit
+        for note in bench.notes:
+            _log.info("%s: %s", bench.source, note)
         model.bind(bench.joints)
         watching = bench.observing(model.inputs)
         train, test = (tuple(map(watching.accept, logs)) for logs in (dataset.train, dataset.test))
@@ -164,9 +166,6 @@ class Problem:
         """
         began = time.perf_counter()
         settings, bench, dataset, model, fit = parts.settled.settings, parts.settled.bench, *parts[1:4]
-        for note in bench.notes:
-            _log.info("%s: %s", bench.source, note)
-        model.bind(bench.joints)
         bench = bench.observing(model.inputs)
         accepted = bench.accept_all(dataset)
         if links := fit.revise(Recordings(bench, model, accepted.train)):

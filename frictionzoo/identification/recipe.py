@@ -13,13 +13,12 @@ from frictionzoo.core.errors import ConfigError, closest
 from frictionzoo.core.log import Dataset
 from frictionzoo.core.params import AUTO
 from frictionzoo.fit import Fit
-from frictionzoo.identification.stages import Choice, Stages
+from frictionzoo.identification.stages import OPTIONAL, Choice, Stages
 from frictionzoo.models import FrictionModel
 
 _log = logging.getLogger(__name__)
 
 RECIPES = ("given", AUTO)
-_PERHAPS = {"delay": {"identify": AUTO, "high": 0.1}, "position_offset": {"identify": AUTO}}
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,13 @@ def refuse_unknown(recipe: str) -> None:
         raise ConfigError(f"recipe={recipe}: no such recipe; {closest(recipe, RECIPES)}")
 
 
-def leave_open(bench: Mapping[str, Any]) -> dict[str, Any]:
-    """A bench's section that leaves open what its maker said nothing of."""
-    timestep = AUTO if bench.get("timestep") is None else bench["timestep"]
-    return {**bench, "params": {**_PERHAPS, **(bench.get("params") or {})}, "timestep": timestep}
+def leave_open(bench: Mapping[str, Any], plain: Mapping[str, Any]) -> dict[str, Any]:
+    """A bench's section that leaves open what its maker said nothing of.
+
+    Args:
+        bench: The section.
+        plain: That of a configuration with `recipe=auto`, which says what may be left open.
+    """
+    perhaps = {name: plain["params"][name] for name in OPTIONAL}
+    timestep = plain["timestep"] if bench.get("timestep") is None else bench["timestep"]
+    return {**bench, "params": {**perhaps, **(bench.get("params") or {})}, "timestep": timestep}

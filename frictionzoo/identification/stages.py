@@ -11,7 +11,7 @@ from frictionzoo.bench import Bench
 from frictionzoo.core.described import remake
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.params import AUTO
-from frictionzoo.fit import Fit
+from frictionzoo.fit import Fit, Space
 from frictionzoo.fit.auto import Auto
 from frictionzoo.fit.lm import MOST_COORDINATES, LevenbergMarquardt
 from frictionzoo.identification.noise import Noise
@@ -29,9 +29,11 @@ _FIRST_STEPS, _MOST_STEPS = 1e6, 3e6  # simulation steps times joints, of first 
 _LEAST = 0.1  # share of the segments that is left where they are too many steps
 _MOVES = 1 / 3  # of half an interval, that a parameter may move by when the simulation step is halved
 _ROUNDS = 4  # of shorter steps
-_TAILS = 10.0  # fourth over squared second moment of the errors from which on a robust loss is tried; of noise 3
-_BETTER = 0.02  # share by which it has to predict the validation block better
-_WIDE = 1.5  # times the median absolute error, from which on one counts less than its square
+_TAILS = 10.0  # fourth over squared second moment of errors from which on a law lacks something; of noise 3
+_BEYOND = 3.0  # times the noise of positions, that errors are then
+_BETTER = 0.02  # share by which a robust loss has to predict a validation block better than least squares
+_HELPFUL = 0.005  # share by which a parameter that is not shown has to
+_WIDE = 0.3  # times the median absolute error, from which on one counts less than its square
 _VALIDATION = 0.2  # share of the training recordings
 
 
@@ -71,14 +73,15 @@ class Stages:
         self._bench = self.bench(free=True)
         self._samples = sum(log.samples for log in dataset.train) * self._bench.nv
         self._small = self._is_small()
-        self._found: Found | None = None
+        self._found: Found | None = None  # where a pilot with all that is free ended
+        self._noise = Noise.of(self._train)
+        self._lacking = False  # whether the law leaves more than noise
+        self._kept: dict[str, bool] = {}  # whether what was free is identified
 
     def _is_small(self) -> bool:
         """Whether the fit is Levenberg-Marquardt's: then a pilot of it says what is best."""
-        owned = self._bench.params | self._model.params
-        count = sum(param.is_identified for param in owned.values()) * self._bench.nv
-        count += sum(t.numel() for n, t in self._model.named_parameters() if t.requires_grad and n not in owned)
-        of_few = 0 < count <= MOST_COORDINATES and not isinstance(self._model, TorchFriction)
+        coordinates = len(Space(self._bench, self._model, "float64").start)
+        of_few = 0 < coordinates <= MOST_COORDINATES and not isinstance(self._model, TorchFriction)
         return isinstance(self._fit, Auto | LevenbergMarquardt) and of_few
 
     def bench(self, free: bool = False) -> Bench:
@@ -118,7 +121,7 @@ class Stages:
         least_squares = "least squares are solved to the last digit: rounding must stay far below the noise"
         network = "many steps of a gradient, each of which rounds far below what it changes"
         yield from self._set("dtype", *(("float64", least_squares) if self._small else ("float32", network)))
-        noise, several = Noise.of(self._train), self._bench.nv > 1
+        noise, several = self._noise, self._bench.nv > 1
         position = " ".join(f"{each:.2g}" for each in noise.position)
         yield from self._set("loss.position", 1.0, f"noise of the measured position: {position} {self._unit}")
         if not self._small:
@@ -186,26 +189,30 @@ class Stages:
         return Pilot(self.bench(free=True), self._model, logs, segments, {**loss, **given}, self.settings["engine"])
 
     def _choose_loss(self) -> Iterator[Choice]:
-        """Least squares, unless errors have long tails and a robust loss predicts a validation block better."""
+        """Least squares, unless the law lacks something and a robust loss predicts a validation block better."""
         pilot = self._pilot()
         found = pilot.fit()
         horizon = self._samples_in(float(self._given["evaluation"]["horizons"][0]))
         errors = pilot.errors(found.vector, self._train, horizon * self._interval)
-        squares = np.square(errors[np.isfinite(errors)])
+        squares = np.square(errors[np.isfinite(errors).all(axis=(1, 2))])
         kurtosis = float(np.square(squares).mean() / np.square(squares.mean()))
-        told = f"errors have {'long' if kurtosis > _TAILS else 'no long'} tails (kurtosis {kurtosis:.3g}, of noise 3)"
-        scale = float(f"{_WIDE * np.median(np.sqrt(squares)):.2g}")
-        wanted = kurtosis > _TAILS and all(map(self._is_open, ("loss.robust", "loss.robust_scale", "loss.refine")))
-        share = self._validate(scale, horizon) if wanted else 1.0
+        beyond = float((np.sqrt(squares.mean(axis=(0, 1))) / self._noise.position).max())
+        self._lacking = kurtosis > _TAILS or beyond > _BEYOND
+        told = f"errors are {beyond:.2g} times the noise, and their kurtosis is {kurtosis:.2g}, of noise 3"
+        least = max(_BEYOND * float(self._noise.position.max()), _WIDE * float(np.median(np.sqrt(squares))))
+        longer = max(horizon, self.settings["segments"]["length"])
+        robust = {"robust": "soft_l1", "robust_scale": float(f"{least:.2g}"), "refine": False, "length": longer}
+        wanted = self._lacking and all(map(self._is_open, ("loss.robust", "loss.robust_scale", "loss.refine")))
+        share = self._validate(**robust) / self._validate() if wanted else 1.0
         if wanted:
             told += f"; a robust loss predicts a validation block with {share:.3g} times the error of least squares"
         if share < 1 - _BETTER:
             yield from self._set("loss.robust", "soft_l1", told)
-            yield from self._set("loss.robust_scale", scale, f"{_WIDE} times the median error of position")
+            yield from self._set("loss.robust_scale", robust["robust_scale"], "beyond, errors count by their size")
             yield from self._set("loss.refine", False, "a robust loss begins at measured states")
-            if self._is_open("segments.length") and horizon > self.settings["segments"]["length"]:
-                self.settings["segments"]["length"] = horizon
-                yield Choice("segments.length", horizon, "longer: so it predicted the validation block")
+            if self._is_open("segments.length") and longer > self.settings["segments"]["length"]:
+                self.settings["segments"]["length"] = longer
+                yield Choice("segments.length", longer, "longer: so it predicted the validation block")
             return
         self._found = found
         along = "initial states are estimated along, so that the noise of measured ones does not bend the result"
@@ -213,28 +220,37 @@ class Stages:
         yield from self._set("loss.robust_scale", 1.0, "not used")
         yield from self._set("loss.refine", True, along)
 
-    def _validate(self, scale: float, horizon: int) -> float:
-        """Mean error of a robust loss over that of least squares, on a block of recordings that neither has seen."""
+    def _validate(self, **given: Any) -> float:
+        """Mean error of position on a block of the training recordings, of a fit that has not seen it.
+
+        Args:
+            given: As `_pilot` takes it.
+        """
         fitted, block = divide(self._train)
-        length = min(horizon, min(log.samples for log in block) - 1)
-        robust = {"robust": "soft_l1", "robust_scale": scale, "refine": False}
-        longer = max(length, self.settings["segments"]["length"])
-        found = []
-        for given in ({}, {**robust, "length": longer}):
-            pilot = self._pilot(logs=fitted, **given)
-            found.append(float(np.abs(pilot.errors(pilot.fit().vector, block, length * self._interval)).mean()))
-        return found[1] / found[0]
+        horizon = self._samples_in(float(self._given["evaluation"]["horizons"][0]))
+        horizon = min(horizon, min(log.samples for log in block) - 1)
+        pilot = self._pilot(logs=fitted, **given)
+        return float(np.abs(pilot.errors(pilot.fit().vector, block, horizon * self._interval)).mean())
 
     def _choose_free(self) -> Iterator[Choice]:
-        """What of the bench recordings show: its interval does not hold 0."""
+        """What of the bench recordings show: its interval does not hold 0, or it helps to predict others."""
         free = [name for name, is_free in self._free.items() if is_free]
         if not free:
             return
         self._found = self._found or self._pilot().fit()
+        shown = {name: self._is_shown(self._found, name) for name in free}
+        doubtful = [name for name, (is_shown, _) in shown.items() if not is_shown]
+        # Where a law lacks something, intervals are wide, and what makes up for it may be of use all the same.
+        helping = self._validate() if doubtful and self._lacking else math.inf
         for name in free:
-            shown, told = self._is_shown(self._found, name)
-            self._identify(name, shown)
-            yield Choice(f"bench.params.{name}.identify", shown, f"{OPTIONAL[name] if shown else 'not shown'}: {told}")
+            self._identify(name, name not in doubtful)
+        share = helping / self._validate() if math.isfinite(helping) else 1.0
+        for name, (is_shown, told) in shown.items():
+            helps = not is_shown and share < 1 - _HELPFUL
+            self._identify(name, is_shown or helps)
+            why = OPTIONAL[name] if is_shown else "of use" if helps else "not shown"
+            beside = f"; with it, the error on a validation block is {share:.3g} times as large" if helps else ""
+            yield Choice(f"bench.params.{name}.identify", is_shown or helps, f"{why}: {told}{beside}")
 
     def _is_shown(self, found: Found, name: str) -> tuple[bool, str]:
         """Whether an optional parameter is, and its values with half their intervals."""
@@ -248,16 +264,21 @@ class Stages:
         return shown, f"{', '.join(said)} {unit}" + ("" if np.isfinite(halves).any() else ", of which nothing is told")
 
     def _identify(self, name: str, whether: bool) -> None:
+        self._kept[name] = whether
         params = dict(self.settings["bench"]["params"])
-        params[name] = {**params[name], "identify": whether}
+        own = {**self._given["bench"]["params"][name], "identify": whether}
+        # Looked for and not found, it is known to be 0 and not what it began with.
+        params[name] = own if whether or not self._small else {**own, "init": 0.0}
         self.settings["bench"] = {**self.settings["bench"], "params": params}
 
     def _refine_step(self) -> Iterator[Choice]:
         """Halved until no parameter moves by more than a third of half its interval."""
-        pilot = self._pilot()
-        found = pilot.fit(None if self._found is None else self._found.among(pilot.space.labels, pilot.start))
+        found = self._found
+        if found is None or not all(self._kept.values()):  # what was free and is not has bent the others
+            pilot = self._pilot()
+            found = pilot.fit(None if found is None else found.among(pilot.space.labels, pilot.start))
         reason = ""
-        for _ in range(_ROUNDS if self._step_is_open else 0):
+        for left in reversed(range(_ROUNDS if self._step_is_open else 0)):
             step = self._set_step(self._step / 2)
             finer = self._pilot(_MOST_STEPS)
             self._set_step(step)
@@ -269,15 +290,14 @@ class Stages:
                 break
             shortest = max(_FINEST, self._interval * self._samples * _LEAST / _MOST_STEPS)
             halvings = min(math.ceil(math.log2(largest / _MOVES)), math.floor(math.log2(step / shortest)))
-            if halvings < 1:
+            if halvings < 1 or not left:
                 self.doubts.append(
                     f"bench.timestep={step:.3g} s: {reason}, expected at most {_MOVES:.2g}; shorter steps take long: "
                     "set bench.timestep, and fewer segments with segments.count"
                 )
                 break
             self._set_step(step / 2**halvings)
-            pilot = finer if halvings == 1 else self._pilot(_MOST_STEPS)
-            found = pilot.fit(found.vector)
+            found = (finer if halvings == 1 else self._pilot(_MOST_STEPS)).fit(found.vector)
         self.start = found.vector
         if self._step_is_open:
             yield Choice("bench.timestep", self._step, reason)
