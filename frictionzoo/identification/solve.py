@@ -158,9 +158,11 @@ def _collect_curves(problem: Problem, outcome: Outcome, judgement: Judgement, ba
 def _motor_torque(problem: Problem, segments: Segments) -> Float[np.ndarray, "batch time nv"]:
     """The actuators' torque at each measured state, with the bench's initial values: the same for all laws."""
     values = {"bench": problem.bench.initial_values()}
-    seen = problem.drive.rollout.compile(make_observer(problem.drive.engine, problem.sampling))
-    state = seen(values, segments.qpos[:, :-1], segments.qvel[:, :-1], segments.signals, segments.loads)
-    return np.asarray(state.motor_torque, np.float64)
+    observe = make_observer(problem.drive.engine, problem.sampling)
+    # Of what a law sees, this alone: what else there is needs the links' dynamics, which take seconds to compile.
+    torque = problem.drive.rollout.compile(lambda *states: observe(*states).motor_torque)
+    states = segments.qpos[:, :-1], segments.qvel[:, :-1]
+    return np.asarray(torque(values, *states, segments.signals, segments.loads), np.float64)
 
 
 def _describe_fit(space: Space, outcome: Outcome, uncertainty: Uncertainty) -> FitRow:
