@@ -2,7 +2,7 @@
 
 The hidden drive of `data=twin_clean` is recorded twice in MuJoCo C, for as long and with the same sensors: under the
 paper's five harmonics, and under the command that `frictionzoo.excite` designs from the drive found on these, within
-their ranges of position, speed and torque. Intervals are predicted, and then those of `fit=lm segments.length=100`.
+their ranges of position, speed and torque. Intervals are predicted, and then those of `fit=lm segments.length=1000`.
 """
 
 import argparse
@@ -75,7 +75,7 @@ def parse() -> argparse.Namespace:
     """The command line."""
     parser = make_parser("excitation", __doc__)
     parser.add_argument("--starts", type=int, default=4, metavar="N", help="searches")
-    parser.add_argument("--iterations", type=int, default=2000, metavar="N", help="steps of each")
+    parser.add_argument("--iterations", type=int, default=1500, metavar="N", help="steps of each")
     parser.add_argument("--period", type=float, default=4.0, metavar="S", help="longest one of the command [s]")
     parser.add_argument("overrides", nargs="*", help="options of the run, such as data.samples=20000")
     return parser.parse_args()
@@ -83,7 +83,7 @@ def parse() -> argparse.Namespace:
 
 def compose(options: argparse.Namespace) -> dict[str, Any]:
     """The settings of a run of `twin_clean` that finds every parameter."""
-    fit = ("fit=lm", "segments.length=100", "segments.count=null", "bench.timestep=0.00025", "loop.progress=false")
+    fit = ("fit=lm", "segments.length=1000", "segments.count=null", "bench.timestep=0.00025", "loop.progress=false")
     config = compose_config("experiment=twin_clean", *fit, *options.overrides)
     return cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
 

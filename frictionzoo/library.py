@@ -189,7 +189,7 @@ def identify(
     logs: Logs | Log | Sequence[Log],
     *,
     test: float | Split | None = None,
-    recipe: str = "given",
+    recipe: str = AUTO,
     method: str | Fit = "auto",
     segments: Cut | None = None,
     loss: Loss | None = None,

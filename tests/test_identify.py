@@ -259,7 +259,7 @@ def test_options_are_those_of_the_configuration() -> None:
     assert {*options} == {*library.How.__annotations__}
     for name in ("seed", "engine", "device", "compilation_cache"):
         assert options[name] == config[name]
-    assert options["recipe"] == config.recipe
+    assert options["recipe"] == compose_config("data=files").recipe == "auto"
 
 
 def test_what_was_read_twice_is_compared_under_two_labels(finished_run: Callable) -> None:

@@ -57,8 +57,8 @@ class Sensed(NamedTuple):
     Attributes:
         qpos: At each sample, of shape (batch, samples, nv).
         qvel: The same.
-        slopes: Of positions and velocities after each segment's first sample, by the coordinates and by the segment's
-            initial positions and velocities, of shape (segments, tangents, batch, length, nv, 2).
+        slopes: Of positions and velocities after the first sample of each whole segment, by the coordinates and by the
+            segment's initial positions and velocities, of shape (segments, tangents, batch, length, nv, 2).
     """
 
     qpos: Array
@@ -120,7 +120,8 @@ class Sensitivity:
             signals: Each of shape (batch, history + samples - 1, nv).
             load: What the payload changes in the model, of shape (batch, load).
         """
-        count = self.segments(signals.ctrl.shape[1] - self.sampling.history + 1)
+        samples = signals.ctrl.shape[1] - self.sampling.history
+        count = self.segments(samples + 1)
         first = self.length * np.arange(count)[:, None]
         window = first + np.arange(self.sampling.history + self.length)
         cut = signals.map(lambda signal: jnp.moveaxis(signal[:, window], 1, 0))
@@ -137,9 +138,12 @@ class Sensitivity:
 
         start = jnp.broadcast_to(jnp.asarray(home, vector.dtype), (batch, nv)), jnp.zeros((batch, nv), vector.dtype)
         # Only states are kept for a reverse sweep, and a segment is simulated anew in it.
-        _, (after, slopes) = jax.lax.scan(jax.checkpoint(segment), start, cut)
-        states = jnp.moveaxis(after, 0, 1).reshape(batch, -1, nv, 2)
-        whole = jnp.concatenate([jnp.stack(start, axis=-1)[:, None], states], axis=1)
+        end, (after, slopes) = jax.lax.scan(jax.checkpoint(segment), start, cut)
+        parts = [jnp.stack(start, axis=-1)[:, None], jnp.moveaxis(after, 0, 1).reshape(batch, -1, nv, 2)]
+        if samples > count * self.length:  # what fills no segment says nothing, and keeps the limits as the rest does
+            last = signals.map(lambda signal: signal[:, count * self.length :])
+            parts.append(jnp.stack(self.rollout(self.space.values(vector), *end, last, load), axis=-1))
+        whole = jnp.concatenate(parts, axis=1)
         return Sensed(whole[..., 0], whole[..., 1], slopes)
 
     def half_widths(self, information: Information, segments: int) -> Float[np.ndarray, "batch coordinates"]:

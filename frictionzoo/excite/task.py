@@ -102,12 +102,10 @@ class Task:
         vector, signals = jnp.asarray(self.vector), self.signals(jnp, ctrl, speed)
         load = jnp.broadcast_to(jnp.asarray(self.load), (len(ctrl), len(self.load)))
         sensed = self.sensitivity.look(vector, home, signals, load)
-        steps = sensed.qpos.shape[1] - 1  # of whole segments
-        qpos, qvel = sensed.qpos[:, :steps], sensed.qvel[:, :steps]
-        driving = signals.map(lambda signal: signal[:, : self.sensitivity.sampling.history + steps])
+        qpos, qvel = sensed.qpos[:, :-1], sensed.qvel[:, :-1]
         observe = make_observer(self.drive.engine, self.sensitivity.sampling)
-        torque = observe(self.sensitivity.space.values(vector), qpos, qvel, driving, load).motor_torque
-        motion = Motion(ctrl[:, :steps], speed[:, :steps], qpos, qvel, torque)
+        torque = observe(self.sensitivity.space.values(vector), qpos, qvel, signals, load).motor_torque
+        motion = Motion(ctrl[:, :-1], speed[:, :-1], qpos, qvel, torque)
         return Seen(
             motion,
             inform(
