@@ -186,7 +186,7 @@ class Identified:
 
         return draw_rollout(self.result, self.curves)
 
-    def export(self, target: str, path: str | Path, **options: str | float) -> Written:
+    def export(self, target: str, path: str | Path, **options: str | float | int | Mapping[str, Any]) -> Written:
         """Write the drive for another program, as `python -m frictionzoo.export` does.
 
         Args:
@@ -200,9 +200,9 @@ class Identified:
         Raises:
             FrictionzooError: No such target or option, or the target cannot hold the drive.
         """
-        from frictionzoo.export.write import export_to
+        from frictionzoo.export.write import as_text, export_to
 
-        return export_to(self, target, Path(path), {name: str(value) for name, value in options.items()})
+        return export_to(self, target, Path(path), {name: as_text(value) for name, value in options.items()})
 
     def __repr__(self) -> str:
         """Parameters with intervals, test errors beside those without friction, and warnings."""
@@ -247,13 +247,14 @@ class Identified:
         return replace(self, bench=bench, segments=_thin(self.segments, every, sampling.history), sampling=sampling)
 
     def rollout(
-        self, segments: Segments | None = None, timestep: float | None = None
+        self, segments: Segments | None = None, timestep: float | None = None, values: Values | None = None
     ) -> tuple[Float[np.ndarray, "batch time nv"], Float[np.ndarray, "batch time nv"]]:
         """Simulate the drive in float64.
 
         Args:
             segments: Initial states and commands; None for the run's long test rollouts.
             timestep: Step of the simulation [s]; None for that of this drive.
+            values: Of another drive of this bench and law; None for its own.
 
         Returns:
             qpos and qvel after each sample interval.
@@ -262,17 +263,20 @@ class Identified:
         segments = drive.segments if segments is None else segments
         with jax.enable_x64(True):
             start = segments.qpos[:, 0], segments.qvel[:, 0]
-            found = drive._drive.rollout.compiled(drive.jax_values, *start, segments.signals, segments.load)
+            own = drive.jax_values if values is None else values
+            found = drive._drive.rollout.compiled(own, *start, segments.signals, segments.load)
             qpos, qvel = (np.array(part, np.float64) for part in found)
         return qpos, qvel
 
-    def follow(self, segments: Segments) -> Segments:
+    def follow(self, segments: Segments, values: Values | None = None) -> Segments:
         """The segments with the states of this drive, from their first ones on, in place of the measured ones.
+
+        With `values`, of another drive of this bench and law.
 
         Raises:
             RunError: The drive diverges in one of them.
         """
-        pairs = zip((segments.qpos, segments.qvel), self.rollout(segments), strict=True)
+        pairs = zip((segments.qpos, segments.qvel), self.rollout(segments, values=values), strict=True)
         qpos, qvel = (np.concatenate([states[:, :1], own], axis=1) for states, own in pairs)
         lost = Prediction(qpos, qvel).diverged
         if lost.any():
