@@ -122,7 +122,7 @@ def test_a_stated_range_is_filled_evenly_and_in_the_order_of_the_draws(drive: Id
     np.testing.assert_allclose(np.sort(armature), value["bench.armature"] * (0.5 + 1.5 * even))
     np.testing.assert_array_equal(np.argsort(armature), np.argsort(drive.sample(COUNT)["bench.armature"][:, 0]))
     np.testing.assert_allclose(np.sort(kp), value["bench.kp"] * (0.9 + 0.2 * even))  # known, and yet it varies
-    np.testing.assert_allclose(np.sort(damping), value["friction.damping"] * 1.5 * even)
+    np.testing.assert_allclose(np.sort(damping), value["friction.damping"] * (0.5 + even))
     assert abs(np.corrcoef(kp, armature)[0, 1]) < 0.5
     assert [one.why[0] for one in found.parameters][:2] == [
         "stated range of bench.armature",
@@ -144,6 +144,10 @@ def test_a_stated_range_is_filled_evenly_and_in_the_order_of_the_draws(drive: Id
         "one number": ({"ranges": "{bench.armature: 2}"}, r"bench\.armature: 2; expected the lowest and the highest"),
         "order": ({"ranges": "{bench.armature: [2, 1]}"}, r"bench\.armature: \[2, 1\]; expected the lowest"),
         "words": ({"ranges": "{bench.armature: [a, 1]}"}, r"expected the lowest and the highest share"),
+        "bounds": (
+            {"ranges": "{friction.damping: [1, 1e6]}"},
+            r"ranges: friction\.damping: \S+ to \S+, expected them within 0\.0001 to 10; narrow it",
+        ),
         "operation": ({"operation": "scal"}, r"operation=scal: no such operation; did you mean scale"),
         "count": ({"count": "1.5"}, r"count=1\.5; expected a whole number from 2"),
         "files": ({"count": "4", "files": "5"}, r"files=5; expected a whole number from 1 to 4"),

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -15,6 +15,7 @@ from frictionzoo.export.nearest import Nearest
 from frictionzoo.result.evaluate import Values
 from frictionzoo.result.identified import Identified
 from frictionzoo.result.names import label_values, name_some
+from frictionzoo.result.types import ValueRow
 
 Ranges = Mapping[str, tuple[float, float]]
 """Lowest and highest share of its value that a parameter may have, by its full name or that and a joint's."""
@@ -97,14 +98,21 @@ def read_ranges(text: str, fitted: Identified) -> Ranges:
         raise ConfigError(f"ranges={text}: expected shares of values by name, as in {_EXAMPLE}")
     rows = fitted.result["parameters"]
     known = {f"{row['owner']}.{row['name']}" for row in rows}.union(*map(label_values, rows))
-    for name, ends in given.items():
+    for name in given:
         if name not in known:
             raise ConfigError(f"ranges: {name}: no such parameter of this run; {closest(str(name), known)}")
-        numbers = isinstance(ends, list) and [e for e in ends if isinstance(e, int | float) and np.isfinite(e)]
-        if not numbers or len(numbers) != 2 or len(numbers) != len(ends) or not 0 <= numbers[0] < numbers[1]:
-            line = f"ranges: {name}: {ends}; expected the lowest and the highest share of its value, as in {_EXAMPLE}"
-            raise ConfigError(line)
-    return {name: (float(low), float(high)) for name, (low, high) in given.items()}
+    return {name: _read_ends(name, ends) for name, ends in given.items()}
+
+
+def _read_ends(name: str, ends: Any) -> tuple[float, float]:
+    try:
+        low, high = map(float, ends if isinstance(ends, list) else ())
+    except (TypeError, ValueError):
+        low = high = np.nan
+    if not 0 <= low < high < np.inf:
+        line = f"ranges: {name}: {ends}; expected the lowest and the highest share of its value, as in {_EXAMPLE}"
+        raise ConfigError(line)
+    return low, high
 
 
 def draw_variants(fitted: Identified, count: int, seed: int, ranges: Ranges) -> Variants:
@@ -126,7 +134,8 @@ def draw_variants(fitted: Identified, count: int, seed: int, ranges: Ranges) -> 
         for label, entry in label_values(row).items():
             joints, share = [fitted.bench.joints.index(joint) for joint in entry["joints"]], _share(ranges, label)
             if share is not None:
-                values[:, joints], ends[joints] = _spread(label, values[:, joints], entry["value"], share, rng)
+                low, high = ends[joints] = _scale(fitted, label, entry, share)
+                values[:, joints] = _spread(values[:, joints], low, high, rng)
             elif entry["identified"]:
                 ends[joints] = entry["interval"]
             for joint in joints if share is not None or entry["identified"] else ():
@@ -162,21 +171,28 @@ def _refuse_vague(fitted: Identified, ranges: Ranges) -> None:
     )
 
 
-def _spread(
-    label: str,
-    drawn: Float[np.ndarray, "count joints"],
-    value: float,
-    share: tuple[float, float],
-    rng: np.random.Generator,
-) -> tuple[Float[np.ndarray, "count joints"], Float[np.ndarray, "2"]]:
-    """Values evenly over a range, in the order of what was drawn, and the range."""
-    if value == 0:
+def _scale(fitted: Identified, label: str, entry: ValueRow, share: tuple[float, float]) -> Float[np.ndarray, "2"]:
+    """The ends of a stated range; ConfigError where that makes no sense of a value."""
+    low, high = entry["low"], entry["high"]
+    if label.partition("/")[0] == "bench.delay":  # commands of before are known as far back as this
+        high = min(high, fitted.sampling.history * fitted.sampling.interval)
+    first, last = sorted(end * entry["value"] for end in share)
+    if first == last:
         raise ConfigError(f"ranges: {label}: its value is 0, expected one to take shares of; leave it out")
+    if first < low or last > high:
+        raise ConfigError(
+            f"ranges: {label}: {first:g} to {last:g}, expected them within {low:g} to {high:g}; narrow it"
+        )
+    return np.array([first, last])
+
+
+def _spread(
+    drawn: Float[np.ndarray, "count joints"], low: float, high: float, rng: np.random.Generator
+) -> Float[np.ndarray, "count joints"]:
+    """Values evenly over a range, in the order of what was drawn, or in any order of what was not."""
     count, first = len(drawn), drawn[:, 0]
     order = np.argsort(np.argsort(first)) if np.ptp(first) > 0 else rng.permutation(count)
-    low, high = sorted(end * value for end in share)
-    even = low + (order[:, None] + 0.5) / count * (high - low)
-    return np.broadcast_to(even, drawn.shape), np.array([low, high])
+    return np.broadcast_to(low + (order[:, None] + 0.5) / count * (high - low), drawn.shape)
 
 
 def list_quantities(
