@@ -37,7 +37,8 @@ def main() -> None:
     for kind in ("DRAWS", "RANGES"):
         env = make_environment(folder / "nominal.xml", getattr(events, kind), arguments.worlds)
         fields = {name: np.asarray(getattr(env.sim.model, name)[:].cpu()) for name in SET}
-        rows += list_rows(kind, events, known, fields)
+        worlds = {name: read_field(env.sim.mj_model, fields, name, known["joints"].tolist()) for name in FIELDS}
+        rows += list_rows(kind, known, worlds)
         motions.append({"events": kind, **compare_motion(env, fields, arguments.steps, arguments.compared)})
     columns = ("events", "field", "joint", "unit", "nominal", "low", "high", "least", "most", "apart")
     print_table(rows, dict(zip(columns, columns, strict=True)))
@@ -94,9 +95,7 @@ def make_environment(model: Path, events: dict[str, Any], worlds: int) -> Any:
     return ManagerBasedRlEnv(config, device="cpu")
 
 
-def list_rows(
-    kind: str, events: ModuleType, known: dict[str, np.ndarray], fields: dict[str, np.ndarray]
-) -> Iterator[dict[str, Any]]:
+def list_rows(kind: str, known: dict[str, np.ndarray], worlds: dict[str, np.ndarray]) -> Iterator[dict[str, Any]]:
     """A row for each number of each joint that differs between worlds: what was written, and what is there.
 
     `apart` is, of DRAWS, how far a world is from the nearest of the drives in samples.npz, all of its numbers together,
@@ -104,7 +103,6 @@ def list_rows(
     """
     names = known["names"].tolist()
     varied = [name for name in FIELDS if name in names]
-    worlds = {name: read_field(fields, name) for name in varied}
     wide = {name: known["high"][names.index(name)] - known["low"][names.index(name)] for name in varied}
     varied = [name for name in varied if (wide[name] > 0).any()]
     apart = None
@@ -125,10 +123,14 @@ def list_rows(
             }
 
 
-def read_field(fields: dict[str, np.ndarray], name: str) -> np.ndarray:
-    """A quantity in all worlds, of shape (worlds, nv)."""
+def read_field(model: Any, fields: dict[str, np.ndarray], name: str, joints: list[str]) -> np.ndarray:
+    """A quantity of these joints in all worlds, of shape (worlds, nv)."""
     field, entry, sign = FIELDS[name]
-    return sign * (fields[field] if entry is None else fields[field][..., entry])
+    ids = [model.joint(f"robot/{joint}").id for joint in joints]
+    if entry is None:
+        return fields[field][:, model.jnt_dofadr[ids]]
+    actuators = [model.actuator_trnid[:, 0].tolist().index(joint) for joint in ids]
+    return sign * fields[field][:, actuators, entry]
 
 
 def compare_motion(env: Any, fields: dict[str, np.ndarray], steps: int, compared: int) -> dict[str, Any]:

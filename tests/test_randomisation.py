@@ -27,7 +27,7 @@ from frictionzoo.export import nearest as refit
 from frictionzoo.export.events import ISAAC_LAB, MJLAB, write_events
 from frictionzoo.export.nearest import Nearest
 from frictionzoo.export.randomisation import write_files
-from frictionzoo.export.variants import Quantity, draw_variants
+from frictionzoo.export.variants import Quantity, Range, draw_variants
 from frictionzoo.export.written import Written
 from frictionzoo.result.identified import Identified
 
@@ -111,24 +111,23 @@ def test_every_mjcf_has_the_numbers_of_its_draw(written: Written, samples: dict[
 
 
 def test_a_stated_range_is_filled_evenly_and_in_the_order_of_the_draws(drive: Identified) -> None:
-    ranges = {"bench.armature": (0.5, 2.0), "bench.kp": (0.9, 1.1)}
+    ranges = {"bench.armature": Range(0.5, 2.0), "bench.kp": Range(18.0, 22.0, absolute=True)}
     vague = declare(drive, False, "friction.damping")
-    found = draw_variants(
-        vague, COUNT, 0, {**ranges, "friction.damping/knee": (1.0, 3.0), "friction.damping": (0.0, 1.5)}
-    )
+    ranges["friction.damping"] = Range(0.5, 1.5)
+    found = draw_variants(vague, COUNT, 0, ranges)
     armature, kp, _, damping = (one.values[:, 0] for one in found.parameters)
     value = {name: float(p.value[0]) for name, p in drive.parameters.items()}
     even = (np.arange(COUNT) + 0.5) / COUNT
     np.testing.assert_allclose(np.sort(armature), value["bench.armature"] * (0.5 + 1.5 * even))
     np.testing.assert_array_equal(np.argsort(armature), np.argsort(drive.sample(COUNT)["bench.armature"][:, 0]))
-    np.testing.assert_allclose(np.sort(kp), value["bench.kp"] * (0.9 + 0.2 * even))  # known, and yet it varies
+    np.testing.assert_allclose(np.sort(kp), 18 + 4 * even)  # known, and yet it varies
     np.testing.assert_allclose(np.sort(damping), value["friction.damping"] * (0.5 + even))
     assert abs(np.corrcoef(kp, armature)[0, 1]) < 0.5
     assert [one.why[0] for one in found.parameters][:2] == [
         "stated range of bench.armature",
         "stated range of bench.kp",
     ]
-    again = draw_variants(vague, COUNT, 0, {**ranges, "friction.damping": (0.0, 1.5)})
+    again = draw_variants(vague, COUNT, 0, ranges)
     np.testing.assert_array_equal(again.parameters[-1].values[:, 0], damping)
 
 
@@ -144,6 +143,8 @@ def test_a_stated_range_is_filled_evenly_and_in_the_order_of_the_draws(drive: Id
         "one number": ({"ranges": "{bench.armature: 2}"}, r"bench\.armature: 2; expected the lowest and the highest"),
         "order": ({"ranges": "{bench.armature: [2, 1]}"}, r"bench\.armature: \[2, 1\]; expected the lowest"),
         "words": ({"ranges": "{bench.armature: [a, 1]}"}, r"expected the lowest and the highest share"),
+        "low alone": ({"ranges": "{bench.armature: {low: 2}}"}, r"\{'low': 2\}; expected .* in its unit$"),
+        "infinite": ({"ranges": "{bench.armature: {low: -.inf, high: 1}}"}, r"-inf, 'high': 1\}; expected the lowest"),
         "bounds": (
             {"ranges": "{friction.damping: [1, 1e6]}"},
             r"ranges: friction\.damping: \S+ to \S+, expected them within 0\.0001 to 10; narrow it",
@@ -170,7 +171,7 @@ def test_a_drive_without_intervals_or_parameters_is_refused(drive: Identified) -
         FrictionzooError, match=r"no interval \(there is one segment only\).*or fit model=mujoco_default"
     ):
         draw_variants(bare, COUNT, 0, {})
-    stated = {name: (0.9, 1.1) for name, p in drive.parameters.items() if p.identified}
+    stated = {name: Range(0.9, 1.1) for name, p in drive.parameters.items() if p.identified}
     assert len(draw_variants(bare, COUNT, 0, stated).parameters) == len(stated)
     known = [
         {**row, "by_joint": [{**e, "identified": False} for e in row["by_joint"]]} for row in bare.result["parameters"]
@@ -182,7 +183,7 @@ def test_a_drive_without_intervals_or_parameters_is_refused(drive: Identified) -
 def test_the_command_takes_ranges(
     finished_run: Callable[[str], tuple[Path, Finished]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    ranges = "ranges={bench.armature: [0.8, 1.2], friction.frictionloss: [0.5, 2], friction.damping: [1, 3]}"
+    ranges = "ranges={bench.armature: [0.8, 1.2], friction.frictionloss: {low: 0.1, high: 1}, friction.damping: [1, 3]}"
     run = str(finished_run("mujoco_default")[0])
     main([run, "target=randomisation", ranges, "count=5", "files=1", f"output={tmp_path / 'drives'}"])
     assert "1 draws of them, each against itself" in capsys.readouterr().out

@@ -44,8 +44,8 @@ MJLAB = Program(
         "joint.armature": "dof_armature",
         "joint.frictionloss": "dof_frictionloss",
         "joint.damping": "dof_damping",
-        "actuator.stiffness": "actuator_gainprm and actuator_biasprm, or stiffness of an IdealPdActuator",
-        "actuator.damping": "actuator_biasprm, or damping of an IdealPdActuator",
+        "actuator.stiffness": "kp of the actuator",
+        "actuator.damping": "kd of the actuator",
     },
 )
 ISAAC_LAB = Program(
@@ -56,8 +56,8 @@ ISAAC_LAB = Program(
         "joint.static_friction": "static friction",
         "joint.frictionloss": "dynamic friction",
         "joint.damping": "viscous friction",
-        "actuator.stiffness": "stiffness",
-        "actuator.damping": "damping of the controller",
+        "actuator.stiffness": "stiffness of the actuator",
+        "actuator.damping": "damping of the actuator",
     },
 )
 

@@ -49,7 +49,7 @@ class Randomisation(Target):
     """
 
     options: ClassVar[Mapping[str, str]] = {
-        "ranges": "shares of values that parameters may have, '{bench.armature: [0.8, 1.2]}'",
+        "ranges": "shares of values that parameters may have, '{bench.armature: [0.8, 1.2]}', or low and high",
         "count": f"drives to draw, {_COUNT} where it is left out",
         "files": f"of these that become MJCF, {_FILES} where it is left out",
         "seed": "of the draws, 0 where it is left out",

@@ -17,8 +17,6 @@ from frictionzoo.result.identified import Identified
 from frictionzoo.result.names import label_values, name_some
 from frictionzoo.result.types import ValueRow
 
-Ranges = Mapping[str, tuple[float, float]]
-"""Lowest and highest share of its value that a parameter may have, by its full name or that and a joint's."""
 _SAME = 1e-9  # share of a quantity by which it may differ from a parameter that it is
 _EXAMPLE = "'ranges={bench.armature: [0.8, 1.2]}'"
 QUANTILES = 0.025, 0.975
@@ -30,6 +28,24 @@ MOTOR: Mapping[str, str] = {
     "effort_limit": "torque",
 }
 """What a `Motor` has, and of which dimension."""
+
+
+class Range(NamedTuple):
+    """What a user says that a parameter may be.
+
+    Attributes:
+        low: Lower end, as a share of its value.
+        high: Upper end.
+        absolute: Whether they are in its unit instead.
+    """
+
+    low: float
+    high: float
+    absolute: bool = False
+
+
+Ranges = Mapping[str, Range]
+"""By a parameter's full name, or that and a joint's."""
 
 
 class Quantity(NamedTuple):
@@ -85,7 +101,7 @@ class Variants:
 
 
 def read_ranges(text: str, fitted: Identified) -> Ranges:
-    """The option `ranges`.
+    """The option `ranges`: by name, two shares of the value, or `low` and `high` in the parameter's unit.
 
     Raises:
         ConfigError: It is no mapping of names to two numbers, or there is no such parameter.
@@ -101,18 +117,22 @@ def read_ranges(text: str, fitted: Identified) -> Ranges:
     for name in given:
         if name not in known:
             raise ConfigError(f"ranges: {name}: no such parameter of this run; {closest(str(name), known)}")
-    return {name: _read_ends(name, ends) for name, ends in given.items()}
+    return {name: _read_range(name, of) for name, of in given.items()}
 
 
-def _read_ends(name: str, ends: Any) -> tuple[float, float]:
+def _read_range(name: str, given: Any) -> Range:
+    absolute = isinstance(given, dict) and given.keys() == {"low", "high"}
+    ends = (given["low"], given["high"]) if absolute else given if isinstance(given, list) else ()
     try:
-        low, high = map(float, ends if isinstance(ends, list) else ())
+        low, high = map(float, ends)
     except (TypeError, ValueError):
         low = high = np.nan
-    if not 0 <= low < high < np.inf:
-        line = f"ranges: {name}: {ends}; expected the lowest and the highest share of its value, as in {_EXAMPLE}"
-        raise ConfigError(line)
-    return low, high
+    if not (-np.inf if absolute else 0) <= low < high < np.inf or not np.isfinite(low):
+        raise ConfigError(
+            f"ranges: {name}: {given}; expected the lowest and the highest share of its value, as in {_EXAMPLE}, or "
+            "{low: NUMBER, high: NUMBER} in its unit"
+        )
+    return Range(low, high, absolute)
 
 
 def draw_variants(fitted: Identified, count: int, seed: int, ranges: Ranges) -> Variants:
@@ -122,7 +142,7 @@ def draw_variants(fitted: Identified, count: int, seed: int, ranges: Ranges) -> 
 
     Raises:
         ExportError: A parameter that was identified is not identifiable and has no stated range; or nothing varies.
-        ConfigError: A range is stated of a parameter that is 0.
+        ConfigError: A stated range makes no sense of a parameter.
     """
     _refuse_vague(fitted, ranges)
     sure = any(entry["identifiable"] for row in fitted.result["parameters"] for entry in row["by_joint"])
@@ -132,14 +152,14 @@ def draw_variants(fitted: Identified, count: int, seed: int, ranges: Ranges) -> 
         values = np.array(drawn.get(name, np.broadcast_to(parameter.value, (count, fitted.bench.nv))))
         ends, why = np.repeat(parameter.value[:, None], 2, axis=1), [""] * fitted.bench.nv
         for label, entry in label_values(row).items():
-            joints, share = [fitted.bench.joints.index(joint) for joint in entry["joints"]], _share(ranges, label)
-            if share is not None:
-                low, high = ends[joints] = _scale(fitted, label, entry, share)
+            joints, stated = [fitted.bench.joints.index(joint) for joint in entry["joints"]], _stated(ranges, label)
+            if stated is not None:
+                low, high = ends[joints] = _scale(fitted, label, entry, stated)
                 values[:, joints] = _spread(values[:, joints], low, high, rng)
             elif entry["identified"]:
                 ends[joints] = entry["interval"]
-            for joint in joints if share is not None or entry["identified"] else ():
-                why[joint] = f"{'95 % interval' if share is None else 'stated range'} of {name}"
+            for joint in joints if stated is not None or entry["identified"] else ():
+                why[joint] = f"{'95 % interval' if stated is None else 'stated range'} of {name}"
         if any(why):
             found.append(Quantity(name, parameter.unit, values, parameter.value, ends, tuple(why)))
     if not found:
@@ -147,7 +167,7 @@ def draw_variants(fitted: Identified, count: int, seed: int, ranges: Ranges) -> 
     return Variants(fitted, tuple(found), count)
 
 
-def _share(ranges: Ranges, label: str) -> tuple[float, float] | None:
+def _stated(ranges: Ranges, label: str) -> Range | None:
     """The range stated for an entry, by its own label or by its parameter's name."""
     return ranges.get(label, ranges.get(label.partition("/")[0]))
 
@@ -158,7 +178,7 @@ def _refuse_vague(fitted: Identified, ranges: Ranges) -> None:
     vague = [
         label
         for label, entry in entries.items()
-        if entry["identified"] and not entry["identifiable"] and _share(ranges, label) is None
+        if entry["identified"] and not entry["identifiable"] and _stated(ranges, label) is None
     ]
     if not vague:
         return
@@ -171,14 +191,15 @@ def _refuse_vague(fitted: Identified, ranges: Ranges) -> None:
     )
 
 
-def _scale(fitted: Identified, label: str, entry: ValueRow, share: tuple[float, float]) -> Float[np.ndarray, "2"]:
-    """The ends of a stated range; ConfigError where that makes no sense of a value."""
+def _scale(fitted: Identified, label: str, entry: ValueRow, stated: Range) -> Float[np.ndarray, "2"]:
+    """The ends of a stated range in the parameter's unit; ConfigError where they make no sense of a value."""
     low, high = entry["low"], entry["high"]
     if label.partition("/")[0] == "bench.delay":  # commands of before are known as far back as this
         high = min(high, fitted.sampling.history * fitted.sampling.interval)
-    first, last = sorted(end * entry["value"] for end in share)
+    first, last = sorted(end * (1 if stated.absolute else entry["value"]) for end in stated[:2])
     if first == last:
-        raise ConfigError(f"ranges: {label}: its value is 0, expected one to take shares of; leave it out")
+        line = "its value is 0, expected one to take shares of; give {low: NUMBER, high: NUMBER} in its unit"
+        raise ConfigError(f"ranges: {label}: {line}")
     if first < low or last > high:
         raise ConfigError(
             f"ranges: {label}: {first:g} to {last:g}, expected them within {low:g} to {high:g}; narrow it"
