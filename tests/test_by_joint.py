@@ -15,10 +15,12 @@ from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.bench.base_parameters import BaseParameters
 from frictionzoo.bench.inertia import SYMBOLS
 from frictionzoo.core.log import Dataset, Log
+from frictionzoo.fit.covariance import Covariance
 from frictionzoo.fit.link_inertia import LinkInertia
 from frictionzoo.fit.tilt import Tilt
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.models.mujoco_default import MujocoDefault
+from frictionzoo.result.draws import draw_parameters
 from frictionzoo.result.evaluate import Evaluation
 from frictionzoo.result.names import label_values, merge_known, name_some
 from frictionzoo.result.record import Findings, build_result, pick_metrics, read_schema
@@ -129,6 +131,26 @@ def test_the_record_tells_which_joint(result: Any) -> None:
     assert [row["name"] for row in of(result, "kd")["by_joint"]] == ["all joints"]
     assert [row["name"] for row in of(result, "kp")["by_joint"]] == list(JOINTS)
     assert result["notes"] == ["contacts are left out"]
+
+
+def test_what_is_drawn_of_each_joint_stays_where_it_is_known_or_vague(findings: Findings) -> None:
+    labels = (
+        "bench.armature/hips",
+        "bench.armature/knees",
+        *(f"friction.frictionloss/{joint}" for joint in JOINTS if joint != "FL_knee"),
+    )
+    spread = Covariance(labels, np.log([0.1] * 5), 0.01 * np.eye(5), 49.0)
+    result = build_result(replace(findings, uncertainty=replace(findings.uncertainty, covariance=spread)))
+    jsonschema.Draft202012Validator(read_schema()).validate(json.loads(json.dumps(result)))
+    found = draw_parameters("here", result, findings.bench, findings.model, 1000, seed=0)
+    assert found.keys() == {"bench.armature", "friction.frictionloss"}  # of damping nothing is said
+    armature, loss = found["bench.armature"], found["friction.frictionloss"]
+    np.testing.assert_array_equal(armature[:, :2], armature[:, 2:])  # tied
+    assert abs(np.corrcoef(armature[:, :2].T)[0, 1]) < 0.1
+    # At a bound, without an interval, and not identifiable.
+    np.testing.assert_array_equal(loss[:, [1, 3]], np.tile([1.0, 0.1], (1000, 1)))
+    drawn = np.concatenate([armature[:, :2], loss[:, [0, 2]]], axis=1)
+    assert np.log(drawn).std(axis=0) == pytest.approx(0.1, rel=0.1)
 
 
 def test_the_errors_of_the_joints_have_the_mean_of_all(result: Any, findings: Findings) -> None:

@@ -359,6 +359,10 @@ RULES: list[tuple[str, How, *tuple[pytest.MarkDecorator, ...]]] = [
         left_to("test_commands::export_all"),
     ),
     (
+        r"python -m frictionzoo\.export (RUN|drive) target=randomisation",
+        left_to("test_randomisation::test_the_command_takes_ranges"),
+    ),
+    (
         r"python -m frictionzoo\.export RUN target=mjcf into=robot\.xml joint=left_knee,right_knee",
         left_to("test_export_targets::test_a_drive_goes_into_several_joints_and_adds_their_actuators"),
     ),

@@ -50,7 +50,9 @@ class Drawn(Identified):
         observed = {name: value + 10 * rng.normal(size=(300, 1)) for name, value in self.model.inputs.items()}
         return DriveState(*rng.normal(scale=2.0, size=(5, 300, 1)), **observed)
 
-    def rollout(self, segments: Segments | None = None, timestep: float | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def rollout(
+        self, segments: Segments | None = None, timestep: float | None = None, values: Any = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         return self.segments.qpos[:, 1:], self.segments.qvel[:, 1:]
 
 

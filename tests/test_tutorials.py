@@ -97,17 +97,19 @@ def test_the_tutorial_of_a_law_ranks_it(follow: Callable, tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
-def test_the_tutorial_of_ranges_holds_the_drive(
-    follow: Callable, finished_run: Callable, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_tutorial_of_ranges_holds_the_drive(follow: Callable, finished_run: Callable, tmp_path: Path) -> None:
     (tmp_path / "drive").symlink_to(finished_run("mujoco_default")[0])
     names = follow("tutorials/randomisation.md")
     for fit in names["units"]:
         assert_found(fit, SHAFT, 0.15)
-    low, high = names["envelope"](names["units"], "bench.armature")
-    assert low < min(fit.parameters["bench.armature"].value[0] for fit in names["units"]) < high < 1.2 * low
-    for pairs in names["ranges"](names["units"][0]).values():
-        assert all(low < 1 < high for low, high in pairs)
+    for low, high in names["ranges"].values():
+        assert 0.8 < low < 1 < high < 1.2
+    low, high = np.array(names["ranges"]["bench.armature"]) * names["units"][0].parameters["bench.armature"].value
+    assert low < SHAFT["armature"][0] < high
+    with np.load(tmp_path / "drives" / "samples.npz") as samples:
+        drawn = samples["joint.armature"]
+    assert low < drawn.min() < low + 0.01 * (high - low) and high - 0.01 * (high - low) < drawn.max() < high
+    assert len(list((tmp_path / "drives" / "samples").iterdir())) == 4
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ from frictionzoo.export.base import register_target
 from frictionzoo.export.configclass import ConfigFile, Field, list_delay, list_motor
 from frictionzoo.export.motor import Motor, lag
 from frictionzoo.export.nearest import Nearest
+from frictionzoo.export.variants import at_rest
 from frictionzoo.result.identified import Identified
 
 _UNITS = (
@@ -41,15 +42,14 @@ ArticulationCfg(actuators=ACTUATORS); set joint names to those of your robot.
             at_once = "IdealPDActuatorCfg" if np.isfinite(motor.effort_limit) else "ImplicitActuatorCfg"
             cls = "DelayedPDActuatorCfg" if late else at_once
         dynamic = nearest.frictionloss[joint]
-        _, place, prefix = fitted.model.of_joint(joint)
-        known = fitted.values["friction"]
-        at_rest = max(dynamic, known[name][place] if (name := f"{prefix}static_torque") in known else 0.0)
         return cls, [
             Field("joint_names_expr", f'["^{fitted.bench.joints[joint]}$"]'),
             *list_motor(fitted, motor),
             *late,
             Field("armature", nearest.bench["armature"][joint], units["inertia"]),
-            Field("friction", at_rest, f"{units['torque']}, at rest"),
+            Field(
+                "friction", at_rest(fitted, fitted.values, nearest.frictionloss)[joint], f"{units['torque']}, at rest"
+            ),
             Field("dynamic_friction", dynamic, units["torque"]),
             Field("viscous_friction", nearest.damping[joint] + fitted.bench.own_damping[joint], units["damping"]),
         ]

@@ -39,6 +39,15 @@ def write_module(fitted: Identified, folder: Path, template: str, name: str, **m
             "target=torchscript or onnx"
         )
     values, large = write_values(fitted.values["friction"])
+    (folder / name).write_text(render(template, **_describe(fitted, values, bool(large)), **more))
+    if not large:
+        return (name,)
+    np.savez(folder / WEIGHTS, **large)  # pyright: ignore[reportArgumentType] - a keyword is a name here
+    return (name, WEIGHTS)
+
+
+def render(template: str, **context: Any) -> str:
+    """A file of a template of this package."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("frictionzoo.export", "."),
         undefined=jinja2.StrictUndefined,
@@ -46,12 +55,7 @@ def write_module(fitted: Identified, folder: Path, template: str, name: str, **m
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    text = environment.get_template(template).render(**_describe(fitted, values, bool(large)), **more)
-    (folder / name).write_text(text.lstrip())
-    if not large:
-        return (name,)
-    np.savez(folder / WEIGHTS, **large)  # pyright: ignore[reportArgumentType] - a keyword is a name here
-    return (name, WEIGHTS)
+    return environment.get_template(template).render(**context).lstrip()
 
 
 def _describe(fitted: Identified, values: str, weights: bool) -> Mapping[str, Any]:

@@ -1,30 +1,38 @@
 """MuJoCo's own joint friction that moves a bench most like a law that MuJoCo does not have."""
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
-from scipy.optimize import nnls
+from scipy.optimize import least_squares, nnls
 
-from frictionzoo.core.errors import RunError
+from frictionzoo.core.errors import ExportError, RunError
 from frictionzoo.core.params import UNITS
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.fit import Objective, Space
+from frictionzoo.fit.blocks import into_blocks
 from frictionzoo.fit.chunk import search
 from frictionzoo.fit.lm import LevenbergMarquardt
+from frictionzoo.fit.normal_equations import NormalEquations, compress
 from frictionzoo.models import FrictionModel
 from frictionzoo.models.base import sliding_torque
 from frictionzoo.models.mujoco_default import MujocoDefault
+from frictionzoo.result.evaluate import Values
 from frictionzoo.result.identified import Identified
 from frictionzoo.result.names import name_some
 from frictionzoo.simulate import friction_of, make_engine
-from frictionzoo.simulate.rollout import make_rollout
+from frictionzoo.simulate.rollout import Rollout, make_rollout
 
 _ITERATIONS = 50  # a dozen is usual
+_CLOSE = 1e-6  # relative change at which the refit of a drawn drive ends: it begins next to its end
+MOST_STEPS = 5e8
+"""Steps of joints, with all tangents, for which drawn drives are refitted: some minutes on two cores."""
 _SMALLEST, _LARGEST = 1e-6, 1e3  # of the typical torque, between which friction is looked for
 
 
@@ -52,13 +60,9 @@ def find_nearest(fitted: Identified) -> Nearest:
     follow the fitted drive's own long rollouts, so that they make up for each other. Where those diverge, it stays at
     the start, and says so.
     """
-    model, samples, bench = fitted.model, fitted.samples, dict(fitted.values["bench"])
-    velocity = samples.qvel
-    # What a law looks at besides the state, MuJoCo's joints do not know.
-    unknown = {name: np.full(velocity.shape, value) for name, value in model.inputs.items()}
-    terms = evaluate_law(model, samples._replace(**unknown))
-    explicit, loss, viscous = (np.zeros(velocity.shape) if term is None else term for term in terms)
-    exact = (explicit == 0).all(axis=0) & (loss == loss[0]).all(axis=0) & (viscous == viscous[0]).all(axis=0)
+    model, bench, samples = fitted.model, dict(fitted.values["bench"]), _forget_inputs(fitted)
+    velocity, terms = samples.qvel, evaluate_law(model, samples)
+    exact, loss, viscous = _find_exact(terms, velocity)
     if exact.all():
         return Nearest(bench, loss[0], viscous[0], say_exact(model) if model.inputs else "")
     torque = sliding_torque(np, terms, velocity)
@@ -78,6 +82,130 @@ def find_nearest(fitted: Identified) -> Nearest:
     return _refit(fitted, followed, *start, exact)
 
 
+def find_nearest_each(fitted: Identified, draws: Sequence[Values]) -> list[Nearest]:
+    """The same of drives that differ from the fitted one in their values alone.
+
+    Where the law is another than MuJoCo's, armature, frictionloss and damping follow the rollouts of each drive, with
+    the fitted gains, delay and offset in both; a drive's own ones are as they were drawn.
+
+    Raises:
+        ExportError: A drive diverges, or so many refits take too long.
+    """
+    model, samples = fitted.model, _forget_inputs(fitted)
+    exact, *_ = _find_exact(evaluate_law(model, samples), samples.qvel)
+    once = samples.map(lambda signal: signal[:1])
+    found = []
+    for values in draws:
+        _, loss, viscous = (np.zeros(once.qvel.shape) if t is None else t for t in evaluate_law(model, once, values))
+        found.append(Nearest(dict(values["bench"]), loss[0], viscous[0], say_exact(model) if model.inputs else ""))
+    return found if exact.all() else _refit_each(fitted, found, draws, exact)
+
+
+def _forget_inputs(fitted: Identified) -> DriveState:
+    """What the law sees at the measured states; what it looks at besides the state, MuJoCo's joints do not know."""
+    samples = fitted.samples
+    return samples._replace(**{n: np.full(samples.qvel.shape, value) for n, value in fitted.model.inputs.items()})
+
+
+def _find_exact(
+    terms: FrictionTerms, velocity: Float[np.ndarray, "samples nv"]
+) -> tuple[Bool[np.ndarray, "nv"], Float[np.ndarray, "samples nv"], Float[np.ndarray, "samples nv"]]:
+    """Of which joints a frictionloss and a damping are the law; and both at each state."""
+    explicit, loss, viscous = (np.zeros(velocity.shape) if term is None else term for term in terms)
+    exact = (explicit == 0).all(axis=0) & (loss == loss[0]).all(axis=0) & (viscous == viscous[0]).all(axis=0)
+    return exact, loss, viscous
+
+
+def _refit_each(
+    fitted: Identified, start: Sequence[Nearest], draws: Sequence[Values], exact: Bool[np.ndarray, "nv"]
+) -> list[Nearest]:
+    """Each of these with armature, frictionloss and damping refitted in the joints whose law is not exact."""
+    _refuse_long(fitted, len(draws), exact)
+    centre, found = find_nearest(fitted), list[Nearest]()
+    with jax.enable_x64(True):
+        first, rollout = _pose(fitted, _follow(fitted), centre.frictionloss, centre.damping, exact)
+        near = first.starting(_descend(first)[0])
+        for own, values in zip(start, draws, strict=True):
+            followed = _follow(fitted, _mix(fitted, values, exact))
+            objective = copy.copy(near)
+            objective.data = into_blocks(followed, near.stretches, near.space.start.dtype, rollout)
+            vector, rms = _descend(objective)
+            armature, loss, damping = _read(objective, vector)
+            kept = ((own.bench["armature"], armature), (own.frictionloss, loss), (own.damping, damping))
+            armature, loss, damping = (np.where(exact, drawn, refitted) for drawn, refitted in kept)
+            found.append(Nearest({**own.bench, "armature": armature}, loss, damping, _say_drawn(fitted, rms, exact)))
+    return found
+
+
+def _follow(fitted: Identified, values: Values | None = None) -> Segments:
+    try:
+        return fitted.follow(fitted.segments, values)
+    except RunError as error:
+        raise ExportError(
+            f"{fitted.place}: a drive with its draws diverges in its own {fitted.over}, expected none to; narrow the "
+            "ranges, or fit another law"
+        ) from error
+
+
+def _read(objective: Objective, vector: Float[np.ndarray, "coordinates"]) -> tuple[Float[np.ndarray, "nv"], ...]:
+    """Armature, frictionloss and damping of a vector."""
+    values = objective.space.values(jnp.asarray(vector))
+    friction = values["friction"]
+    return tuple(
+        np.array(value, np.float64)
+        for value in (values["bench"]["armature"], friction["frictionloss"], friction["damping"])
+    )
+
+
+def _refuse_long(fitted: Identified, count: int, exact: Bool[np.ndarray, "nv"]) -> None:
+    """ExportError where so many refits take too long."""
+    segments, nv = fitted.segments, fitted.bench.nv
+    each = segments.count * segments.length * fitted.sampling.substeps * nv * (1 + 3 * int((~exact).sum()))
+    if count * each > MOST_STEPS:
+        fewer = int(MOST_STEPS / each)
+        some = f"draw at most {fewer}, or " if fewer else ""
+        raise ExportError(
+            f"{_name(fitted, exact)}: MuJoCo's joints have no such friction, and {count} refits of {nv} joints over "
+            f"{fitted.over} take too long; {some}take a law that they have: python -m frictionzoo.distill RUN "
+            "model=mujoco_default"
+        )
+
+
+def _mix(fitted: Identified, values: Values, exact: Bool[np.ndarray, "nv"]) -> Values:
+    """Armature and friction of a drawn drive where the law is not exact, all else as it was fitted."""
+    armature = np.where(exact, fitted.values["bench"]["armature"], values["bench"]["armature"])
+    friction = dict(fitted.values["friction"])
+    for name, param in fitted.model.params.items():
+        friction[name] = np.where(exact[param.members(len(exact))], friction[name], values["friction"][name])
+    return {"bench": {**fitted.values["bench"], "armature": armature}, "friction": friction}
+
+
+def _descend(objective: Objective) -> tuple[Float[np.ndarray, "coordinates"], float]:
+    """The vector of the lowest objective nearby, and its root."""
+    evaluate, space, seen = objective.compile_normal_equations(), objective.space, list[NormalEquations]()
+    low, high, start = (np.asarray(side, np.float64) for side in (space.low, space.high, space.start))
+
+    def unit() -> float:
+        return seen[0].loss or 1.0  # tolerances mean shares of it
+
+    def residuals(vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "compressed"]:
+        seen.append(evaluate(vector))
+        return compress(seen[-1], unit())[0]
+
+    found = least_squares(
+        residuals,
+        np.clip(start, low, high),
+        jac=lambda vector: compress(seen[-1], unit())[1],  # pyright: ignore[reportArgumentType] - one of its kinds
+        bounds=(low, high),
+        x_scale="jac",
+        ftol=_CLOSE,
+        xtol=_CLOSE,
+        gtol=_CLOSE,
+        max_nfev=_ITERATIONS,
+    )
+    return found.x, float(np.sqrt(2 * found.cost * unit()))
+
+
 def _refit(
     fitted: Identified,
     followed: Segments,
@@ -86,7 +214,7 @@ def _refit(
     exact: Bool[np.ndarray, "nv"],
 ) -> Nearest:
     with jax.enable_x64(True):
-        objective = _pose(fitted, followed, loss, damping, exact)
+        objective, _ = _pose(fitted, followed, loss, damping, exact)
         progress, _ = search(LevenbergMarquardt(_ITERATIONS, 1e-8), objective)
         found = jax.tree.map(lambda value: np.asarray(value, np.float64), objective.space.values(progress.best))
     bench, friction = dict(found["bench"]), found["friction"]
@@ -101,8 +229,11 @@ def _pose(
     loss: Float[np.ndarray, "nv"],
     damping: Float[np.ndarray, "nv"],
     exact: Bool[np.ndarray, "nv"],
-) -> Objective:
-    """The mean square distance of MuJoCo's friction from these rollouts, from this friction on; exact joints stay."""
+) -> tuple[Objective, Rollout]:
+    """The mean square distance of MuJoCo's friction from these rollouts, from this friction on; exact joints stay.
+
+    And what simulates it.
+    """
     bench, free = fitted.bench.restarted(fitted.values["bench"]), (~exact).tolist()
     bench.params["armature"] = replace(bench.params["armature"], identify=tuple(free))
     torque = float(np.std(fitted.samples.motor_torque)) or 1.0
@@ -117,7 +248,7 @@ def _pose(
         model.get_parameter(name).data.copy_(torch.from_numpy(start))
     constrained = (~exact | (loss > 0)).tolist()
     rollout = make_rollout(make_engine("auto", bench, friction_of(model), constrained), fitted.sampling)
-    return Objective(Space(bench, model, "float64"), rollout, followed, 1.0, 0.0, "none", 1.0, False)
+    return Objective(Space(bench, model, "float64"), rollout, followed, 1.0, 0.0, "none", 1.0, False), rollout
 
 
 def _say(
@@ -130,6 +261,15 @@ def _say(
         f"fitted drive's own {fitted.over} and leave a position difference of {after:.3g} {unit} RMS ({before:.3g} "
         f"{unit} with the friction nearest to the law's torque); armature {_list(armature[~exact])} instead of "
         f"{_list(identified[~exact])} {inertia}.{_say_others(fitted.model, exact)}"
+    )
+
+
+def _say_drawn(fitted: Identified, rms: float, exact: Bool[np.ndarray, "nv"]) -> str:
+    unit = UNITS[fitted.bench.joint_type]["position"]
+    return (
+        f"A frictionloss and a damping are no {_name(fitted, exact)}: they and the armature were refitted to the drawn "
+        f"drive's own {fitted.over} and leave a position difference of {rms:.3g} {unit} RMS."
+        f"{_say_others(fitted.model, exact)}"
     )
 
 
@@ -160,9 +300,14 @@ def nearest_frictionloss_and_damping(
     return loss, viscous
 
 
-def evaluate_law(model: FrictionModel, samples: DriveState) -> FrictionTerms:
-    """The law's terms on numpy samples of shape (samples, nv), as float64 arrays of this shape, or None."""
+def evaluate_law(model: FrictionModel, samples: DriveState, values: Values | None = None) -> FrictionTerms:
+    """The law's terms on numpy samples of shape (samples, nv), as float64 arrays of this shape, or None.
+
+    With `values`, those of a drive whose law has these.
+    """
     double = copy.deepcopy(model).double()
+    if values is not None:
+        double.load_state_dict({name: torch.as_tensor(value) for name, value in values["friction"].items()})
     terms = double(samples.map(lambda signal: torch.as_tensor(np.asarray(signal, dtype=np.float64))))
     shape = np.shape(samples.qvel)
     return FrictionTerms(*(None if term is None else np.broadcast_to(term.detach().numpy(), shape) for term in terms))

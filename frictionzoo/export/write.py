@@ -10,6 +10,7 @@ from dataclasses import asdict, replace
 from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -106,6 +107,11 @@ def export_to(drive: Identified, target: str, path: Path, options: Mapping[str, 
             raise ConfigError(f"{path}: target={name} writes {', '.join(files)}; expected a folder, or one's ending")
         write_atomically(path, Path(scratch, name, meant[0]).read_bytes())
     return replace(written, folder=path.parent)
+
+
+def as_text(option: Any) -> str:
+    """An option as the command line has it: text, a number, or a mapping of them."""
+    return option if isinstance(option, str) else json.dumps(to_json(option))
 
 
 def _choose(options: Mapping[str, str]) -> list[str]:

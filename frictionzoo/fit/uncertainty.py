@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse.csgraph import connected_components
 
 from frictionzoo.fit.base import Fit
+from frictionzoo.fit.covariance import Covariance
 from frictionzoo.fit.lm import MOST_COORDINATES
 from frictionzoo.fit.normal_equations import NormalEquations
 from frictionzoo.fit.objective import Objective
@@ -41,12 +42,14 @@ class Uncertainty:
         determined: Whether the data determine it in each joint, of shape (nv,), by the same names; true where known.
         indistinct: Groups of parameters that the data cannot tell apart, as `Space.labels` has them.
         missing: Why there are no intervals at all; None where there are.
+        covariance: How sure all those are together that have an interval; None where none has.
     """
 
     intervals: Mapping[str, Float[np.ndarray, "nv 2"]] = field(default_factory=dict)
     determined: Mapping[str, Bool[np.ndarray, "nv"]] = field(default_factory=dict)
     indistinct: tuple[tuple[str, ...], ...] = ()
     missing: str | None = None
+    covariance: Covariance | None = None
 
     @property
     def identifiable(self) -> dict[str, bool]:
@@ -125,11 +128,10 @@ def assess(
     seen = np.flatnonzero(~at_bound & (curvature > _NOTHING * curvature.max()))
     found = _solve(equations, scores, seen, float(np.finfo(space.start.dtype).eps))
 
-    ends = np.full((len(vector), 2), np.nan)
-    own = seen[~found.combined]
-    centre, half = vector[own], found.half[~found.combined]
-    step = found.step[~found.combined]
-    ends[own] = np.stack([centre + np.minimum(step, 0) - half, centre + np.maximum(step, 0) + half], axis=1)
+    ends, own = np.full((len(vector), 2), np.nan), seen[~found.combined]
+    together = _describe(space, vector, own, found)
+    half = _quantile(together.freedom) * np.sqrt(np.diag(together.matrix))
+    ends[own] = np.stack([together.centre - half, together.centre + half], axis=1)
     inside = (ends[:, 0] > low) & (ends[:, 1] < high)  # of NaN, False
     identifiable = inside & (ends[:, 1] - ends[:, 0] < 2 * WIDEST)
     groups = _list_groups(found.joined & ~np.logical_or.outer(identifiable[seen], identifiable[seen]))
@@ -138,6 +140,7 @@ def assess(
         space.physical(np.clip(ends, low[:, None], high[:, None])),
         {name: space.spread(name, own, known=True) for name, own in space.split(identifiable).items()},
         tuple(tuple(space.labels[seen[i]] for i in group) for group in groups),
+        covariance=together if together.labels else None,
     )
 
 
@@ -145,13 +148,15 @@ class _Solution(NamedTuple):
     """Of the coordinates that have an effect.
 
     Attributes:
-        half: Half of each interval.
+        covariance: Of their estimates.
+        freedom: Degrees of freedom by which it is known.
         step: From the best vector to the minimum, as far as the curvature tells.
         combined: Whether only a combination with others has an effect.
         joined: Which two have an effect in one combination only, or estimates that follow each other.
     """
 
-    half: Float[np.ndarray, "seen"]
+    covariance: Float[np.ndarray, "seen seen"]
+    freedom: float
     step: Float[np.ndarray, "seen"]
     combined: Bool[np.ndarray, "seen"]
     joined: Bool[np.ndarray, "seen seen"]
@@ -164,9 +169,8 @@ def _solve(equations: NormalEquations, scores: np.ndarray, seen: np.ndarray, pre
     kept = eigenvalues > 100 * precision
     inverse = (axes[:, kept] / eigenvalues[kept]) @ axes[:, kept].T / np.outer(scale, scale)
     stretches, centred = len(scores), scores[:, seen] - scores[:, seen].mean(axis=0)
-    quantile = scipy.special.stdtrit(stretches - 1, (1 + LEVEL) / 2)
-    # A sum of squares, not the diagonal of a product, which rounds to below 0.
-    half = quantile * np.sqrt(stretches / (stretches - 1) * np.square(centred @ inverse).sum(axis=0))
+    moved = centred @ inverse  # a product with itself has no diagonal that rounds to below 0
+    covariance = stretches / (stretches - 1) * moved.T @ moved
 
     null = axes[:, eigenvalues < COLLINEAR]
     share = null @ null.T
@@ -178,7 +182,25 @@ def _solve(equations: NormalEquations, scores: np.ndarray, seen: np.ndarray, pre
         np.abs(share) > TAKES_PART * np.sqrt(np.outer(np.diag(share), np.diag(share))),
         correlated & ~np.logical_or.outer(combined, combined),
     )
-    return _Solution(half, -inverse @ equations.gradient[seen], combined, joined)
+    return _Solution(covariance, stretches - 1.0, -inverse @ equations.gradient[seen], combined, joined)
+
+
+def _describe(
+    space: Space, vector: Float[np.ndarray, "coordinates"], own: Int[np.ndarray, "own"], found: _Solution
+) -> Covariance:
+    """Of these coordinates, stretched so that half an interval reaches as far as what the fit left undone, too."""
+    kept = ~found.combined
+    matrix, step = found.covariance[np.ix_(kept, kept)], found.step[kept]
+    deviation = np.sqrt(np.diag(matrix))
+    both = np.outer(deviation, deviation)
+    correlation = np.divide(matrix, both, out=np.eye(len(own)), where=both > 0)
+    stretched = deviation + np.abs(step) / 2 / _quantile(found.freedom)
+    labels = tuple(space.labels[at] for at in own)
+    return Covariance(labels, vector[own] + step / 2, correlation * np.outer(stretched, stretched), found.freedom)
+
+
+def _quantile(freedom: float) -> float:
+    return float(scipy.special.stdtrit(freedom, (1 + LEVEL) / 2))
 
 
 def _list_groups(joined: Bool[np.ndarray, "seen seen"]) -> list[Int[np.ndarray, "members"]]:

@@ -2,11 +2,11 @@
 
 import copy
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -28,9 +28,11 @@ from frictionzoo.export.written import Written
 from frictionzoo.models import FrictionModel
 from frictionzoo.result.curves import FILE as CURVES
 from frictionzoo.result.curves import Curves, write_curves
+from frictionzoo.result.draws import draw_parameters
 from frictionzoo.result.evaluate import JointErrors, Metrics, Prediction, Values
 from frictionzoo.result.record import read_run, write_result
-from frictionzoo.result.types import Result, ValueRow
+from frictionzoo.result.types import Result
+from frictionzoo.result.values import Parameter, read_parameters
 from frictionzoo.simulate import Engine
 from frictionzoo.simulate.drive import Drive
 from frictionzoo.simulate.proof import Proof, Recorded, prove
@@ -38,27 +40,6 @@ from frictionzoo.simulate.rollout import applied, make_observer
 
 LAW = "friction.safetensors"
 _WHOLE = 0.01  # share by which a time step may differ from a whole number of others, as for recordings
-
-
-class Parameter(NamedTuple):
-    """One physical parameter, as a run left it.
-
-    Attributes:
-        value: Of each joint, in `unit`; NaN where its law has no such parameter.
-        unit: Its unit.
-        identified: Whether the fit chose it; else it was known.
-        interval: Lower and upper end of the 95 % interval of each joint; NaN where there is none.
-        identifiable: Whether the data determine it in all joints; None where that was not asked.
-        by_joint: The same as `result.json` has it: an entry for each joint, or for joints that share a value, with its
-            `name`, its `joints`, and whether it is `identified`, `at_bound` and `identifiable`.
-    """
-
-    value: Float[np.ndarray, "nv"]
-    unit: str
-    identified: bool
-    interval: Float[np.ndarray, "nv 2"]
-    identifiable: bool | None
-    by_joint: Sequence[ValueRow]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -157,15 +138,27 @@ class Identified:
     @property
     def parameters(self) -> dict[str, Parameter]:
         """The bench's and the law's physical parameters by full name, `bench.armature`."""
-        found, nv = {}, self.bench.nv
-        for row in self.result["parameters"]:
-            value, interval = row["value"], row["interval"]
-            ends: Any = interval if interval is not None and isinstance(value, list) else [interval]
-            ends = np.array([(np.nan, np.nan) if pair is None else pair for pair in ends], np.float64)
-            arrays = np.broadcast_to(np.asarray(value, np.float64), nv), np.broadcast_to(ends, (nv, 2))
-            known = row["identified"], arrays[1], row["identifiable"], row["by_joint"]
-            found[f"{row['owner']}.{row['name']}"] = Parameter(arrays[0], row["unit"], *known)
-        return found
+        return read_parameters(self.result, self.bench.nv)
+
+    def sample(self, count: int, seed: int = 0) -> dict[str, Float[np.ndarray, "count nv"]]:
+        """Draw drives that the training data allow: values of parameters that go together.
+
+        They are drawn from a multivariate Student's t distribution of the optimiser's coordinates, `covariance` in
+        `result.json`, and brought into the bounds: of each parameter, 95 % of many draws lie in its interval. What the
+        data do not determine keeps its value.
+
+        Args:
+            count: Drives to draw.
+            seed: Of the draws.
+
+        Returns:
+            Values of each parameter that the data determine in any joint, by full name, in its unit.
+
+        Raises:
+            ConfigError: `count` is below 1.
+            RunError: No parameter has an interval.
+        """
+        return draw_parameters(self.place, self.result, self.bench, self.model, count, seed)
 
     @property
     def metrics(self) -> dict[str, Metrics]:
@@ -193,7 +186,7 @@ class Identified:
 
         return draw_rollout(self.result, self.curves)
 
-    def export(self, target: str, path: str | Path, **options: str | float) -> Written:
+    def export(self, target: str, path: str | Path, **options: str | float | int | Mapping[str, Any]) -> Written:
         """Write the drive for another program, as `python -m frictionzoo.export` does.
 
         Args:
@@ -207,9 +200,9 @@ class Identified:
         Raises:
             FrictionzooError: No such target or option, or the target cannot hold the drive.
         """
-        from frictionzoo.export.write import export_to
+        from frictionzoo.export.write import as_text, export_to
 
-        return export_to(self, target, Path(path), {name: str(value) for name, value in options.items()})
+        return export_to(self, target, Path(path), {name: as_text(value) for name, value in options.items()})
 
     def __repr__(self) -> str:
         """Parameters with intervals, test errors beside those without friction, and warnings."""
@@ -254,13 +247,14 @@ class Identified:
         return replace(self, bench=bench, segments=_thin(self.segments, every, sampling.history), sampling=sampling)
 
     def rollout(
-        self, segments: Segments | None = None, timestep: float | None = None
+        self, segments: Segments | None = None, timestep: float | None = None, values: Values | None = None
     ) -> tuple[Float[np.ndarray, "batch time nv"], Float[np.ndarray, "batch time nv"]]:
         """Simulate the drive in float64.
 
         Args:
             segments: Initial states and commands; None for the run's long test rollouts.
             timestep: Step of the simulation [s]; None for that of this drive.
+            values: Of another drive of this bench and law; None for its own.
 
         Returns:
             qpos and qvel after each sample interval.
@@ -269,17 +263,20 @@ class Identified:
         segments = drive.segments if segments is None else segments
         with jax.enable_x64(True):
             start = segments.qpos[:, 0], segments.qvel[:, 0]
-            found = drive._drive.rollout.compiled(drive.jax_values, *start, segments.signals, segments.load)
+            own = drive.jax_values if values is None else values
+            found = drive._drive.rollout.compiled(own, *start, segments.signals, segments.load)
             qpos, qvel = (np.array(part, np.float64) for part in found)
         return qpos, qvel
 
-    def follow(self, segments: Segments) -> Segments:
+    def follow(self, segments: Segments, values: Values | None = None) -> Segments:
         """The segments with the states of this drive, from their first ones on, in place of the measured ones.
+
+        With `values`, of another drive of this bench and law.
 
         Raises:
             RunError: The drive diverges in one of them.
         """
-        pairs = zip((segments.qpos, segments.qvel), self.rollout(segments), strict=True)
+        pairs = zip((segments.qpos, segments.qvel), self.rollout(segments, values=values), strict=True)
         qpos, qvel = (np.concatenate([states[:, :1], own], axis=1) for states, own in pairs)
         lost = Prediction(qpos, qvel).diverged
         if lost.any():

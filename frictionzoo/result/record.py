@@ -21,7 +21,8 @@ from frictionzoo.core.params import Param
 from frictionzoo.fit.link_inertia import LinkInertia
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.models.base import FrictionModel
-from frictionzoo.result import types
+from frictionzoo.result import machine_types, types
+from frictionzoo.result.covariance import describe_covariance
 from frictionzoo.result.curves import Curves, read_curves
 from frictionzoo.result.evaluate import Evaluation, Judgement, Metrics, Values
 from frictionzoo.result.links import describe_links
@@ -110,6 +111,7 @@ def build_result(found: Findings) -> types.Result:
         ],
         "indistinct": [list(group) for group in uncertainty.indistinct],
         "no_intervals": uncertainty.missing,
+        "covariance": describe_covariance(uncertainty.covariance, bench, found.model),
         "network": {"weights": weights} if weights else None,
         "metrics": _describe_parts(found.judgement.train, found.judgement.test, found.baseline.test),
         "by_horizon": by_horizon,
@@ -131,7 +133,7 @@ def build_result(found: Findings) -> types.Result:
         "seed": found.settings["seed"],
         "dtype": found.settings["dtype"],
         "engine": cast(types.Simulator, found.engine),
-        "proof": cast(types.ProofRow, asdict(found.proof)),
+        "proof": cast(machine_types.ProofRow, asdict(found.proof)),
         "warnings": [*found.warnings, *sizes],
         "notes": list(bench.notes),
         "device": found.device,
@@ -292,9 +294,9 @@ def _contrast(model: Metrics, baseline: Metrics) -> types.ContrastRow:
     return cast(types.ContrastRow, {"model": asdict(model), "baseline": asdict(baseline)})
 
 
-def _read_versions() -> types.Versions:
+def _read_versions() -> machine_types.Versions:
     versions = {"python": platform.python_version(), **dict.fromkeys(PACKAGES, "not installed")}
     for package in PACKAGES:
         with contextlib.suppress(metadata.PackageNotFoundError):
             versions[package] = metadata.version(package)
-    return cast(types.Versions, versions)
+    return cast(machine_types.Versions, versions)

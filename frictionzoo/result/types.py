@@ -6,6 +6,7 @@
 
 from typing import Annotated, Any, Literal, TypedDict
 
+from frictionzoo.result.covariance import CovarianceRow
 from frictionzoo.result.kinds import (
     Carried,
     Count,
@@ -23,6 +24,7 @@ from frictionzoo.result.kinds import (
     Text,
     WhereThere,
 )
+from frictionzoo.result.machine_types import ProofRow, Versions
 from frictionzoo.result.torque_types import LinksRow, TorqueRow
 
 
@@ -293,36 +295,6 @@ class TimingRow(TypedDict):
     """From the start of the run to this file."""
 
 
-class ProofRow(TypedDict):
-    """How far the engine is from MuJoCo C."""
-
-    step: NotNegative
-    """Largest difference of a position or velocity after one step [rad or m, rad/s or m/s], relative where they are
-    above 1."""
-    rollout: NotNegative
-    """The same after all steps."""
-    cases: Count
-    """Rollouts."""
-    steps: Count
-    """Steps in each."""
-
-
-Versions = TypedDict(
-    "Versions",
-    {
-        "frictionzoo": str,
-        "python": str,
-        "mujoco": str,
-        "mujoco-mjx": str,
-        "jax": str,
-        "torch": str,
-        "optax": str,
-        "lightning": str,
-        "numpy": str,
-    },
-)
-
-
 class Result(TypedDict):
     """The record of one identification run.
 
@@ -345,6 +317,8 @@ class Result(TypedDict):
     determined, so make all but one of it known."""
     no_intervals: str | None
     """Why no parameter has an interval; null where the data were asked for them."""
+    covariance: CovarianceRow | None
+    """How sure parameters are together; null where none has an interval."""
     network: NetworkRow | None
     """The law's trained network; null for a law without one."""
     metrics: PartsRow

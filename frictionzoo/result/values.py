@@ -1,16 +1,52 @@
 """Parameters joint by joint: one entry a joint, or a group of joints that share a value."""
 
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from frictionzoo.bench.base import Bench
 from frictionzoo.core.params import Param
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.result.names import name_first
-from frictionzoo.result.types import ValueRow
+from frictionzoo.result.types import Result, ValueRow
 
 ALL = "all joints"
+
+
+class Parameter(NamedTuple):
+    """One physical parameter, as a run left it.
+
+    Attributes:
+        value: Of each joint, in `unit`; NaN where its law has no such parameter.
+        unit: Its unit.
+        identified: Whether the fit chose it; else it was known.
+        interval: Lower and upper end of the 95 % interval of each joint; NaN where there is none.
+        identifiable: Whether the data determine it in all joints; None where that was not asked.
+        by_joint: The same as `result.json` has it: an entry for each joint, or for joints that share a value, with its
+            `name`, its `joints`, and whether it is `identified`, `at_bound` and `identifiable`.
+    """
+
+    value: Float[np.ndarray, "nv"]
+    unit: str
+    identified: bool
+    interval: Float[np.ndarray, "nv 2"]
+    identifiable: bool | None
+    by_joint: Sequence[ValueRow]
+
+
+def read_parameters(result: Result, nv: int) -> dict[str, Parameter]:
+    """The bench's and the law's physical parameters by full name, `bench.armature`, as a record has them."""
+    found = {}
+    for row in result["parameters"]:
+        value, interval = row["value"], row["interval"]
+        ends: Any = interval if interval is not None and isinstance(value, list) else [interval]
+        ends = np.array([(np.nan, np.nan) if pair is None else pair for pair in ends], np.float64)
+        arrays = np.broadcast_to(np.asarray(value, np.float64), nv), np.broadcast_to(ends, (nv, 2))
+        known = row["identified"], arrays[1], row["identifiable"], row["by_joint"]
+        found[f"{row['owner']}.{row['name']}"] = Parameter(arrays[0], row["unit"], *known)
+    return found
 
 
 def list_values(bench: Bench, param: Param, full: str, value: np.ndarray, uncertainty: Uncertainty) -> list[ValueRow]:

@@ -1,0 +1,151 @@
+"""Files with events that randomise an identified drive in mjlab and in Isaac Lab."""
+
+import re
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from frictionzoo import __version__
+from frictionzoo.core.errors import ConfigError
+from frictionzoo.export.module import render
+from frictionzoo.export.variants import Quantity
+from frictionzoo.result.identified import Identified
+
+OPERATIONS = ("abs", "scale")
+GAINS = ("actuator.stiffness", "actuator.damping")
+FRICTION = ("joint.static_friction", "joint.frictionloss", "joint.damping")
+_ENTITY = "Set ENTITY and JOINTS to the names in your scene."
+_MEANING = (
+    "A 95 % interval says how well these recordings fix a value of this law on this unit. Other units, payloads, "
+    "temperatures and days are not in it: export with ranges= that hold them."
+)
+
+
+@dataclass(frozen=True)
+class Program:
+    """A simulator with events.
+
+    Attributes:
+        file: Name of its file.
+        template: Of this package.
+        fields: What a quantity is called there, by its name; in this order it is changed.
+    """
+
+    file: str
+    template: str
+    fields: Mapping[str, str]
+
+
+MJLAB = Program(
+    "mjlab_events.py",
+    "mjlab_events.py.jinja",
+    {
+        "joint.armature": "dof_armature",
+        "joint.frictionloss": "dof_frictionloss",
+        "joint.damping": "dof_damping",
+        "actuator.stiffness": "kp of the actuator",
+        "actuator.damping": "kd of the actuator",
+    },
+)
+ISAAC_LAB = Program(
+    "isaaclab_events.py",
+    "isaaclab_events.py.jinja",
+    {
+        "joint.armature": "armature",
+        "joint.static_friction": "static friction",
+        "joint.frictionloss": "dynamic friction",
+        "joint.damping": "viscous friction",
+        "actuator.stiffness": "stiffness of the actuator",
+        "actuator.damping": "damping of the actuator",
+    },
+)
+
+
+class Cell(NamedTuple):
+    """The range of a quantity in a joint.
+
+    Attributes:
+        joint: Its name.
+        low: Lower end, in the unit or as a share.
+        high: Upper end.
+        said: Unit, and why the range is what it is.
+        varies: Whether it has a width.
+    """
+
+    joint: str
+    low: str
+    high: str
+    said: str
+    varies: bool
+
+
+def write_events(
+    program: Program,
+    fitted: Identified,
+    quantities: Sequence[Quantity],
+    delays: Mapping[str, tuple[int, int]],
+    operation: str,
+) -> str:
+    """The file of a program.
+
+    Args:
+        program: Which.
+        fitted: The drive.
+        quantities: Of the drives that were drawn, those that a simulator takes among them.
+        delays: Least and largest delay [steps] by joint, where that varies.
+        operation: How ranges are given, one of `OPERATIONS`.
+
+    Raises:
+        ConfigError: Shares are asked for of a quantity that is 0.
+    """
+    joints = fitted.bench.joints
+    own = {one.name: one for one in quantities if one.name in program.fields}
+    varied = [name for name in program.fields if name in own and any(own[name].why)]
+    return render(
+        program.template,
+        title=f"Drives of {', '.join(joints)} for domain randomisation, written by frictionzoo {__version__}.",
+        about=textwrap.fill(_tell(fitted), 110),
+        joints={name: f"^{re.escape(name)}$" for name in joints},
+        delays=delays,
+        timestep=f"{fitted.timestep:g}",
+        count=len(quantities[0].values),
+        changes=[line for name in varied for line in _list_changes(program.fields[name], own[name], fitted)],
+        operation=operation,
+        cells={name: _list_cells(one, joints, operation) for name, one in own.items()},
+        varied=varied,
+        static="joint.static_friction" if "joint.static_friction" in own else "joint.frictionloss",
+        friction=[name for name in FRICTION if name in varied],
+        gains=[name for name in GAINS if name in varied],
+    )
+
+
+def _tell(fitted: Identified) -> str:
+    """Where the drives are from, and what the ranges mean."""
+    data = fitted.result["data"]["name"]
+    return f"From the run {fitted.place}: {fitted.model.name} on {data}. {_MEANING} {_ENTITY}"
+
+
+def _list_changes(field: str, quantity: Quantity, fitted: Identified) -> Iterator[str]:
+    """What is changed, a line for each joint in which it is."""
+    for joint, name in enumerate(fitted.bench.joints):
+        if why := quantity.why[joint]:
+            low, high = quantity.ends[joint]
+            yield f"{field} [{quantity.unit}] of {name}: {low:.4g} to {high:.4g}, {why} in {fitted.place}"
+
+
+def _list_cells(quantity: Quantity, joints: Sequence[str], operation: str) -> list[Cell]:
+    cells = []
+    for joint, name in enumerate(joints):
+        nominal, why = quantity.nominal[joint], quantity.why[joint]
+        low, high = quantity.ends[joint]
+        said = f"{quantity.unit}, {why or 'known'}"
+        if operation == "scale":
+            if why and nominal == 0:
+                raise ConfigError(
+                    f"operation=scale: {quantity.name} of {name} is 0, expected one to take shares of; take abs"
+                )
+            low, high = (low / nominal, high / nominal) if why else (1.0, 1.0)
+            said = f"of {nominal:.6g} {said}"
+        cells.append(Cell(name, f"{low:.6g}", f"{high:.6g}", said, bool(why)))
+    return cells

@@ -1,0 +1,184 @@
+"""The target `randomisation`: drives that the recordings allow, for training a policy on all of them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import ClassVar, NamedTuple
+
+import mujoco
+import numpy as np
+
+from frictionzoo.bench import Robot
+from frictionzoo.core.errors import ConfigError, FrictionzooError, closest
+from frictionzoo.core.params import UNITS
+from frictionzoo.export.base import Target, measure, read_number, register_target
+from frictionzoo.export.bench import run_bench, say_limits, write_bench
+from frictionzoo.export.events import ISAAC_LAB, MJLAB, OPERATIONS, write_events
+from frictionzoo.export.motor import INPUTS, read_inputs
+from frictionzoo.export.nearest import Nearest, find_nearest, find_nearest_each
+from frictionzoo.export.robot import ACTUATORS, put_into
+from frictionzoo.export.variants import Quantity, Ranges, Variants, draw_variants, list_quantities, read_ranges
+from frictionzoo.export.written import Difference, Export
+from frictionzoo.result.identified import Identified
+
+SAMPLES, FOLDER, NOMINAL = "samples.npz", "samples", "nominal"
+_COUNT, _FILES, _MOST = 256, 8, 100_000
+_OFFSETS = ("position_offset", "torque_offset")
+_LIMITS = ("saturation_effort", "velocity_limit", "effort_limit")
+
+_WHOLE = 1e-6  # of a step, which rounding may be off
+Drive = tuple[Identified, Nearest]
+"""A drive, and what MuJoCo's joints hold of it."""
+
+
+class _Asked(NamedTuple):
+    """The options."""
+
+    ranges: Ranges
+    count: int
+    files: int
+    seed: int
+    operation: str
+
+
+@register_target("randomisation")
+class Randomisation(Target):
+    """Drives that the recordings allow: samples, MJCF files, and events for mjlab and Isaac Lab.
+
+    Source: mjlab 1.6, `mjlab.envs.mdp.dr`; Isaac Lab 2.3.2, `isaaclab.envs.mdp.events`.
+    """
+
+    options: ClassVar[Mapping[str, str]] = {
+        "ranges": "shares of values that parameters may have, '{bench.armature: [0.8, 1.2]}', or low and high",
+        "count": f"drives to draw, {_COUNT} where it is left out",
+        "files": f"of these that become MJCF, {_FILES} where it is left out",
+        "seed": "of the draws, 0 where it is left out",
+        "operation": "of ranges in events: abs, in the unit, or scale, as shares",
+        **INPUTS,
+    }
+    packages: ClassVar[tuple[str, ...]] = ("mujoco",)
+
+    def write(self, fitted: Identified, folder: Path, options: Mapping[str, str]) -> Export:
+        """See `Target.write`."""
+        asked = _read(fitted, options)
+        variants = draw_variants(fitted, asked.count, asked.seed, asked.ranges)
+        nominal, each = find_nearest(fitted), find_nearest_each(fitted, variants.all)
+        taken = list_quantities(variants, nominal, each, read_inputs(fitted, options))
+        quantities, delays = (*variants.parameters, *taken), _list_delays(variants)
+        write_samples(folder / SAMPLES, fitted, quantities, asked.seed)
+        for program in (MJLAB, ISAAC_LAB):
+            text = write_events(program, fitted, quantities, delays, asked.operation)
+            compile(text, program.file, "exec")
+            (folder / program.file).write_text(text)
+        some = [replace(fitted, values=variants.at(number)) for number in range(asked.files)]
+        drives = [(fitted, nominal), *zip(some, each[: asked.files], strict=True)]
+        files, said = write_files(folder, drives)
+        differences, apart = _run_benches(drives)
+        limits = (*say_limits(fitted, nominal), *said, apart, *_say(variants, taken, delays))
+        return Export((SAMPLES, MJLAB.file, ISAAC_LAB.file, *files), differences, limits)
+
+
+def _read(fitted: Identified, options: Mapping[str, str]) -> _Asked:
+    operation = options.get("operation", OPERATIONS[0])
+    if operation not in OPERATIONS:
+        raise ConfigError(f"operation={operation}: no such operation; {closest(operation, OPERATIONS)}")
+    count = _read_count(options, "count", _COUNT, 2, _MOST)
+    files = _read_count(options, "files", min(_FILES, count), 1, count)
+    ranges = read_ranges(options["ranges"], fitted) if "ranges" in options else {}
+    return _Asked(ranges, count, files, _read_count(options, "seed", 0, 0, 2**31), operation)
+
+
+def _read_count(options: Mapping[str, str], name: str, default: int, low: int, high: int) -> int:
+    number = read_number(options, name)
+    number = default if number is None else number
+    if number != int(number) or not low <= number <= high:
+        raise ConfigError(f"{name}={options[name]}; expected a whole number from {low} to {high}; change it")
+    return int(number)
+
+
+def write_samples(path: Path, fitted: Identified, quantities: Sequence[Quantity], seed: int) -> None:
+    """The drives as plain arrays.
+
+    One of shape (count, nv) a quantity, under its name. `joints` has the names of the nv joints; `names` has those of
+    the quantities and `units`, `nominal`, `low` and `high` their units, values in the fitted drive and ranges, the last
+    three of shape (quantities, nv); `seed` is that of the draws.
+    """
+    arrays = {"seed": np.array(seed), **{one.name: one.values for one in quantities}}
+    arrays |= {"joints": np.array(fitted.bench.joints), "names": np.array([one.name for one in quantities])}
+    arrays |= {"units": np.array([one.unit for one in quantities])}
+    arrays |= {"nominal": np.array([one.nominal for one in quantities])}
+    arrays |= {end: np.array([one.ends[:, i] for one in quantities]) for i, end in enumerate(("low", "high"))}
+    np.savez_compressed(path, **arrays)  # pyright: ignore[reportArgumentType] - a keyword is a name here
+
+
+def _list_delays(variants: Variants) -> dict[str, tuple[int, int]]:
+    """Least and largest delay by joint, in whole steps around its range, where it varies."""
+    fitted, found = variants.fitted, {}
+    for parameter in variants.parameters:
+        for joint, name in enumerate(fitted.bench.joints) if parameter.name == "bench.delay" else ():
+            if parameter.why[joint]:
+                low, high = parameter.ends[joint] / fitted.timestep
+                found[name] = (int(np.floor(low + _WHOLE)), int(np.ceil(high - _WHOLE)))
+    return found
+
+
+def write_files(folder: Path, drives: Sequence[Drive]) -> tuple[list[str], tuple[str, ...]]:
+    """The MJCF of each drive, of a robot its own file; their names, and what has to be said of them."""
+    (folder / FOLDER).mkdir()
+    fitted, names = drives[0][0], [NOMINAL, *(f"{FOLDER}/{number:03d}" for number in range(len(drives) - 1))]
+    suffix, contents, said = ".xml", [write_bench(*drive).encode() for drive in drives], tuple[str, ...]()
+    if isinstance(fitted.bench, Robot):
+        try:
+            suffix, contents, said = _put_into_robot(drives)
+        except FrictionzooError as error:
+            said = (f"The files are the bench alone, not the robot's own: {error}.",)
+    for name, content in zip(names, contents, strict=True):
+        (folder / f"{name}{suffix}").write_bytes(content)
+    return [f"{name}{suffix}" for name in names], said
+
+
+def _put_into_robot(drives: Sequence[Drive]) -> tuple[str, list[bytes], tuple[str, ...]]:
+    """Ending and content of the robot's own file with each of the drives, and what has to be said of them."""
+    path = Path(drives[0][0].bench.source)
+    robots = [
+        put_into(path, fitted.bench.joints, ACTUATORS[0], fitted, nearest, write_bench(fitted, nearest))
+        for fitted, nearest in drives
+    ]
+    said = robots[0].notes
+    if b"file=" in robots[0].content or b"filename=" in robots[0].content:
+        said += ("The robot's files refer to others (meshes) as the original does: put them where that lies.",)
+    return (".urdf" if robots[0].urdf else ".xml"), [robot.content for robot in robots], said
+
+
+def _run_benches(drives: Sequence[Drive]) -> tuple[tuple[Difference, ...], str]:
+    """How far what was written is from the drives in MuJoCo C, and in words how far these are from each other."""
+    fitted = drives[0][0]
+    came = [run_bench(mujoco.MjModel.from_xml_string(write_bench(*drive)), drive[0]) for drive in drives]
+    laws = [fitted.rollout(values=drive.values)[0] for drive, _ in drives]
+    drawn, of_laws = np.array(came[1:]), np.array(laws[1:])
+    over = f"{len(drawn)} draws of them, each against itself"
+    differences = measure("qpos", fitted, came[0], laws[0]), measure("qpos", fitted, drawn, of_laws, over)
+    unit, error = UNITS[fitted.bench.joint_type]["position"], fitted.result["metrics"]["test"]["position_mae"]
+    own = "" if error is None else f"; the fitted drive's test error is {error:.2g} {unit} in the mean"
+    return differences, (
+        f"Positions of the {len(drawn)} drives in {FOLDER}/ are {drawn.std(axis=0).mean():.2g} {unit} apart (standard "
+        f"deviation, mean over {fitted.over}) and {np.ptp(drawn, axis=0).max():.2g} {unit} at most{own}."
+    )
+
+
+def _say(variants: Variants, taken: Sequence[Quantity], delays: Mapping[str, tuple[int, int]]) -> list[str]:
+    """What events leave out, and what was not run."""
+    own = [one.name.partition(".")[2] for one in variants.parameters if one.name.startswith("bench.")]
+    in_motor = any(one.name == "actuator.stiffness" for one in taken)
+    beside = [name for name in own if name in _OFFSETS or not (in_motor or name in ("armature", "delay"))]
+    beside += [name for one in taken if (name := one.name.partition(".")[2]) in _LIMITS]
+    said = [
+        "mjlab and Isaac Lab themselves were not run.",
+        "A 95 % interval says how well these recordings fix the values of this law on this unit; other units, "
+        "payloads, temperatures and days are not in it: hold them by ranges.",
+    ]
+    if beside:
+        said.append(f"Only {SAMPLES} and the MJCF files have {', '.join(beside)}: the programs have no event for them.")
+    if delays:
+        said.append("The programs draw the delay by themselves, in whole steps and apart from all else: DELAYS.")
+    return said

@@ -1,0 +1,63 @@
+"""Drives that are drawn from what is known of an identified one."""
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float
+
+from frictionzoo.bench.base import Bench
+from frictionzoo.core.errors import ConfigError, RunError
+from frictionzoo.fit.covariance import Covariance
+from frictionzoo.fit.space import Space
+from frictionzoo.models.base import FrictionModel
+from frictionzoo.result.covariance import CovarianceRow
+from frictionzoo.result.types import Result
+from frictionzoo.result.values import Parameter, read_parameters
+
+
+def draw_parameters(
+    place: str, result: Result, bench: Bench, model: FrictionModel, count: int, seed: int
+) -> dict[str, Float[np.ndarray, "count nv"]]:
+    """Values of the parameters that data determine, by full name, drawn together and brought into the bounds.
+
+    Args:
+        place: Where the result lies, for messages.
+        result: Of the run.
+        bench: Its test stand.
+        model: Its law.
+        count: Drives to draw.
+        seed: Of the draws.
+
+    Raises:
+        ConfigError: `count` is below 1.
+        RunError: No parameter has an interval.
+    """
+    if count < 1:
+        raise ConfigError(f"count={count}: expected 1 or more drives to draw")
+    if (row := result["covariance"]) is None:
+        why = result["no_intervals"] or "data determine none of its parameters"
+        raise RunError(f"{place}: {why}, expected intervals to draw from; look at what was identified, and fit again")
+    drawn, found = _draw(row, bench, model, count, seed), {}
+    for name, parameter in read_parameters(result, bench.nv).items():
+        moved = _determined(parameter, bench)
+        if moved.any():
+            found[name] = np.where(moved, drawn[name], parameter.value)
+    return found
+
+
+def _draw(
+    row: CovarianceRow, bench: Bench, model: FrictionModel, count: int, seed: int
+) -> dict[str, Float[np.ndarray, "count nv"]]:
+    """Of all identified parameters; what has no interval is anywhere."""
+    with jax.enable_x64(True):
+        space = Space(bench, model, "float64")
+    covariance = Covariance(tuple(row["labels"]), np.array(row["centre"]), np.array(row["matrix"]), row["freedom"])
+    vectors = np.repeat(np.asarray(space.start, np.float64)[:, None], count, axis=1)
+    own = [space.labels.index(label) for label in covariance.labels]
+    vectors[own] = covariance.draw(count, np.random.default_rng(seed)).T
+    return {name: values.T for name, values in space.physical(vectors).items()}
+
+
+def _determined(parameter: Parameter, bench: Bench) -> Bool[np.ndarray, "nv"]:
+    """In which joints data determine it."""
+    found = [joint for row in parameter.by_joint if row["identifiable"] for joint in row["joints"]]
+    return np.isin(bench.joints, found)

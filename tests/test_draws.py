@@ -1,0 +1,66 @@
+"""Drives that are drawn from the joint distribution of what was identified."""
+
+import copy
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.stats
+
+import frictionzoo as fz
+from frictionzoo.core.errors import ConfigError, RunError
+from frictionzoo.fit.covariance import Covariance
+
+MANY = 20_000
+
+
+def test_draws_are_as_wide_and_as_correlated_as_they_say() -> None:
+    matrix = np.array([[4.0, 1.0, 2.0], [1.0, 1.0, 0.5], [2.0, 0.5, 1.0]])
+    matrix[2] = matrix[:, 2] = 0.5 * matrix[0]  # of rank 2
+    matrix[2, 2] = 1.0
+    found = Covariance(("a", "b", "c"), np.array([3.0, 0.0, -1.0]), matrix, 6.0).draw(MANY, np.random.default_rng(0))
+    ends = np.quantile(found, [0.025, 0.975], axis=0)
+    half = scipy.stats.t.ppf(0.975, 6) * np.sqrt(np.diag(matrix))
+    # The standard error of such a quantile is 2 % of half an interval.
+    np.testing.assert_allclose((ends - [3.0, 0.0, -1.0]) / half, [[-1] * 3, [1] * 3], atol=0.08)
+    scale = np.sqrt(np.diag(matrix))
+    np.testing.assert_allclose(np.corrcoef(found.T), matrix / np.outer(scale, scale), atol=0.03)
+    np.testing.assert_allclose(found[:, 2] + 1.0, 0.5 * (found[:, 0] - 3.0), atol=1e-9)
+
+
+def test_samples_of_a_run_have_its_intervals(finished_run: Callable[[str], Any]) -> None:
+    drive = fz.load(finished_run("mujoco_default")[0])
+    row = drive.result["covariance"]
+    assert row is not None
+    sure = {name: p for name, p in drive.parameters.items() if p.identifiable}
+    found = drive.sample(MANY)
+    assert found.keys() == sure.keys() and len(sure) > 1
+    coordinates = {}
+    for name, parameter in sure.items():
+        assert found[name].shape == (MANY, 1)
+        at = row["labels"].index(name)
+        assert row["scale"][at] == "log"
+        coordinates[at] = np.log(found[name][:, 0])
+        (low, high), drawn = np.log(parameter.interval[0]), np.quantile(coordinates[at], [0.025, 0.975])
+        np.testing.assert_allclose((drawn - low) / (high - low), [0, 1], atol=0.04)
+        assert row["centre"][at] == pytest.approx((low + high) / 2, rel=1e-9)
+    matrix, own = np.array(row["matrix"]), list(coordinates)
+    scale = np.sqrt(np.diag(matrix))
+    expected = (matrix / np.outer(scale, scale))[np.ix_(own, own)]
+    # Of ranks, since a few draws of Student's t lie far out and at a bound.
+    ranks = scipy.stats.spearmanr(np.array([*coordinates.values()]).T).statistic
+    np.testing.assert_allclose(2 * np.sin(np.pi / 6 * ranks), expected[0, 1] if len(own) == 2 else expected, atol=0.05)
+    for name, values in drive.sample(3, seed=1).items():
+        np.testing.assert_array_equal(values, drive.sample(3, seed=1)[name])
+        assert (values != found[name][:3]).any()
+
+
+def test_nothing_is_drawn_without_intervals(finished_run: Callable[[str], Any]) -> None:
+    drive = fz.load(finished_run("mujoco_default")[0])
+    with pytest.raises(ConfigError, match="count=0: expected 1 or more"):
+        drive.sample(0)
+    drive = copy.copy(drive)
+    object.__setattr__(drive, "result", {**drive.result, "covariance": None, "no_intervals": "nothing was identified"})
+    with pytest.raises(RunError, match="nothing was identified, expected intervals to draw from"):
+        drive.sample(10)

@@ -1,0 +1,479 @@
+"""Drives for domain randomisation: samples, MJCF files and events hold what the run allows, and no more."""
+
+import importlib.util
+import json
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from conftest import Finished
+from robot_texts import LEG, save
+from test_export_robot import fit as fit_robot
+
+import frictionzoo as fz
+from frictionzoo.cli.export import main
+from frictionzoo.core.errors import FrictionzooError
+from frictionzoo.export import nearest as refit
+from frictionzoo.export.events import ISAAC_LAB, MJLAB, write_events
+from frictionzoo.export.nearest import Nearest
+from frictionzoo.export.randomisation import write_files
+from frictionzoo.export.variants import Quantity, Range, draw_variants
+from frictionzoo.export.written import Written
+from frictionzoo.result.identified import Identified
+
+ROOT = Path(__file__).parent.parent
+EXACT = 1e-9  # rad; rounding of some hundred steps stays far below
+COUNT, WORLDS = 50, 400
+IN_MJLAB = "FRICTIONZOO_MJLAB"
+
+
+@pytest.fixture(scope="module")
+def drive(finished_run: Callable[[str], tuple[Path, Finished]]) -> Identified:
+    """A run of MuJoCo's own friction; its parameters count as determined if they have an interval."""
+    loaded = fz.load(finished_run("mujoco_default")[0])
+    assert all(np.isfinite(p.interval).all() for p in loaded.parameters.values() if p.identified)
+    return declare(loaded, True)
+
+
+def declare(drive: Identified, identifiable: bool, *names: str) -> Identified:
+    """The same drive, of which data determine some parameters, or all, or do not."""
+    rows = []
+    for row in drive.result["parameters"]:
+        if row["identified"] and (not names or f"{row['owner']}.{row['name']}" in names):
+            entries = [{**entry, "identifiable": identifiable} for entry in row["by_joint"]]
+            row = {**row, "identifiable": identifiable, "by_joint": entries}
+        rows.append(row)
+    other = replace(drive, result={**drive.result, "parameters": rows})
+    return other
+
+
+@pytest.fixture(scope="module")
+def written(drive: Identified, tmp_path_factory: pytest.TempPathFactory) -> Written:
+    return drive.export("randomisation", tmp_path_factory.mktemp("written") / "drives", count=COUNT, files=3)
+
+
+@pytest.fixture(scope="module")
+def samples(written: Written) -> dict[str, np.ndarray]:
+    return read(written)
+
+
+def read(written: Written) -> dict[str, np.ndarray]:
+    """What samples.npz holds, without pickle."""
+    assert written.folder is not None
+    with np.load(written.folder / "samples.npz", allow_pickle=False) as arrays:
+        return dict(arrays)
+
+
+def test_samples_are_the_runs_own_draws(drive: Identified, samples: dict[str, np.ndarray]) -> None:
+    drawn = drive.sample(COUNT, seed=0)
+    assert len(drawn) > 1
+    for name, values in drawn.items():
+        np.testing.assert_array_equal(samples[name], values)
+    correlation, expected = (np.corrcoef(np.hstack([of[name] for name in drawn]).T) for of in (samples, drawn))
+    np.testing.assert_array_equal(correlation, expected)
+    names = samples["names"].tolist()
+    assert samples["joints"].tolist() == list(drive.bench.joints)
+    assert dict(zip(names, samples["units"], strict=True))["joint.armature"] == "kg m^2"
+    for at, name in enumerate(names):
+        if name in drawn:
+            found = drive.parameters[name]
+            np.testing.assert_array_equal(samples["nominal"][at], found.value)
+            np.testing.assert_array_equal(samples["low"][at], found.interval[:, 0])
+            np.testing.assert_array_equal(samples["high"][at], found.interval[:, 1])
+
+
+def test_every_mjcf_has_the_numbers_of_its_draw(written: Written, samples: dict[str, np.ndarray]) -> None:
+    assert written.folder is not None and written.export is not None
+    files = sorted((written.folder / "samples").iterdir())
+    assert [path.name for path in files] == ["000.xml", "001.xml", "002.xml"]
+    for number, path in enumerate(files):
+        model = mujoco.MjModel.from_xml_path(str(path))
+        assert model.dof_armature == samples["bench.armature"][number]
+        assert (
+            model.dof_frictionloss == samples["friction.frictionloss"][number] == samples["joint.frictionloss"][number]
+        )
+        assert model.dof_damping == samples["joint.damping"][number]
+    assert all(difference.largest < EXACT for difference in written.export.differences)
+    assert any(re.search(r"3 drives in samples/ are \S+ rad apart", limit) for limit in written.export.limits)
+    assert {*written.export.files} == {
+        str(path.relative_to(written.folder)) for path in written.folder.rglob("*") if path.is_file()
+    } - {"export.json"}
+
+
+def test_a_stated_range_is_filled_evenly_and_in_the_order_of_the_draws(drive: Identified) -> None:
+    ranges = {"bench.armature": Range(0.5, 2.0), "bench.kp": Range(18.0, 22.0, absolute=True)}
+    vague = declare(drive, False, "friction.damping")
+    ranges["friction.damping"] = Range(0.5, 1.5)
+    found = draw_variants(vague, COUNT, 0, ranges)
+    armature, kp, _, damping = (one.values[:, 0] for one in found.parameters)
+    value = {name: float(p.value[0]) for name, p in drive.parameters.items()}
+    even = (np.arange(COUNT) + 0.5) / COUNT
+    np.testing.assert_allclose(np.sort(armature), value["bench.armature"] * (0.5 + 1.5 * even))
+    np.testing.assert_array_equal(np.argsort(armature), np.argsort(drive.sample(COUNT)["bench.armature"][:, 0]))
+    np.testing.assert_allclose(np.sort(kp), 18 + 4 * even)  # known, and yet it varies
+    np.testing.assert_allclose(np.sort(damping), value["friction.damping"] * (0.5 + even))
+    assert abs(np.corrcoef(kp, armature)[0, 1]) < 0.5
+    assert [one.why[0] for one in found.parameters][:2] == [
+        "stated range of bench.armature",
+        "stated range of bench.kp",
+    ]
+    again = draw_variants(vague, COUNT, 0, ranges)
+    np.testing.assert_array_equal(again.parameters[-1].values[:, 0], damping)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    {
+        "vague": ({}, r"friction\.damping: not identifiable on the run's recordings, expected a range.*'ranges=\{"),
+        "excite": ({}, r"\(python -m frictionzoo\.excite\) and export that run$"),
+        "name": ({"ranges": "{bench.armatur: [1, 2]}"}, r"bench\.armatur: no such parameter.*did you mean bench\.arm"),
+        "joint": ({"ranges": "{bench.armature/hip: [1, 2]}"}, r"bench\.armature/hip: no such parameter"),
+        "text": ({"ranges": "wide"}, r"ranges=wide: expected shares of values by name"),
+        "broken": ({"ranges": "{a: ["}, r"ranges=\{a: \[: expected shares"),
+        "one number": ({"ranges": "{bench.armature: 2}"}, r"bench\.armature: 2; expected the lowest and the highest"),
+        "order": ({"ranges": "{bench.armature: [2, 1]}"}, r"bench\.armature: \[2, 1\]; expected the lowest"),
+        "words": ({"ranges": "{bench.armature: [a, 1]}"}, r"expected the lowest and the highest share"),
+        "low alone": ({"ranges": "{bench.armature: {low: 2}}"}, r"\{'low': 2\}; expected .* in its unit$"),
+        "infinite": ({"ranges": "{bench.armature: {low: -.inf, high: 1}}"}, r"-inf, 'high': 1\}; expected the lowest"),
+        "bounds": (
+            {"ranges": "{friction.damping: [1, 1e6]}"},
+            r"ranges: friction\.damping: \S+ to \S+, expected them within 0\.0001 to 10; narrow it",
+        ),
+        "operation": ({"operation": "scal"}, r"operation=scal: no such operation; did you mean scale"),
+        "count": ({"count": "1.5"}, r"count=1\.5; expected a whole number from 2"),
+        "files": ({"count": "4", "files": "5"}, r"files=5; expected a whole number from 1 to 4"),
+        "seed": ({"seed": "x"}, r"seed=x; expected a number"),
+    }.values(),
+)
+def test_what_cannot_be_drawn_is_refused_in_a_line(
+    drive: Identified, options: dict[str, str], message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(FrictionzooError, match=message) as caught:
+        declare(drive, False, "friction.damping").export("randomisation", tmp_path / "drives", **options)
+    assert "\n" not in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_drive_without_intervals_or_parameters_is_refused(drive: Identified) -> None:
+    bare = declare(drive, False)
+    bare = replace(bare, result={**bare.result, "no_intervals": "there is one segment only", "covariance": None})
+    with pytest.raises(
+        FrictionzooError, match=r"no interval \(there is one segment only\).*or fit model=mujoco_default"
+    ):
+        draw_variants(bare, COUNT, 0, {})
+    stated = {name: Range(0.9, 1.1) for name, p in drive.parameters.items() if p.identified}
+    assert len(draw_variants(bare, COUNT, 0, stated).parameters) == len(stated)
+    known = [
+        {**row, "by_joint": [{**e, "identified": False} for e in row["by_joint"]]} for row in bare.result["parameters"]
+    ]
+    with pytest.raises(FrictionzooError, match="nothing was identified, expected what varies; state a range"):
+        draw_variants(replace(bare, result={**bare.result, "parameters": known}), COUNT, 0, {})
+
+
+def test_the_command_takes_ranges(
+    finished_run: Callable[[str], tuple[Path, Finished]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ranges = "ranges={bench.armature: [0.8, 1.2], friction.frictionloss: {low: 0.1, high: 1}, friction.damping: [1, 3]}"
+    run = str(finished_run("mujoco_default")[0])
+    main([run, "target=randomisation", ranges, "count=5", "files=1", f"output={tmp_path / 'drives'}"])
+    assert "1 draws of them, each against itself" in capsys.readouterr().out
+    with np.load(tmp_path / "drives" / "samples.npz") as found:
+        assert np.ptp(found["friction.damping"]) == pytest.approx(2 * 0.8 * found["nominal"][-1], rel=1e-9)
+
+
+@pytest.fixture(scope="module")
+def another_law(finished_run: Callable[[str], tuple[Path, Finished]]) -> Identified:
+    return fz.load(finished_run("coulomb_stribeck")[0])
+
+
+EVERYTHING = {
+    "bench.armature": [0.9, 1.1],
+    "friction.static_torque": [0.9, 1.2],
+    "friction.kinetic_torque": [0.5, 1.0],
+    "friction.stribeck_velocity": [0.8, 1.2],
+    "friction.viscous_coefficient": [0.7, 1.3],
+}
+
+
+def test_a_law_that_mujoco_lacks_is_refitted_draw_by_draw(another_law: Identified, tmp_path: Path) -> None:
+    written = another_law.export(
+        "randomisation", tmp_path / "drives", ranges=EVERYTHING, count=8, files=8, operation="scale"
+    )
+    assert written.export is not None
+    # It slides all along the run's only rollout, where the law is Coulomb's and viscous friction. MuJoCo's damping is
+    # implicit, as if there were that much more inertia.
+    assert all(difference.largest < EXACT for difference in written.export.differences)
+    found, step = read(written), another_law.timestep
+    np.testing.assert_allclose(found["joint.damping"], found["friction.viscous_coefficient"], rtol=1e-5)
+    np.testing.assert_allclose(found["joint.frictionloss"], found["friction.kinetic_torque"], rtol=1e-5)
+    inertia = found["joint.armature"] + step * found["joint.damping"]
+    np.testing.assert_allclose(inertia, found["bench.armature"], rtol=1e-6)
+    for number, path in enumerate(sorted((tmp_path / "drives" / "samples").iterdir())):
+        model = mujoco.MjModel.from_xml_path(str(path))
+        assert model.dof_frictionloss == found["joint.frictionloss"][number]
+        assert model.dof_armature == found["joint.armature"][number]
+        assert "were refitted to the drawn drive's own" in path.read_text()
+    np.testing.assert_array_equal(
+        found["joint.static_friction"], np.maximum(found["friction.static_torque"], found["joint.frictionloss"])
+    )
+
+
+def test_too_many_refits_are_refused(another_law: Identified, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for most, hint in ((4e4, r"draw at most \d+, or take"), (1.0, "too long; take a law")):
+        monkeypatch.setattr(refit, "MOST_STEPS", most)
+        with pytest.raises(FrictionzooError, match=rf"coulomb_stribeck: MuJoCo's joints.*{hint}.*frictionzoo\.distill"):
+            another_law.export("randomisation", tmp_path / "drives", ranges=EVERYTHING)
+
+
+def test_of_a_robot_each_draw_is_its_own_file(tmp_path: Path) -> None:
+    fitted = fit_robot(save(tmp_path, LEG))
+    friction, bench = fitted.values["friction"], dict(fitted.values["bench"])
+    drives = [
+        (
+            fitted,
+            Nearest({**bench, "armature": share * bench["armature"]}, friction["frictionloss"], friction["damping"]),
+        )
+        for share in (1.0, 0.9, 1.2)
+    ]
+    folder = tmp_path / "export"
+    folder.mkdir()
+    names, said = write_files(folder, drives)
+    assert names == ["nominal.xml", "samples/000.xml", "samples/001.xml"]
+    assert any("meshes" in sentence for sentence in said)
+    for name, (_, of) in zip(names, drives, strict=True):
+        text = (folder / name).read_text()
+        assert text.endswith(LEG[-20:]) and all(repr(float(number)) in text for number in of.bench["armature"])
+
+
+# A drive of two joints, of which the events are written: the hip's gains are known.
+TWO = [
+    ("joint.armature", "kg m^2", [0.02, 0.03], [(0.01, 0.03), (0.02, 0.05)]),
+    ("joint.frictionloss", "N m", [0.2, 0.1], [(0.1, 0.3), (0.1, 0.1)]),
+    ("joint.damping", "N m s/rad", [0.05, 0.06], [(0.05, 0.05), (0.02, 0.1)]),
+    ("actuator.stiffness", "N m/rad", [20.0, 40.0], [(20.0, 20.0), (30.0, 50.0)]),
+    ("actuator.damping", "N m s/rad", [1.0, 2.0], [(1.0, 1.0), (2.0, 2.0)]),
+]
+JOINTS = ("hip", "knee")
+
+
+def quantities() -> list[Quantity]:
+    rng, found = np.random.default_rng(0), []
+    for name, unit, nominal, ends in TWO:
+        low, high = np.array(ends).T
+        why = tuple("95 % interval of x" if a < b else "" for a, b in ends)
+        values = low + (high - low) * rng.random((COUNT, 2))
+        found.append(Quantity(name, unit, values, np.array(nominal), np.array(ends), why))
+    return found
+
+
+def load_events(program: Any, folder: Path, operation: str, modules: dict[str, ModuleType]) -> Any:
+    """The file of the drive of two joints, imported where the program is these modules."""
+    found = quantities()
+    np.savez(folder / "samples.npz", **{one.name: one.values for one in found})  # pyright: ignore[reportArgumentType]
+    result: Any = {"data": {"name": "bars"}}
+    fitted = replace(fit_robot(save(folder, LEG), [*JOINTS]), folder=Path("run 7"), result=result)
+    text = write_events(program, fitted, found, {"knee": (2, 4)}, operation)
+    (folder / program.file).write_text(text)
+    with pytest.MonkeyPatch.context() as patch:
+        for name, module in modules.items():
+            patch.setitem(sys.modules, name, module)
+        spec = importlib.util.spec_from_file_location(program.file[:-3], folder / program.file)
+        assert spec is not None and spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+    return module
+
+
+def modules(**contents: dict[str, Any]) -> dict[str, ModuleType]:
+    """Modules by their dotted names, with `_` for the dot, and what is in them."""
+    made = {}
+    for name, content in contents.items():
+        dotted = name.replace("__", ".")
+        made[dotted] = ModuleType(dotted)
+        made[dotted].__dict__.update(content)
+    return made
+
+
+class Term(SimpleNamespace):
+    """An event's configuration."""
+
+    params: dict[str, Any] = {}
+
+
+class Entity(SimpleNamespace):
+    """Which joints of an entity."""
+
+    def __init__(self, name: str, joint_names: Any = None) -> None:
+        super().__init__(name=name, joint_names=joint_names, joint_ids=slice(None))
+
+    def resolve(self, scene: Any) -> None:
+        (pattern,) = self.joint_names
+        self.joint_ids = find_joints(pattern)[0]
+
+
+def find_joints(pattern: str) -> tuple[list[int], list[str]]:
+    names = ["other", *JOINTS]
+    found = [at for at, name in enumerate(names) if re.fullmatch(pattern, name)]
+    return found, [names[at] for at in found]
+
+
+def assert_rows(*columns: tuple[str, torch.Tensor]) -> None:
+    """In each world, the numbers of one draw."""
+    drawn = {one.name: one.values for one in quantities()}
+    together = np.concatenate([drawn[name] for name, _ in columns], axis=1).astype(np.float32)
+    found = np.concatenate([values.numpy() for _, values in columns], axis=1)
+    assert found.shape == (WORLDS, 2 * len(columns))
+    rows = [np.flatnonzero((together == row).all(axis=1)) for row in found]
+    assert all(len(row) == 1 for row in rows)
+    assert len({int(row[0]) for row in rows}) > 0.9 * COUNT
+
+
+def mjlab(fields: dict[str, torch.Tensor]) -> dict[str, ModuleType]:
+    """What the file uses of mjlab 1.6, on a model of these fields."""
+
+    def randomise(field: str) -> Callable[..., None]:
+        def change(env, env_ids, ranges, asset_cfg, distribution="uniform", operation="abs") -> None:
+            assert operation == "abs" and ranges == (0.0, 0.0)
+            shape = len(env_ids), len(asset_cfg.joint_ids)
+            fields[field][env_ids[:, None], asset_cfg.joint_ids] = distribution.sample(0.0, 0.0, shape, "cpu")
+
+        return change
+
+    def pd_gains(env, env_ids, kp_range, kd_range, asset_cfg, distribution="uniform", operation="scale") -> None:
+        for name in ("kp", "kd"):
+            (at,) = asset_cfg.actuator_ids
+            fields[name][env_ids, 1 + at] = distribution.sample(0.0, 0.0, (len(env_ids), 1), "cpu")[:, 0]
+
+    dr = SimpleNamespace(
+        joint_armature=randomise("armature"),
+        joint_friction=randomise("frictionloss"),
+        joint_damping=randomise("damping"),
+        pd_gains=pd_gains,
+        Distribution=lambda name, sample: SimpleNamespace(name=name, sample=sample),
+    )
+    decorate = lambda *fields, recompute=None: lambda f: f  # noqa: E731
+    levels = SimpleNamespace(none=0, set_const_0=2)
+    manager = {"EventTermCfg": Term, "RecomputeLevel": levels, "requires_model_fields": decorate}
+    return modules(
+        mjlab__envs__mdp={"dr": dr},
+        mjlab__managers__event_manager=manager,
+        mjlab__managers__scene_entity_config={"SceneEntityCfg": Entity},
+    )
+
+
+def test_events_of_mjlab_give_each_world_one_draw(tmp_path: Path) -> None:
+    fields = {name: torch.zeros(WORLDS, 3) for name in ("armature", "frictionloss", "damping", "kp", "kd")}
+    events = load_events(MJLAB, tmp_path, "abs", mjlab(fields))
+    actuators = [SimpleNamespace(target_names=(name,)) for name in JOINTS]
+    env: Any = SimpleNamespace(num_envs=WORLDS, device="cpu", scene={"robot": SimpleNamespace(actuators=actuators)})
+    (term,) = events.DRAWS.values()
+    term.func(env, None, **term.params)
+    assert all((field[:, 0] == 0).all() for field in fields.values())
+    named = zip((name for name, *_ in TWO), fields.values(), strict=True)
+    assert_rows(*((name, field[:, 1:]) for name, field in named))
+    before = {name: field.clone() for name, field in fields.items()}
+    term.func(env, torch.tensor([3, 5]))
+    changed = {int(at) for name, field in fields.items() for at in torch.nonzero(field != before[name])[:, 0]}
+    assert changed <= {3, 5}
+    assert events.DELAYS == {"knee": {"delay_min_lag": 2, "delay_max_lag": 4}}
+    said = "dof_armature [kg m^2] of hip: 0.01 to 0.03, 95 % interval of x in run 7"
+    assert said in term.func.__doc__
+    armature = events.RANGES["joint_armature"].params
+    assert armature["ranges"] == {"^hip$": (0.01, 0.03), "^knee$": (0.02, 0.05)}
+    assert events.RANGES["joint_friction"].params["ranges"] == {"^hip$": (0.1, 0.3)}
+    gains = events.RANGES["gains_knee"].params
+    assert (gains["kp_range"], gains["kd_range"], gains["operation"]) == ((30, 50), (2, 2), "abs")
+    env.scene["robot"].actuators[0].target_names = JOINTS
+    with pytest.raises(ValueError, match="expected actuators of these joints alone"):
+        term.func(env, None)
+
+
+class Articulation(SimpleNamespace):
+    """What the file uses of an articulation of Isaac Lab 2.3."""
+
+    def __init__(self) -> None:
+        zero = {name: torch.zeros(WORLDS, 3) for name in ("armature", "static", "dynamic", "viscous", "kp", "kd")}
+        implicit = SimpleNamespace(joint_indices=slice(None), stiffness=zero["kp"], damping=zero["kd"])
+        of = {"friction": 0.3, "dynamic_friction": 0.2, "viscous_friction": 0.1}
+        data = {f"default_joint_{name}_coeff": torch.full((WORLDS, 3), value) for name, value in of.items()}
+        super().__init__(
+            num_joints=3, device="cpu", written=zero, actuators={"all": implicit}, data=SimpleNamespace(**data)
+        )
+
+    def find_joints(self, pattern: str) -> tuple[list[int], list[str]]:
+        return find_joints(pattern)
+
+    def write_joint_armature_to_sim(self, armature, joint_ids, env_ids) -> None:
+        self.written["armature"][env_ids[:, None], joint_ids] = armature
+
+    def write_joint_friction_coefficient_to_sim(
+        self,
+        joint_friction_coeff,
+        joint_dynamic_friction_coeff=None,
+        joint_viscous_friction_coeff=None,
+        joint_ids: Any = None,
+        env_ids: Any = None,
+    ) -> None:
+        given = joint_friction_coeff, joint_dynamic_friction_coeff, joint_viscous_friction_coeff
+        for name, values in zip(("static", "dynamic", "viscous"), given, strict=True):
+            self.written[name][env_ids[:, None], joint_ids] = values
+
+
+def test_events_of_isaac_lab_give_each_world_one_draw(tmp_path: Path) -> None:
+    mdp = SimpleNamespace(randomize_joint_parameters="joints", randomize_actuator_gains="gains")
+    program = modules(
+        isaaclab__envs={"mdp": mdp},
+        isaaclab__actuators={"ImplicitActuator": type("ImplicitActuator", (), {})},
+        isaaclab__managers={"EventTermCfg": Term, "SceneEntityCfg": Entity},
+    )
+    events = load_events(ISAAC_LAB, tmp_path, "scale", program)
+    asset = Articulation()
+    env: Any = SimpleNamespace(scene=type("Scene", (dict,), {"num_envs": WORLDS})(robot=asset))
+    (term,) = events.DRAWS.values()
+    term.func(env, None, **term.params)
+    kinds = ("armature", "dynamic", "viscous", "kp", "kd")
+    named = zip((name for name, *_ in TWO), kinds, strict=True)
+    assert_rows(*((name, asset.written[kind][:, 1:]) for name, kind in named))
+    np.testing.assert_array_equal(asset.written["static"], asset.written["dynamic"])
+    friction = events.RANGES["friction_hip"]
+    friction.params["asset_cfg"].joint_ids = [1]
+    friction.func(env, None, **friction.params)  # shares of what the articulation was made with
+    low, high = asset.written["dynamic"][:, 1].min(), asset.written["dynamic"][:, 1].max()
+    assert 0.1 <= low < 0.11 and 0.29 < high <= 0.3
+    np.testing.assert_allclose(asset.written["viscous"][:, 1], 0.1, rtol=1e-6)
+    assert events.RANGES["armature_knee"].params["armature_distribution_params"] == (0.666667, 1.66667)
+    gains = events.RANGES["gains_knee"].params
+    assert (gains["stiffness_distribution_params"], gains["damping_distribution_params"]) == ((0.75, 1.25), (1, 1))
+    assert events.DELAYS == {"knee": {"min_delay": 2, "max_delay": 4}}
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(IN_MJLAB not in os.environ, reason=f"{IN_MJLAB} names no Python with mjlab")
+def test_events_change_worlds_of_mjlab(drive: Identified, tmp_path: Path) -> None:
+    written = drive.export("randomisation", tmp_path / "drives", ranges={"bench.kp": [0.9, 1.1]}, count=64, files=1)
+    out = tmp_path / "in_mjlab.json"
+    script = [ROOT / "benchmarks" / "in_mjlab.py", written.folder, "--out", out, "--worlds", "256", "--steps", "100"]
+    finished = subprocess.run([os.environ[IN_MJLAB], *map(str, script)], capture_output=True, text=True, cwd=tmp_path)
+    assert finished.returncode == 0, finished.stderr
+    found = json.loads(out.read_text())
+    fields = {row["field"] for row in found["rows"]}
+    assert fields == {"dof_armature", "dof_frictionloss", "dof_damping", "actuator_gainprm"}
+    for row in found["rows"]:
+        wide = row["high"] - row["low"]
+        assert row["most"] - row["least"] > 0.8 * wide
+        if row["events"] == "DRAWS":
+            assert row["apart"] < 1e-5  # float32
+        else:
+            assert row["low"] - 1e-5 * wide <= row["least"] and row["most"] <= row["high"] + 1e-5 * wide
+    for row in found["motions"]:
+        assert row["from MuJoCo C"] < 1e-5 < row["between worlds"]
