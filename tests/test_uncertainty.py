@@ -1,5 +1,6 @@
 """Intervals of identified parameters, and what data cannot tell apart, on segments whose truth is known."""
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -8,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.signal
 import scipy.stats
 from conftest import slow_but, spoil
 from test_fit import KNOWN, LOSS, TRUTH, Problem, compose_drive, pose, record, x64  # noqa: F401 - x64 is a fixture for all tests
@@ -20,7 +22,7 @@ from frictionzoo.core.segments import Segments, cut_segments
 from frictionzoo.core.state import Signals
 from frictionzoo.fit import Objective, Space, estimate_uncertainty
 from frictionzoo.fit import blocks as blocks_module
-from frictionzoo.fit import objective as objective_module
+from frictionzoo.fit.blocks import divide
 from frictionzoo.fit.normal_equations import NormalEquations
 from frictionzoo.fit.uncertainty import Uncertainty, assess
 from frictionzoo.simulate import friction_of, make_engine
@@ -39,10 +41,17 @@ def minimise(objective: Objective, steps: int = 8) -> np.ndarray:
     return vector
 
 
+def deviation(moved: np.ndarray) -> float:
+    """Standard deviation of an estimate that the stretches have moved by so much, one after the other."""
+    stretches, kept = len(moved), max(moved[1:] @ moved[:-1] / (moved @ moved), 0.0)
+    new = [np.sqrt(1 - kept**2) * moved[0], *(one - kept * before for before, one in itertools.pairwise(moved))]
+    return np.sqrt(stretches / (stretches - 1) * np.square(new).sum()) / (1 - kept)
+
+
 def test_intervals_are_those_of_the_formula(monkeypatch: pytest.MonkeyPatch) -> None:
     """The covariance spelt out with the whole Jacobian of all residuals."""
     stretches, scale = 7, 0.02
-    monkeypatch.setattr(objective_module, "MOST_STRETCHES", stretches)
+    monkeypatch.setattr(blocks_module, "MOST_STRETCHES", stretches)
     monkeypatch.setattr(blocks_module, "BLOCK_STATES", 35)  # blocks and stretches do not begin together
     data, plain = noisy(record(), 1e-3, 2e-2), pose("mujoco_default").objective
     started = jax.tree.map(jnp.asarray, (data.qpos[:, 0], data.qvel[:, 0], data.signals))
@@ -66,8 +75,8 @@ def test_intervals_are_those_of_the_formula(monkeypatch: pytest.MonkeyPatch) -> 
         inverse = np.linalg.inv(np.einsum("ski,sk,skj->ij", slope, bend, slope))
         segment = np.einsum("ski,sk->si", slope, force)
         scores = np.array([segment[np.arange(60) * stretches // 60 == g].sum(axis=0) for g in range(stretches)])
-        covariance = stretches * inverse @ np.cov(scores, rowvar=False) @ inverse
-        half = scipy.stats.t.ppf(0.975, stretches - 1) * np.sqrt(np.diag(covariance))
+        moved = (scores - scores.mean(axis=0)) @ inverse
+        half = scipy.stats.t.ppf(0.975, stretches - 1) * np.array([deviation(own) for own in moved.T])
         for i, name in enumerate(objective.space.params):
             expected = np.exp(best[i] + half[i] * np.array([-1, 1]))
             # What the fit left undone stretches an interval by far less than the tolerance.
@@ -103,6 +112,32 @@ def test_an_interval_reaches_from_where_a_fit_stopped_to_the_minimum() -> None:
         value = TRUTH[name.partition(".")[2]]
         # The minimum is extrapolated, by 5 %: to the square of that.
         assert low < value * 1.005 and high > value * np.exp(0.05) * (1 - 1e-9), name
+
+
+def test_whole_recordings_are_stretches_where_there_are_enough() -> None:
+    def number(segments: int, recordings: int) -> list[int]:
+        none = np.zeros((segments, 2, 1))
+        of = np.arange(segments) * recordings // segments
+        return divide(Segments(none, none, Signals(none[:, 1:]), 0.01, recording=of)).tolist()
+
+    assert number(30, 1) == list(range(30)) == number(30, 9)
+    assert number(30, 10) == np.repeat(np.arange(10), 3).tolist()
+    assert np.bincount(number(500, 100)).tolist() == [10] * 50  # two recordings each
+    assert np.bincount(number(100, 1)).tolist() == [2] * 50
+
+
+def test_what_lasts_from_stretch_to_stretch_widens_an_interval(arm: Space) -> None:
+    """Errors of which half is left in the next stretch: their sum varies by 1 / (1 - 0.5)."""
+    rng, found = np.random.default_rng(4), []
+    for kept in (0.0, 0.5):
+        new = 0.01 * rng.normal(size=(200, 6))
+        scores = scipy.signal.lfilter([1.0], [1.0, -kept], new, axis=0)
+        equations = NormalEquations(1.0, np.zeros(6), np.eye(6))
+        covariance = assess(arm, np.asarray(arm.start), equations, scores).covariance
+        assert covariance is not None
+        found.append(np.sqrt(np.diag(covariance.matrix)).mean())
+    # The mean of six deviations, each known to some 10 %.
+    assert found == pytest.approx([0.01 * np.sqrt(200), 0.01 * np.sqrt(200) * 2], rel=0.12)
 
 
 def begin(qpos: np.ndarray, qvel: np.ndarray, ctrl: np.ndarray) -> Segments:

@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -32,6 +32,7 @@ class Segments:
         timestep: Sample interval [s].
         load: What each one's payload changes in the bench's model; None where there is none.
         follows: Whether each begins where the one before it ends; None where none does.
+        recording: Number of the log that each was cut from; None where they are of one.
     """
 
     qpos: Float[np.ndarray, "batch states nv"]
@@ -40,6 +41,7 @@ class Segments:
     timestep: float
     load: Float[np.ndarray, "batch load"] | None = None
     follows: Bool[np.ndarray, "batch"] | None = None
+    recording: Int[np.ndarray, "batch"] | None = None
 
     @property
     def acting(self) -> Signals:
@@ -71,7 +73,7 @@ class Segments:
         """The first of them alone."""
         load = None if self.load is None else self.load[:1]
         signals = self.signals.map(lambda signal: signal[:1])
-        return replace(self, qpos=self.qpos[:1], qvel=self.qvel[:1], signals=signals, load=load, follows=None)
+        return Segments(self.qpos[:1], self.qvel[:1], signals, self.timestep, load)
 
 
 class Sampling(NamedTuple):
@@ -264,4 +266,4 @@ def _windows(logs: Sequence[Log], places: Int[np.ndarray, "segments 2"], length:
     signals = {name: np.concatenate([of_log[name] for of_log in recorded])[driven] for name in recorded[0]}
     load = np.stack([log.load for log in logs])[places[:, 0]]
     follows = np.append(False, (np.diff(places, axis=0) == [0, length]).all(axis=1))
-    return Segments(qpos, qvel, Signals.from_named(signals), logs[0].timestep, load, follows)
+    return Segments(qpos, qvel, Signals.from_named(signals), logs[0].timestep, load, follows, places[:, 0])

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
-from jaxtyping import Array
+from jaxtyping import Array, Int
 
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.threads import usable_threads
@@ -26,6 +26,9 @@ are made then, for several threads."""
 
 MOST_STRETCHES = 50
 """Stretches into which the segments are divided at most, in their order in time."""
+
+ENOUGH_RECORDINGS = 10
+"""Recordings from which on none is divided: of 9 degrees of freedom, Student's quantile is 15 % above the normal's."""
 
 
 class Blocks(NamedTuple):
@@ -88,8 +91,28 @@ def to_numpy(parts: Iterable[Array]) -> list[np.ndarray]:
     return [np.asarray(part, np.float64) for part in parts]
 
 
-def into_blocks(segments: Segments, stretches: int, dtype: Any, rollout: Rollout) -> Blocks:
-    """Equal blocks; where the segments do not fill the last, its rest repeats the last segment with no weight."""
+def divide(segments: Segments) -> Int[np.ndarray, "batch"]:
+    """Number of the stretch to which each segment belongs, from 0.
+
+    A stretch is one recording or several where there are enough of these, and otherwise a part of the time.
+    """
+    number = np.arange(segments.count)
+    if segments.recording is not None:
+        of = np.unique(segments.recording, return_inverse=True)[1]
+        number = of if of[-1] + 1 >= ENOUGH_RECORDINGS else number
+    units = int(number[-1]) + 1
+    return number * min(units, MOST_STRETCHES) // units
+
+
+def into_blocks(segments: Segments, stretch: Int[np.ndarray, "batch"], dtype: Any, rollout: Rollout) -> Blocks:
+    """Equal blocks; where the segments do not fill the last, its rest repeats the last segment with no weight.
+
+    Args:
+        segments: What to hold.
+        stretch: To which stretch each of them belongs, as `divide` has it.
+        dtype: Of numbers.
+        rollout: What will simulate them.
+    """
     devices, kept = devices_of(rollout), rollout.keeps_slopes
     largest = max(1, (KEPT_STATES if kept else BLOCK_STATES) // (segments.length * segments.qpos.shape[2]))
     blocks = max(-(-segments.count // largest), min(KEPT_BLOCKS, segments.count) if kept else 1)
@@ -101,13 +124,13 @@ def into_blocks(segments: Segments, stretches: int, dtype: Any, rollout: Rollout
         return signal[index].astype(dtype).reshape(blocks, size, *signal.shape[1:])
 
     weight = (np.arange(blocks * size) < segments.count).astype(dtype).reshape(blocks, size)
-    stretch = (index * stretches // segments.count).astype(np.int32).reshape(blocks, size)
+    numbers = stretch[index].astype(np.int32).reshape(blocks, size)
     measured = cut(segments.qpos), cut(segments.qvel), segments.signals.map(cut), cut(segments.loads)
     follows = np.zeros(blocks * size, dtype)
     if segments.follows is not None:
         follows[: segments.count] = segments.follows
     linked = np.append(follows[1:], np.zeros(1, dtype)).reshape(blocks, size)
-    host = Blocks(*measured, weight, stretch, linked)
+    host = Blocks(*measured, weight, numbers, linked)
     if len(devices) == 1:
         return jax.tree.map(jnp.asarray, host)
     sharding = NamedSharding(Mesh(np.array(devices), ("segments",)), PartitionSpec(None, "segments"))

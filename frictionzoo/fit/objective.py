@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.segments import Segments
-from frictionzoo.fit.blocks import MOST_STRETCHES, Blocks, alone, each, each_part, into_blocks, side_by_side, to_numpy
+from frictionzoo.fit.blocks import Blocks, alone, divide, each, each_part, into_blocks, side_by_side, to_numpy
 from frictionzoo.fit.loss import Loss, mean_squares
 from frictionzoo.fit.normal_equations import NormalEquations
 from frictionzoo.fit.recordings import Recordings
@@ -39,7 +39,7 @@ class Objective:
         space: The coordinates.
         data: What the functions below take as their last argument: the segments, spread over all local devices.
         devices: How many these are.
-        stretches: Into how many stretches of consecutive segments the data are divided, one after the other in time.
+        stretches: Into how many stretches of consecutive segments the data are divided, as `divide` does it.
         compile: `jax.jit` for functions that call these.
         recordings: What the segments were cut from; None where they follow another drive.
         torch_law: Name of the friction law if it exists only in torch, None for any other. Its functions below are
@@ -91,8 +91,9 @@ class Objective:
             )
         self.space: Space = space
         self.compile: Callable[..., Any] = rollout.compile
-        self.stretches: int = min(segments.count, MOST_STRETCHES)
-        self.data: Blocks = into_blocks(segments, self.stretches, space.start.dtype, rollout)
+        stretch = divide(segments)
+        self.stretches: int = int(stretch[-1]) + 1
+        self.data: Blocks = into_blocks(segments, stretch, space.start.dtype, rollout)
         self.devices: int = len(self.data.weight.sharding.device_set)
         self._first = min(self.data.weight.sharding.device_set, key=lambda device: device.id)
         self._rollout = rollout

@@ -29,6 +29,7 @@ Two columns then agree to about 1 %: a difference of which a time step or a negl
 """
 TAKES_PART = 0.1  # entry of a combination of length 1 from which on a parameter belongs to it
 CORRELATED = 0.99  # magnitude from which on the estimates of two parameters are one
+_LASTING = 0.97  # most of one stretch that the next one has, as Andrews and Monahan bound it
 _NOTHING = 1e-12  # curvature, as a share of the largest, below which a parameter has no effect at all
 
 
@@ -62,17 +63,21 @@ def estimate_uncertainty(
 ) -> Uncertainty:
     """Intervals of the identified parameters from the curvature of the objective and the spread of its gradient.
 
-    C = H^-1 (G / (G - 1) sum_g (s_g - s) (s_g - s)') H^-1,  interval = x +- t sqrt(diag C)
+    m_g = H^-1 (s_g - s),  e_g = m_g - rho m_(g-1),  e_1 = sqrt(1 - rho^2) m_1
+    C = G / (G - 1) sum_g e_g e_g' / ((1 - rho) (1 - rho)'),  interval = x +- t sqrt(diag C)
 
         x    the best vector, in the optimiser's coordinates
         H    J' J, of all residuals
-        s_g  J_g' r_g, the part of the gradient that comes from the stretch g of consecutive segments; s is their mean
+        s_g  J_g' r_g, the part of the gradient that comes from the stretch g; s is their mean
+        rho  of each coordinate, the correlation of m_g with that of the stretch before, 0 where it is negative
         G    number of stretches, at most `MOST_STRETCHES`
         t    Student's quantile with G - 1 degrees of freedom
 
     Residuals within a rollout are strongly correlated, and what a law lacks correlates those of neighbouring rollouts,
-    which besides share a noisy sample: sigma^2 H^-1 would be several times too narrow. Stretches of many segments are
-    nearly independent of each other, and few enough for the quantile to matter. An interval is stretched by the step
+    which besides share a noisy sample: sigma^2 H^-1 would be several times too narrow. A stretch is whole recordings
+    where there are at least `ENOUGH_RECORDINGS`, for what changes from one to the next is in no part of one; otherwise
+    it is a part of the time. Such parts are nearly independent, but for what a law lacks while the motion stays alike:
+    what one still has of the one before it, rho, widens the interval. An interval is stretched by the step
     H^-1 s that a fit has left undone, so that it also holds for the best point of a grid. Its ends are brought back
     into the bounds and into the parameter's unit.
 
@@ -88,7 +93,8 @@ def estimate_uncertainty(
     heteroskedasticity-consistent covariance matrix estimator and a direct test for heteroskedasticity", 1980; K.-Y.
     Liang, S. Zeger, "Longitudinal data analysis using generalized linear models", 1986, for clusters; C. Bester, T.
     Conley, C. Hansen, "Inference with dependent data using cluster covariance estimators", 2011, for few stretches of
-    time as clusters.
+    time as clusters; D. Andrews, J. Monahan, "An improved heteroskedasticity and autocorrelation consistent covariance
+    matrix estimator", 1992, for rho, there called prewhitening.
     """
     space = objective.space
     if not space.names:
@@ -169,7 +175,7 @@ def _solve(equations: NormalEquations, scores: np.ndarray, seen: np.ndarray, pre
     kept = eigenvalues > 100 * precision
     inverse = (axes[:, kept] / eigenvalues[kept]) @ axes[:, kept].T / np.outer(scale, scale)
     stretches, centred = len(scores), scores[:, seen] - scores[:, seen].mean(axis=0)
-    moved = centred @ inverse  # a product with itself has no diagonal that rounds to below 0
+    moved = _whiten(centred @ inverse)  # a product with itself has no diagonal that rounds to below 0
     covariance = stretches / (stretches - 1) * moved.T @ moved
 
     null = axes[:, eigenvalues < COLLINEAR]
@@ -183,6 +189,15 @@ def _solve(equations: NormalEquations, scores: np.ndarray, seen: np.ndarray, pre
         correlated & ~np.logical_or.outer(combined, combined),
     )
     return _Solution(covariance, stretches - 1.0, -inverse @ equations.gradient[seen], combined, joined)
+
+
+def _whiten(moved: Float[np.ndarray, "stretches seen"]) -> Float[np.ndarray, "stretches seen"]:
+    """What is new in each stretch, as much larger as its lasting effect on all that follow makes it."""
+    square = np.square(moved).sum(axis=0)
+    kept = np.divide((moved[1:] * moved[:-1]).sum(axis=0), square, out=np.zeros_like(square), where=square > 0)
+    kept = np.clip(kept, 0.0, _LASTING)
+    new = np.concatenate([np.sqrt(1 - kept**2) * moved[:1], moved[1:] - kept * moved[:-1]])
+    return new / (1 - kept)
 
 
 def _describe(
