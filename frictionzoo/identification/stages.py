@@ -73,7 +73,8 @@ class Stages:
         self._bench = self.bench(free=True)
         self._samples = sum(log.samples for log in dataset.train) * self._bench.nv
         self._small = self._is_small()
-        self._found: Found | None = None  # where a pilot with all that is free ended
+        self._found: Found | None = None  # where a pilot with all that is free ended, with the loss that was chosen
+        self._first: Found | None = None  # where the first one did, of several starts: others begin there
         self._noise = Noise.of(self._train)
         self._lacking = False  # whether the law leaves more than noise
         self._kept: dict[str, bool] = {}  # whether what was free is identified
@@ -191,7 +192,7 @@ class Stages:
     def _choose_loss(self) -> Iterator[Choice]:
         """Least squares, unless the law lacks something and a robust loss predicts a validation block better."""
         pilot = self._pilot()
-        found = pilot.fit()
+        self._first = found = pilot.fit()
         horizon = self._samples_in(float(self._given["evaluation"]["horizons"][0]))
         errors = pilot.errors(found.vector, self._train, horizon * self._interval)
         squares = np.square(errors[np.isfinite(errors).all(axis=(1, 2))])
@@ -230,14 +231,19 @@ class Stages:
         horizon = self._samples_in(float(self._given["evaluation"]["horizons"][0]))
         horizon = min(horizon, min(log.samples for log in block) - 1)
         pilot = self._pilot(logs=fitted, **given)
-        return float(np.abs(pilot.errors(pilot.fit().vector, block, horizon * self._interval)).mean())
+        return float(np.abs(pilot.errors(self._go_on(pilot).vector, block, horizon * self._interval)).mean())
+
+    def _go_on(self, pilot: Pilot, found: Found | None = None) -> Found:
+        """Where a pilot ends that begins where another ended, or else the first of all."""
+        begun = found or self._first
+        return pilot.fit(None if begun is None else begun.among(pilot.space.labels, pilot.start))
 
     def _choose_free(self) -> Iterator[Choice]:
         """What of the bench recordings show: its interval does not hold 0, or it helps to predict others."""
         free = [name for name, is_free in self._free.items() if is_free]
         if not free:
             return
-        self._found = self._found or self._pilot().fit()
+        self._found = self._found or self._go_on(self._pilot())
         shown = {name: self._is_shown(self._found, name) for name in free}
         doubtful = [name for name, (is_shown, _) in shown.items() if not is_shown]
         # Where a law lacks something, intervals are wide, and what makes up for it may be of use all the same.
@@ -275,8 +281,7 @@ class Stages:
         """Halved until no parameter moves by more than a third of half its interval."""
         found = self._found
         if found is None or not all(self._kept.values()):  # what was free and is not has bent the others
-            pilot = self._pilot()
-            found = pilot.fit(None if found is None else found.among(pilot.space.labels, pilot.start))
+            found = self._go_on(self._pilot(), found)
         reason = ""
         for left in reversed(range(_ROUNDS if self._step_is_open else 0)):
             step = self._set_step(self._step / 2)
