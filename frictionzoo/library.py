@@ -78,6 +78,7 @@ class Loss(TypedDict, total=False):
     velocity: float
     robust: str
     robust_scale: float
+    encoder_step: float
     refine: bool
     continuity: float
     by_joint: bool

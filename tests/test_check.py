@@ -210,6 +210,14 @@ class NegativeDamping(Sound):
         return FrictionTerms(frictionloss=10 * values["dry"], damping=-values["dry"])
 
 
+class ContainsOther(Sound):
+    contains = {"mujoco_default": {"dry": "frictionloss"}}
+
+
+class ContainsUnnamed(Sound):
+    contains = {"mujoco_default": {"wet": 0.0}}
+
+
 BROKEN = {
     Unit: "units: dry has dimension torqe on a hinge; did you mean torque?",
     Humid: "inputs: humidity is no recorded signal of DriveState; .*temperature",
@@ -238,6 +246,8 @@ BROKEN = {
     Locks: "frictionloss: is 0 or negative somewhere",
     Double: "type: torque is torch.float64 of float32 inputs over torch",
     Forgets: "state_dict: is not complete",
+    ContainsOther: "contains: slides otherwise than mujoco_default by .* see the values in contains",
+    ContainsUnnamed: "contains: wet is none of its parameters; name one of dry",
     Grows: r"state_dict: does not go through safetensors and back \(Error.* size mismatch for velocity_scale",
     Drives: "dissipative: friction drives the joint at qvel=",
     DrivesElsewhere: "dissipative: friction drives the joint at qvel=",

@@ -13,7 +13,7 @@ LEVELS = {
     **dict.fromkeys(("models",), 2),
     **dict.fromkeys(("bench", "simulate"), 3),
     **dict.fromkeys(("checkup",), 4),
-    **dict.fromkeys(("models/contract", "models/formula", "simulate/bridge"), 4),
+    **dict.fromkeys(("models/contained", "models/contract", "models/formula", "simulate/bridge"), 4),
     **dict.fromkeys(("simulate/differentiable", "simulate/drive", "simulate/proof", "simulate/torch_rollout"), 4),
     **dict.fromkeys(("fit",), 5),
     **dict.fromkeys(("result", "show", "comparison", "export", "inspect", "distill", "excite"), 6),

@@ -1,5 +1,6 @@
 """Levenberg-Marquardt on exact Jacobians, by scipy's trust-region solver for bounded least squares."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ from frictionzoo.fit.base import Fit, Seen, as_start, refuse_nothing, refuse_tor
 from frictionzoo.fit.blocks import Blocks
 from frictionzoo.fit.normal_equations import NormalEquations, compress
 from frictionzoo.fit.objective import Objective
+from frictionzoo.fit.torque_balance import Box
 
 MOST_TRIES = 10_000  # each is remembered with its second derivative; ten are usual
 MOST_COORDINATES = 200  # a Jacobian has a column for each: more are a network's weights
@@ -138,20 +140,65 @@ def _ask(objective: Objective, state: State, tolerance: float) -> State:
 
     finite: list[NormalEquations] = []
     try:
-        found = scipy.optimize.least_squares(
-            residuals,
-            np.clip(start, low, high),
-            jac=lambda vector: compress(finite[-1], unit)[1],  # pyright: ignore[reportArgumentType] - one of its kinds
-            bounds=(low, high),
-            x_scale="jac",
-            ftol=tolerance,
-            xtol=tolerance,
-            gtol=tolerance,
-            max_nfev=len(state.loss),
+        found = _solve(
+            residuals, lambda: compress(finite[-1], unit)[1], Box(start, low, high), tolerance, len(state.loss)
         )
     except _AskedError:
         return state._replace(asked=asked[-1])
     return state._replace(ended=np.asarray(found.status > 0))  # 0: the number of vectors is used up
+
+
+def descend(
+    evaluate: Callable[[Float[np.ndarray, "coordinates"]], NormalEquations], box: Box, tries: int, tolerance: float
+) -> tuple[Float[np.ndarray, "coordinates"], float]:
+    """The least of a sum of squares that a search of `LevenbergMarquardt` comes to, and where.
+
+    Args:
+        evaluate: The objective near a vector.
+        box: Where to begin, and bounds.
+        tries: Largest number of vectors that are tried.
+        tolerance: As in `LevenbergMarquardt`.
+
+    Returns:
+        The best vector and its loss; infinite where the objective is not finite at the beginning.
+    """
+    start = np.clip(*box)
+    seen = [(start, evaluate(start))]
+    if not _is_finite(seen[0][1]):
+        return start, np.inf
+    unit = seen[0][1].loss or 1.0
+
+    def residuals(vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "compressed"]:
+        found = seen[0][1] if (vector == start).all() else evaluate(vector)
+        if not _is_finite(found):
+            return np.full(len(vector) + 1, np.inf)
+        seen.append((vector.copy(), found))
+        return compress(found, unit)[0]
+
+    _solve(residuals, lambda: compress(seen[-1][1], unit)[1], box, tolerance, tries)
+    vector, found = min(seen, key=lambda pair: pair[1].loss)
+    return vector, found.loss
+
+
+def _solve(
+    residuals: Callable[[np.ndarray], np.ndarray],
+    slopes: Callable[[], np.ndarray],
+    box: Box,
+    tolerance: float,
+    most: int,
+) -> Any:
+    """What scipy's solver answers, of residuals and their Jacobian where they were last asked for."""
+    return scipy.optimize.least_squares(
+        residuals,
+        np.clip(*box),
+        jac=lambda vector: slopes(),  # pyright: ignore[reportArgumentType] - one of its kinds
+        bounds=(box.low, box.high),
+        x_scale="jac",
+        ftol=tolerance,
+        xtol=tolerance,
+        gtol=tolerance,
+        max_nfev=most,
+    )
 
 
 def _is_finite(equations: NormalEquations) -> bool:

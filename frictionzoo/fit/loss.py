@@ -20,6 +20,7 @@ ROBUST: Mapping[str, Callable[[Any], Any]] = {
     "cauchy": jnp.log1p,
 }
 """Losses of a squared residual over the squared scale, as in scipy.optimize.least_squares."""
+_SOFT = 0.1  # of half an encoder step, over which errors begin to count at its end
 _LEAST = 1e-8  # of the largest mean square of a joint; a joint that stands still has none
 
 
@@ -42,6 +43,7 @@ class Loss:
     continuity: float
     by_joint: bool
     size: Float[np.ndarray, "nv 2"] | None = None
+    encoder_step: float = 0.0
 
     def __post_init__(self) -> None:
         position, velocity, robust = self.position, self.velocity, self.robust
@@ -57,6 +59,8 @@ class Loss:
             raise ConfigError(f"loss.robust={robust} with loss.refine=true; expected one of them, set the other off")
         if self.refine and not position * velocity:
             raise ConfigError("loss.refine=true with a weight of 0; expected loss.position and loss.velocity above 0")
+        if not self.encoder_step >= 0:
+            raise ConfigError(f"loss.encoder_step={self.encoder_step:g}; expected 0, for none, or a positive number")
         if not self.continuity >= 0:
             raise ConfigError(f"loss.continuity={self.continuity:g}; expected a weight of at least 0")
         if self.continuity and not self.refine:
@@ -71,6 +75,19 @@ class Loss:
     def gap(self) -> Float[np.ndarray, "#nv 2"] | None:
         """The same of the gap between segments; None where they stand alone."""
         return np.sqrt(self.continuity) * self.roots if self.continuity else None
+
+    def unexplained(self, errors: Array) -> Array:
+        """Errors of position [rad or m] less what the rounding to an encoder's steps explains: within half a step all.
+
+        Where a reading is rounded it says no more than that the joint is within half a step of it, all places being
+        alike; the square of what is beyond keeps estimates there, while least squares would draw them to the middle of
+        steps, and rounding errors that follow each other would bend them.
+        """
+        if not self.encoder_step:
+            return errors
+        half, width = self.encoder_step / 2, soft_width(self.encoder_step)
+        ends = jax.nn.softplus((errors - half) / width), jax.nn.softplus((-errors - half) / width)
+        return width * (ends[0] - ends[1])
 
     def over(self, squares: Float[np.ndarray, "nv 2"]) -> "Loss":
         """The same with each joint's errors over these mean squares, of which none counts as next to nothing.
@@ -103,6 +120,11 @@ class Loss:
         if exact:
             curvature = share + 2 * squares * jnp.vectorize(jax.grad(jax.grad(robust)))(squares)
         return share, curvature
+
+
+def soft_width(encoder_step: float) -> float:
+    """Over how much errors begin to count beyond half an encoder step [rad or m], as noise of that size has it."""
+    return _SOFT * encoder_step / 2
 
 
 def mean_squares(rollout: Callable[..., tuple[Any, Any]], values: Values, data: Blocks) -> Float[np.ndarray, "nv 2"]:

@@ -58,6 +58,7 @@ class Objective:
         continuity: Weight of the gap between the end of a segment and the initial state of the next one of the same
             recording, over that of an error of position or velocity; 0 where segments stand alone. With it, short
             segments act as one long rollout that cannot diverge.
+        encoder_step: Step to which positions were rounded [rad or m], so that errors count beyond half of it; 0: none.
         by_joint: Whether `balanced` weighs joints.
 
     Raises:
@@ -77,9 +78,11 @@ class Objective:
         robust_scale: float = 1.0,
         refine: bool = False,
         continuity: float = 0.0,
+        encoder_step: float = 0.0,
         by_joint: bool = False,
     ) -> None:
-        self._loss = Loss(position, velocity, robust, robust_scale, refine, continuity, by_joint)
+        weights = position, velocity, robust, robust_scale, refine, continuity, by_joint
+        self._loss = Loss(*weights, encoder_step=encoder_step)
         if refine and isinstance(rollout, TorchRollout):
             raise ConfigError(
                 f"loss.refine=true: {rollout.law} exists only in torch, with no forward mode; set loss.refine=false"
@@ -352,13 +355,14 @@ class Objective:
     ) -> Float[Array, "segments time nv kinds"]:
         """Weighted errors of position and velocity, with that of the initial state first where it is refined."""
         errors = []
-        for root, start, after, measured in zip(
-            self._loss.roots.T, (qpos, qvel), predicted, (block.qpos, block.qvel), strict=True
+        counted = (self._loss.unexplained, lambda errors: errors)
+        for root, count, start, after, measured in zip(
+            self._loss.roots.T, counted, (qpos, qvel), predicted, (block.qpos, block.qvel), strict=True
         ):
             if not root.any():
                 continue
             whole = jnp.concatenate([start[:, None], after], axis=1) if self._loss.refine else after
-            errors.append(root * (whole - (measured if self._loss.refine else measured[:, 1:])))
+            errors.append(root * count(whole - (measured if self._loss.refine else measured[:, 1:])))
         return jnp.stack(errors, axis=-1) * block.weight[:, None, None, None]
 
     def _look(self, vector: Array, block: Blocks, own: Array, following: Array) -> Seen:

@@ -9,6 +9,9 @@ from jaxtyping import Float
 from frictionzoo.core.log import Log
 from frictionzoo.logs.signals import find_noise
 
+_ROUNDING = (0.2, 0.4)  # noise over the encoder's step, where rounding is all of it: 0.29
+_WHOLE = 1e-3  # of a difference between readings, that it is off a whole multiple of the step
+_STILL = 1e-9  # of the largest difference, that is none but for rounding of another kind
 _LITTLE = 0.01  # of a position's noise, that an estimated velocity counts for: it was in the position before
 
 
@@ -19,11 +22,13 @@ class Noise(NamedTuple):
         position: Of each joint [rad or m].
         velocity: Of each joint [rad/s or m/s]; None where velocities were estimated from positions.
         speed: Root mean square velocity of each joint [rad/s or m/s].
+        step: To which positions are rounded [rad or m]; 0 where that is not what the noise is, or not alike in all.
     """
 
     position: Float[np.ndarray, "nv"]
     velocity: Float[np.ndarray, "nv"] | None
     speed: Float[np.ndarray, "nv"]
+    step: float = 0.0
 
     @classmethod
     def of(cls, logs: Sequence[Log]) -> "Noise":
@@ -35,7 +40,8 @@ class Noise(NamedTuple):
 
         speed = np.sqrt(np.concatenate([np.square(log.qvel) for log in logs]).mean(axis=0))
         estimated = any(log.velocity_estimated for log in logs)
-        return cls(each("qpos"), None if estimated else each("qvel"), speed)
+        position = each("qpos")
+        return cls(position, None if estimated else each("qvel"), speed, _find_step(logs, position))
 
     @property
     def velocity_weight(self) -> float:
@@ -50,3 +56,22 @@ class Noise(NamedTuple):
             ratio = self.position / np.maximum(self.velocity, tiny)
         found = float(np.exp(np.mean(np.log(np.square(np.maximum(ratio, 1e-12))))))
         return float(f"{found:.3g}")
+
+
+def _find_step(logs: Sequence[Log], noise: Float[np.ndarray, "nv"]) -> float:
+    """The encoder's step in all joints [rad or m]; 0 where positions have none, or other noise than its rounding."""
+    steps = [find_step([log.qpos[:, joint] for log in logs]) for joint in range(len(noise))]
+    low, high = (share * np.array(steps) for share in _ROUNDING)
+    alike = max(steps) - min(steps) <= _WHOLE * max(steps)
+    return float(f"{steps[0]:.6g}") if alike and ((low < noise) & (noise < high)).all() else 0.0
+
+
+def find_step(columns: Sequence[Float[np.ndarray, "_"]]) -> float:
+    """The step of which all differences of readings are whole multiples; 0 where there is none."""
+    sizes = np.abs(np.concatenate([np.diff(column) for column in columns]))
+    moved = sizes[sizes > _STILL * sizes.max(initial=0.0)]
+    if not len(moved):
+        return 0.0
+    whole = np.round(moved / np.median(moved[moved < 1.5 * moved.min()]))
+    step = float(moved @ whole / (whole @ whole))
+    return step if (np.abs(moved - whole * step) < _WHOLE * step * whole).all() else 0.0

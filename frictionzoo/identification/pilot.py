@@ -16,6 +16,8 @@ from frictionzoo.fit import Objective, Space
 from frictionzoo.fit.chunk import search
 from frictionzoo.fit.lm import LevenbergMarquardt
 from frictionzoo.fit.normal_equations import NormalEquations
+from frictionzoo.fit.recordings import Recordings
+from frictionzoo.fit.several import Several
 from frictionzoo.fit.uncertainty import WIDEST, assess
 from frictionzoo.models import FrictionModel
 from frictionzoo.simulate import Values
@@ -79,7 +81,9 @@ class Pilot:
         self._drive = Drive.assemble(self.bench, copy.deepcopy(model), engine, self._sampling)
         self.segments = cut_segments(accepted, **segments, history=self._sampling.history)
         space = Space(self.bench, self._drive.model, "float64")
-        self.objective: Objective = Objective(space, self._drive.rollout, self.segments, **loss).balanced()
+        objective = Objective(space, self._drive.rollout, self.segments, **loss)
+        objective.recordings = Recordings(self.bench, self._drive.model, accepted)
+        self.objective: Objective = objective.balanced()
 
     @property
     def space(self) -> Space:
@@ -92,13 +96,14 @@ class Pilot:
         return np.asarray(self.space.start, np.float64)
 
     def fit(self, start: Float[np.ndarray, "coordinates"] | None = None) -> Found:
-        """The best vector, by Levenberg-Marquardt.
+        """The best vector, by Levenberg-Marquardt; of several starts where none is given.
 
         Raises:
             FitError: The loss is not finite where it begins.
         """
+        fit = Several(_TRIES, _TOLERANCE) if start is None else LevenbergMarquardt(_TRIES, _TOLERANCE)
         objective = self.objective if start is None else self.objective.starting(start)
-        progress, _ = search(LevenbergMarquardt(_TRIES, _TOLERANCE), objective)
+        progress, _ = search(fit, objective)
         vector = np.asarray(progress.best, np.float64)
         if bool(progress.broken) or not np.isfinite(vector).all():
             raise FitError("the loss is not finite where the fit begins")

@@ -14,6 +14,7 @@ from frictionzoo.core.params import AUTO
 from frictionzoo.fit import Fit, Space
 from frictionzoo.fit.auto import Auto
 from frictionzoo.fit.lm import MOST_COORDINATES, LevenbergMarquardt
+from frictionzoo.fit.loss import soft_width
 from frictionzoo.identification.noise import Noise
 from frictionzoo.identification.pilot import Found, Pilot
 from frictionzoo.models import FrictionModel, TorchFriction
@@ -31,6 +32,7 @@ _MOVES = 1 / 3  # of half an interval, that a parameter may move by when the sim
 _ROUNDS = 4  # of shorter steps
 _TAILS = 10.0  # fourth over squared second moment of errors from which on a law lacks something; of noise 3
 _BEYOND = 3.0  # times the noise of positions, that errors are then
+_EVEN, _NO_MORE = 2.4, 1.2  # kurtosis, and times the noise, up to which errors are those of rounding, 1.8 and 1
 _BETTER = 0.02  # share by which a robust loss has to predict a validation block better than least squares
 _HELPFUL = 0.005  # share by which a parameter that is not shown has to
 _WIDE = 0.3  # times the median absolute error, from which on one counts less than its square
@@ -73,9 +75,11 @@ class Stages:
         self._bench = self.bench(free=True)
         self._samples = sum(log.samples for log in dataset.train) * self._bench.nv
         self._small = self._is_small()
-        self._found: Found | None = None  # where a pilot with all that is free ended
+        self._found: Found | None = None  # where a pilot with all that is free ended, with the loss that was chosen
+        self._first: Found | None = None  # where the first one did, of several starts: others begin there
         self._noise = Noise.of(self._train)
         self._lacking = False  # whether the law leaves more than noise
+        self._rounded = False  # whether it leaves what rounding does
         self._kept: dict[str, bool] = {}  # whether what was free is identified
 
     def _is_small(self) -> bool:
@@ -98,6 +102,7 @@ class Stages:
         yield from self._choose_segments()
         if self._small:
             yield from self._choose_loss()
+            yield from self._choose_encoder()
             yield from self._choose_free()
             yield from self._refine_step()
         else:
@@ -181,7 +186,7 @@ class Stages:
             given: `logs`, in place of all that train, and options of segments and loss in place of the settings'.
         """
         logs = given.pop("logs", self._train)
-        usual = {"robust": "none", "robust_scale": 1.0, "refine": True}
+        usual = {"robust": "none", "robust_scale": 1.0, "encoder_step": 0.0, "refine": True}
         loss = {name: usual[name] if value == AUTO else value for name, value in self.settings["loss"].items()}
         segments = {**self.settings["segments"], "length": given.pop("length", self.settings["segments"]["length"])}
         if segments["count"] == AUTO:
@@ -191,13 +196,14 @@ class Stages:
     def _choose_loss(self) -> Iterator[Choice]:
         """Least squares, unless the law lacks something and a robust loss predicts a validation block better."""
         pilot = self._pilot()
-        found = pilot.fit()
+        self._first = found = pilot.fit()
         horizon = self._samples_in(float(self._given["evaluation"]["horizons"][0]))
         errors = pilot.errors(found.vector, self._train, horizon * self._interval)
         squares = np.square(errors[np.isfinite(errors).all(axis=(1, 2))])
         kurtosis = float(np.square(squares).mean() / np.square(squares.mean()))
         beyond = float((np.sqrt(squares.mean(axis=(0, 1))) / self._noise.position).max())
         self._lacking = kurtosis > _TAILS or beyond > _BEYOND
+        self._rounded = kurtosis < _EVEN and beyond < _NO_MORE
         told = f"errors are {beyond:.2g} times the noise, and their kurtosis is {kurtosis:.2g}, of noise 3"
         least = max(_BEYOND * float(self._noise.position.max()), _WIDE * float(np.median(np.sqrt(squares))))
         longer = max(horizon, self.settings["segments"]["length"])
@@ -230,14 +236,40 @@ class Stages:
         horizon = self._samples_in(float(self._given["evaluation"]["horizons"][0]))
         horizon = min(horizon, min(log.samples for log in block) - 1)
         pilot = self._pilot(logs=fitted, **given)
-        return float(np.abs(pilot.errors(pilot.fit().vector, block, horizon * self._interval)).mean())
+        return float(np.abs(pilot.errors(self._go_on(pilot).vector, block, horizon * self._interval)).mean())
+
+    def _go_on(self, pilot: Pilot, found: Found | None = None) -> Found:
+        """Where a pilot ends that begins where another ended, or else the first of all."""
+        begun = found or self._first
+        return pilot.fit(None if begun is None else begun.among(pilot.space.labels, pilot.start))
+
+    def _choose_encoder(self) -> Iterator[Choice]:
+        """Errors within half an encoder's step do not count where rounding is all that is left."""
+        step, width = self._noise.step, soft_width(self._noise.step)
+        counts = bool(step) and self._rounded and self.settings["loss"]["robust"] == "none"
+        if not (counts and self._is_open("loss.encoder_step")):
+            told = (
+                "rounding is not what is left"
+                if step
+                else "positions are not rounded to whole steps, or have more noise"
+            )
+            yield from self._set("loss.encoder_step", 0.0, told)
+            return
+        told = "positions are rounded to it, and nothing more is left: within half of it errors say nothing"
+        yield from self._set("loss.encoder_step", step, told)
+        if self._is_open("loss.velocity"):
+            share = float(np.square(width / self._noise.position).mean())
+            self.settings["loss"]["velocity"] = float(f"{share * self._noise.velocity_weight:.3g}")
+            told = f"less: beyond half a step, errors of position count as noise of {width:.2g} {self._unit} would"
+            yield Choice("loss.velocity", self.settings["loss"]["velocity"], told)
+        self._found = None  # with another loss
 
     def _choose_free(self) -> Iterator[Choice]:
         """What of the bench recordings show: its interval does not hold 0, or it helps to predict others."""
         free = [name for name, is_free in self._free.items() if is_free]
         if not free:
             return
-        self._found = self._found or self._pilot().fit()
+        self._found = self._found or self._go_on(self._pilot())
         shown = {name: self._is_shown(self._found, name) for name in free}
         doubtful = [name for name, (is_shown, _) in shown.items() if not is_shown]
         # Where a law lacks something, intervals are wide, and what makes up for it may be of use all the same.
@@ -275,8 +307,7 @@ class Stages:
         """Halved until no parameter moves by more than a third of half its interval."""
         found = self._found
         if found is None or not all(self._kept.values()):  # what was free and is not has bent the others
-            pilot = self._pilot()
-            found = pilot.fit(None if found is None else found.among(pilot.space.labels, pilot.start))
+            found = self._go_on(self._pilot(), found)
         reason = ""
         for left in reversed(range(_ROUNDS if self._step_is_open else 0)):
             step = self._set_step(self._step / 2)
@@ -322,6 +353,7 @@ class Stages:
             yield Choice(f"bench.params.{name}.identify", False, why)
         yield from self._set("loss.robust", "none", "the errors' tails are looked at in fits of few parameters")
         yield from self._set("loss.robust_scale", 1.0, "not used")
+        yield from self._set("loss.encoder_step", 0.0, "least squares, for a network averages over what it rounds")
         if self._step_is_open:
             yield Choice("bench.timestep", self._step, f"at most {1e3 * _COARSEST:g} ms, a whole part of the interval")
 

@@ -41,6 +41,14 @@ class Asymmetric(FrictionModel):
         "damping_forward": "damping",
         "damping_backward": "damping",
     }
+    contains = {
+        "mujoco_default": {
+            "frictionloss_forward": "frictionloss",
+            "frictionloss_backward": "frictionloss",
+            "damping_forward": "damping",
+            "damping_backward": "damping",
+        }
+    }
     constraint = True
     dissipative = True
 

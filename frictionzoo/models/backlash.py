@@ -70,6 +70,8 @@ class Backlash(FrictionModel):
         "smoothing_velocity": "velocity",
         "smoothing": "1",
     }
+    contains = {"mujoco_default": {"rotor_inertia": 0.0, "gap": 0.0, "stiffness": float("inf")}}
+    valleys = {"gap": (0.1, 10.0), "rotor_inertia": (0.1, 10.0)}
     dissipative = True
     memory = 3
 

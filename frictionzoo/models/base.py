@@ -1,7 +1,7 @@
 """The whole plug-in interface of a friction model."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -17,6 +17,9 @@ Values = Mapping[str, Any]
 Params = Mapping[str, Mapping[str, Any] | Sequence[float] | float | int]
 """Of each physical parameter its section, `init`, `low`, `high`, `scale`, `identify`, or its value if that is known,
 one for all joints or a list."""
+Within = Mapping[str, str | float | Callable[[Values], Any]]
+"""What parameters of a law are where it is another one: a number that they have then, the name of the other's parameter
+that they equal, or a function of the other's values, one to one. What is not listed has one name in both."""
 
 
 class FrictionModel(Described, torch.nn.Module, ABC):
@@ -37,6 +40,10 @@ class FrictionModel(Described, torch.nn.Module, ABC):
             with a memory: at constant velocity, for what bends springs back.
         inputs: What the law looks at in each sample besides the state, a field of `DriveState` that recordings have
             among their extras, and the value at which it acts where they lack it.
+        contains: Laws that this one is with certain values, by name, and these values. What it has besides is without
+            effect then.
+        valleys: Parameters over which the loss is known to have several minima, and multiples of the initial value at
+            which a search begins besides.
         memory: Numbers that the law remembers of each joint from step to step; 0 for a function of the present state.
         params: Each physical parameter's initial value, bounds and scale.
 
@@ -53,6 +60,8 @@ class FrictionModel(Described, torch.nn.Module, ABC):
     constraint: bool = False
     dissipative: bool = False
     inputs: Mapping[str, float] = {}
+    contains: ClassVar[Mapping[str, Within]] = {}
+    valleys: ClassVar[Mapping[str, Sequence[float]]] = {}
     memory: int = 0
 
     def __init__(self, nv: int, params: Params | None = None) -> None:

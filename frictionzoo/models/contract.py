@@ -16,6 +16,7 @@ from frictionzoo.core.errors import ModelError, closest
 from frictionzoo.core.params import UNITS
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models.base import FrictionModel, Values, sliding_torque
+from frictionzoo.models.contained import check_contained
 from frictionzoo.models.formula import Formula, as_numpy, jax_slopes, torch_slopes, torch_state, torch_values
 from frictionzoo.models.registry import REGISTRY
 from frictionzoo.models.torch_friction import TorchFriction
@@ -39,8 +40,9 @@ def check_model(model: FrictionModel, samples: DriveState | None = None) -> None
     standstill too; a law with a memory keeps its shape, agrees in torch and JAX over a step, has finite gradients, and
     its memory settles; a saved state is complete; a law that declares `dissipative` gives no energy to the drive, with
     its own values and with others between their bounds: all its terms together oppose the motion, at standstill its
-    torque is within its frictionloss, and no damping is negative. A law that exists only in torch keeps the same
-    contract in torch alone; it has no memory, and its terms in one state do not depend on the others of a batch.
+    torque is within its frictionloss, and no damping is negative; it slides as each law that it says it contains, with
+    the values at which it is that law. A law that exists only in torch keeps the same contract in torch alone; it has
+    no memory, and its terms in one state do not depend on the others of a batch.
 
     Args:
         model: An instance of the model.
@@ -70,6 +72,7 @@ def check_model(model: FrictionModel, samples: DriveState | None = None) -> None
     _check_rows(prepared, samples)
     _check_saved_state(model, prepared, samples)
     _check_dissipation(prepared, samples)
+    check_contained(prepared, samples)
 
 
 def _fail(model: FrictionModel, clause: str, message: str, cause: Exception | None = None) -> NoReturn:

@@ -41,6 +41,14 @@ class CoulombStribeck(FrictionModel):
         "viscous_coefficient": "damping",
         "smoothing_velocity": "velocity",
     }
+    contains = {
+        "coulomb_smooth": {
+            "static_torque": "static_torque",
+            "kinetic_torque": "static_torque",
+            "smoothing_velocity": lambda values: 1 / (10 * values["smoothing"]),
+        }
+    }
+    valleys = {"stribeck_velocity": (0.3, 3.0)}
     dissipative = True
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:

@@ -37,6 +37,7 @@ class Dahl(FrictionModel):
         "viscous_coefficient": "damping",
         "rest_velocity": "velocity",
     }
+    valleys = {"stiffness": (0.1, 10.0)}
     dissipative = True
     memory = 1
 

@@ -41,6 +41,15 @@ class Directional(FrictionModel):
         "stribeck_load_friction_motor": "1",
         "stribeck_load_friction_external": "1",
     }
+    contains = {
+        "stribeck_load_dependent": {
+            "load_friction_motor": "load_friction",
+            "load_friction_external": "load_friction",
+            "stribeck_load_friction_motor": "stribeck_load_friction",
+            "stribeck_load_friction_external": "stribeck_load_friction",
+        }
+    }
+    valleys = {"stribeck_velocity": (0.3, 3.0)}
     constraint = True
     dissipative = True
 

@@ -53,6 +53,18 @@ class HarmonicDrive(FrictionModel):
     """
 
     dimensions = {**Directional.dimensions, **Ripple.dimensions, "cubic_damping": "damping/velocity^2"}
+    contains = {
+        "directional": {"sine_1": 0.0, "cosine_1": 0.0, "sine_2": 0.0, "cosine_2": 0.0, "cubic_damping": 0.0},
+        "ripple": {
+            "load_friction_motor": 0.0,
+            "load_friction_external": 0.0,
+            "stribeck_load_friction_motor": 0.0,
+            "stribeck_load_friction_external": 0.0,
+            "stribeck_torque": 0.0,
+            "cubic_damping": 0.0,
+        },
+    }
+    valleys = {"stribeck_velocity": (0.3, 3.0)}
     constraint = True
     dissipative = True
 

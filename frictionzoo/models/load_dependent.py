@@ -34,6 +34,7 @@ class LoadDependent(FrictionModel):
     """
 
     dimensions = {"frictionloss": "torque", "damping": "damping", "load_friction": "1"}
+    contains = {"mujoco_default": {"load_friction": 0.0}}
     constraint = True
     dissipative = True
 

@@ -45,6 +45,10 @@ class LuGre(FrictionModel):
         "viscous_coefficient": "damping",
         "rest_velocity": "velocity",
     }
+    contains = {
+        "dahl": {"micro_damping": 0.0, "static_torque": "coulomb_torque", "kinetic_torque": "coulomb_torque"},
+    }
+    valleys = {"stribeck_velocity": (0.3, 3.0), "stiffness": (0.1, 10.0)}
     dissipative = True
     memory = 1
 

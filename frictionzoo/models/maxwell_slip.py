@@ -56,6 +56,7 @@ class MaxwellSlip(FrictionModel):
         "viscous_coefficient": "damping",
         "rest_velocity": "velocity",
     }
+    valleys = {"stribeck_velocity": (0.3, 3.0), "presliding": (0.1, 10.0)}
     dissipative = True
 
     def __init__(self, nv: int, elements: int = 4, params: Params | None = None) -> None:

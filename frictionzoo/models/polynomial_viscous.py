@@ -38,6 +38,7 @@ class PolynomialViscous(FrictionModel):
         "quadratic_damping": "damping/velocity",
         "cubic_damping": "damping/velocity^2",
     }
+    contains = {"mujoco_default": {"quadratic_damping": 0.0, "cubic_damping": 0.0}}
     constraint = True
     dissipative = True
 

@@ -44,6 +44,10 @@ class Quadratic(FrictionModel):
         "quadratic_load_friction_motor": "1/torque",
         "quadratic_load_friction_external": "1/torque",
     }
+    contains = {
+        "directional": {"quadratic_load_friction_motor": 0.0, "quadratic_load_friction_external": 0.0},
+    }
+    valleys = {"stribeck_velocity": (0.3, 3.0)}
     constraint = True
     dissipative = True
 

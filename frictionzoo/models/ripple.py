@@ -48,6 +48,7 @@ class Ripple(FrictionModel):
         "sine_2": "1",
         "cosine_2": "1",
     }
+    contains = {"mujoco_default": {"sine_1": 0.0, "cosine_1": 0.0, "sine_2": 0.0, "cosine_2": 0.0}}
     constraint = True
     dissipative = True
 

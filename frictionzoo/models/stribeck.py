@@ -37,6 +37,8 @@ class Stribeck(FrictionModel):
         "stribeck_velocity": "velocity",
         "stribeck_exponent": "1",
     }
+    contains = {"mujoco_default": {"stribeck_torque": 0.0}}
+    valleys = {"stribeck_velocity": (0.3, 3.0)}
     constraint = True
     dissipative = True
 

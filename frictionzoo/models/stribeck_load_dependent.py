@@ -36,6 +36,11 @@ class StribeckLoadDependent(FrictionModel):
     """
 
     dimensions = {**Stribeck.dimensions, "load_friction": "1", "stribeck_load_friction": "1"}
+    contains = {
+        "stribeck": {"load_friction": 0.0, "stribeck_load_friction": 0.0},
+        "load_dependent": {"stribeck_torque": 0.0, "stribeck_load_friction": 0.0},
+    }
+    valleys = {"stribeck_velocity": (0.3, 3.0)}
     constraint = True
     dissipative = True
 

@@ -40,6 +40,7 @@ class TemperatureArrhenius(TemperatureModel):
         "frictionloss_activation": "temperature",
         "damping_activation": "temperature",
     }
+    contains = {"mujoco_default": {"frictionloss_activation": 0.0, "damping_activation": 0.0}}
 
     def shares(self, xp: Any, values: Values, temperature: Any) -> tuple[Any, Any]:
         """See `TemperatureModel.shares`."""

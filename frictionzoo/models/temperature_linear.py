@@ -41,6 +41,7 @@ class TemperatureLinear(TemperatureModel):
         "frictionloss_slope": "1/temperature",
         "damping_slope": "1/temperature",
     }
+    contains = {"mujoco_default": {"frictionloss_slope": 0.0, "damping_slope": 0.0}}
 
     def shares(self, xp: Any, values: Values, temperature: Any) -> tuple[Any, Any]:
         """See `TemperatureModel.shares`."""

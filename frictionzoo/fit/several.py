@@ -1,0 +1,168 @@
+"""Several starts, at what laws find that the law contains among them: the best of the minima that they lead to."""
+
+import logging
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from frictionzoo.core.errors import ConfigError, refuse_outside
+from frictionzoo.fit.base import Fit, Seen, register_method
+from frictionzoo.fit.blocks import Blocks
+from frictionzoo.fit.contained import Evaluate, Part
+from frictionzoo.fit.lm import MOST_TRIES, LevenbergMarquardt, descend
+from frictionzoo.fit.objective import Objective
+from frictionzoo.fit.torque_balance import Box
+
+_log = logging.getLogger(__name__)
+
+_SHIFTS = (-1.0, -0.5, 0.5, 1.0)  # sample intervals by which commands are tried to act later than was found
+_NEAR = 0.2  # sample intervals within which another delay leads to the same minimum
+_ROUNDS = 5  # of such shifts, each from the best of those before
+_FLAT = 1e-8  # curvature of a combination, as a share of the largest, from which on the delay may move it along
+_BETTER = 1e-6  # share of the loss by which another minimum has to be lower
+
+
+class End(NamedTuple):
+    """Where a search ended.
+
+    Attributes:
+        name: Of where it began.
+        vector: The best coordinates.
+        loss: The objective there; infinite where it is not finite at the beginning.
+    """
+
+    name: str
+    vector: Float[np.ndarray, "coordinates"]
+    loss: float
+
+
+@register_method("several")
+class Several(Fit):
+    """Levenberg-Marquardt from several starts; the best of the minima that they lead to is the result.
+
+    The starts are the initial values; the best values of each law that the law contains, which are found in the same
+    way, with what it has besides at the values with which it is that law, and at its initial values; other values of
+    parameters over which the law is known to have several minima (`FrictionModel.valleys`), beside the best so far; and
+    a delay that is up to a sample interval shorter or longer: held commands leave a minimum in each interval. The
+    result is never worse than that of a contained law, but for bounds that keep it from being that law exactly.
+
+    Args:
+        tries: `iterations` of `LevenbergMarquardt`, of each search.
+        tolerance: Of `LevenbergMarquardt`.
+
+    Raises:
+        ConfigError: An argument is out of range.
+    """
+
+    traced = False
+
+    def __init__(self, tries: int = 40, tolerance: float = 1e-6) -> None:
+        refuse_outside("fit.tries", tries, 1, MOST_TRIES)
+        if not 0 < tolerance < 1:
+            raise ConfigError(f"fit.tolerance={tolerance}; expected a number between 0 and 1")
+        self._tries, self._tolerance = tries, tolerance
+
+    def total(self, objective: Objective) -> int:
+        """See `Fit.total`; not for a network nor for a law only in torch, as `LevenbergMarquardt`."""
+        LevenbergMarquardt().total(objective)
+        return 1
+
+    def init(self, objective: Objective) -> tuple[Any, Any]:
+        """See `Fit.init`; all searches are done here."""
+        self.total(objective)
+        best = _Searches(objective, self._tries, self._tolerance).best()
+        return best.vector, np.asarray(best.loss)
+
+    def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Seen, Any, Any]:
+        """See `Fit.step`; there is nothing left to do."""
+        found = objective.compile_normal_equations()(np.asarray(vector, np.float64))
+        return Seen(found.loss, 2 * found.gradient, not np.isfinite(found.loss)), vector, state
+
+    def done(self, state: Any) -> Any:
+        """See `Fit.done`."""
+        return True
+
+    def prepare(self, objective: Objective) -> None:
+        """See `Fit.prepare`."""
+        objective.compile_normal_equations()
+
+
+class _Searches:
+    """All searches of an objective, each law that is contained looked at once."""
+
+    def __init__(self, objective: Objective, tries: int, tolerance: float) -> None:
+        self._objective, self._space, self._how = objective, objective.space, (tries, tolerance)
+        self._evaluate: Evaluate = objective.compile_normal_equations()
+        self._found: dict[str, End] = {}
+
+    def best(self) -> End:
+        """The end with the least loss."""
+        recordings = self._objective.recordings
+        best = self._look(Part.of(None if recordings is None else recordings.model, self._space))
+        if recordings is not None and "bench.delay" in self._space.labels:
+            best = self._shift(best, recordings.logs[0].timestep)
+        _log.info("of several starts, the best is at %s", best.name)
+        return best
+
+    def _look(self, part: Part) -> End:
+        """The best of a law, from all its starts."""
+        if (known := self._found.get(part.law.name)) is not None:
+            return known
+        initial = part.whole(np.clip(*part.box))
+        ends = [self._descend(part, "initial values", initial)]
+        for inner in part.contained():
+            found, held = self._look(inner).vector, ~inner.spread.any(axis=1)
+            ends.append(self._descend(part, f"what {inner.law.name} finds", found))
+            beside = np.where(held, initial, found)
+            if (beside != found).any():
+                ends.append(self._descend(part, f"what {inner.law.name} finds, with more", beside))
+        best = _least(ends)
+        for name, factors in part.law.valleys.items():
+            for factor in factors if name in part.places else ():
+                moved = part.moved(name, factor, best.vector)
+                ends.append(self._descend(part, f"{factor:g} times the initial {name}", moved))
+        return self._found.setdefault(part.law.name, _least(ends))
+
+    def _descend(self, part: Part, name: str, vector: Float[np.ndarray, "coordinates"]) -> End:
+        """Where a search with this law's own coordinates ends."""
+        _, low, high = part.box
+        own, loss = descend(part.restrict(self._evaluate), Box(part.own(vector), low, high), *self._how)
+        _log.debug("%s: from %s to a loss of %.9g", part.law.__name__, name, loss)
+        return End(name, part.whole(own), loss)
+
+    def _shift(self, best: End, interval: float) -> End:
+        """The same or a better one, with a delay that is some sample intervals shorter or longer."""
+        whole, at = Part.of(None, self._space), self._space.labels.index("bench.delay")
+        unit = interval / float(self._space.params["bench.delay"].scale)
+        low, high = whole.box[1:]
+        for _ in range(_ROUNDS):
+            along = _along(self._evaluate(best.vector).hessian, at)
+            ends = [best]
+            for shift in _SHIFTS:
+                by = np.clip(best.vector[at] + shift * unit, low[at], high[at]) - best.vector[at]
+                if abs(by) > _NEAR * unit:
+                    name = f"a delay {by / unit:+.2g} sample intervals from the best before"
+                    ends.append(self._descend(whole, name, best.vector + by * along))
+            if (least := _least(ends)) is best:
+                break
+            best = least
+        return best
+
+
+def _least(ends: Sequence[End]) -> End:
+    """The best, the first of those that are as good."""
+    least = min(end.loss for end in ends)
+    return next(end for end in ends if end.loss <= least * (1 + _BETTER))
+
+
+def _along(hessian: Float[np.ndarray, "coordinates coordinates"], at: int) -> Float[np.ndarray, "coordinates"]:
+    """How all coordinates move for the least loss when one of them moves by 1."""
+    others = np.delete(np.arange(len(hessian)), at)
+    scale = np.sqrt(np.maximum(np.diag(hessian), np.finfo(float).tiny))
+    curved = hessian / np.outer(scale, scale)
+    along = np.ones(len(hessian))
+    follow = np.linalg.lstsq(curved[np.ix_(others, others)], curved[others, at], rcond=_FLAT)[0]
+    along[others] = -follow * scale[at] / scale[others]
+    return along

@@ -1,0 +1,90 @@
+"""That a law is each law that it says it contains, with the values that it names."""
+
+from collections.abc import Mapping
+from typing import Any, NoReturn
+
+import numpy as np
+import torch
+
+from frictionzoo.core.errors import ModelError
+from frictionzoo.core.state import DriveState, FrictionTerms
+from frictionzoo.models.base import FrictionModel, sliding_torque
+from frictionzoo.models.formula import as_numpy, torch_state
+from frictionzoo.models.registry import get_model
+
+_DRAWS = 5  # of values
+_NEAR = 0.2  # share of the way from the initial value towards a bound
+_SLIDING = 1.0  # rad/s or m/s, far above what smooths a sign
+_TOLERANCE = 1e-3  # of friction, that a smooth sign lacks there
+
+
+def check_contained(model: FrictionModel, samples: DriveState) -> None:
+    """See that a law slides as each one that it contains, at random values of both.
+
+    Args:
+        model: The law that contains others.
+        samples: States to check it on; each joint slides at least at `_SLIDING`.
+
+    Raises:
+        ModelError: It does not, or it names what is none of the parameters.
+    """
+    random = np.random.default_rng(0)
+    sliding = samples._replace(qvel=samples.qvel + np.where(samples.qvel < 0, -_SLIDING, _SLIDING))
+    for name, within in model.contains.items():
+        law = get_model(name)
+        _refuse_unknown(model, law, within)
+        for _ in range(_DRAWS):
+            theirs, ours = _draw(model, law, within, random)
+            other = law(model.nv, params={param: list(value) for param, value in theirs.items()})
+            expected, came = (_torque(*pair, sliding) for pair in ((other, theirs), (model, ours)))
+            error = float((np.abs(came - expected) / np.maximum(np.abs(expected), np.finfo(float).tiny)).max())
+            if not error <= _TOLERANCE:
+                _fail(model, f"slides otherwise than {name} by {error:.3g} of its friction; see the values in contains")
+
+
+def _refuse_unknown(model: FrictionModel, law: type[FrictionModel], within: Mapping[str, Any]) -> None:
+    for param, rule in within.items():
+        if param not in model.dimensions:
+            _fail(model, f"{param} is none of its parameters; name one of {', '.join(model.dimensions)}")
+        if isinstance(rule, str) and rule not in law.dimensions:
+            _fail(model, f"{param} is {rule} of {law.name}, which has {', '.join(law.dimensions)}; name one of these")
+
+
+def _draw(
+    model: FrictionModel, law: type[FrictionModel], within: Mapping[str, Any], random: np.random.Generator
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Values of the contained law, and those with which the other one is that law, of shape (nv,)."""
+    ours = {name: _between(model, name, random) for name in model.params}
+    rules = {name: within.get(name, name) for name in model.params}
+    theirs = {rule: ours[name] for name, rule in rules.items() if isinstance(rule, str) and rule in law.dimensions}
+    theirs = {name: theirs.get(name, np.exp(random.uniform(-1, 1, model.nv))) for name in law.dimensions}  # else any
+    for name, rule in rules.items():
+        if isinstance(rule, float):
+            ours[name] = np.full(model.nv, rule)
+        elif callable(rule):
+            ours[name] = np.asarray(rule(theirs))
+        elif rule in theirs:
+            ours[name] = theirs[rule]
+    return theirs, ours
+
+
+def _between(model: FrictionModel, name: str, random: np.random.Generator) -> np.ndarray:
+    """A value near the initial one of a parameter, for at bounds a law may guard itself; of a known one, its own."""
+    param = model.params[name]
+    low, high, init = (param.each(what, model.nv) for what in ("low", "high", "init"))
+    if not param.is_identified:
+        return np.array(init)
+    low, high, init = (param.to_coordinate(end, np) for end in (low, high, init))
+    return param.from_coordinate(init + _NEAR * (random.uniform(low, high) - init), np)
+
+
+def _torque(model: FrictionModel, values: Mapping[str, np.ndarray], samples: DriveState) -> np.ndarray:
+    """Of a law with these values while it slides."""
+    state = {**model.state_dict(), **{name: torch.tensor(value) for name, value in values.items()}}
+    with torch.no_grad():
+        terms = as_numpy(model.terms(torch, state, torch_state(samples)).given())
+    return sliding_torque(np, FrictionTerms(**terms), samples.qvel)
+
+
+def _fail(model: FrictionModel, message: str) -> NoReturn:
+    raise ModelError(f"{model.name}: contains: {message}")

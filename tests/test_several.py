@@ -1,0 +1,109 @@
+"""Several starts: laws within laws, and minima beside the one that a search comes to."""
+
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from omegaconf import OmegaConf
+from test_fit import Problem, pose, record, x64  # noqa: F401 - x64 is a fixture for all tests
+
+from frictionzoo.core.config import compose_config
+from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.segments import Segments
+from frictionzoo.fit import LevenbergMarquardt, Several
+from frictionzoo.fit.chunk import search
+from frictionzoo.fit.contained import Part
+from frictionzoo.fit.normal_equations import NormalEquations
+from frictionzoo.fit.recordings import Recordings
+from frictionzoo.models import model_names
+from frictionzoo.models.registry import get_model
+
+LM, SEVERAL = LevenbergMarquardt(60, 1e-9), Several(60, 1e-9)
+CONTAINING = [name for name in model_names() if get_model(name).contains]
+SWINGS = ("data=twin", "data.samples=25000", "segments.length=100", "segments.count=60", "dtype=float64")
+
+
+def noisy() -> Segments:
+    """What no law explains to the last digit."""
+    rng, clean = np.random.default_rng(1), record()
+    qpos, qvel = clean.qpos.copy(), clean.qvel.copy()
+    qpos[:, 1:] += 1e-4 * rng.normal(size=qpos[:, 1:].shape)
+    qvel[:, 1:] += 1e-2 * rng.normal(size=qvel[:, 1:].shape)
+    return Segments(qpos, qvel, clean.signals, clean.timestep)
+
+
+def posed(law: str, *overrides: str) -> Problem:
+    problem = pose(law, *overrides, segments=noisy())
+    problem.objective.recordings = Recordings(SimpleNamespace(), problem.model, ())  # pyright: ignore[reportArgumentType]
+    return problem
+
+
+@pytest.mark.parametrize("law", CONTAINING)
+def test_a_contained_law_has_coordinates_within(law: str) -> None:
+    problem = posed(law)
+    whole = Part.of(problem.model, problem.objective.space)
+    parts = list(whole.contained())
+    assert [part.law.name for part in parts] == list(get_model(law).contains)
+    for part in parts:
+        start, low, high = part.box
+        assert len(start) < len(whole.box.start) and ((low <= start) & (start <= high)).all()
+        assert {name for name in part.places} <= set(part.law.dimensions)
+        np.testing.assert_allclose(part.own(part.whole(start)), start)
+        values = problem.objective.space.values(jnp.asarray(part.whole(start)))["friction"]
+        for name, rule in get_model(law).contains[part.law.name].items():
+            if rule == 0.0:
+                assert float(values[name][0]) == pytest.approx(
+                    max(problem.model.params[name].each("low", 1)[0], 0.0), rel=1e-9
+                )
+
+
+def test_a_known_value_keeps_a_law_from_containing_another() -> None:
+    problem = posed("stribeck", "model.params.stribeck_torque.identify=false")
+    assert not list(Part.of(problem.model, problem.objective.space).contained())
+
+
+def test_a_law_ends_no_higher_than_one_that_it_contains() -> None:
+    contained = search(LM, posed("mujoco_default").objective)[0].best_loss
+    assert search(SEVERAL, posed("harmonic_drive").objective)[0].best_loss < contained
+
+
+def test_a_drive_of_two_inertias_ends_no_higher_than_one(pose_problem: Callable) -> None:
+    def lowest(law: str, *astray: str) -> float:
+        options = (*SWINGS, f"model={law}", "fit=several", *astray)
+        problem = pose_problem(OmegaConf.to_container(compose_config(*options), resolve=True))
+        return float(search(problem.fit, problem.objective)[0].best_loss)
+
+    assert lowest("backlash", "model.params.rotor_inertia.init=1.0") < lowest("mujoco_default")
+
+
+def test_a_delay_is_looked_for_in_other_sample_intervals(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a loss that has a minimum in every interval, the lowest at the third."""
+    objective = posed("mujoco_default", "bench.params.delay.identify=true", "bench.params.delay.init=0.001").objective
+    recordings: Any = objective.recordings
+    objective.recordings = recordings._replace(logs=(SimpleNamespace(timestep=0.005),))
+    size, at = len(objective.space.start), objective.space.labels.index("bench.delay")
+    goal = np.asarray(objective.space.start) + 0.1
+
+    def evaluate(vector: np.ndarray) -> NormalEquations:
+        residuals, slopes, later = vector - goal, np.eye(size), vector[at] * 2
+        slopes[:, at] -= 0.1  # what else is found follows the delay
+        residuals -= 0.1 * (later - 3) / 2
+        residuals[at], slopes[at] = 0.2 * (later - 3), 0.4 * np.eye(size)[at]
+        residuals, slopes = np.append(residuals, np.sin(np.pi * later)), np.vstack([slopes, np.zeros(size)])
+        slopes[-1, at] = 2 * np.pi * np.cos(np.pi * later)
+        return NormalEquations(float(residuals @ residuals), slopes.T @ residuals, slopes.T @ slopes)
+
+    monkeypatch.setattr(objective, "compile_normal_equations", lambda: evaluate)
+    found, loss = SEVERAL.init(objective)
+    assert found[at] == pytest.approx(1.5, abs=1e-3) and loss < 1e-6
+    assert search(LM, objective)[0].best_loss > 0.1
+
+
+def test_impossible_options_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"^fit.tolerance=2.0; expected a number between 0 and 1"):
+        Several(tolerance=2.0)
+    with pytest.raises(ConfigError, match=r"^fit.tries=0: expected"):
+        Several(tries=0)
