@@ -71,6 +71,7 @@ class Backlash(FrictionModel):
         "smoothing": "1",
     }
     dissipative = True
+    sees = ("speed", "reversal")
     memory = 3
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:

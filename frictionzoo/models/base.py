@@ -38,6 +38,11 @@ class FrictionModel(Described, torch.nn.Module, ABC):
         inputs: What the law looks at in each sample besides the state, a field of `DriveState` that recordings have
             among their extras, and the value at which it acts where they lack it.
         memory: Numbers that the law remembers of each joint from step to step; 0 for a function of the present state.
+        sees: What the friction changes with, of `frictionzoo.models.sees.SEES`: `speed`; `slow`, that it falls as the
+            speed rises; `fast`, that it grows faster than the speed; `direction`, that it differs between the two;
+            `load`, `position`, `temperature`; `reversal`, that it remembers how long ago the motion turned round. By
+            this a run's verdict names the law that has a term which another lacks; a law that says nothing is not
+            named.
         params: Each physical parameter's initial value, bounds and scale.
 
     Args:
@@ -54,6 +59,7 @@ class FrictionModel(Described, torch.nn.Module, ABC):
     dissipative: bool = False
     inputs: Mapping[str, float] = {}
     memory: int = 0
+    sees: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, nv: int, params: Params | None = None) -> None:
         super().__init__()

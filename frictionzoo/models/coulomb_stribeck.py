@@ -42,6 +42,7 @@ class CoulombStribeck(FrictionModel):
         "smoothing_velocity": "velocity",
     }
     dissipative = True
+    sees = ("speed", "slow")
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The explicit torque."""

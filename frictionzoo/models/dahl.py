@@ -38,6 +38,7 @@ class Dahl(FrictionModel):
         "rest_velocity": "velocity",
     }
     dissipative = True
+    sees = ("speed", "reversal")
     memory = 1
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:

@@ -55,6 +55,7 @@ class HarmonicDrive(FrictionModel):
     dimensions = {**Directional.dimensions, **Ripple.dimensions, "cubic_damping": "damping/velocity^2"}
     constraint = True
     dissipative = True
+    sees = ("speed", "slow", "fast", "load", "position")
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The constraint's limit in this state, the viscous part's slope as damping, and what remains of that part."""

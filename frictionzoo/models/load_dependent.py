@@ -36,6 +36,7 @@ class LoadDependent(FrictionModel):
     dimensions = {"frictionloss": "torque", "damping": "damping", "load_friction": "1"}
     constraint = True
     dissipative = True
+    sees = ("speed", "load")
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The constraint's limit in this state, and the damping."""

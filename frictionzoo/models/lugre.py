@@ -46,6 +46,7 @@ class LuGre(FrictionModel):
         "rest_velocity": "velocity",
     }
     dissipative = True
+    sees = ("speed", "slow", "reversal")
     memory = 1
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:

@@ -57,6 +57,7 @@ class MaxwellSlip(FrictionModel):
         "rest_velocity": "velocity",
     }
     dissipative = True
+    sees = ("speed", "slow", "reversal")
 
     def __init__(self, nv: int, elements: int = 4, params: Params | None = None) -> None:
         super().__init__(nv, params)

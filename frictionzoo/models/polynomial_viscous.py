@@ -40,6 +40,7 @@ class PolynomialViscous(FrictionModel):
     }
     constraint = True
     dissipative = True
+    sees = ("speed", "fast")
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The constraint's limit, the polynomial's slope as damping, and what remains of the polynomial."""

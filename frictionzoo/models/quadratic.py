@@ -46,6 +46,7 @@ class Quadratic(FrictionModel):
     }
     constraint = True
     dissipative = True
+    sees = ("speed", "slow", "load")
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The constraint's limit in this state, and the damping."""

@@ -50,6 +50,7 @@ class Ripple(FrictionModel):
     }
     constraint = True
     dissipative = True
+    sees = ("speed", "position")
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The constraint's limit at this position, and the damping."""

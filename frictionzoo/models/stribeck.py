@@ -39,6 +39,7 @@ class Stribeck(FrictionModel):
     }
     constraint = True
     dissipative = True
+    sees = ("speed", "slow")
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The constraint's limit in this state, and the damping."""

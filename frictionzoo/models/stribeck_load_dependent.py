@@ -38,6 +38,7 @@ class StribeckLoadDependent(FrictionModel):
     dimensions = {**Stribeck.dimensions, "load_friction": "1", "stribeck_load_friction": "1"}
     constraint = True
     dissipative = True
+    sees = ("speed", "slow", "load")
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The constraint's limit in this state, and the damping."""
