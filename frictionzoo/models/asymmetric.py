@@ -51,6 +51,7 @@ class Asymmetric(FrictionModel):
     }
     constraint = True
     dissipative = True
+    sees = ("speed", "direction")
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The constant, the constraint's limit, and the damping of the direction."""

@@ -73,6 +73,7 @@ class Backlash(FrictionModel):
     contains = {"mujoco_default": {"rotor_inertia": 0.0, "gap": 0.0, "stiffness": float("inf")}}
     valleys = {"gap": (0.1, 10.0), "rotor_inertia": (0.1, 10.0)}
     dissipative = True
+    sees = ("speed", "reversal")
     memory = 3
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:

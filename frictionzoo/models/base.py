@@ -45,6 +45,11 @@ class FrictionModel(Described, torch.nn.Module, ABC):
         valleys: Parameters over which the loss is known to have several minima, and multiples of the initial value at
             which a search begins besides.
         memory: Numbers that the law remembers of each joint from step to step; 0 for a function of the present state.
+        sees: What the friction changes with, of `frictionzoo.models.sees.SEES`: `speed`; `slow`, that it falls as the
+            speed rises; `fast`, that it grows faster than the speed; `direction`, that it differs between the two;
+            `load`, `position`, `temperature`; `reversal`, that it remembers how long ago the motion turned round. By
+            this a run's verdict names the law that has a term which another lacks; a law that says nothing is not
+            named.
         params: Each physical parameter's initial value, bounds and scale.
 
     Args:
@@ -63,6 +68,7 @@ class FrictionModel(Described, torch.nn.Module, ABC):
     contains: ClassVar[Mapping[str, Within]] = {}
     valleys: ClassVar[Mapping[str, Sequence[float]]] = {}
     memory: int = 0
+    sees: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, nv: int, params: Params | None = None) -> None:
         super().__init__()

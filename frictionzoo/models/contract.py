@@ -19,6 +19,7 @@ from frictionzoo.models.base import FrictionModel, Values, sliding_torque
 from frictionzoo.models.contained import check_contained
 from frictionzoo.models.formula import Formula, as_numpy, jax_slopes, torch_slopes, torch_state, torch_values
 from frictionzoo.models.registry import REGISTRY
+from frictionzoo.models.sees import SEES, is_curved, observe
 from frictionzoo.models.torch_friction import TorchFriction
 
 TOLERANCE = 1e-12  # of torch against JAX in float64, relative to the largest entry of an array, absolute below 1
@@ -41,8 +42,9 @@ def check_model(model: FrictionModel, samples: DriveState | None = None) -> None
     its memory settles; a saved state is complete; a law that declares `dissipative` gives no energy to the drive, with
     its own values and with others between their bounds: all its terms together oppose the motion, at standstill its
     torque is within its frictionloss, and no damping is negative; it slides as each law that it says it contains, with
-    the values at which it is that law. A law that exists only in torch keeps the same contract in torch alone; it has
-    no memory, and its terms in one state do not depend on the others of a batch.
+    the values at which it is that law; a law that says what it `sees` sees just that. A law that exists only in torch
+    keeps the same contract in torch alone; it has no memory, and its terms in one state do not depend on the others of
+    a batch.
 
     Args:
         model: An instance of the model.
@@ -73,6 +75,7 @@ def check_model(model: FrictionModel, samples: DriveState | None = None) -> None
     _check_saved_state(model, prepared, samples)
     _check_dissipation(prepared, samples)
     check_contained(prepared, samples)
+    _check_sees(prepared, samples)
 
 
 def _fail(model: FrictionModel, clause: str, message: str, cause: Exception | None = None) -> NoReturn:
@@ -304,6 +307,19 @@ def _check_power(model: FrictionModel, values: dict[str, torch.Tensor], samples:
         _fail(model, "dissipative", message)
     if (damping < 0).any():
         _fail(model, "dissipative", "damping is negative; keep it at 0 or above, or drop the claim")
+
+
+def _check_sees(model: FrictionModel, samples: DriveState) -> None:
+    """What a law says that its friction changes with is what it does change with; it may say nothing."""
+    said = {*model.sees}
+    for name in said - {*SEES}:
+        _fail(model, "sees", f"{name} is nothing that friction changes with; {closest(name, SEES)}")
+    if not said:
+        return
+    seen = observe(model, samples) | ({"fast"} if "fast" in said and is_curved(model, samples) else set())
+    if said != seen:
+        came, found = (", ".join(sorted(names)) or "nothing" for names in (said, seen))
+        _fail(model, "sees", f"it says {came}, and its friction changes with {found}; say that")
 
 
 def _draw_samples(model: FrictionModel) -> DriveState:

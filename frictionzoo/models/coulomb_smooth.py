@@ -28,6 +28,7 @@ class CoulombSmooth(FrictionModel):
 
     dimensions = {"static_torque": "torque", "smoothing": "1/velocity", "viscous_coefficient": "damping"}
     dissipative = True
+    sees = ("speed",)
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The explicit torque."""

@@ -50,6 +50,7 @@ class CoulombStribeck(FrictionModel):
     }
     valleys = {"stribeck_velocity": (0.3, 3.0)}
     dissipative = True
+    sees = ("speed", "slow")
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The explicit torque."""

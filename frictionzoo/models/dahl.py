@@ -39,6 +39,7 @@ class Dahl(FrictionModel):
     }
     valleys = {"stiffness": (0.1, 10.0)}
     dissipative = True
+    sees = ("speed", "reversal")
     memory = 1
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:

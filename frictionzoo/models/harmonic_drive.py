@@ -67,6 +67,7 @@ class HarmonicDrive(FrictionModel):
     valleys = {"stribeck_velocity": (0.3, 3.0)}
     constraint = True
     dissipative = True
+    sees = ("speed", "slow", "fast", "load", "position")
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The constraint's limit in this state, the viscous part's slope as damping, and what remains of that part."""

@@ -57,6 +57,7 @@ class HistoryNetwork(NetworkModel):
             shorter first.
     """
 
+    sees = (*NetworkModel.sees, "reversal")
     time_constants: torch.Tensor
 
     def __init__(

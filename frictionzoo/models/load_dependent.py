@@ -37,6 +37,7 @@ class LoadDependent(FrictionModel):
     contains = {"mujoco_default": {"load_friction": 0.0}}
     constraint = True
     dissipative = True
+    sees = ("speed", "load")
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The constraint's limit in this state, and the damping."""

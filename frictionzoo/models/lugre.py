@@ -50,6 +50,7 @@ class LuGre(FrictionModel):
     }
     valleys = {"stribeck_velocity": (0.3, 3.0), "stiffness": (0.1, 10.0)}
     dissipative = True
+    sees = ("speed", "slow", "reversal")
     memory = 1
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:

@@ -58,6 +58,7 @@ class MaxwellSlip(FrictionModel):
     }
     valleys = {"stribeck_velocity": (0.3, 3.0), "presliding": (0.1, 10.0)}
     dissipative = True
+    sees = ("speed", "slow", "reversal")
 
     def __init__(self, nv: int, elements: int = 4, params: Params | None = None) -> None:
         super().__init__(nv, params)

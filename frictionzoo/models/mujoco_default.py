@@ -30,6 +30,7 @@ class MujocoDefault(FrictionModel):
     dimensions = {"frictionloss": "torque", "damping": "damping"}
     constraint = True
     dissipative = True
+    sees = ("speed",)
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The constraint's limit and the damping, whatever the state."""

@@ -42,6 +42,7 @@ class NetworkModel(FrictionModel):
         ConfigError: A width or the number of layers is out of bounds, and as `FrictionModel` has it.
     """
 
+    sees = ("speed", "slow", "fast", "direction", "load", "position")
     columns: ClassVar[int] = INPUTS
     input_mean: torch.Tensor
     input_std: torch.Tensor

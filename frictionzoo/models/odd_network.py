@@ -47,6 +47,8 @@ class OddNetwork(GearNetwork):
     which has no sign of its own where it is a position.
     """
 
+    sees = ("speed", "slow", "fast", "load", "position")
+
     def __init__(self, nv: int, hidden: Sequence[int] = (64, 64), seed: int = 0) -> None:
         super().__init__(nv, hidden, 1, seed)
 

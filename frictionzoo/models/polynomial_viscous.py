@@ -41,6 +41,7 @@ class PolynomialViscous(FrictionModel):
     contains = {"mujoco_default": {"quadratic_damping": 0.0, "cubic_damping": 0.0}}
     constraint = True
     dissipative = True
+    sees = ("speed", "fast")
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The constraint's limit, the polynomial's slope as damping, and what remains of the polynomial."""

@@ -51,6 +51,7 @@ class Ripple(FrictionModel):
     contains = {"mujoco_default": {"sine_1": 0.0, "cosine_1": 0.0, "sine_2": 0.0, "cosine_2": 0.0}}
     constraint = True
     dissipative = True
+    sees = ("speed", "position")
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The constraint's limit at this position, and the damping."""

@@ -43,6 +43,7 @@ class StribeckLoadDependent(FrictionModel):
     valleys = {"stribeck_velocity": (0.3, 3.0)}
     constraint = True
     dissipative = True
+    sees = ("speed", "slow", "load")
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The constraint's limit in this state, and the damping."""

@@ -26,6 +26,7 @@ class TemperatureModel(FrictionModel):
 
     constraint = True
     dissipative = True
+    sees = ("speed", "temperature")
 
     def __init__(self, nv: int, reference: float = 25.0, params: Params | None = None) -> None:
         super().__init__(nv, params)
