@@ -39,6 +39,10 @@ class Blocks(NamedTuple):
         weight: 1; 0 for a segment that only fills the last block.
         stretch: Number of the stretch of consecutive segments to which a segment belongs, from 0.
         linked: 1 where the next segment begins at the end of this one; 0 elsewhere.
+        counts: 1; 0 for a joint in an interval in which it is too slow, (blocks, segments, intervals, nv). None where
+            all count.
+        inertia: Joint-space inertia without armature where each begins [kg m^2 or kg], (blocks, segments, nv, nv). None
+            where errors do not count by impulse.
     """
 
     qpos: Any
@@ -48,6 +52,8 @@ class Blocks(NamedTuple):
     weight: Any
     stretch: Any
     linked: Any
+    counts: Any = None
+    inertia: Any = None
 
 
 def devices_of(rollout: Rollout) -> list[Any]:
@@ -88,7 +94,14 @@ def to_numpy(parts: Iterable[Array]) -> list[np.ndarray]:
     return [np.asarray(part, np.float64) for part in parts]
 
 
-def into_blocks(segments: Segments, stretches: int, dtype: Any, rollout: Rollout) -> Blocks:
+def into_blocks(
+    segments: Segments,
+    stretches: int,
+    dtype: Any,
+    rollout: Rollout,
+    counts: np.ndarray | None = None,
+    inertia: np.ndarray | None = None,
+) -> Blocks:
     """Equal blocks; where the segments do not fill the last, its rest repeats the last segment with no weight."""
     devices, kept = devices_of(rollout), rollout.keeps_slopes
     largest = max(1, (KEPT_STATES if kept else BLOCK_STATES) // (segments.length * segments.qpos.shape[2]))
@@ -107,7 +120,8 @@ def into_blocks(segments: Segments, stretches: int, dtype: Any, rollout: Rollout
     if segments.follows is not None:
         follows[: segments.count] = segments.follows
     linked = np.append(follows[1:], np.zeros(1, dtype)).reshape(blocks, size)
-    host = Blocks(*measured, weight, stretch, linked)
+    optional = (None if signal is None else cut(signal) for signal in (counts, inertia))
+    host = Blocks(*measured, weight, stretch, linked, *optional)
     if len(devices) == 1:
         return jax.tree.map(jnp.asarray, host)
     sharding = NamedSharding(Mesh(np.array(devices), ("segments",)), PartitionSpec(None, "segments"))
