@@ -82,6 +82,8 @@ class Loss(TypedDict, total=False):
     refine: bool
     continuity: float
     by_joint: bool
+    impulse: bool
+    slow: float
 
 
 class Judging(TypedDict, total=False):

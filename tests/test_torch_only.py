@@ -255,8 +255,9 @@ def test_what_needs_more_than_a_gradient_is_refused_in_one_line(
     with pytest.raises(ConfigError, match=r"fit\.derivative=forward: torch_constraint exists only in torch"):
         objective.value_and_grad("forward")
     rollout = Drive.assemble(knee, law, "specialised").rollout
-    with pytest.raises(ConfigError, match=r"loss\.refine=true: torch_constraint exists only in torch"):
-        Objective(objective.space, rollout, segments, **(LOSS | {"refine": True}))
+    for option, loss in (("refine", LOSS), ("impulse", LOSS | {"position": 0.0})):
+        with pytest.raises(ConfigError, match=rf"loss\.{option}=true: torch_constraint exists only in torch"):
+            Objective(objective.space, rollout, segments, **(loss | {option: True}))
 
 
 @pytest.fixture

@@ -70,12 +70,21 @@ def put_inertial(model: mujoco.MjModel, body: int, inertial: Float[np.ndarray, "
 
 def rigid_inertia(model: mujoco.MjModel) -> Float[np.ndarray, "nv nv"]:
     """Joint-space inertia at the reference position without the armature [kg m^2 or kg], the same bits for any."""
+    return rigid_inertia_at(model, model.qpos0[None])[0]
+
+
+def rigid_inertia_at(model: mujoco.MjModel, qpos: Float[np.ndarray, "places nv"]) -> Float[np.ndarray, "places nv nv"]:
+    """The same at these positions."""
     model, data = copy.copy(model), mujoco.MjData(model)
     model.dof_armature[:] = 0  # taken off afterwards, its rounding would stay
-    data.qpos[:] = model.qpos0
+    inertia = np.zeros((len(qpos), model.nv, model.nv))
+    for matrix, data.qpos[:] in zip(inertia, qpos, strict=True):
+        _write_inertia(model, data, matrix)
+    return inertia
+
+
+def _write_inertia(model: mujoco.MjModel, data: mujoco.MjData, inertia: Float[np.ndarray, "nv nv"]) -> None:
     # Not mj_forward, which divides by the inertia: without its armature a joint may have none.
     for stage in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_tendon, mujoco.mj_makeM):
         stage(model, data)
-    inertia = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, inertia)
-    return inertia

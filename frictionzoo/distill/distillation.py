@@ -116,7 +116,14 @@ def _replace_choices(teacher: Identified, choices: Mapping[str, str]) -> DictCon
     count, length = (settings["segments"][key] for key in ("count", "length"))
     longer = max(length, round(settings["evaluation"]["horizons"][0] / teacher.segments.timestep))
     own = {
-        "loss": {**settings["loss"], "robust": "none", "refine": False, "continuity": 0.0},
+        "loss": {
+            **settings["loss"],
+            "robust": "none",
+            "refine": False,
+            "continuity": 0.0,
+            "impulse": False,
+            "slow": 0.0,
+        },
         "segments": {"count": None if count is None else max(1, count * length // longer), "length": longer},
         **{"resume": None, "logger": logger},
     }

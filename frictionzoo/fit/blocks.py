@@ -42,6 +42,10 @@ class Blocks(NamedTuple):
         weight: 1; 0 for a segment that only fills the last block.
         stretch: Number of the stretch of consecutive segments to which a segment belongs, from 0.
         linked: 1 where the next segment begins at the end of this one; 0 elsewhere.
+        counts: 1; 0 for a joint in an interval in which it is too slow, (blocks, segments, intervals, nv). None where
+            all count.
+        inertia: Joint-space inertia without armature where each begins [kg m^2 or kg], (blocks, segments, nv, nv). None
+            where errors do not count by impulse.
     """
 
     qpos: Any
@@ -51,6 +55,8 @@ class Blocks(NamedTuple):
     weight: Any
     stretch: Any
     linked: Any
+    counts: Any = None
+    inertia: Any = None
 
 
 def devices_of(rollout: Rollout) -> list[Any]:
@@ -104,7 +110,14 @@ def divide(segments: Segments) -> Int[np.ndarray, "batch"]:
     return number * min(units, MOST_STRETCHES) // units
 
 
-def into_blocks(segments: Segments, stretch: Int[np.ndarray, "batch"], dtype: Any, rollout: Rollout) -> Blocks:
+def into_blocks(
+    segments: Segments,
+    stretch: Int[np.ndarray, "batch"],
+    dtype: Any,
+    rollout: Rollout,
+    counts: np.ndarray | None = None,
+    inertia: np.ndarray | None = None,
+) -> Blocks:
     """Equal blocks; where the segments do not fill the last, its rest repeats the last segment with no weight.
 
     Args:
@@ -112,6 +125,8 @@ def into_blocks(segments: Segments, stretch: Int[np.ndarray, "batch"], dtype: An
         stretch: To which stretch each of them belongs, as `divide` has it.
         dtype: Of numbers.
         rollout: What will simulate them.
+        counts: As `Blocks` has it, by segment.
+        inertia: Likewise.
     """
     devices, kept = devices_of(rollout), rollout.keeps_slopes
     largest = max(1, (KEPT_STATES if kept else BLOCK_STATES) // (segments.length * segments.qpos.shape[2]))
@@ -130,7 +145,8 @@ def into_blocks(segments: Segments, stretch: Int[np.ndarray, "batch"], dtype: An
     if segments.follows is not None:
         follows[: segments.count] = segments.follows
     linked = np.append(follows[1:], np.zeros(1, dtype)).reshape(blocks, size)
-    host = Blocks(*measured, weight, numbers, linked)
+    optional = (None if signal is None else cut(signal) for signal in (counts, inertia))
+    host = Blocks(*measured, weight, numbers, linked, *optional)
     if len(devices) == 1:
         return jax.tree.map(jnp.asarray, host)
     sharding = NamedSharding(Mesh(np.array(devices), ("segments",)), PartitionSpec(None, "segments"))

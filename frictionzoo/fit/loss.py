@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from frictionzoo.core.errors import ConfigError, closest
+from frictionzoo.core.errors import ConfigError, closest, refuse_outside
 from frictionzoo.fit.blocks import Blocks, each
+from frictionzoo.fit.impulse import impulses
 from frictionzoo.simulate import Values
 
 ROBUST: Mapping[str, Callable[[Any], Any]] = {
@@ -41,9 +42,11 @@ class Loss:
     robust_scale: float
     refine: bool
     continuity: float
+    encoder_step: float
     by_joint: bool
+    impulse: bool
+    slow: float
     size: Float[np.ndarray, "nv 2"] | None = None
-    encoder_step: float = 0.0
 
     def __post_init__(self) -> None:
         position, velocity, robust = self.position, self.velocity, self.robust
@@ -55,6 +58,11 @@ class Loss:
             raise ConfigError(f"loss.robust={robust}: unknown; {closest(robust, ROBUST)}")
         if not self.robust_scale > 0:
             raise ConfigError(f"loss.robust_scale={self.robust_scale:g}; expected a positive number")
+        if self.impulse and (self.refine or position):
+            raise ConfigError(
+                f"loss.impulse=true with loss.refine={str(self.refine).lower()}, loss.position={position:g}; expected "
+                "loss.refine=false and loss.position=0, for impulses are between measured velocities"
+            )
         if self.refine and robust != "none":
             raise ConfigError(f"loss.robust={robust} with loss.refine=true; expected one of them, set the other off")
         if self.refine and not position * velocity:
@@ -65,6 +73,9 @@ class Loss:
             raise ConfigError(f"loss.continuity={self.continuity:g}; expected a weight of at least 0")
         if self.continuity and not self.refine:
             raise ConfigError(f"loss.continuity={self.continuity:g} with loss.refine=false; expected loss.refine=true")
+        refuse_outside("loss.slow", self.slow, 0, 1)
+        if self.slow and not self.impulse:
+            raise ConfigError(f"loss.slow={self.slow:g} with loss.impulse=false; expected loss.impulse=true")
 
     @property
     def roots(self) -> Float[np.ndarray, "#nv 2"]:
@@ -88,6 +99,30 @@ class Loss:
         half, width = self.encoder_step / 2, soft_width(self.encoder_step)
         ends = jax.nn.softplus((errors - half) / width), jax.nn.softplus((-errors - half) / width)
         return width * (ends[0] - ends[1])
+
+    def errors(
+        self, start: tuple[Array, Array], predicted: tuple[Array, Array], armature: Any, block: Blocks
+    ) -> Float[Array, "segments time nv kinds"]:
+        """Weighted errors of position and velocity, with that of the initial state first where it is refined.
+
+        Or weighted impulses, where these count.
+        """
+        errors = []
+        rounded = (self.unexplained, lambda missed: missed)  # positions alone
+        for root, beyond, begun, after, measured in zip(
+            self.roots.T, rounded, start, predicted, (block.qpos, block.qvel), strict=True
+        ):
+            if not root.any():
+                continue
+            whole = jnp.concatenate([begun[:, None], after], axis=1) if self.refine else after
+            missed = beyond(whole - (measured if self.refine else measured[:, 1:]))
+            errors.append(root * self.counted(missed, armature, block))
+        return jnp.stack(errors, axis=-1) * block.weight[:, None, None, None]
+
+    def counted(self, errors: Array, armature: Any, block: Blocks) -> Float[Array, "segments time nv"]:
+        """The errors, or the impulses of which they are made, where joints are fast enough."""
+        missed = impulses(errors, block.inertia, armature) if self.impulse else errors
+        return missed if block.counts is None else block.counts * missed
 
     def over(self, squares: Float[np.ndarray, "nv 2"]) -> "Loss":
         """The same with each joint's errors over these mean squares, of which none counts as next to nothing.
@@ -127,12 +162,24 @@ def soft_width(encoder_step: float) -> float:
     return _SOFT * encoder_step / 2
 
 
-def mean_squares(rollout: Callable[..., tuple[Any, Any]], values: Values, data: Blocks) -> Float[np.ndarray, "nv 2"]:
-    """Of each joint's errors of position and velocity over all segments, from measured initial states."""
-    found = np.zeros((data.qpos.shape[3], 2))
+def mean_squares(
+    loss: Loss, rollout: Callable[..., tuple[Any, Any]], values: Values, data: Blocks
+) -> Float[np.ndarray, "nv 2"]:
+    """Of what counts of each joint's errors of position and velocity, over all segments, from measured states."""
+    found, number = np.zeros((data.qpos.shape[3], 2)), np.zeros(data.qpos.shape[3])
     for block in each(data):
         predicted = rollout(values, block.qpos[:, 0], block.qvel[:, 0], block.signals, block.load)
-        measured = block.qpos[:, 1:], block.qvel[:, 1:]
-        squares = np.stack([np.square(new - old) for new, old in zip(predicted, measured, strict=True)], axis=-1)
-        found += np.einsum("stvk,s->vk", squares, block.weight)
-    return found / (float(data.weight.sum()) * (data.qpos.shape[2] - 1))
+        measured, armature = (block.qpos[:, 1:], block.qvel[:, 1:]), values["bench"]["armature"]
+        missed = [loss.counted(new - old, armature, block) for new, old in zip(predicted, measured, strict=True)]
+        found += np.einsum("stvk,s->vk", np.square(np.stack(missed, axis=-1)), block.weight)
+        number += count_terms(block)
+    return found / np.maximum(number, 1)[:, None]
+
+
+def count_terms(data: Blocks) -> Float[np.ndarray, "nv"]:
+    """In how many intervals of all segments each joint counts."""
+    *_, intervals, nv = np.shape(data.qpos)
+    if data.counts is None:
+        return np.full(nv, (intervals - 1) * float(np.sum(data.weight)))
+    counts = np.asarray(data.counts)
+    return np.einsum("stv,s->v", counts.reshape(-1, *counts.shape[-2:]), np.ravel(data.weight))

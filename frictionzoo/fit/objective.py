@@ -14,7 +14,8 @@ from jaxtyping import Array, Float
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.segments import Segments
 from frictionzoo.fit.blocks import Blocks, alone, divide, each, each_part, into_blocks, side_by_side, to_numpy
-from frictionzoo.fit.loss import Loss, mean_squares
+from frictionzoo.fit.impulse import is_moving, rigid_inertia_of
+from frictionzoo.fit.loss import Loss, count_terms, mean_squares
 from frictionzoo.fit.normal_equations import NormalEquations
 from frictionzoo.fit.recordings import Recordings
 from frictionzoo.fit.shooting import Equations, Mixed, Shooting, follow, join_equations
@@ -60,6 +61,9 @@ class Objective:
             segments act as one long rollout that cannot diverge.
         encoder_step: Step to which positions were rounded [rad or m], so that errors count beyond half of it; 0: none.
         by_joint: Whether `balanced` weighs joints.
+        impulse: Whether velocity errors count by the impulses that joints lacked for them, interval by interval, and
+            not as they add up.
+        slow: Share of a joint's root mean square speed; of slower intervals the impulse does not count.
 
     Raises:
         ConfigError: A weight is negative, or both are 0; the robust loss is unknown or cannot be combined; initial
@@ -80,13 +84,16 @@ class Objective:
         continuity: float = 0.0,
         encoder_step: float = 0.0,
         by_joint: bool = False,
+        impulse: bool = False,
+        slow: float = 0.0,
     ) -> None:
-        weights = position, velocity, robust, robust_scale, refine, continuity, by_joint
-        self._loss = Loss(*weights, encoder_step=encoder_step)
-        if refine and isinstance(rollout, TorchRollout):
-            raise ConfigError(
-                f"loss.refine=true: {rollout.law} exists only in torch, with no forward mode; set loss.refine=false"
-            )
+        how = position, velocity, robust, robust_scale, refine, continuity, encoder_step, by_joint, impulse, slow
+        self._loss = Loss(*how)
+        for option, why in (("refine", "with no forward mode"), ("impulse", "where the loss knows no armature")):
+            if isinstance(rollout, TorchRollout) and getattr(self._loss, option):
+                raise ConfigError(
+                    f"loss.{option}=true: {rollout.law} exists only in torch, {why}; set loss.{option}=false"
+                )
         if continuity and (segments.follows is None or not segments.follows.any()):
             raise ConfigError(
                 f"loss.continuity={continuity:g}: no segment begins where another ends; expected neighbours, as "
@@ -96,14 +103,16 @@ class Objective:
         self.compile: Callable[..., Any] = rollout.compile
         stretch = divide(segments)
         self.stretches: int = int(stretch[-1]) + 1
-        self.data: Blocks = into_blocks(segments, stretch, space.start.dtype, rollout)
+        counts = is_moving(segments, slow) if slow else None
+        inertia = rigid_inertia_of(space.bench, segments) if impulse else None
+        self.data: Blocks = into_blocks(segments, stretch, space.start.dtype, rollout, counts, inertia)
         self.devices: int = len(self.data.weight.sharding.device_set)
         self._first = min(self.data.weight.sharding.device_set, key=lambda device: device.id)
         self._rollout = rollout
         self.recordings: Recordings | None = None
         self._programs: dict[Any, Any] = {}  # compiled equations: a fit's own serve again when it is judged
         self._sparsity = Sparsity.of(space, rollout.branches)
-        self._terms = segments.count * (segments.length + refine) * segments.qpos.shape[2]
+        self._terms = float(count_terms(self.data).sum()) + refine * segments.count * segments.qpos.shape[2]
 
     def for_drive(self, space: Space, rollout: Rollout) -> "Objective":
         """The same objective of another drive on the same bench, on the data that the devices hold already."""
@@ -131,7 +140,7 @@ class Objective:
         if not self._loss.by_joint:
             return self
         other = copy.copy(self)
-        errors = mean_squares(self._rollout.compiled, self.space.values(self.space.start), self.data)
+        errors = mean_squares(self._loss, self._rollout.compiled, self.space.values(self.space.start), self.data)
         other._loss, other._programs = self._loss.over(errors), {}
         return other
 
@@ -334,7 +343,7 @@ class Objective:
 
     def _loss_of_prediction(self, predicted: tuple[Array, Array], block: Blocks) -> Float[Array, ""]:
         """A block's part of the objective where initial states are not refined."""
-        errors = self._errors(block.qpos[:, 0], block.qvel[:, 0], predicted, block)
+        errors = self._loss.errors((block.qpos[:, 0], block.qvel[:, 0]), predicted, None, block)
         return self._loss.sum(jnp.square(errors)) / self._terms
 
     def _residuals(
@@ -342,28 +351,13 @@ class Objective:
     ) -> Float[Array, "segments time nv kinds"]:
         qpos, qvel = jnp.split(own, 2, axis=1)
         predicted = self._rollout(values, qpos, qvel, block.signals, block.load)
-        errors = self._errors(qpos, qvel, predicted, block)
+        errors = self._loss.errors((qpos, qvel), predicted, values["bench"]["armature"], block)
         if self._loss.gap is None:
             return errors
         ends = jnp.stack([state[:, -1] for state in predicted], axis=-1)
         gaps = ends - jnp.stack(jnp.split(following, 2, axis=1), axis=-1)
         gaps = self._loss.gap * gaps * block.linked[:, None, None]
         return jnp.concatenate([errors, gaps[:, None]], axis=1)
-
-    def _errors(
-        self, qpos: Array, qvel: Array, predicted: tuple[Array, Array], block: Blocks
-    ) -> Float[Array, "segments time nv kinds"]:
-        """Weighted errors of position and velocity, with that of the initial state first where it is refined."""
-        errors = []
-        counted = (self._loss.unexplained, lambda errors: errors)
-        for root, count, start, after, measured in zip(
-            self._loss.roots.T, counted, (qpos, qvel), predicted, (block.qpos, block.qvel), strict=True
-        ):
-            if not root.any():
-                continue
-            whole = jnp.concatenate([start[:, None], after], axis=1) if self._loss.refine else after
-            errors.append(root * count(whole - (measured if self._loss.refine else measured[:, 1:])))
-        return jnp.stack(errors, axis=-1) * block.weight[:, None, None, None]
 
     def _look(self, vector: Array, block: Blocks, own: Array, following: Array) -> Seen:
         """A block's residuals, with what their derivative is made of."""

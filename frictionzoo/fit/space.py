@@ -46,6 +46,7 @@ class Space:
     all joints that share a value; a network's weights are their own coordinates. Known values have none.
 
     Attributes:
+        bench: The test stand.
         params: The physical parameters that are identified in any joint, by their full name, `bench.armature`.
         places: Where their coordinates are among the joints, by the same names.
         names: All that is identified, physical parameters first, then a network's weights.
@@ -68,6 +69,7 @@ class Space:
     def __init__(self, bench: Bench, model: FrictionModel, dtype: Any) -> None:
         bench_values = {name: jnp.asarray(value, dtype) for name, value in bench.initial_values().items()}
         self._values = {"bench": bench_values, "friction": to_jax(model, dtype)}
+        self.bench: Bench = bench
         self._nv = bench.nv
         specs = {f"bench.{name}": param for name, param in bench.params.items()}
         specs |= {f"friction.{name}": param for name, param in model.params.items()}
