@@ -117,6 +117,7 @@ def _replace_choices(teacher: Identified, choices: Mapping[str, str]) -> DictCon
     longer = max(length, round(settings["evaluation"]["horizons"][0] / teacher.segments.timestep))
     own = {
         "loss": {**settings["loss"], "robust": "none", "refine": False, "continuity": 0.0},
+        "discretisation": False,  # what it follows was simulated in the same steps
         "segments": {"count": None if count is None else max(1, count * length // longer), "length": longer},
         **{"resume": None, "logger": logger},
     }
