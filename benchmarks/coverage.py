@@ -28,9 +28,8 @@ from frictionzoo.core.described import remake
 from frictionzoo.core.log import Log
 from frictionzoo.core.segments import cut_rollouts, cut_segments
 from frictionzoo.core.state import DriveState
-from frictionzoo.fit import LevenbergMarquardt, estimate_uncertainty
+from frictionzoo.fit import LevenbergMarquardt, Objective, estimate_uncertainty
 from frictionzoo.fit.blocks import divide, into_blocks
-from frictionzoo.fit.chunk import search
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.identification import Parts, Problem, solve
 from frictionzoo.identification.pilot import Pilot
@@ -161,6 +160,7 @@ class Fits:
             Pilot(remake(self._bench, timestep=step), law, [log], segments, loss, "specialised")
             for step in (TIMESTEP, TIMESTEP / 2)
         )
+        self._law, self._curves = law, jax.jit(jax.vmap(self._curve, in_axes=(0, None)))
 
     def fit(self, log: Log) -> tuple[np.ndarray, Uncertainty]:
         """The best vector, and how far the log determines it."""
@@ -168,20 +168,29 @@ class Fits:
         segments = cut_segments([self._bench.accept(log)], None, LENGTH)
         for own in (objective, finer):
             own.data = into_blocks(segments, divide(segments), jnp.float64, own._rollout)
-        progress, _ = search(LevenbergMarquardt(), objective)
-        vector = np.asarray(progress.best, np.float64)
+        vector = minimise(objective)
+        self.pilot.objective = objective.starting(vector)  # the next log has its minimum nearby
         return vector, estimate_uncertainty(objective, vector, finer=lambda: finer)
 
     def curves(self, vectors: Float[np.ndarray, "draws coordinates"], speed: np.ndarray) -> np.ndarray:
         """Friction over speed [N m] of each vector, (draws, speeds)."""
-        law, state = self.pilot._drive.model, DriveState(*[jnp.zeros((len(speed), 1))] * 5)
+        return np.asarray(self._curves(jnp.asarray(vectors), jnp.asarray(speed)))
 
-        def curve(vector: Any) -> Any:
-            at = state._replace(qvel=jnp.asarray(speed)[:, None])
-            terms = law.terms(jnp, self.pilot.space.values(vector)["friction"], at)
-            return sliding_torque(jnp, terms, at.qvel)[:, 0]
+    def _curve(self, vector: Any, speed: Any) -> Any:
+        at = DriveState(*[jnp.zeros((len(speed), 1))] * 5)._replace(qvel=speed[:, None])
+        terms = self._law.terms(jnp, self.pilot.space.values(vector)["friction"], at)
+        return sliding_torque(jnp, terms, at.qvel)[:, 0]
 
-        return np.asarray(jax.jit(jax.vmap(curve))(jnp.asarray(vectors)))
+
+def minimise(objective: Objective) -> np.ndarray:
+    """The best vector, by Levenberg-Marquardt without a record of its course, which is compiled for each fit."""
+    method = LevenbergMarquardt()
+    vector, state = method.init(objective)
+    tried = []
+    while not method.done(state) and len(tried) < method.total(objective):
+        tried.append(vector)
+        _, vector, state = method.step(objective, vector, state, objective.data)
+    return np.asarray(tried[int(np.argmin(state.loss[: len(tried)]))], np.float64)
 
 
 def mean_friction(recorded: Recorded, speed: np.ndarray) -> np.ndarray:
