@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from frictionzoo.bench.base import Bench
     from frictionzoo.bench.robot import Robot
     from frictionzoo.comparison.compared import Compared
+    from frictionzoo.comparison.spread import spread
     from frictionzoo.core.log import Log
     from frictionzoo.core.params import Param
     from frictionzoo.core.state import DriveState, FrictionTerms
@@ -53,6 +54,7 @@ __all__ = [
     "read",
     "register_model",
     "rollout",
+    "spread",
 ]
 __version__ = "0.1.0"
 
@@ -71,6 +73,7 @@ _HOMES = {
     "Split": "frictionzoo.logs.split",
     "check_model": "frictionzoo.models.contract",
     "rollout": "frictionzoo.simulate.differentiable",
+    "spread": "frictionzoo.comparison.spread",
 }
 
 

@@ -120,6 +120,7 @@ class How(TypedDict, total=False):
     loop: Looping
     scale: Mapping[str, float]
     checkup: str
+    discretisation: bool | None
     seed: int
     dtype: str | None
     engine: str
@@ -200,6 +201,7 @@ def identify(
     loop: Looping | None = None,
     scale: Mapping[str, float] | None = None,
     checkup: str = "strict",
+    discretisation: bool | None = None,
     seed: int = 0,
     dtype: str | None = None,
     engine: str = "auto",
@@ -227,6 +229,8 @@ def identify(
             a law that is named are multiples; 1 in SI units where nothing is said.
         checkup: `strict`, or `warn`: what is certainly wrong with the recordings, or with the bench for them, is a
             warning of the result and no error.
+        discretisation: Whether intervals hold what the simulation's step does, for which rollouts of half the step are
+            compiled; None: where there is one joint.
         seed: Of a network's initial weights, for a law that is named.
         dtype: `float32` or `float64`; None as the recipe has it.
         engine: `auto`, `specialised` or `mjx`.
@@ -246,7 +250,7 @@ def identify(
     refuse_unlike("method", fit, Fit, f"a name, {', '.join(METHODS.names())}, or such an object")
     sections = {"segments": segments, "loss": loss, "evaluation": evaluation, "loop": loop, "scale": scale}
     given: dict[str, Any] = {name: options for name, options in sections.items() if options is not None}
-    given |= {"checkup": checkup, "seed": seed, "engine": engine, "device": device}
+    given |= {"checkup": checkup, "discretisation": discretisation, "seed": seed, "engine": engine, "device": device}
     given["compilation_cache"] = compilation_cache
     given |= {} if dtype is None else {"dtype": dtype}
     refuse_unknown(recipe)

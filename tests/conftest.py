@@ -206,7 +206,7 @@ def tiny(recording: Path) -> tuple[str, ...]:
     """Overrides of a job of seconds. Its rollouts have one shape, so that little is compiled."""
     return (
         *("data=files", "recipe=given", f"data.train=[{recording}]", "data.split.gap=0.05", "dtype=float64"),
-        *("segments.count=20", "loop.chunk=2", "loop.progress=false"),
+        *("segments.count=20", "loop.chunk=2", "loop.progress=false", "discretisation=false"),
         *(f"{option}={value}" for option, value in BRIEF.items()),
     )
 

@@ -1,16 +1,21 @@
 """Drives that are drawn from the joint distribution of what was identified."""
 
 import copy
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 import scipy.stats
+from conftest import trace_nothing
 
 import frictionzoo as fz
 from frictionzoo.core.errors import ConfigError, RunError
+from frictionzoo.core.segments import Segments
+from frictionzoo.core.state import Signals
 from frictionzoo.fit.covariance import Covariance
+from frictionzoo.result.band import predict_band
 
 MANY = 20_000
 
@@ -64,3 +69,34 @@ def test_nothing_is_drawn_without_intervals(finished_run: Callable[[str], Any]) 
     object.__setattr__(drive, "result", {**drive.result, "covariance": None, "no_intervals": "nothing was identified"})
     with pytest.raises(RunError, match="nothing was identified, expected intervals to draw from"):
         drive.sample(10)
+
+
+def test_a_band_holds_what_training_rollouts_were_off_by(finished_run: Callable[[str], Any]) -> None:
+    drive = fz.load(finished_run("mujoco_default")[0])
+    simulated, kept = drive.rollout()[0], drive.curves.train_errors
+    assert len(kept) == drive.metrics["train"].rollouts == 1
+    with pytest.raises(RunError, match="1 training rollouts of the evaluation stayed finite, expected 2 at least"):
+        drive.band()
+    errors = np.random.default_rng(0).normal(size=(50, kept.shape[1], 1))
+    drive = dataclasses.replace(drive, curves=dataclasses.replace(drive.curves, train_errors=errors))
+    low, high = drive.band(count=20)
+    assert low.shape == high.shape == (len(simulated), kept.shape[1], 1)
+    # Without draws, the band is the quantiles of the errors around the fitted drive, wider by Student's.
+    wider = scipy.stats.t.ppf(0.975, 49) / scipy.stats.norm.ppf(0.975) * np.sqrt(1 + 1 / 50)
+    alone = dataclasses.replace(drive, result={**drive.result, "covariance": None}).band()
+    expected = np.quantile(wider * errors, 0.025, axis=0)[None] + 0 * low
+    np.testing.assert_allclose(simulated[:, : kept.shape[1]] - alone.high, expected, rtol=1e-9)
+    assert (high - low).mean() > (alone.high - alone.low).mean()
+
+
+def test_a_band_holds_as_much_as_it_says() -> None:
+    """Of a drive whose value is drawn as it is uncertain, and whose errors are drawn as those of the training are."""
+    rng, length = np.random.default_rng(0), 50
+    curves = trace_nothing(Segments(*np.zeros((2, 1, 2, 1)), Signals(np.zeros((1, 1, 1))), 0.01))
+    curves = dataclasses.replace(curves, train_errors=rng.normal(size=(100, length, 1)))
+    values, truth = rng.normal(size=(100, 1)), rng.normal(size=400)
+    time = np.linspace(0, 2, length)[:, None]
+    low, high = predict_band("here", lambda drawn: (drawn["a.b"] * time)[None], {"a.b": values}, curves)
+    measured = truth[:, None] * time[:, 0] - rng.normal(size=(400, length))
+    inside = (low[0, :, 0] <= measured) & (measured <= high[0, :, 0])
+    assert inside.mean() == pytest.approx(0.95, abs=0.02)  # quantiles of a hundred draws

@@ -28,6 +28,7 @@ _TAKES: dict[str, tuple[Any, ...]] = {
     "resume": ("", True, None),
     "threads": (0, None),
     "compilation_cache": ("", None),
+    "discretisation": (True, None),
     "model.laws": ("", []),
     "segments.count": (0, None),
     "segments.length": (0,),

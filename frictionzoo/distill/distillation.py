@@ -124,6 +124,7 @@ def _replace_choices(teacher: Identified, choices: Mapping[str, str]) -> DictCon
             "impulse": False,
             "slow": 0.0,
         },
+        "discretisation": False,  # what it follows was simulated in the same steps
         "segments": {"count": None if count is None else max(1, count * length // longer), "length": longer},
         **{"resume": None, "logger": logger},
     }

@@ -84,15 +84,7 @@ class Variants:
 
     def at(self, number: int) -> Values:
         """Values of all parameters of one drive, as `Identified.values` has them."""
-        bench, friction = (dict(self.fitted.values[owner]) for owner in ("bench", "friction"))
-        for parameter in self.parameters:
-            owner, _, name = parameter.name.partition(".")
-            if owner == "bench":
-                bench[name] = parameter.values[number]
-            else:
-                members = self.fitted.model.params[name].members(self.fitted.bench.nv)
-                friction[name] = parameter.values[number, members]
-        return {"bench": bench, "friction": friction}
+        return self.fitted.with_values({each.name: each.values[number] for each in self.parameters})
 
     @property
     def all(self) -> list[Values]:

@@ -13,6 +13,7 @@ from frictionzoo.fit import Outcome, Space, estimate_uncertainty, fit_reference,
 from frictionzoo.fit.loop import Record
 from frictionzoo.fit.recordings import Recordings
 from frictionzoo.fit.uncertainty import Uncertainty
+from frictionzoo.identification.discretisation import finer
 from frictionzoo.identification.problem import Problem
 from frictionzoo.logs.cache import cache_folder
 from frictionzoo.models import Baseline
@@ -46,12 +47,12 @@ def solve(
     Raises:
         FrictionzooError: The fit cannot begin, or the record cannot be written.
     """
-    began = time.perf_counter()
+    began, steps = time.perf_counter(), finer(problem)
     _log_engine(problem)
     outcome = run_fit(problem.fit, problem.objective, problem.drive.model, record, **problem.settings["loop"])
 
     asked = time.perf_counter()
-    uncertainty = estimate_uncertainty(problem.objective, outcome.vector, problem.fit)
+    uncertainty = estimate_uncertainty(problem.objective, outcome.vector, problem.fit, steps)
 
     judged = time.perf_counter()
     judgement = problem.evaluation.judge(problem.drive.rollout.compiled, outcome.values)
@@ -152,6 +153,7 @@ def _collect_curves(problem: Problem, outcome: Outcome, judgement: Judgement, ba
         friction_low=low,
         friction_high=high,
         history=outcome.history,
+        train_errors=judgement.train_errors,
     )
 
 

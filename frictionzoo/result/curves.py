@@ -1,7 +1,7 @@
 """`curves.safetensors`: the arrays that figures of a run, and of comparisons of runs, are drawn from."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +47,7 @@ class Curves:
         friction_low: Its 10 % quantile over these states.
         friction_high: Its 90 % quantile.
         history: One row an iteration of the fit: `iteration`, `loss`, `grad_norm`, `bench.NAME`, `friction.NAME`.
+        train_errors: Position less the measured one in training rollouts of the main horizon, as `Judgement` has it.
     """
 
     measured_qpos: Float[np.ndarray, "rollouts states nv"]
@@ -67,9 +68,10 @@ class Curves:
     friction_low: Float[np.ndarray, "points nv"]
     friction_high: Float[np.ndarray, "points nv"]
     history: Mapping[str, Shaped[np.ndarray, "iterations ..."]]
+    train_errors: Float[np.ndarray, "kept horizon joints"] = field(default_factory=lambda: np.empty((0, 0, 0)))
 
 
-_ARRAYS = tuple(field.name for field in fields(Curves) if field.name not in ("signals", "history"))
+_ARRAYS = tuple(each.name for each in fields(Curves) if each.name not in ("signals", "history"))
 
 
 def write_curves(folder: Path, curves: Curves) -> None:

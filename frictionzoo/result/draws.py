@@ -1,11 +1,15 @@
 """Drives that are drawn from what is known of an identified one."""
 
+from collections.abc import Mapping
+from typing import Any
+
 import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
 from frictionzoo.bench.base import Bench
 from frictionzoo.core.errors import ConfigError, RunError
+from frictionzoo.core.params import Param
 from frictionzoo.fit.covariance import Covariance
 from frictionzoo.fit.space import Space
 from frictionzoo.models.base import FrictionModel
@@ -61,3 +65,16 @@ def _determined(parameter: Parameter, bench: Bench) -> Bool[np.ndarray, "nv"]:
     """In which joints data determine it."""
     found = [joint for row in parameter.by_joint if row["identifiable"] for joint in row["joints"]]
     return np.isin(bench.joints, found)
+
+
+def put_values(
+    values: Mapping[str, Mapping[str, Any]],
+    drawn: Mapping[str, Float[np.ndarray, "nv"]],
+    params: Mapping[str, Mapping[str, Param]],
+) -> dict[str, dict[str, Any]]:
+    """The values of a drive, by owner and name, with these in place of some, by full name."""
+    found = {owner: dict(named) for owner, named in values.items()}
+    for full, own in drawn.items():
+        owner, _, name = full.partition(".")
+        found[owner][name] = own[params[owner][name].members(len(own))]
+    return found

@@ -14,6 +14,7 @@ from frictionzoo.core.params import UNITS
 from frictionzoo.core.segments import Segments, cut_rollouts
 from frictionzoo.result.torque import AS_THE_FIT
 
+KEPT = 100  # rollouts whose errors are kept sample by sample, spread evenly
 Values = Mapping[str, Mapping[str, np.ndarray]]
 Rollout = Callable[..., tuple]
 """`rollout(values, qpos, qvel, ctrl, load)`: predicted qpos and qvel, each (batch, time, nv)."""
@@ -128,6 +129,11 @@ def rollout_mae(prediction: Prediction, segments: Segments) -> Float[np.ndarray,
     return np.where(prediction.diverged, np.nan, error.mean(axis=(1, 2)))
 
 
+def _keep_errors(prediction: Prediction, segments: Segments) -> Float[np.ndarray, "kept time nv"]:
+    errors = (prediction.qpos - segments.qpos[:, 1:])[~prediction.diverged]
+    return errors[np.unique(np.linspace(0, len(errors) - 1, KEPT).astype(int))] if len(errors) else errors
+
+
 def _rms(error: Float[np.ndarray, "..."]) -> float:
     return float(np.sqrt(np.square(error).mean())) if error.size else np.nan
 
@@ -144,6 +150,8 @@ class Judgement:
         places: The paper's evaluation (b): test rollouts at random places.
         prediction: The simulated states of the long test rollouts, that of (a) first.
         local_mae: Position MAE of each of the short rollouts over the whole test part [rad or m].
+        train_errors: Position less the measured one in training rollouts of the main horizon that did not diverge, at
+            most `KEPT` of them [rad or m].
     """
 
     by_horizon: tuple[Mapping[str, Metrics], ...]
@@ -153,6 +161,7 @@ class Judgement:
     places: Metrics
     prediction: Prediction
     local_mae: Float[np.ndarray, "windows"]
+    train_errors: Float[np.ndarray, "kept time nv"]
 
     @property
     def train(self) -> Metrics:
@@ -259,6 +268,7 @@ class Evaluation:
             places=measure(predict(rollout, values, self._places), self._places, unit),
             prediction=long,
             local_mae=rollout_mae(predict(rollout, values, self.local), self.local),
+            train_errors=_keep_errors(*predicted[0]["train"]),
         )
 
 

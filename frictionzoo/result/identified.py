@@ -26,10 +26,12 @@ from frictionzoo.core.segments import Sampling, Segments
 from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.export.written import Written
 from frictionzoo.models import FrictionModel
+from frictionzoo.result.band import Band, predict_band
 from frictionzoo.result.curves import FILE as CURVES
 from frictionzoo.result.curves import Curves, write_curves
-from frictionzoo.result.draws import draw_parameters
+from frictionzoo.result.draws import draw_parameters, put_values
 from frictionzoo.result.evaluate import JointErrors, Metrics, Prediction, Values
+from frictionzoo.result.read_back import LAW, load_law, read_bench, read_segments, thin
 from frictionzoo.result.record import read_run, write_result
 from frictionzoo.result.types import Result
 from frictionzoo.result.values import Parameter, read_parameters
@@ -38,7 +40,6 @@ from frictionzoo.simulate.drive import Drive
 from frictionzoo.simulate.proof import Proof, Recorded, prove
 from frictionzoo.simulate.rollout import applied, make_observer
 
-LAW = "friction.safetensors"
 _WHOLE = 0.01  # share by which a time step may differ from a whole number of others, as for recordings
 
 
@@ -85,16 +86,16 @@ class Identified:
         model = build(settings["model"], nv=bench.nv)
         model.bind(bench.joints)
         bench = bench.observing(model.inputs)
-        state = _load_law(model, folder / LAW)
+        state = load_law(model, folder / LAW)
         friction = {name: value.detach().double().numpy().copy() for name, value in model.state_dict().items()}
-        segments = _read_segments(folder / CURVES, curves, result["data"]["timestep"], bench)
+        segments = read_segments(folder / CURVES, curves, result["data"]["timestep"], bench)
         sampling = bench.sampling(segments.timestep)
         if sampling.history != segments.history:
             raise RunError(
                 f"{folder / CURVES}: {segments.history} samples of ctrl before the rollouts, expected "
                 f"{sampling.history} as the delay's bounds have it; run it again"
             )
-        values = {"bench": _read_bench(result, bench), "friction": friction}
+        values = {"bench": read_bench(result, bench), "friction": friction}
         return cls(folder, result, bench, model, state, values, segments, sampling, curves)
 
     def save(self, folder: str | Path) -> None:
@@ -159,6 +160,35 @@ class Identified:
             RunError: No parameter has an interval.
         """
         return draw_parameters(self.place, self.result, self.bench, self.model, count, seed)
+
+    def band(self, segments: Segments | None = None, count: int = 100, seed: int = 0) -> Band:
+        """Where the measured position will be in rollouts, at each instant with 95 %.
+
+        The spread of drives that the training data allow, `sample`, together with what the fitted one left of rollouts
+        of the training recordings, as long after their start: see `frictionzoo.result.band`.
+
+        Args:
+            segments: Initial states and commands; None for the run's long test rollouts.
+            count: Drives to draw.
+            seed: Of the draws.
+
+        Returns:
+            The band for as long as a rollout of the evaluation's main horizon.
+
+        Raises:
+            RunError: Less than two training rollouts of the evaluation have stayed finite.
+        """
+        segments = self.segments if segments is None else segments
+        draws = self.sample(count, seed) if self.result["covariance"] else {}
+
+        def simulate(drawn: Mapping[str, Float[np.ndarray, "nv"]]) -> Float[np.ndarray, "batch time nv"]:
+            return self.rollout(segments, values=self.with_values(drawn))[0]
+
+        return predict_band(self.place, simulate, draws, self.curves)
+
+    def with_values(self, drawn: Mapping[str, Float[np.ndarray, "nv"]]) -> Values:
+        """The values of all parameters, with these in place of some, by full name as `sample` has them."""
+        return put_values(self.values, drawn, {"bench": self.bench.params, "friction": self.model.params})
 
     @property
     def metrics(self) -> dict[str, Metrics]:
@@ -244,7 +274,7 @@ class Identified:
         every = round(timestep / interval) if timestep > interval else 1
         bench = build({**self.result["settings"]["bench"], "timestep": timestep}).observing(self.bench.observed)
         sampling = bench.sampling(every * interval)
-        return replace(self, bench=bench, segments=_thin(self.segments, every, sampling.history), sampling=sampling)
+        return replace(self, bench=bench, segments=thin(self.segments, every, sampling.history), sampling=sampling)
 
     def rollout(
         self, segments: Segments | None = None, timestep: float | None = None, values: Values | None = None
@@ -337,56 +367,3 @@ class Identified:
     def _drive(self) -> Drive:
         with jax.enable_x64(True):
             return Drive.assemble(self.bench, self.model, "auto", self.sampling)
-
-
-def _load_law(model: FrictionModel, path: Path) -> dict[str, torch.Tensor]:
-    """Write the saved values into the model, and return them; safetensors holds numbers, so nothing is executed."""
-    try:
-        saved = safetensors.torch.load(path.read_bytes())
-        model.double().load_state_dict(saved)
-        return saved
-    except OSError as error:
-        raise RunError(f"{path}: {error.strerror}; expected the folder of a finished run; run it again") from None
-    except (safetensors.SafetensorError, RuntimeError) as error:
-        reason = " ".join(str(error).split())
-        raise RunError(f"{path}: {reason}; expected the values of {model.name}; run it again") from None
-
-
-def _read_bench(result: Result, bench: Bench) -> dict[str, Float[np.ndarray, "nv"]]:
-    found = {row["name"]: row["value"] for row in result["parameters"] if row["owner"] == "bench"}
-    if set(found) != set(bench.params):
-        came, expected = (", ".join(sorted(names)) for names in (found, bench.params))
-        line = f"parameters {came} of the bench, expected {expected} as its settings have it; run it again"
-        raise RunError(f"{RESULT}: {line}")
-    return {name: np.broadcast_to(np.asarray(found[name], np.float64), bench.nv).copy() for name in bench.params}
-
-
-def _read_segments(path: Path, curves: Curves, interval: float, bench: Bench) -> Segments:
-    signals, states = curves.signals, curves.measured_qpos.shape[1]
-    (samples, joints), *others = (signal.shape[1:] for signal in signals.named().values())
-    if curves.measured_qpos.shape[2] != bench.nv or joints != bench.nv or samples < states - 1:
-        raise RunError(
-            f"{path}: {joints} joints and {samples} commands for {states} states, expected {bench.nv} joints and a "
-            "command for each step; run it again"
-        )
-    if {*signals.inputs, *signals.observed} != {*bench.inputs} or any(shape != (samples, joints) for shape in others):
-        raise RunError(
-            f"{path}: besides the command {', '.join([*signals.inputs, *signals.observed]) or 'nothing'}, expected "
-            f"{', '.join(bench.inputs) or 'nothing'}, {samples} samples each; run it again"
-        )
-    load = curves.load if curves.load.shape[1] else None
-    return Segments(curves.measured_qpos, curves.measured_qvel, signals, interval, load)
-
-
-def _thin(segments: Segments, every: int, history: int) -> Segments:
-    """Every so many samples of the same segments, and as many of the command before them as late commands need."""
-    steps = segments.length // every
-    state = every * np.arange(steps + 1)
-    command = np.maximum(segments.history + every * np.arange(-history, steps), 0)
-    return replace(
-        segments,
-        qpos=segments.qpos[:, state],
-        qvel=segments.qvel[:, state],
-        signals=segments.signals.map(lambda signal: signal[:, command]),
-        timestep=every * segments.timestep,
-    )

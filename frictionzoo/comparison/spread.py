@@ -1,0 +1,112 @@
+"""How parameters differ from recording to recording and from unit to unit, beyond what a fit is unsure of."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from frictionzoo.core.errors import RunError
+from frictionzoo.result.identified import Identified
+
+Numbers = Float[np.ndarray, "_"]
+
+
+class Spread(NamedTuple):
+    """Of one parameter, of one joint or of joints that share a value.
+
+    Attributes:
+        mean: Mean over the units, in the parameter's unit; of a logarithm the geometric one.
+        run: Standard deviation from recording to recording of a unit, in that unit; NaN where none was recorded twice.
+        unit: The same from unit to unit; NaN of a single one. Of units that were recorded once each, it holds both.
+        error: Standard error of the mean.
+    """
+
+    mean: float
+    run: float
+    unit: float
+    error: float
+
+
+def spread(fits: Sequence[Identified] | Mapping[str, Sequence[Identified]]) -> dict[str, Spread]:
+    """Run-to-run and unit-to-unit spread of parameters, apart from each other and from the fits' own uncertainty.
+
+    y_ij = mean + u_i + r_ij + e_ij,   Var u = unit^2,  Var r = run^2,  Var e_ij = s_ij^2
+
+    with y_ij the estimate of unit i from its recording j, in the optimiser's coordinate, and s_ij^2 from `covariance`.
+    Both variances are found by the method of moments, first that of the recordings about the means of their units, then
+    that of the units; none is below 0. For a logarithm they are brought into the parameter's unit by the mean.
+
+    Source: R. DerSimonian, N. Laird, "Meta-analysis in clinical trials", 1986; S. Konstantopoulos, "Fixed effects and
+    variance components estimation in three-level meta-analysis", 2011, for two levels of spread.
+
+    Args:
+        fits: Drives, each identified from one recording with the same bench and law: those of one unit, or of several
+            units by their names.
+
+    Returns:
+        By the label of each parameter that the data determine in all fits: its full name, of several joints with `/`
+        and the joint's name.
+
+    Raises:
+        RunError: There are less than two fits, or one has no intervals.
+    """
+    units = fits if isinstance(fits, Mapping) else {"unit": fits}
+    drives = [drive for own in units.values() for drive in own]
+    if len(drives) < 2:
+        raise RunError(f"fits: {len(drives)}, expected two at least, each of a recording of its own; give more")
+    rows = [_read(drive) for drive in drives]
+    labels = [label for label in rows[0] if all(label in row for row in rows)]
+    group = np.repeat(np.arange(len(units)), [len(own) for own in units.values()])
+    found = {}
+    for label in labels:
+        value, variance = (np.array([row[label][at] for row in rows]) for at in (0, 1))
+        mean, run, unit, error = separate(value, variance, group)
+        scale = rows[0][label][2]
+        middle, by = (np.exp(mean), np.exp(mean)) if isinstance(scale, str) else (mean * scale, scale)
+        found[label] = Spread(float(middle), *(float(by * each) for each in (run, unit, error)))
+    return found
+
+
+def separate(value: Numbers, variance: Numbers, group: Int[np.ndarray, "_"]) -> tuple[float, float, float, float]:
+    """Mean, the two standard deviations as `Spread` has them, and the mean's error, of values with known variances.
+
+    Args:
+        value: Estimates.
+        variance: Of each one's error.
+        group: Number of the unit that each belongs to.
+    """
+    owns = [group == number for number in np.unique(group)]
+    sums = np.sum([_moments(value[own], variance[own]) for own in owns], axis=0)
+    run = np.sqrt(max(0.0, sums[0] / sums[1])) if sums[1] > 0 else np.nan
+    weights = 1 / (variance + np.nan_to_num(run) ** 2)
+    totals = np.array([weights[own].sum() for own in owns])
+    means = np.array([np.average(value[own], weights=weights[own]) for own in owns])
+    excess, share = _moments(means, 1 / totals)
+    unit = np.sqrt(max(0.0, excess / share)) if share > 0 else np.nan
+    final = 1 / (1 / totals + np.nan_to_num(unit) ** 2)
+    return float(np.average(means, weights=final)), float(run), float(unit), float(1 / np.sqrt(final.sum()))
+
+
+def _moments(value: Numbers, variance: Numbers) -> tuple[float, float]:
+    """By how much the weighted squares are above what the variances explain, and how much a spread of 1 adds."""
+    weight = 1 / variance
+    squares = (weight * np.square(value - np.average(value, weights=weight))).sum()
+    return float(squares - (len(value) - 1)), float(weight.sum() - np.square(weight).sum() / weight.sum())
+
+
+def _read(drive: Identified) -> dict[str, tuple[float, float, str | float]]:
+    """Coordinate, variance and scale of each parameter that the data determine."""
+    row = drive.result["covariance"]
+    if row is None:
+        raise RunError(
+            f"{drive.place}: {drive.result['no_intervals'] or 'data determine none of its parameters'}, expected "
+            "intervals to tell its spread from its uncertainty; leave it out"
+        )
+    centre, variance = row["centre"], np.diag(np.array(row["matrix"]))
+    sure = {name for name, parameter in drive.parameters.items() if parameter.identifiable}
+    return {
+        label: (centre[at], float(variance[at]), row["scale"][at])
+        for at, label in enumerate(row["labels"])
+        if label.partition("/")[0] in sure
+    }

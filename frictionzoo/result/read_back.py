@@ -1,0 +1,82 @@
+"""Reading a run's folder back: the law's values, the bench's, and the rollouts that it was judged on."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import safetensors
+import safetensors.torch
+import torch
+from jaxtyping import Float
+
+from frictionzoo.bench import Bench
+from frictionzoo.core.errors import RunError
+from frictionzoo.core.output import RESULT
+from frictionzoo.core.segments import Segments
+from frictionzoo.models import FrictionModel
+from frictionzoo.result.curves import Curves
+from frictionzoo.result.types import Result
+
+LAW = "friction.safetensors"
+
+
+def load_law(model: FrictionModel, path: Path) -> dict[str, torch.Tensor]:
+    """Write the saved values into the model, and return them; safetensors holds numbers, so nothing is executed."""
+    try:
+        saved = safetensors.torch.load(path.read_bytes())
+        model.double().load_state_dict(saved)
+        return saved
+    except OSError as error:
+        raise RunError(f"{path}: {error.strerror}; expected the folder of a finished run; run it again") from None
+    except (safetensors.SafetensorError, RuntimeError) as error:
+        reason = " ".join(str(error).split())
+        raise RunError(f"{path}: {reason}; expected the values of {model.name}; run it again") from None
+
+
+def read_bench(result: Result, bench: Bench) -> dict[str, Float[np.ndarray, "nv"]]:
+    """Values of the bench's parameters by name; RunError where they are not those of its settings."""
+    found = {row["name"]: row["value"] for row in result["parameters"] if row["owner"] == "bench"}
+    if set(found) != set(bench.params):
+        came, expected = (", ".join(sorted(names)) for names in (found, bench.params))
+        line = f"parameters {came} of the bench, expected {expected} as its settings have it; run it again"
+        raise RunError(f"{RESULT}: {line}")
+    return {name: np.broadcast_to(np.asarray(found[name], np.float64), bench.nv).copy() for name in bench.params}
+
+
+def read_segments(path: Path, curves: Curves, interval: float, bench: Bench) -> Segments:
+    """The long test rollouts; RunError where they do not fit the bench.
+
+    Args:
+        path: Where they were read from, for messages.
+        curves: What was read.
+        interval: Of the samples [s].
+        bench: The test stand.
+    """
+    signals, states = curves.signals, curves.measured_qpos.shape[1]
+    (samples, joints), *others = (signal.shape[1:] for signal in signals.named().values())
+    if curves.measured_qpos.shape[2] != bench.nv or joints != bench.nv or samples < states - 1:
+        raise RunError(
+            f"{path}: {joints} joints and {samples} commands for {states} states, expected {bench.nv} joints and a "
+            "command for each step; run it again"
+        )
+    if {*signals.inputs, *signals.observed} != {*bench.inputs} or any(shape != (samples, joints) for shape in others):
+        raise RunError(
+            f"{path}: besides the command {', '.join([*signals.inputs, *signals.observed]) or 'nothing'}, expected "
+            f"{', '.join(bench.inputs) or 'nothing'}, {samples} samples each; run it again"
+        )
+    load = curves.load if curves.load.shape[1] else None
+    return Segments(curves.measured_qpos, curves.measured_qvel, signals, interval, load)
+
+
+def thin(segments: Segments, every: int, history: int) -> Segments:
+    """Every so many samples of the same segments, and as many of the command before them as late commands need."""
+    steps = segments.length // every
+    state = every * np.arange(steps + 1)
+    command = np.maximum(segments.history + every * np.arange(-history, steps), 0)
+    return replace(
+        segments,
+        qpos=segments.qpos[:, state],
+        qvel=segments.qvel[:, state],
+        signals=segments.signals.map(lambda signal: signal[:, command]),
+        timestep=every * segments.timestep,
+    )

@@ -1,0 +1,69 @@
+"""Intervals that hold what the simulation's step does."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from omegaconf import OmegaConf
+from test_fit import pose, x64  # noqa: F401 - x64 is a fixture for all tests
+
+from frictionzoo.core.config import compose_config
+from frictionzoo.core.errors import ConfigError
+from frictionzoo.fit import estimate_uncertainty
+from frictionzoo.fit.chunk import search
+from frictionzoo.identification import Parts, Problem
+from frictionzoo.identification.discretisation import finer, is_wanted
+
+TRUTH = {"bench.armature": 0.07, "friction.viscous_coefficient": 0.4}
+
+
+def test_an_interval_reaches_to_steps_of_no_length() -> None:
+    """Twice as far as half a step moves the value."""
+    objective = pose("mujoco_default").objective
+    vector = np.asarray(objective.space.start, np.float64)
+    equations, _ = objective.compile_scores()(vector)
+    moved = np.array([0.01, -0.02, 0.03])
+    halved = equations._replace(gradient=equations.gradient - equations.hessian @ moved)
+    other = SimpleNamespace(compile_normal_equations=lambda: lambda vector: halved)
+    before, after = (estimate_uncertainty(objective, vector, None, f).covariance for f in (None, lambda: other))
+    assert before is not None and after is not None
+    undone = -np.linalg.solve(equations.hessian, equations.gradient)
+    half = [2.0 * np.sqrt(np.diag(of.matrix)) for of in (before, after)]
+    np.testing.assert_allclose(after.centre - vector, (undone + 2 * moved) / 2, rtol=1e-9)
+    np.testing.assert_allclose(half[1] - half[0], (np.abs(undone + 2 * moved) - np.abs(undone)) / 2, rtol=0.02)
+
+
+@pytest.mark.parametrize("asked", [1, "yes", 0.0])
+def test_what_is_neither_true_nor_false_is_refused(asked: Any) -> None:
+    with pytest.raises(ConfigError, match="expected true, false, or null for drives of one joint"):
+        is_wanted(asked, 1)
+
+
+def test_of_itself_it_is_for_one_joint() -> None:
+    assert [is_wanted(asked, joints) for asked in (None, True, False) for joints in (1, 2)] == [1, 0, 1, 1, 0, 0]
+
+
+@pytest.mark.slow
+def test_a_drive_that_was_recorded_in_short_steps_is_within() -> None:
+    """The twin moves in steps of 0.25 ms and is fitted in steps of 1 ms."""
+    options = ("data=twin_clean", "data.samples=8000", "model=coulomb_stribeck", "fit=lm", "dtype=float64")
+    options += (
+        "loss.refine=true",
+        "loss.velocity=1e-5",
+        "segments.length=20",
+        "device=cpu",
+        "evaluation.trajectory=1.0",
+    )
+    settings: Any = OmegaConf.to_container(compose_config(*options, "data.cache_dir=null"), resolve=True)
+    parts = Parts.from_settings(settings)
+    with parts.computing():
+        problem = Problem.pose(parts)
+        vector = np.asarray(search(problem.fit, problem.objective)[0].best)
+        steps = finer(problem)
+        assert steps is not None
+        before, after = (estimate_uncertainty(problem.objective, vector, None, f).intervals for f in (None, steps))
+    for name, truth in TRUTH.items():
+        (low, high), (reached, end) = before[name][0], after[name][0]
+        assert not low < truth < high, (name, low, high)
+        assert reached < truth < end, (name, reached, end)
