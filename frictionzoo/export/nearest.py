@@ -16,7 +16,7 @@ from frictionzoo.core.params import UNITS
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.fit import Objective, Space
-from frictionzoo.fit.blocks import into_blocks
+from frictionzoo.fit.blocks import divide, into_blocks
 from frictionzoo.fit.chunk import search
 from frictionzoo.fit.lm import LevenbergMarquardt
 from frictionzoo.fit.normal_equations import NormalEquations, compress
@@ -128,7 +128,7 @@ def _refit_each(
         for own, values in zip(start, draws, strict=True):
             followed = _follow(fitted, _mix(fitted, values, exact))
             objective = copy.copy(near)
-            objective.data = into_blocks(followed, near.stretches, near.space.start.dtype, rollout)
+            objective.data = into_blocks(followed, divide(followed), near.space.start.dtype, rollout)
             vector, rms = _descend(objective)
             armature, loss, damping = _read(objective, vector)
             kept = ((own.bench["armature"], armature), (own.frictionloss, loss), (own.damping, damping))
