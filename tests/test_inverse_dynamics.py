@@ -160,7 +160,7 @@ def test_a_held_command_counts_half_a_sample_later(arm_file: Path) -> None:
     held, sampled = (equation_of(bench, law, log_of(motion[0], torque), held=held) for held in (True, False))
     vector = sampled.box.start
     mean = np.concatenate([torque[:1], (torque[1:] + torque[:-1]) / 2])
-    expected = sampled.lack(vector) + sampled._decimate(mean - torque)
+    expected = sampled.lack(vector) + sampled.decimate(mean - torque)
     np.testing.assert_allclose(held.lack(vector), expected, atol=1e-9)
 
 

@@ -42,6 +42,9 @@ class TorqueEquation:
     Attributes:
         joints: Their names.
         rows: How many rows come from each log.
+        motion: Of all logs, one after the other.
+        shape: Its number of samples, and of joints.
+        decimate: What a torque of all samples passes before it is compared.
         moving: Which samples count, joint by joint.
         labels: Names of the coordinates.
         box: Where the coordinates start, and their bounds.
@@ -54,21 +57,32 @@ class TorqueEquation:
             as a measured torque or current does.
         measured: Whether the recorded `torque` of the joints drives them, at its instant, in place of what the actuator
             law makes of the commands.
+        substeps: Steps of a simulation in a sample interval, if the drive is one: a command that is held for so many
+            acts as late as that of a real drive only where they are many. 0: a real drive.
     """
 
     def __init__(
-        self, space: Space, recordings: Recordings, filtering: Filtering, held: bool, measured: bool = False
+        self,
+        space: Space,
+        recordings: Recordings,
+        filtering: Filtering,
+        held: bool,
+        measured: bool = False,
+        substeps: int = 0,
     ) -> None:
         bench, model, logs = recordings
         self._space, self._bench, self._model, self._logs = space, bench, model, logs
         self.joints, self.labels = bench.joints, tuple(space.labels)
-        self._decimate = filtering.decimation(logs)
-        self.rows = self._decimate.rows
+        self.decimate = filtering.decimation(logs)
+        self.rows = self.decimate.rows
         self._measured = np.concatenate([log.extras["torque"] for log in logs]) if measured else None
         self._motions = [filtering.motion(log) for log in logs]
-        self._motion = Motion(*(np.concatenate(parts) for parts in zip(*self._motions, strict=True)))
-        self._lateness = (logs[0].timestep / 2 if held else 0.0), logs[0].timestep
-        self.moving = filtering.is_moving(self._decimate(self._motion.qvel))
+        self.motion = Motion(*(np.concatenate(parts) for parts in zip(*self._motions, strict=True)))
+        self.shape = self.motion.qpos.shape
+        # A simulated step takes the command of its beginning, and the positions' second difference is about that.
+        whole = 1 - 1 / substeps if substeps else 1.0
+        self._lateness = (whole * logs[0].timestep / 2 if held else 0.0), logs[0].timestep
+        self.moving = filtering.is_moving(self.decimate(self.motion.qvel))
         self.box = Box(*(np.asarray(side, np.float64) for side in (space.start, space.low, space.high)))
         local = looks_at_one_joint(model)
         self._sparsity = Sparsity.of(space, range(bench.nv) if local else [0] * bench.nv)
@@ -80,12 +94,26 @@ class TorqueEquation:
         """The torque that is left, filtered and decimated [N m or N]."""
         at = jnp.asarray(vector, self._space.start.dtype)
         torque = np.asarray(self._compiled[0](at), np.float64)
-        return self._decimate(torque) - self._rigid(self._space.values(at)["bench"])
+        return self.decimate(torque) - self._rigid(self._space.values(at)["bench"])
+
+    def left(
+        self, vector: Float[np.ndarray, "coordinates"], friction: Float[np.ndarray, "time nv"]
+    ) -> Float[np.ndarray, "rows nv"]:
+        """The same with this friction torque at all samples in place of the law's [N m or N]."""
+        values = self._space.values(jnp.asarray(vector, self._space.start.dtype))
+        known = values["bench"]
+        torque = np.asarray(self._state(values).motor_torque, np.float64) - friction
+        return self.decimate(torque - np.asarray(known["armature"]) * self.motion.qacc) - self._rigid(known)
+
+    def state(self, vector: Float[np.ndarray, "coordinates"]) -> DriveState:
+        """What the friction law sees in every sample, as numpy arrays of shape (time, nv)."""
+        values = self._space.values(jnp.asarray(vector, self._space.start.dtype))
+        return self._state(values).map(lambda signal: np.broadcast_to(np.asarray(signal, np.float64), self.shape))
 
     def slope(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "rows nv coordinates"]:
         """Its derivative."""
         at = jnp.asarray(vector, self._space.start.dtype)
-        tangents = self._decimate(np.moveaxis(np.asarray(self._compiled[1](at), np.float64), 0, -1))
+        tangents = self.decimate(np.moveaxis(np.asarray(self._compiled[1](at), np.float64), 0, -1))
         slopes = np.zeros((*tangents.shape[:2], len(vector) + 1))  # the last takes what moves nothing
         for joints, place in zip(self._sparsity.joints, self._sparsity.place, strict=True):
             slopes[:, joints[:, None], place] = tangents[:, joints]
@@ -98,7 +126,7 @@ class TorqueEquation:
         regressor = np.concatenate([inertial_regressor(model, bodies, *motion) for motion in self._motions])
         names = [model.body(body).name for body in bodies]
         around = LogCholesky.around(inertial_parameters(model, bodies), names)
-        return Links(self._decimate(regressor), around, np.tile(spread, (len(bodies), 1)))
+        return Links(self.decimate(regressor), around, np.tile(spread, (len(bodies), 1)))
 
     def physical(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "coordinates"]:
         """Physical value of each coordinate, not brought into its bounds."""
@@ -111,7 +139,7 @@ class TorqueEquation:
         without, *along = (
             self._inverse(bench.with_gravity(axis.tolist()), at_rest, None) for axis in (np.zeros(3), *np.eye(3))
         )
-        return self._decimate(np.stack([torque - without for torque in along], axis=-1))
+        return self.decimate(np.stack([torque - without for torque in along], axis=-1))
 
     def scores(
         self, vector: Float[np.ndarray, "coordinates"]
@@ -135,7 +163,7 @@ class TorqueEquation:
         each other changes with the pose, and goes with neither. Where next to nothing is left, it is no one's.
         """
         left, driving = self.lack(vector), self.driving(vector)
-        signals = self._decimate(np.stack([self._motion.qacc, self._motion.qvel, np.sign(self._motion.qvel)], axis=-1))
+        signals = self.decimate(np.stack([self.motion.qacc, self.motion.qvel, np.sign(self.motion.qvel)], axis=-1))
         nv = left.shape[1]
         share = np.zeros((nv, nv))
         for joint in range(nv):
@@ -151,14 +179,14 @@ class TorqueEquation:
     def driving(self, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "rows nv"]:
         """The drives' own torque, filtered and decimated [N m or N]."""
         values = self._space.values(jnp.asarray(vector, self._space.start.dtype))
-        return self._decimate(np.asarray(self._state(values).motor_torque, np.float64))
+        return self.decimate(np.asarray(self._state(values).motor_torque, np.float64))
 
     def _torque(self, vector: Array) -> Float[Array, "time nv"]:
         """What drives the links, at all samples."""
         values = self._space.values(vector)
         state = self._state(values)
         friction = sliding_torque(jnp, self._model.terms(jnp, values["friction"], state), state.qvel)
-        accelerated = values["bench"]["armature"] * jnp.asarray(self._motion.qacc, vector.dtype)
+        accelerated = values["bench"]["armature"] * jnp.asarray(self.motion.qacc, vector.dtype)
         return state.motor_torque - friction - accelerated
 
     def _tangents(self, vector: Array) -> Float[Array, "tangents time nv"]:
@@ -168,7 +196,7 @@ class TorqueEquation:
     def _state(self, values: Values) -> DriveState:
         """What the friction law sees in every sample."""
         dtype = self._space.start.dtype
-        qpos, qvel, external = (jnp.asarray(x, dtype) for x in (*self._motion[:2], self._external))
+        qpos, qvel, external = (jnp.asarray(x, dtype) for x in (*self.motion[:2], self._external))
         signals, known = self._acting(values["bench"]), values["bench"]
         if self._measured is not None:
             motor = jnp.asarray(self._measured, dtype)
@@ -206,14 +234,14 @@ class TorqueEquation:
 
     @cached_property
     def _fixed(self) -> Float[np.ndarray, "rows nv"]:
-        return self._decimate(self._inverse(self._bench, self._motions, None))
+        return self.decimate(self._inverse(self._bench, self._motions, None))
 
     def _rigid(self, known: Mapping[str, Any]) -> Float[np.ndarray, "rows nv"]:
         """What the links need."""
         offset = known.get("position_offset")
         if offset is None:
             return self._fixed
-        return self._decimate(self._inverse(self._bench, self._motions, np.asarray(offset)))
+        return self.decimate(self._inverse(self._bench, self._motions, np.asarray(offset)))
 
     def _inverse(
         self, bench: Bench, motions: Sequence[Motion], offset: Float[np.ndarray, "nv"] | None
