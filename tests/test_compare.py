@@ -116,6 +116,19 @@ def test_the_simplest_within_noise_is_recommended_with_the_reason(zoo):
     assert "within noise" in recommendation["reason"] and "with 2 identified values" in recommendation["reason"]
 
 
+def test_a_recommendation_by_a_hair_says_so(zoo, save):
+    assert "by a hair" not in compare(zoo)["recommendation"]["reason"]
+    spread = 1e-3 * np.resize([1.0, -1.0], ROLLOUTS)
+    for share, how in ((1.85, "within noise of it"), (2.2, "worse")):  # about two standard errors of the mean
+        shutil.rmtree(zoo / "2_rich")
+        better = HARD - share * 1e-3 / np.sqrt(ROLLOUTS) + spread
+        save("2_rich", "rich", better, ["static_torque", "kinetic_torque", "stribeck_velocity"])
+        comparison = compare(zoo)
+        (pair,) = (p for p in comparison["pairs"] if (p["run"], p["other"]) == ("simple", "rich"))
+        assert pair["verdict"] == ("worse" if how == "worse" else "noise")
+        assert f"simple is {how} by a hair: an end of the interval" in comparison["recommendation"]["reason"]
+
+
 def test_what_the_recommended_law_leaves_open_is_named(zoo):
     path = zoo / "1_simple" / "result.json"
     result = json.loads(path.read_text())

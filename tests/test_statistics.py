@@ -8,6 +8,7 @@ import scipy.stats
 
 from frictionzoo.comparison.statistics import (
     BINS,
+    Difference,
     autocorrelation,
     bin_evenly,
     difference,
@@ -124,3 +125,10 @@ def test_white_errors_lie_within_the_band_and_waves_do_not():
     lag, found = autocorrelation(np.stack([wave, -wave]), 0.001, 0.1)
     # The estimate is biased towards 0 by the share of the rollout that the lag takes off.
     assert found[lag == 0.05][0] == pytest.approx(-0.95, abs=0.01)
+
+
+def test_what_is_decided_by_a_hair_says_so():
+    for low, high, hair in ((-0.05, 1.0, True), (0.05, 1.0, True), (-1.0, 0.05, True), (-0.5, 1.0, False)):
+        assert Difference((low + high) / 2, low, high, "noise").by_a_hair == hair
+    assert not Difference(0.1, 0.1, 0.1, "worse").by_a_hair
+    assert not Difference(np.nan, np.nan, np.nan, "worse").by_a_hair

@@ -146,7 +146,22 @@ def _explain(chosen: Run, best: Run, close: Sequence[Run], pairs: Mapping[tuple[
     failed = chosen.result["not_identified"]
     doubt += f" It did not identify the drive: {failed[0]}." if failed else ""
     caution = f" {rollouts} rollouts are few: raise evaluation.rollouts to be sure." if rollouts < FEW else ""
-    return f"{text}.{doubt}{caution}"
+    return f"{text}.{_say_hair(best, pairs)}{doubt}{caution}"
+
+
+def _say_hair(best: Run, pairs: Mapping[tuple[str, str], Difference]) -> str:
+    """Of which runs it is a close call whether they are as good as the best."""
+    close = {"noise": [], "worse": []}
+    for (label, other), pair in pairs.items():
+        if other == best.label and pair.verdict in close and pair.by_a_hair:
+            close[pair.verdict].append(label)
+    said = [
+        f"{' and '.join(labels)} {'is' if len(labels) == 1 else 'are'} {how} by a hair"
+        for how, labels in (("within noise of it", close["noise"]), ("worse", close["worse"]))
+        if labels
+    ]
+    few = "an end of the interval is next to 0, so that other rollouts may tell otherwise"
+    return f" Against the lowest error, {'; '.join(said)}: {few}." if said else ""
 
 
 def _describe(run: Run, reference: Run | None) -> rows.RunRow:

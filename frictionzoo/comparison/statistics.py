@@ -9,6 +9,7 @@ RESAMPLES = 10_000
 INTERVAL = (2.5, 97.5)  # percentiles
 MATTERS = 0.01  # of the smaller error: a difference below it decides nothing, however sure it is
 POINTS = 30  # horizons of an error curve
+HAIR = 0.2  # of half an interval; as near to 0 as that, its end might as well be on the other side
 BINS = 8  # of speed and of load, each with as many windows
 FEWEST = 5  # windows in a bin
 LAGS = 101  # of an autocorrelation
@@ -34,6 +35,11 @@ class Difference:
     low: float
     high: float
     verdict: str
+
+    @property
+    def by_a_hair(self) -> bool:
+        """Whether an end of the interval is so near to 0 that a few other rollouts would have told otherwise."""
+        return min(abs(self.low), abs(self.high)) < HAIR * (self.high - self.low) / 2
 
 
 def resample(rollouts: int) -> Int[np.ndarray, "resamples rollouts"]:
