@@ -26,8 +26,9 @@ from frictionzoo.result.curves import Curves, read_curves
 from frictionzoo.result.evaluate import Evaluation, Judgement, Metrics, Values
 from frictionzoo.result.links import describe_links
 from frictionzoo.result.names import label_values
+from frictionzoo.result.residual_types import ResidualRow
 from frictionzoo.result.values import list_values
-from frictionzoo.result.verdict import doubt_sizes, explain_failure
+from frictionzoo.result.verdict import doubt_sizes, explain_failure, judge
 from frictionzoo.simulate.proof import Proof
 
 SCHEMA_VERSION: Final = 7
@@ -64,6 +65,8 @@ class Findings:
         device: Where it ran.
         uncertainty: How far the data determine what was identified.
         recipe: What was left open of the settings, and found.
+        residual: Whether what is left of the torque is noise; None where that was not looked at.
+        commands: To copy: what to do next.
     """
 
     name: str
@@ -86,6 +89,8 @@ class Findings:
     device: str
     uncertainty: Uncertainty
     recipe: Sequence[types.ChoiceRow] = ()
+    residual: ResidualRow | None = None
+    commands: Sequence[str] = ()
 
 
 def build_result(found: Findings) -> types.Result:
@@ -119,6 +124,7 @@ def build_result(found: Findings) -> types.Result:
         },
         "by_joint": _list_joints(bench.joints, found.judgement, found.baseline),
         "torque": found.torque,
+        "residual": found.residual,
         "links": None if found.links is None else describe_links(found.links),
         "reference": [
             _describe_value("bench", bench, name, param, found.reference[name], Uncertainty())
@@ -138,8 +144,11 @@ def build_result(found: Findings) -> types.Result:
         "versions": _read_versions(),
         "settings": dict(found.settings),
         "not_identified": None,
+        "verdict": {"grade": "nothing speaks against it", "findings": [], "commands": []},
     }
-    return to_json({**result, "not_identified": explain_failure(result)})
+    result["not_identified"] = explain_failure(result)
+    plain: Any = to_json(result)
+    return plain | {"verdict": judge(plain, found.commands)}
 
 
 def pick_metrics(result: types.Result) -> dict[str, float]:
