@@ -2,8 +2,9 @@
 
 import contextlib
 import copy
+import inspect
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
 
@@ -28,6 +29,7 @@ from frictionzoo.core.params import AUTO
 from frictionzoo.fit import Fit
 from frictionzoo.fit.base import REGISTRY as METHODS
 from frictionzoo.identification import Parts, Problem, solve
+from frictionzoo.identification.commands import Origin
 from frictionzoo.identification.recipe import leave_open, refuse_unknown
 from frictionzoo.logs.cache import digest
 from frictionzoo.logs.clean import Cleaning
@@ -243,6 +245,7 @@ def identify(
     Raises:
         FrictionzooError: The input is at fault.
     """
+    asked = dict(locals())
     refuse_unlike("bench", bench, Bench, "a Bench, as in Bench('stand.xml', actuator=PositionPD(kp=15, kd=0.5))")
     _refuse_unknown(law)
     recordings = _gather(logs).dividing(test)
@@ -272,7 +275,8 @@ def identify(
     }
     parts = Parts.settle(settings | {"logger": None}, bench, recordings.divide(), copy.deepcopy(model), fit)
     with parts.computing() as place:
-        return solve(Problem.pose(parts), law if isinstance(law, str) else model.name, place)
+        name = law if isinstance(law, str) else model.name
+        return solve(Problem.pose(parts), name, place, origin=Origin.of_call(_said(identify, asked)))
 
 
 @_naming_arguments()
@@ -334,6 +338,13 @@ def law(name: str, nv: int = 1, *, scale: Mapping[str, float] | None = None, **o
         ConfigError: No such option, or a value that it cannot have.
     """
     return _make_law(name, nv, {"scale": scale} if scale else {}, options)
+
+
+def _said(function: Callable[..., Any], arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """Of a function's arguments by name alone, those that are not as they are where nothing is said."""
+    parameters = inspect.signature(function).parameters.values()
+    named = [one for one in parameters if one.kind is inspect.Parameter.KEYWORD_ONLY]
+    return {one.name: arguments[one.name] for one in named if arguments[one.name] is not one.default}
 
 
 def _make_law(name: str, nv: int, shared: Mapping[str, Any], options: Mapping[str, Any] | None = None) -> FrictionModel:

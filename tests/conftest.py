@@ -453,12 +453,12 @@ def _make_result(place: int, label: str, curves: Curves, grid: bool) -> dict[str
         "evaluation": {"sha256": 64 * "b", "window": 0.1},
         "fit": {
             **{"method": "grid" if grid else "adam", "iterations": 3, "best_iteration": 3, "loss": 1.0},
-            **{"stopped": "finished", "moving": []},
+            **{"stopped": "finished", "falling": 0.0, "moving": []},
         },
         "timing": {"setup": 1.0, "compile": 2.0, "fit": 3.25, "uncertainty": 0.25, "evaluate": 0.5, "total": 7.0},
         **{"seed": place, "dtype": "float32", "engine": "specialised"},
         "proof": {"step": 0.0, "rollout": 1e-15, "cases": 32, "steps": 8},
-        **{"warnings": [], "not_identified": None, "reference": []},
+        **{"warnings": [], "not_identified": None, "reference": [], "residual": None},
         "settings": {"seed": place},
     }
 

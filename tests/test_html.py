@@ -14,6 +14,7 @@ from browser import DRAWN, WIDTHS, needs_browser, open_page
 from test_report import FIT, bench, curves_of, dataset, evaluation, make_rollout, model, of_joints, result  # noqa: F401
 
 from frictionzoo.result.evaluate import Prediction
+from frictionzoo.result.verdict import still_falling
 from frictionzoo.show.run_page import check_result, write_report
 from frictionzoo.show.with_plotly import POINTS
 
@@ -59,8 +60,8 @@ def figures_of(source):
     return json.loads(re.search(r'<script type="application/json" id="figures">(.*?)</script>', source, re.S)[1])
 
 
-def checks_of(record, loss=(3.0, 1.0, 2.0)):
-    return {check.title: check for check in check_result(record, {"loss": np.array(loss)})}
+def checks_of(record):
+    return {check.title: check for check in check_result(record)}
 
 
 def test_the_page_answers_the_three_questions(record, tmp_path):
@@ -167,7 +168,12 @@ def test_no_doubts_about_a_good_run(record):
         ({"fit.stopped": "finished", "fit.method": "lm"}, "Fit", "caution", "without converging"),
         ({"fit.stopped": "finished", "fit.method": "grid"}, "Fit", "good", "3 combinations"),
         ({"fit.stopped": "finished", "fit.method": "known"}, "Fit", "note", "Nothing was identified"),
-        ({"fit.moving": ["bench.armature"]}, "Fit", "caution", "Still moving then: bench.armature. Raise"),
+        (
+            {"fit.moving": ["bench.armature"]},
+            "Fit",
+            "caution",
+            "Still moving when the fit ended: bench.armature; raise",
+        ),
         (
             {"reference.0.at_bound": True},
             "Reference",
@@ -178,9 +184,14 @@ def test_no_doubts_about_a_good_run(record):
             {"not_identified": ["why", "this"]},
             "Not identified",
             "bad",
-            "did not identify the drive: why. Likely: this.",
+            "did not identify the drive: why; likely: this.",
         ),
-        ({"parameters.0.at_bound": True}, "Bounds", "caution", "bench.armature ended at a bound of [0.001, 1] kg m²"),
+        (
+            {"parameters.0.at_bound": True},
+            "Bounds",
+            "caution",
+            "bench.armature ended at a bound of [0.001, 1] kg m^2; widen",
+        ),
         (
             {
                 **{"no_intervals": None, "parameters.0.identifiable": False},
@@ -188,9 +199,9 @@ def test_no_doubts_about_a_good_run(record):
             },
             "Identifiability",
             "caution",
-            "Not identifiable on these data: bench.armature. Do",
+            "Not identifiable on these data: bench.armature; do",
         ),
-        ({"indistinct": [["a.b", "c.d"]], "no_intervals": None}, "Identifiability", "caution", "apart a.b and c.d."),
+        ({"indistinct": [["a.b", "c.d"]], "no_intervals": None}, "Identifiability", "caution", "apart a.b and c.d;"),
         ({"metrics.train.position_mae": 1e-3}, "Test against train", "caution", "learnt its own data"),
         ({"metrics.train.position_mae": None}, "Test against train", "caution", "cannot be compared"),
         ({"metrics.baseline.position_mae": 1e-3}, "Gain", "bad", "no better than"),
@@ -212,8 +223,8 @@ def test_a_reason_for_trust_or_doubt_is_said(record, change, title, state, text)
 
 @pytest.mark.parametrize(("last", "state"), [(0.9, "caution"), (0.999, "good")])
 def test_a_loss_that_still_falls_is_said(record, last, state):
-    record["fit"]["iterations"] = 20
-    assert checks_of(record, [2.0] + [1.0] * 18 + [last])["Fit"].state == state
+    record["fit"] |= {"iterations": 20, "falling": still_falling(np.array([2.0] + [1.0] * 18 + [last]))}
+    assert checks_of(record)["Fit"].state == state
 
 
 @pytest.mark.parametrize("spoilt", ["model", "baseline"])

@@ -36,7 +36,7 @@ from frictionzoo.simulate.proof import Proof
 TIMESTEP = 0.001
 FIT = {
     **{"method": "adam", "iterations": 3, "best_iteration": 2, "loss": 1e-6},
-    **{"stopped": "all iterations made", "moving": []},
+    **{"stopped": "all iterations made", "falling": 0.0, "moving": []},
 }
 SETTINGS = {"seed": 0, "dtype": "float64", "segments": {"count": 20, "length": 5}}
 PROOF = Proof(step=1e-16, rollout=1e-15, cases=32, steps=8)
@@ -117,7 +117,7 @@ def build(bench, model, dataset, evaluation, friction, offset=0.01, **changes):
         "proof": PROOF,
         "warnings": [],
         "device": "cpu",
-        "uncertainty": Uncertainty(missing="nobody asked"),
+        "uncertainty": Uncertainty(),
         "reference": bench.initial_values(),
         "torque": None,
         "links": None,
@@ -365,7 +365,7 @@ def test_a_result_says_what_the_data_determine(bench, model, dataset, evaluation
     lines = {line.split("  ")[0]: line for line in text.splitlines()}
     assert "0.25 to 0.35" in lines[name] and lines[name].endswith(" identified")
     assert lines["friction.kinetic_torque"].endswith("not identifiable")
-    assert f"warning: not identifiable on these data: {', '.join(group)}" in lines
+    assert f"warning: not identifiable on these data: {', '.join(group)}; " in text
     assert f"the data cannot tell apart {' and '.join(group)}" in text
 
 

@@ -7,7 +7,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import psutil
@@ -52,10 +52,10 @@ def test_a_failing_job_does_not_end_the_others(
     jobs = ["0_baseline", "1_neural_friction", "2_coulomb_smooth"]
     done = dict(zip(("baseline", "coulomb_smooth"), sorted(finished_run("sweep")[0].glob("?_*")), strict=True))
 
-    def run_job(config: DictConfig, name: str, folder: Path) -> tuple[dict, str | None]:
+    def run_job(config: DictConfig, name: str, folder: Path, options: Sequence[str]) -> tuple[dict, str | None]:
         """The job itself where it fails, and otherwise the results of one that was done before."""
         if name not in done:
-            return run_real_job(config, name, folder)
+            return run_real_job(config, name, folder, options=options)
         shutil.copytree(done[name], folder, dirs_exist_ok=True)
         return json.loads((folder / "result.json").read_text()), None
 
@@ -148,7 +148,7 @@ def test_a_stopped_sweep_goes_on_with_what_is_missing(
     (tmp_path / "sweep" / "1_coulomb_smooth" / "result.json").unlink()
     done = []
 
-    def run_job(config: DictConfig, name: str, folder: Path) -> tuple[dict, None]:
+    def run_job(config: DictConfig, name: str, folder: Path, options: Sequence[str]) -> tuple[dict, None]:
         done.append(name)
         shutil.copy(whole / folder.name / "result.json", folder)
         return json.loads((folder / "result.json").read_text()), None

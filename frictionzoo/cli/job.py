@@ -1,6 +1,7 @@
 """One job of the command line: a configuration to an identified drive, its course recorded, its files written."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -11,6 +12,7 @@ from frictionzoo.core.build import build
 from frictionzoo.core.config import list_options
 from frictionzoo.fit.loop import Record
 from frictionzoo.identification import Parts, Problem, solve
+from frictionzoo.identification.commands import Origin
 from frictionzoo.logs.cache import digest
 from frictionzoo.result.identified import Identified
 from frictionzoo.result.record import describe_data, pick_metrics
@@ -19,7 +21,7 @@ from frictionzoo.show.terminal import summarise_in_markdown
 
 
 def run_job(
-    config: DictConfig, name: str, folder: Path, teacher: Identified | None = None
+    config: DictConfig, name: str, folder: Path, teacher: Identified | None = None, options: Sequence[str] = ()
 ) -> tuple[Result, str | None]:
     """Identify a drive and write what a run leaves behind.
 
@@ -28,6 +30,7 @@ def run_job(
         name: The chosen model, as in conf/model.
         folder: The run's folder.
         teacher: The fitted drive that this one is to follow instead of the measured training segments; None for none.
+        options: `KEY=VALUE` each, with which the job was asked for, so that it can tell the command to run next.
 
     Returns:
         What `result.json` holds, and one line of complaint if the fit diverged.
@@ -42,7 +45,8 @@ def run_job(
         measured = Problem.pose(parts)
         problem = measured if teacher is None else measured.following(teacher)
         record = Record(folder, logger, _identify(name, problem), _list_hyperparameters(name, problem))
-        found = solve(problem, name, device, record=record, measured=measured)
+        origin = Origin.of_run(options, folder, None if teacher is None else teacher.place)
+        found = solve(problem, name, device, record=record, measured=measured, origin=origin)
     result = found.result
     found.save(folder)
     figures = sorted((folder / "figures").glob("*.png"))

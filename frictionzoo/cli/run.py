@@ -58,7 +58,7 @@ def _identify(config: DictConfig, model: str, folder: Path) -> tuple[Result, str
     from frictionzoo.show.terminal import summarise
 
     with _quiet_writers():
-        result, complaint = run_job(config, model, folder)
+        result, complaint = run_job(config, model, folder, options=hydra_config.overrides.task)
     print(summarise(result, folder))
     return result, complaint
 

@@ -68,7 +68,7 @@ def distill(folder: Path, options: Mapping[str, str]) -> Distillation:
     if place.exists():
         raise OutputError(f"{place}: it exists already, expected a new folder; remove it or set output to another")
     try:
-        student, complaint = run_job(config, name, place, teacher)
+        student, complaint = run_job(config, name, place, teacher, [f"{key}={value}" for key, value in options.items()])
         note = to_json(_compare(teacher, place))
         write_atomically(place / NOTE, (json.dumps(note, indent=2, allow_nan=False) + "\n").encode())
     except BaseException:

@@ -54,12 +54,13 @@ class Excitation:
     points: float
     fps: float
 
-    def save(self, folder: Path) -> None:
+    def save(self, folder: str | Path) -> None:
         """Write the command and what is expected of it, `excitation.json` last.
 
         Raises:
             OutputError: The folder exists, or cannot be written; nothing is left behind then.
         """
+        folder = Path(folder)
         refuse_existing(folder)
         parts = files_of(self.joints, self.interval, self.motion, self.inputs, self.points, self.fps)
         try:

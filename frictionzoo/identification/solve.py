@@ -13,6 +13,7 @@ from frictionzoo.fit import Outcome, Space, estimate_uncertainty, fit_reference,
 from frictionzoo.fit.loop import Record
 from frictionzoo.fit.recordings import Recordings
 from frictionzoo.fit.uncertainty import Uncertainty
+from frictionzoo.identification.commands import IN_MEMORY, Origin, suggest_commands
 from frictionzoo.identification.discretisation import finer
 from frictionzoo.identification.problem import Problem
 from frictionzoo.logs.cache import cache_folder
@@ -21,10 +22,12 @@ from frictionzoo.result.curves import Curves, sample_friction
 from frictionzoo.result.evaluate import Judgement
 from frictionzoo.result.identified import Identified
 from frictionzoo.result.record import Findings, build_result
+from frictionzoo.result.residual_types import ResidualRow
+from frictionzoo.result.residuals import measure_residual
 from frictionzoo.result.torque import choose_filtering, measure_torque
 from frictionzoo.result.torque_types import TorqueRow
 from frictionzoo.result.types import FitRow, Result, TimingRow
-from frictionzoo.result.verdict import list_moving
+from frictionzoo.result.verdict import list_moving, still_falling
 from frictionzoo.simulate import Values
 from frictionzoo.simulate.drive import Drive
 from frictionzoo.simulate.rollout import make_observer
@@ -33,7 +36,13 @@ _log = logging.getLogger(__name__)
 
 
 def solve(
-    problem: Problem, name: str, device: str, *, record: Record | None = None, measured: Problem | None = None
+    problem: Problem,
+    name: str,
+    device: str,
+    *,
+    record: Record | None = None,
+    measured: Problem | None = None,
+    origin: Origin = IN_MEMORY,
 ) -> Identified:
     """Identify a drive, in the same `computing` in which the problem was posed.
 
@@ -43,6 +52,7 @@ def solve(
         device: Where it runs, for the record.
         record: Where the fit's course is kept; None to keep it in memory only.
         measured: The problem with the measured segments, where this one's are another drive's rollouts.
+        origin: How it was asked for, by which it tells what to do next.
 
     Raises:
         FrictionzooError: The fit cannot begin, or the record cannot be written.
@@ -57,7 +67,7 @@ def solve(
     judged = time.perf_counter()
     judgement = problem.evaluation.judge(problem.drive.rollout.compiled, outcome.values)
     baseline, reference = judge_baseline(measured or problem)
-    torque = _measure_torque(problem, outcome)
+    torque, residual = _measure_torque(problem, outcome), _measure_residual(problem, outcome)
 
     found = Findings(
         name=name,
@@ -70,6 +80,7 @@ def solve(
         baseline=baseline,
         reference=reference["bench"],
         torque=torque,
+        residual=residual,
         links=problem.links,
         fit=_describe_fit(problem.objective.space, outcome, uncertainty),
         timing=_describe_timing(problem, outcome, began, asked, judged),
@@ -79,6 +90,7 @@ def solve(
         warnings=problem.doubts,
         device=device,
         uncertainty=uncertainty,
+        commands=suggest_commands(problem, outcome.values["bench"], residual, origin),
         recipe=[{"option": option, "value": value, "reason": reason} for option, value, reason in problem.choices],
     )
     return _hand_over(problem, outcome, build_result(found), _collect_curves(problem, outcome, judgement, baseline))
@@ -120,6 +132,13 @@ def _measure_torque(problem: Problem, outcome: Outcome) -> TorqueRow | None:
     filtering = choose_filtering(problem.fit, problem.evaluation.torque)
     space = problem.objective.space
     return measure_torque(recordings, len(problem.dataset.train), space, outcome.vector, filtering)
+
+
+def _measure_residual(problem: Problem, outcome: Outcome) -> ResidualRow | None:
+    """Whether the final values leave only noise of the training recordings' torque."""
+    recordings = Recordings(problem.bench, problem.drive.model, problem.dataset.train)
+    filtering, _ = choose_filtering(problem.fit, problem.evaluation.torque)
+    return measure_residual(recordings, problem.objective.space, outcome.vector, filtering)
 
 
 def _log_engine(problem: Problem) -> None:
@@ -177,6 +196,7 @@ def _describe_fit(space: Space, outcome: Outcome, uncertainty: Uncertainty) -> F
         "best_iteration": outcome.best_iteration,
         "loss": outcome.loss,
         "stopped": outcome.stopped,
+        "falling": still_falling(outcome.history["loss"]) if descended else 0.0,
         "moving": list_moving(history, space.pick(uncertainty.intervals)) if descended else [],
     }
 

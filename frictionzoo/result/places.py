@@ -11,8 +11,9 @@ from frictionzoo.result.attribution import Candidate, pick
 SLOW = 0.1, 0.3  # of the root mean square speed, over which friction may fall
 SINCE = 0.05, 0.2  # s since a reversal, over which friction may build up
 PERIODS = 200  # harmonics of the position that are looked through
+THIN = 1000  # rows by which they are
 WITHIN = 0.8  # share of the bandwidth in which a ripple may lie
-CONTAMINATED = 2.0  # times the share of a load's variance that the error itself is
+CONTAMINATED = 2.0  # times the share of a load's variance that noise is
 PULL = "pull"
 """What changes with the position alike in both directions: no friction."""
 
@@ -27,7 +28,8 @@ class Seen(NamedTuple):
     Attributes:
         qpos: [rad or m].
         qvel: [rad/s or m/s].
-        motor: Torque of the actuator [N m or N].
+        motor: Torque that the actuator has to give for the motion by the law, that is without the error: what it does
+            give answers to any error, and goes with it [N m or N].
         external: Torque of everything but actuator and friction [N m or N].
         since: Time since the motion last turned round [s].
         temperature: [degC]; None where it is not recorded.
@@ -103,18 +105,25 @@ def find_ripple(
         known: Columns that the ripple has to explain more than.
         at: Index of these samples.
     """
-    few = seen._replace(qpos=seen.qpos[at], qvel=seen.qvel[at])
-    return float(periods[pick(error, known, [ripple(few, each, alike) for each in periods])])
+    thin = slice(None, None, max(1, len(at) // THIN))
+    few = seen._replace(qpos=seen.qpos[at[thin]], qvel=seen.qvel[at[thin]])
+    first = [ripple(few, each, alike)[:, :2] for each in periods]  # with both harmonics, half as many do as well
+    return float(periods[pick(error[thin], known[thin], first)])
 
 
-def as_candidates(
-    seen: Seen, decimate: Filter, rows: np.ndarray, error: Rows, known: Float[np.ndarray, "rows _"]
-) -> dict[str, Candidate]:
-    """The functions of `list_places` behind the filter of the error, in those of its rows that count."""
+def as_candidates(seen: Seen, decimate: Filter, rows: np.ndarray, noise: Rows) -> dict[str, Candidate]:
+    """The functions of `list_places` behind the filter of the error, in those of its rows that count.
+
+    Args:
+        seen: What the joint did.
+        decimate: The filter.
+        rows: Index of the rows.
+        noise: What the encoder's noise makes of the error in them.
+    """
     found = {name: Candidate(decimate(columns)[rows]) for name, columns in list_places(seen)}
     found = {name: one for name, one in found.items() if np.any(one.columns)}
-    # A motor's torque answers to whatever else there is, and goes with it a little.
-    own = float(np.var(error)) / max(float(np.var(decimate(seen.motor[:, None])[rows])), 1e-300)
+    # The torque that a motion needs has the noise of its acceleration, as the error has.
+    own = float(np.var(noise)) / max(float(np.var(decimate(seen.motor[:, None])[rows])), 1e-300)
     load = found["load"]
     return found | {"load": load._replace(least=max(load.least, CONTAMINATED * own))}
 

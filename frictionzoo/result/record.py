@@ -21,14 +21,15 @@ from frictionzoo.core.params import Param
 from frictionzoo.fit.link_inertia import LinkInertia
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.models.base import FrictionModel
-from frictionzoo.result import machine_types, types
+from frictionzoo.result import run_types, types
 from frictionzoo.result.covariance import describe_covariance
 from frictionzoo.result.curves import Curves, read_curves
 from frictionzoo.result.evaluate import Evaluation, Judgement, Metrics, Values
 from frictionzoo.result.links import describe_links
 from frictionzoo.result.names import label_values
+from frictionzoo.result.residual_types import ResidualRow
 from frictionzoo.result.values import list_values
-from frictionzoo.result.verdict import doubt_sizes, explain_failure
+from frictionzoo.result.verdict import doubt_sizes, explain_failure, judge
 from frictionzoo.simulate.proof import Proof
 
 SCHEMA_VERSION: Final = 7
@@ -65,6 +66,8 @@ class Findings:
         device: Where it ran.
         uncertainty: How far the data determine what was identified.
         recipe: What was left open of the settings, and found.
+        residual: Whether what is left of the torque is noise; None where that was not looked at.
+        commands: To copy: what to do next.
     """
 
     name: str
@@ -87,6 +90,8 @@ class Findings:
     device: str
     uncertainty: Uncertainty
     recipe: Sequence[types.ChoiceRow] = ()
+    residual: ResidualRow | None = None
+    commands: Sequence[str] = ()
 
 
 def build_result(found: Findings) -> types.Result:
@@ -121,6 +126,7 @@ def build_result(found: Findings) -> types.Result:
         },
         "by_joint": _list_joints(bench.joints, found.judgement, found.baseline),
         "torque": found.torque,
+        "residual": found.residual,
         "links": None if found.links is None else describe_links(found.links),
         "reference": [
             _describe_value("bench", bench, name, param, found.reference[name], Uncertainty())
@@ -133,15 +139,18 @@ def build_result(found: Findings) -> types.Result:
         "seed": found.settings["seed"],
         "dtype": found.settings["dtype"],
         "engine": cast(types.Simulator, found.engine),
-        "proof": cast(machine_types.ProofRow, asdict(found.proof)),
+        "proof": cast(run_types.ProofRow, asdict(found.proof)),
         "warnings": [*found.warnings, *sizes],
         "notes": list(bench.notes),
         "device": found.device,
         "versions": _read_versions(),
         "settings": dict(found.settings),
         "not_identified": None,
+        "verdict": {"grade": "nothing speaks against it", "findings": [], "commands": []},
     }
-    return to_json({**result, "not_identified": explain_failure(result)})
+    result["not_identified"] = explain_failure(result)
+    plain: Any = to_json(result)
+    return plain | {"verdict": judge(plain, found.commands)}
 
 
 def pick_metrics(result: types.Result) -> dict[str, float]:
@@ -294,9 +303,9 @@ def _contrast(model: Metrics, baseline: Metrics) -> types.ContrastRow:
     return cast(types.ContrastRow, {"model": asdict(model), "baseline": asdict(baseline)})
 
 
-def _read_versions() -> machine_types.Versions:
+def _read_versions() -> run_types.Versions:
     versions = {"python": platform.python_version(), **dict.fromkeys(PACKAGES, "not installed")}
     for package in PACKAGES:
         with contextlib.suppress(metadata.PackageNotFoundError):
             versions[package] = metadata.version(package)
-    return cast(machine_types.Versions, versions)
+    return cast(run_types.Versions, versions)

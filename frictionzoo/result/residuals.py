@@ -30,7 +30,8 @@ from frictionzoo.result import residual_types as types
 from frictionzoo.result.attribution import Candidate, Explained, attribute, correlation, excess
 from frictionzoo.result.places import PULL, Seen, as_candidates, find_ripple, list_periods, ripple, time_since_reversal
 
-LONGEST = 60_000  # samples that are looked at, shared by the logs
+LONGEST = 40_000  # samples that are looked at, shared by the logs
+SHORTEST = 1.0  # s; shorter logs are mostly the ends of filters
 FEWEST = 100  # rows of a joint; fewer tell nothing
 BANDWIDTHS = 10.0, 5.0  # Hz, where noise drowns what lies above
 DROWNED = 0.5  # share of the variance that is left, of which noise may be the cause
@@ -108,16 +109,22 @@ def measure_residual(
         return None
     drive = Drive(bench, model, logs, left.equation.state(vector), used.bandwidth)
     slopes = _slopes(left, _follow(model, logs), bench, space, vector)
+    if not all(np.isfinite(part).all() for part in (left.torque, left.noise, slopes)):
+        _log.info("what is left of the torque is not looked at: it is not finite with these values")
+        return None
     rows = [_describe(left, joint, slopes, drive) for joint in range(bench.nv)]
     found = {"unit": UNITS[bench.joint_type]["torque"], "bandwidth": used.bandwidth}
     return cast(types.ResidualRow, {**found, "by_joint": [row for row in rows if row is not None]})
 
 
 def _shorten(logs: Sequence[Log]) -> tuple[Log, ...]:
-    """The beginnings of the logs, of as many samples as are looked at."""
-    most = LONGEST // len(logs)
-    whole = sum(log.samples for log in logs) <= LONGEST
-    return tuple(logs) if whole else tuple(log.between(0, min(most, log.samples), "start") for log in logs)
+    """Logs that are long enough, some of many, and of long ones the beginning: as many samples as are looked at."""
+    kept = [log for log in logs if log.samples * log.timestep > SHORTEST] or list(logs)
+    whole = sum(log.samples for log in kept)
+    if whole > LONGEST:
+        kept = kept[:: max(1, round(whole / LONGEST))]
+    most = max(LONGEST // len(kept), round(SHORTEST / kept[0].timestep))
+    return tuple(log if log.samples <= most else log.between(0, most, "start") for log in kept)
 
 
 def _find_left(
@@ -265,7 +272,7 @@ def _attribute(
     """What the error of a joint goes with, and which law sees that."""
     error, decimate = left.torque[rows, joint], left.equation.decimate
     seen = _see(left, joint, drive)
-    candidates = as_candidates(seen, decimate, rows, error, known)
+    candidates = as_candidates(seen, decimate, rows, left.noise[rows, joint])
     periods, chosen = list_periods(seen, drive.bench.joint_type == "hinge", drive.bandwidth), {}
     if len(periods):
         for name, alike in (("ripple", False), ("cogging", True)):
@@ -304,7 +311,9 @@ def _see(left: Left, joint: int, drive: Drive) -> Seen:
     known = [one for one in warmth if one is not None]
     temperature = np.concatenate(known)[:, joint] if len(known) == len(logs) else None
     since = time_since_reversal(qvel, begins, logs[0].timestep)
-    return Seen(qpos, qvel, state.motor_torque[:, joint], state.external_torque[:, joint], since, temperature)
+    at = _places(left.equation.decimate)
+    motor = state.motor_torque[:, joint] - np.interp(np.arange(len(qpos)), at, left.torque[:, joint])
+    return Seen(qpos, qvel, motor, state.external_torque[:, joint], since, temperature)
 
 
 def _rms(values: Float[np.ndarray, "rows"]) -> float:

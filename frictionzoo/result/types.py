@@ -24,8 +24,10 @@ from frictionzoo.result.kinds import (
     Text,
     WhereThere,
 )
-from frictionzoo.result.machine_types import ProofRow, Versions
+from frictionzoo.result.residual_types import ResidualRow
+from frictionzoo.result.run_types import ChoiceRow, FitRow, ProofRow, TimingRow, Versions
 from frictionzoo.result.torque_types import LinksRow, TorqueRow
+from frictionzoo.result.verdict_types import VerdictRow
 
 
 class LogRow(TypedDict):
@@ -249,52 +251,6 @@ class EvaluationRow(TypedDict):
     """Length of the moving mean over the error of the long rollout, in figures [s]."""
 
 
-class FitRow(TypedDict):
-    """How the parameters were found."""
-
-    method: str
-    """The optimiser: adam, lm or grid."""
-    iterations: Natural
-    """Iterations that were made; for a grid, its points."""
-    best_iteration: Natural
-    """The iteration whose values are reported: that of the lowest loss on the whole training set."""
-    loss: float | None
-    """Loss of that iteration, weighted as configured."""
-    stopped: Text
-    """Why the fit ended: converged, finished (all iterations made), patience, or diverged."""
-    moving: list[str]
-    """Parameters, as `owner.name`, of several joints `owner.name/JOINT`, that still moved in the last tenth of the
-    iterations: by more than a third of half their interval, or 1 % of their value where they have none."""
-
-
-class ChoiceRow(TypedDict):
-    """An option that was left open."""
-
-    option: Text
-    """Its dotted name."""
-    value: float | bool | str | None
-    """What was chosen."""
-    reason: Text
-    """Why."""
-
-
-class TimingRow(TypedDict):
-    """Wall-clock seconds."""
-
-    setup: NotNegative
-    """Reading or making data, building bench and model, and finding what was left open of the settings."""
-    compile: NotNegative
-    """Compiling the fit's rollouts."""
-    fit: NotNegative
-    """The fit without compiling."""
-    uncertainty: NotNegative
-    """The intervals of the parameters, with compiling."""
-    evaluate: NotNegative
-    """The rollouts of the evaluation."""
-    total: NotNegative
-    """From the start of the run to this file."""
-
-
 class Result(TypedDict):
     """The record of one identification run.
 
@@ -333,6 +289,11 @@ class Result(TypedDict):
     The ends of each log, one such period, are left out; all other samples count, slow ones too. A law with a memory
     counts by what it comes down to at constant velocity. null where the recordings have no torque, for a law that
     exists only in torch, and where the logs are too short."""
+    residual: ResidualRow | None
+    """Whether the drive leaves only noise of the training recordings' torque, without a simulation: the torque of the
+    actuators by their law, less armature times acceleration, friction, and MuJoCo's inverse dynamics of the links, at
+    the recorded positions, filtered as in `torque`. Samples near a joint's rest are left out; a law with a memory
+    carries it along. null where the training recordings are too short."""
     links: LinksRow | None
     """Inertias of links that `fit.links` names, and gravity with `fit.tilt`, and how far the data determine them; null
     where there are none."""
@@ -365,6 +326,8 @@ class Result(TypedDict):
     not_identified: list[Text] | None
     """Null, or that the fit did not identify the drive: why that is said, and the likely reasons, the likeliest
     first."""
+    verdict: VerdictRow
+    """What a good reviewer would say of it, and what to do next."""
     device: Text
     """Where it ran, for example cpu."""
     versions: Versions

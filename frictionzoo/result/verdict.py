@@ -1,13 +1,20 @@
-"""Whether a fit identified the drive at all, and what its numbers are to be compared with."""
+"""What speaks against a result: all that a good reviewer would ask about, in one place.
 
-from collections.abc import Mapping, Sequence
+The terminal, the page and `result.json` show these findings; none of them has doubts of its own.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import cast
 
 import numpy as np
 from jaxtyping import Float
 
 from frictionzoo.core.params import UNITS, Param
-from frictionzoo.result.names import name_some, name_where, say_bounds
-from frictionzoo.result.types import ParameterRow, ReferenceRow, Result
+from frictionzoo.result.names import name_some, name_unidentifiable, name_where, say_bounds
+from frictionzoo.result.residual_types import JointResidualRow, PlaceRow, ResidualRow
+from frictionzoo.result.run_types import FitRow
+from frictionzoo.result.types import MetricsRow, ParameterRow, PartsRow, ReferenceRow, Result
+from frictionzoo.result.verdict_types import FindingRow, VerdictRow
 
 BOUNDS = 2  # identified parameters at bounds from which on that is doubted
 LITTLE = 1 / 3  # of the test error without friction; a law that identifies a drive leaves less
@@ -17,6 +24,181 @@ _SIZES = {UNITS[joint][of] for joint in UNITS for of in ("torque", "damping")}
 LATE = 0.1  # share of the iterations, the last ones, in which a parameter may not move
 MOVING = 1 / 3  # of half its interval, by which it moves then
 MOVING_BLINDLY = 0.01  # of its value, where it has no interval
+FALLING = 0.01  # share of the loss that the last tenth of the iterations may still take off
+OVERFIT = 1.5  # ratio of test to train error that is told
+UNEXPLAINED = 0.05  # share of the friction that may be left without being noise
+OUT_OF_NOISE = 3.0  # times what noise makes, from which on more is left than noise
+ALIKE = 0.5  # correlation of neighbours from which on what is left is no noise
+PLACES = {
+    "speed": "the speed",
+    "slow": "low speeds, as where friction falls while the drive sets out",
+    "fast": "high speeds, as where friction grows faster than the speed",
+    "direction": "the direction",
+    "load": "the load on the gear",
+    "position": "the position",
+    "pull": "the position, alike in both directions",
+    "temperature": "the temperature",
+    "reversal": "the time since the motion turned round, as where friction builds up over a displacement",
+}
+"""What torque that is left changes with, in words."""
+_MORE = "raise fit.iterations"
+
+
+def judge(result: Result, commands: Sequence[str] = ()) -> VerdictRow:
+    """The verdict on a result by what it holds besides, with these commands to copy.
+
+    Args:
+        result: The record; what it has under `verdict` is not looked at.
+        commands: As `VerdictRow` has them.
+    """
+    findings = sorted(find_doubts(result), key=lambda finding: not finding["severe"])
+    worst = [finding["severe"] for finding in findings[:1]]
+    grade = "do not use it" if True in worst else "use it with care" if worst else "nothing speaks against it"
+    return cast(VerdictRow, {"grade": grade, "findings": findings, "commands": list(commands)})
+
+
+def say_finding(finding: FindingRow) -> str:
+    """A finding in one sentence, with what mends it."""
+    return finding["text"] + (f"; {finding['mend']}" if finding["mend"] else "")
+
+
+def find_doubts(result: Result) -> Iterator[FindingRow]:
+    """All that speaks against a result, in the order in which it is looked at."""
+    if result["not_identified"]:
+        why, *reasons = result["not_identified"]
+        yield _find("identification", f"this did not identify the drive: {why}", f"likely: {'; '.join(reasons)}", True)
+    for sentence in result["warnings"]:
+        yield _find("recordings", sentence)
+    yield from _doubt_errors(result)
+    if doubt := doubt_joints(result):
+        yield _find("joints", doubt)
+    if doubt := doubt_reference(result["reference"]):
+        yield _find("reference", doubt)
+    yield from _doubt_train(result["metrics"])
+    yield from _doubt_fit(result["fit"])
+    for p in result["parameters"]:
+        if p["at_bound"]:
+            ended = f"{name_where(p, at_bound=True)} ended at a bound of {say_bounds(p)} {p['unit']}"
+            yield _find("bounds", ended, "widen the bounds or doubt the model")
+    yield from _doubt_parameters(result)
+    yield from _doubt_stability(result)
+    if result["residual"]:
+        yield from _doubt_residual(result["residual"])
+
+
+def _find(kind: str, text: str, mend: str | None = None, severe: bool = False, law: str | None = None) -> FindingRow:
+    return cast(FindingRow, {"kind": kind, "severe": severe, "text": text, "mend": mend, "law": law})
+
+
+def _doubt_errors(result: Result) -> Iterator[FindingRow]:
+    test, baseline = (result["metrics"][part]["position_mae"] for part in ("test", "baseline"))
+    if test is None:
+        yield _find("gain", "there is no test error: every test rollout diverged", severe=True)
+    elif result["model"] != "baseline" and baseline and test >= baseline:
+        text = "on test data the model is no better than a drive without friction"
+        yield _find("gain", text, "do not use its friction", severe=True)
+    elif doubt := doubt_gain(result):
+        yield _find("gain", doubt)
+
+
+def _doubt_train(metrics: PartsRow) -> Iterator[FindingRow]:
+    train, test = (metrics[part]["position_mae"] for part in ("train", "test"))
+    if train is None or test is None or train == 0:
+        yield _find("train", "test and training error cannot be compared: one is missing")
+    elif test > OVERFIT * train:
+        text = f"the test error is {test / train:.2g} times that on the training data"
+        yield _find("train", text, "the fit may have learnt its own data by heart, or the test data ask for more")
+
+
+def _doubt_fit(fit: FitRow) -> Iterator[FindingRow]:
+    if fit["stopped"] == "diverged":
+        text = f"the fit diverged after {fit['iterations']} iterations"
+        yield _find("fit", text, "lower its step or start from other values", severe=True)
+    if fit["stopped"] == "finished" and fit["method"] == "lm":
+        yield _find("fit", f"the fit made all of its {fit['iterations']} iterations without converging", _MORE)
+    if fit["falling"] > FALLING:
+        yield _find(
+            "fit", f"the last tenth of the iterations still took {100 * fit['falling']:.2g} % off the loss", _MORE
+        )
+    if fit["moving"]:
+        yield _find("fit", f"still moving when the fit ended: {', '.join(fit['moving'])}", _MORE)
+
+
+def _doubt_parameters(result: Result) -> Iterator[FindingRow]:
+    """What the data do not determine."""
+    if doubtful := name_unidentifiable(result["parameters"]):
+        text = f"not identifiable on these data: {', '.join(doubtful)}"
+        yield _find("identifiability", text, "do not read a property of the drive into such values")
+    for group in result["indistinct"]:
+        text = f"the data cannot tell apart {' and '.join(group)}"
+        yield _find("identifiability", text, "make all but one of them known, or record others")
+    if result["no_intervals"] is not None and any(p["identified"] for p in result["parameters"]):
+        yield _find("identifiability", f"no parameter has an interval: {result['no_intervals']}")
+
+
+def list_rollouts(result: Result) -> list[tuple[str, MetricsRow]]:
+    """All rollouts that judge, by what they are of."""
+    names = {"test": "test", "train": "training", "model": "test", "baseline": "frictionless test"}
+    judged = [(names[part], entry[part]) for entry in result["by_horizon"] for part in ("test", "train", "baseline")]
+    return judged + [(names[part], result["paper"]["a"][part]) for part in ("model", "baseline")]
+
+
+def _doubt_stability(result: Result) -> Iterator[FindingRow]:
+    lost = [(name, metrics) for name, metrics in list_rollouts(result) if metrics["diverged"]]
+    if lost:
+        counts = [f"{m['diverged']} of {m['rollouts']} {name} rollouts of {m['horizon']:g} s" for name, m in lost]
+        severe = any(not name.startswith("frictionless") for name, _ in lost)
+        yield _find("stability", f"diverged, and left out of the errors: {'; '.join(counts)}", severe=severe)
+
+
+def _doubt_residual(residual: ResidualRow) -> Iterator[FindingRow]:
+    """Where the error is, if it is not noise."""
+    rows, unit = residual["by_joint"], residual["unit"]
+    told: dict[tuple[str, str | None], list[tuple[JointResidualRow, PlaceRow]]] = {}
+    for row in rows:
+        for place in row["places"]:
+            told.setdefault((place["place"], place["law"]), []).append((row, place))
+    for (place, law), found in told.items():
+        yield _find("residual", _say_place(place, found, unit, len(rows)), _say_law(found[0][1]), law=law)
+    for row in rows:
+        rest = row["residual"] > max(OUT_OF_NOISE * row["noise"], UNEXPLAINED * row["friction"])
+        if rest and row["correlation"] > ALIKE and not row["places"]:
+            of = f" of {row['joint']}" if len(rows) > 1 else ""
+            yield _find(
+                "residual",
+                f"the torque that is left{of}, {100 * row['residual'] / row['friction']:.2g} % of the friction, is no "
+                f"noise (neighbours in time correlate by {row['correlation']:.2f}), and goes with nothing that was "
+                "looked for",
+                "look at what is taken as known: gains, inertia, delay, elasticity between motor and joint",
+            )
+
+
+def _say_place(place: str, found: Sequence[tuple[JointResidualRow, PlaceRow]], unit: str, joints: int) -> str:
+    """What goes with a place, of the joint in which it is most."""
+    row, most = max(found, key=lambda pair: pair[1]["torque"] / pair[0]["friction"])
+    of = f" of {name_some([*dict.fromkeys(row['joint'] for row, _ in found)])}" if joints > 1 else ""
+    ripple = "" if most["periods"] is None else f", {_say_periods(most['periods'], unit)}"
+    size = f"{most['torque']:.2g} {unit}, {100 * most['torque'] / row['friction']:.2g} % of the friction"
+    upto = "up to " if len(found) > 1 else ""
+    return (
+        f"the error{of} is not noise: {upto}{100 * most['share']:.0f} % of the torque that is left goes with "
+        f"{PLACES[place]}{ripple} ({size})"
+    )
+
+
+def _say_periods(periods: float, unit: str) -> str:
+    """Those of a ripple, of a hinge or a slide by the unit of its torque."""
+    return f"{periods:.4g} periods in a turn" if unit == "N m" else f"with a period of {2 * np.pi / periods:.3g} m"
+
+
+def _say_law(place: PlaceRow) -> str:
+    """Which law has such a term."""
+    if place["place"] == "pull":
+        return "no friction does that: look at gravity, payload and springs of the bench, or a motor that cogs"
+    if place["law"] is None:
+        return "the law has a term for it; its form, or its bounds, do not fit" if place["known"] else "no law has that"
+    other = "another form of that term" if place["known"] else "that term"
+    return f"{place['law']} has {other}" + ("" if place["whole"] else ", but not all of this law's")
 
 
 def explain_failure(result: Result) -> list[str] | None:
@@ -122,6 +304,13 @@ def list_moving(
         if abs(last - before) > (width if np.isfinite(width) else MOVING_BLINDLY * abs(last)):
             moving.append(name)
     return moving
+
+
+def still_falling(loss: Float[np.ndarray, "iterations"]) -> float:
+    """Share of the lowest loss before them that the last tenth of the iterations took off."""
+    finite = np.where(np.isfinite(loss), loss, np.inf).astype(np.float64)
+    before = finite[: len(finite) - len(finite) // 10].min(initial=np.inf)
+    return max(0.0, 1 - float(finite.min() / before)) if np.isfinite(before) and before > 0 else 0.0
 
 
 def doubt_reference(parameters: Sequence[ParameterRow | ReferenceRow]) -> str | None:

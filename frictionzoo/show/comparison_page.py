@@ -102,7 +102,7 @@ def _describe(index: int, run: Run, comparison: Comparison, look: Look, folder: 
 
 
 def _doubt(run: Run) -> list[Check]:
-    return [check for check in check_result(run.result, run.curves.history) if check.doubtful]
+    return [check for check in check_result(run.result) if check.doubtful]
 
 
 def _list_errors(entry: RunRow) -> Iterator[dict[str, Any]]:

@@ -1,26 +1,33 @@
 """`report.html`: one run on one page that opens without a network, from the answer down to the curves behind it."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from jaxtyping import Shaped
-
 from frictionzoo.core.output import write_atomically
 from frictionzoo.result.curves import Curves
-from frictionzoo.result.names import name_unidentifiable, name_where, reached_bounds
 from frictionzoo.result.types import DataRow, FitRow, ParameterRow, PartsRow, Result, TimingRow, ValueRow
-from frictionzoo.result.verdict import doubt_gain, doubt_joints, doubt_reference
+from frictionzoo.result.verdict import doubt_reference, judge, list_rollouts, say_finding
 from frictionzoo.show.page import Check, render_page
 from frictionzoo.show.run_plots import plot_run
 from frictionzoo.show.terminal import ERRORS
-from frictionzoo.show.text import format_change, format_number, format_unit
+from frictionzoo.show.text import format_change, format_number, format_share
 
-OVERFIT = 1.5  # ratio of test to train error from which the page asks for caution
-FALLING = 0.01  # share of the loss that the last tenth of the iterations may still take off
+TITLES = {
+    "identification": "Not identified",
+    "recordings": "Recordings",
+    "gain": "Gain",
+    "joints": "Joint by joint",
+    "reference": "Reference",
+    "train": "Test against train",
+    "fit": "Fit",
+    "bounds": "Bounds",
+    "identifiability": "Identifiability",
+    "stability": "Stability",
+    "residual": "What is left",
+}
+"""Of findings, by their kind."""
 METHODS = {"adam": "Adam", "lm": "Levenberg-Marquardt", "grid": "The grid search", "known": "Known values"}
-_DIVERGED = "Lower its step or start from other values."
 FILES = {  # what else a run leaves behind, by path beside the page
     "result.json": "every number of this page, for programs",
     "identified.xml": "the test stand, or the robot's own file, with the identified drive, for MuJoCo",
@@ -48,8 +55,9 @@ def write_report(path: Path, result: Result, curves: Curves) -> None:
     page = render_page(
         "show/run.html.jinja",
         plot_run(result, curves),
-        list(check_result(result, curves.history)),
+        list(check_result(result)),
         result=result,
+        verdict=result["verdict"],
         joints=list_joints(result) if len(result["joints"]) > 1 else [],
         headline=_say_headline(result),
         errors=list(_list_errors(result["metrics"])),
@@ -61,49 +69,66 @@ def write_report(path: Path, result: Result, curves: Curves) -> None:
     write_atomically(path, page)
 
 
-def check_result(result: Result, history: Mapping[str, Shaped[np.ndarray, "iterations ..."]]) -> Iterator[Check]:
-    """What speaks for the result and what against it; the history has the `loss` of each iteration."""
-    if result["not_identified"]:
-        why, *reasons = result["not_identified"]
-        yield Check("bad", "Not identified", f"This did not identify the drive: {why}. Likely: {'; '.join(reasons)}.")
-    for sentence in result["warnings"]:
-        yield Check("caution", "Recordings", f"{sentence}.")
-    yield _check_gain(result)
+def check_result(result: Result) -> Iterator[Check]:
+    """What speaks against the result, the worst first, and then what speaks for it."""
+    doubts = judge(result)["findings"]
+    for doubt in doubts:
+        text = say_finding(doubt)
+        yield Check("bad" if doubt["severe"] else "caution", TITLES[doubt["kind"]], f"{_capitalise(text)}.")
+    found = {doubt["kind"] for doubt in doubts}
+    for kind, check in _list_checks(result):
+        if kind not in found:
+            yield check
+
+
+def _list_checks(result: Result) -> Iterator[tuple[str, Check]]:
+    """What speaks for the result where nothing of that kind speaks against it."""
+    yield "gain", _check_gain(result)
     if len(result["joints"]) > 1 and result["model"] != "baseline":
-        yield _check_joints(result)
-    if doubt := doubt_reference(result["reference"]):
-        yield Check("caution", "Reference", f"{doubt[0].upper()}{doubt[1:]}.")
-    yield check_held_out(result["data"])
-    yield _check_train(result["metrics"])
-    yield _check_fit(result["fit"], history["loss"])
-    yield _check_bounds(result)
-    yield _check_identifiability(result)
-    yield _check_divergence(result)
-    yield check_origin(result["data"])
+        text = "On test data the model's position error is smaller than without friction in each of the"
+        yield "joints", Check("good", TITLES["joints"], f"{text} {len(result['joints'])} joints.")
+    yield "held out", check_held_out(result["data"])
+    yield "train", _check_train(result["metrics"])
+    yield "fit", _check_fit(result["fit"])
+    identified = [parameter for parameter in result["parameters"] if parameter["identified"]]
+    text = f"No identified parameter, of {len(identified)}, ended at a bound."
+    yield "bounds", Check("good", TITLES["bounds"], text)
+    if result["no_intervals"] is not None:
+        text = f"No parameter has an interval: {result['no_intervals']}."
+        yield "identifiability", Check("note", TITLES["identifiability"], text)
+    else:
+        text = f"The data determine each of the {len(identified)} identified parameters."
+        yield "identifiability", Check("good", TITLES["identifiability"], text)
+    total = sum(metrics["rollouts"] for _, metrics in list_rollouts(result))
+    text = f"All {total} rollouts stayed finite and count in the errors."
+    yield "stability", Check("good", TITLES["stability"], text)
+    yield "residual", _check_residual(result)
+    yield "origin", check_origin(result["data"])
 
 
 def _check_gain(result: Result) -> Check:
     test, baseline = (result["metrics"][part]["position_mae"] for part in ("test", "baseline"))
     if result["model"] == "baseline":
         return Check("note", "Gain", "This model is the drive without friction: it is compared with itself.")
-    if test is None:
-        return Check("bad", "Gain", "There is no test error: every test rollout diverged.")
-    if not baseline:
+    if test is None or not baseline:
         return Check("note", "Gain", "The drive without friction has no test error to compare with.")
-    if test >= baseline:
-        text = "On test data the model is no better than a drive without friction. Do not use its friction."
-        return Check("bad", "Gain", text)
-    if doubt := doubt_gain(result):
-        return Check("caution", "Gain", f"{doubt[0].upper()}{doubt[1:]}.")
     text = f"On test data the model's position error is {baseline / test:.3g} times smaller than without friction."
     return Check("good", "Gain", text)
 
 
-def _check_joints(result: Result) -> Check:
-    if doubt := doubt_joints(result):
-        return Check("caution", "Joint by joint", f"{doubt[0].upper()}{doubt[1:]}.")
-    text = "On test data the model's position error is smaller than without friction in each of the"
-    return Check("good", "Joint by joint", f"{text} {len(result['joints'])} joints.")
+def _check_residual(result: Result) -> Check:
+    residual = result["residual"]
+    rows = residual["by_joint"] if residual else []
+    if not rows:
+        text = "The recordings are too short, or the joints move too little, to see whether the error is noise."
+        return Check("note", TITLES["residual"], text)
+    row = max(rows, key=lambda row: row["residual"] / row["friction"])
+    share = format_share(row["residual"], row["friction"])
+    of = f" of {row['joint']}" if len(result["joints"]) > 1 else ""
+    text = f"What is left of the torque, {share} of the friction{of}, goes with nothing of speed, load, direction,"
+    return Check(
+        "good", TITLES["residual"], f"{text} position, temperature and time since reversal by more than chance."
+    )
 
 
 def check_held_out(data: DataRow) -> Check:
@@ -118,78 +143,34 @@ def check_held_out(data: DataRow) -> Check:
 
 def _check_train(metrics: PartsRow) -> Check:
     train, test = (metrics[part]["position_mae"] for part in ("train", "test"))
-    if train is None or test is None or train == 0:
-        return Check("caution", "Test against train", "Test and training error cannot be compared: one is missing.")
-    unit = metrics["test"]["unit"]
-    text = f"The test error, {format_number(test)} {unit}, is {test / train:.2g} times that on the training data"
-    if test > OVERFIT * train:
-        why = "the fit may have learnt its own data by heart, or the test data ask for more"
-        return Check("caution", "Test against train", f"{text}: {why}.")
-    return Check("good", "Test against train", f"{text}: no sign of overfitting.")
+    ratio = f"{test / train:.2g}" if test is not None and train else "none"
+    text = (
+        f"The test error, {format_number(test)} {metrics['test']['unit']}, is {ratio} times that on the training data"
+    )
+    return Check("good", TITLES["train"], f"{text}: no sign of overfitting.")
 
 
-def _check_fit(fit: FitRow, loss: Shaped[np.ndarray, "iterations"]) -> Check:
+def _check_fit(fit: FitRow) -> Check:
     method, count = METHODS.get(fit["method"], fit["method"]), fit["iterations"]
     kept = f"iteration {fit['best_iteration']}, that of the lowest training loss, is reported"
-    made = f"{method} made all of its {count} iterations"
     said = {
         "converged": ("good", f"{method} converged after {count} iterations; {kept}."),
         "patience": ("good", f"{method} stopped after {count} iterations, as the loss fell no more; {kept}."),
-        "diverged": ("bad", f"{method} diverged after {count} iterations; {kept}. {_DIVERGED}"),
         "known": ("note", "Nothing was identified: the given values are judged as they are."),
         "grid": ("good", f"The grid search tried all of its {count} combinations; the best is reported."),
-        "lm": ("caution", f"{made} without converging; {kept}. Raise fit.iterations."),
     }
     ended = fit["method"] if fit["stopped"] == "finished" else fit["stopped"]
-    if ended in said:
-        return Check(said[ended][0], "Fit", said[ended][1])
-    if fit["stopped"] != "finished":
-        return Check("bad", "Fit", f"{method} was {fit['stopped']} after {count} iterations; {kept}.")
-    # The share by which the last tenth of the iterations lowered the lowest loss.
-    finite = np.where(np.isfinite(loss), loss, np.inf).astype(np.float64)
-    before = finite[: len(finite) - len(finite) // 10].min(initial=np.inf)
-    falling = 1 - float(finite.min() / before) if np.isfinite(before) and before > 0 else 0.0
-    text, moving = f"{made}; {kept}.", ", ".join(fit["moving"])
-    if falling > FALLING:
-        text += f" The last tenth still took {100 * falling:.2g} % off the loss: more iterations may find more."
-    if moving:
-        text += f" Still moving then: {moving}. Raise fit.iterations."
-    return Check("caution" if falling > FALLING or moving else "good", "Fit", text)
+    return (
+        Check(said[ended][0], "Fit", said[ended][1])
+        if ended in said
+        else Check("good", "Fit", f"{method} made all of its {count} iterations; {kept}.")
+    )
 
 
-def _check_bounds(result: Result) -> Check:
-    identified = [parameter for parameter in result["parameters"] if parameter["identified"]]
-    ended = []
-    for p in (p for p in identified if p["at_bound"]):
-        low, high = map(format_number, reached_bounds(p))
-        ended.append(f"{name_where(p, at_bound=True)} ended at a bound of [{low}, {high}] {format_unit(p['unit'])}")
-    if ended:
-        return Check("caution", "Bounds", f"{'; '.join(ended)}. Widen the bounds or doubt the model.")
-    return Check("good", "Bounds", f"No identified parameter, of {len(identified)}, ended at a bound.")
-
-
-def _check_identifiability(result: Result) -> Check:
-    if result["no_intervals"] is not None:
-        return Check("note", "Identifiability", f"No parameter has an interval: {result['no_intervals']}.")
-    identified = [parameter for parameter in result["parameters"] if parameter["identified"]]
-    doubtful = name_unidentifiable(identified)
-    text = [f"Not identifiable on these data: {', '.join(doubtful)}. Do not read a property of the drive into them."]
-    text = text if doubtful else [f"The data determine each of the {len(identified)} identified parameters."]
-    text += [f"They cannot tell apart {' and '.join(group)}." for group in result["indistinct"]]
-    return Check("caution" if doubtful or result["indistinct"] else "good", "Identifiability", " ".join(text))
-
-
-def _check_divergence(result: Result) -> Check:
-    names = {"test": "test", "train": "training", "model": "test", "baseline": "frictionless test"}
-    judged = [(names[part], entry[part]) for entry in result["by_horizon"] for part in ("test", "train", "baseline")]
-    judged += [(names[part], result["paper"]["a"][part]) for part in ("model", "baseline")]
-    lost = [(name, metrics) for name, metrics in judged if metrics["diverged"]]
-    if not lost:
-        total = sum(metrics["rollouts"] for _, metrics in judged)
-        return Check("good", "Stability", f"All {total} rollouts stayed finite and count in the errors.")
-    counts = [f"{m['diverged']} of {m['rollouts']} {name} rollouts of {m['horizon']:g} s" for name, m in lost]
-    state = "bad" if any(name != names["baseline"] for name, _ in lost) else "caution"
-    return Check(state, "Stability", f"Diverged, and left out of the errors: {'; '.join(counts)}.")
+def _capitalise(text: str) -> str:
+    """A sentence's beginning, unless that is a name."""
+    first = text.split(maxsplit=1)[0]
+    return text if set("._/") & set(first) else text[0].upper() + text[1:]
 
 
 def check_origin(data: DataRow) -> Check:

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from frictionzoo.comparison.types import Comparison
-from frictionzoo.result.names import merge_known, name_unidentifiable, name_where, say_bounds
+from frictionzoo.result.names import merge_known
 from frictionzoo.result.torque_types import TorqueRow
 from frictionzoo.result.types import DataRow, MetricsRow, ParameterRow, Result, ValueRow
-from frictionzoo.result.verdict import doubt_gain, doubt_joints, doubt_reference
+from frictionzoo.result.verdict import say_finding
 from frictionzoo.show.text import format_number, format_share
 
 Rows = Sequence[Sequence[str]]
@@ -36,11 +36,15 @@ def summarise_in_markdown(result: Result, folder: Path) -> str:
 
 def summarise_in_html(result: Result, folder: Path | None) -> str:
     """The same with tables of HTML, for notebooks."""
-    return _arrange(result, folder, _tabulate_in_html, _say_in_html)
+    return _arrange(result, folder, _tabulate_in_html, _say_in_html, _tell_in_html)
 
 
 def _say_in_html(text: str) -> str:
     return f"<p>{html.escape(text)}</p>"
+
+
+def _tell_in_html(lines: Sequence[str]) -> str:
+    return "".join(f"<pre>{html.escape(line)}</pre>" if line[:1] == " " else _say_in_html(line) for line in lines)
 
 
 def _tabulate_in_html(rows: Rows) -> str:
@@ -54,6 +58,7 @@ def _arrange(
     folder: Path | None,
     tabulate: Callable[[Rows], str],
     say: Callable[[str], str] = lambda text: text,
+    tell: Callable[[Sequence[str]], str] = "\n".join,
 ) -> str:
     metrics = result["metrics"]
     blocks = [
@@ -62,7 +67,8 @@ def _arrange(
         tabulate(_list_errors(metrics["test"], metrics["baseline"], ("this model", "no friction"))),
         *([tabulate(_list_joints(result))] if len(result["joints"]) > 1 else []),
         *([tabulate(_list_torque(result["torque"]))] if result["torque"] else []),
-        *map(say, [*_warn(result), *([f"files: {folder}"] if folder else [])]),
+        *([say(f"files: {folder}")] if folder else []),
+        tell(_list_verdict(result)),
     ]
     return "\n\n".join(blocks)
 
@@ -80,9 +86,9 @@ def summarise_distillation(student: Result, teacher: Result, note: Mapping[str, 
         align(_list_parameters(student)),
         align(_list_errors(test, expected, ("student", "teacher"))),
         align(rows),
-        *_warn(student),
         *note["notes"],
         f"files: {folder}",
+        "\n".join(_list_verdict(student)),
     ]
     return "\n\n".join(blocks)
 
@@ -189,30 +195,22 @@ def _list_errors(test: MetricsRow, reference: MetricsRow, names: tuple[str, str]
     return rows
 
 
-def _warn(result: Result) -> list[str]:
-    """What is doubtful: of the recordings, of parameters at a bound, not identifiable or indistinct, and of it all."""
-    lines = [f"warning: {sentence}" for sentence in result["warnings"]]
-    lines += [
-        f"warning: {name_where(p, at_bound=True)} ended at a bound of {say_bounds(p)} {p['unit']}; widen the "
-        "bounds or doubt the model"
-        for p in result["parameters"]
-        if p["at_bound"]
-    ]
-    if doubtful := name_unidentifiable(result["parameters"]):
-        lines.append(f"warning: not identifiable on these data: {', '.join(doubtful)}")
-    lines += [
-        f"warning: the data cannot tell apart {' and '.join(group)}; make all but one of them known, or record others"
-        for group in result["indistinct"]
-    ]
-    if moving := ", ".join(result["fit"]["moving"]):
-        lines.append(f"warning: still moving when the fit ended: {moving}; raise fit.iterations")
-    doubts = doubt_gain(result), doubt_joints(result), doubt_reference(result["reference"])
-    lines += [f"warning: {doubt}" for doubt in doubts if doubt]
+def _list_verdict(result: Result) -> list[str]:
+    """The verdict: in plain words, a line for each finding, and what to do next."""
+    verdict = result["verdict"]
+    count = len(verdict["findings"])
+    lines = [f"verdict: {verdict['grade']}" + (f", {count} finding{'s' * (count > 1)}" if count else "")]
+    for finding in verdict["findings"]:
+        if finding["kind"] != "identification":
+            lines.append(f"warning: {say_finding(finding)}")
     if result["not_identified"]:
         why, *reasons = result["not_identified"]
         lines.append(f"this did not identify the drive: {why}. Likely reasons, the likeliest first:")
         lines += [f"  {number}. {reason}" for number, reason in enumerate(reasons, 1)]
-    return ["\n".join(lines)] if lines else []
+    if verdict["commands"]:
+        lines += ["next: the law to try, the recording to make, the export"]
+        lines += [f"  {command}" for command in verdict["commands"]]
+    return lines
 
 
 def say_status(parameter: ParameterRow | ValueRow) -> str:

@@ -1,0 +1,83 @@
+"""What `result.json` holds of how a run went, as types."""
+
+from typing import TypedDict
+
+from frictionzoo.result.kinds import Count, Natural, NotNegative, Text
+
+
+class FitRow(TypedDict):
+    """How the parameters were found."""
+
+    method: str
+    """The optimiser: adam, lm or grid."""
+    iterations: Natural
+    """Iterations that were made; for a grid, its points."""
+    best_iteration: Natural
+    """The iteration whose values are reported: that of the lowest loss on the whole training set."""
+    loss: float | None
+    """Loss of that iteration, weighted as configured."""
+    stopped: Text
+    """Why the fit ended: converged, finished (all iterations made), patience, or diverged."""
+    falling: NotNegative
+    """Share of the lowest loss that the last tenth of the iterations took off; 0 where it converged by itself."""
+    moving: list[str]
+    """Parameters, as `owner.name`, of several joints `owner.name/JOINT`, that still moved in the last tenth of the
+    iterations: by more than a third of half their interval, or 1 % of their value where they have none."""
+
+
+class ChoiceRow(TypedDict):
+    """An option that was left open."""
+
+    option: Text
+    """Its dotted name."""
+    value: float | bool | str | None
+    """What was chosen."""
+    reason: Text
+    """Why."""
+
+
+class TimingRow(TypedDict):
+    """Wall-clock seconds."""
+
+    setup: NotNegative
+    """Reading or making data, building bench and model, and finding what was left open of the settings."""
+    compile: NotNegative
+    """Compiling the fit's rollouts."""
+    fit: NotNegative
+    """The fit without compiling."""
+    uncertainty: NotNegative
+    """The intervals of the parameters, with compiling."""
+    evaluate: NotNegative
+    """The rollouts of the evaluation."""
+    total: NotNegative
+    """From the start of the run to this file."""
+
+
+class ProofRow(TypedDict):
+    """How far the engine is from MuJoCo C."""
+
+    step: NotNegative
+    """Largest difference of a position or velocity after one step [rad or m, rad/s or m/s], relative where they are
+    above 1."""
+    rollout: NotNegative
+    """The same after all steps."""
+    cases: Count
+    """Rollouts."""
+    steps: Count
+    """Steps in each."""
+
+
+Versions = TypedDict(
+    "Versions",
+    {
+        "frictionzoo": str,
+        "python": str,
+        "mujoco": str,
+        "mujoco-mjx": str,
+        "jax": str,
+        "torch": str,
+        "optax": str,
+        "lightning": str,
+        "numpy": str,
+    },
+)

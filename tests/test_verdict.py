@@ -1,0 +1,174 @@
+"""The verdict: one finding is never nothing, and three commands can be copied."""
+
+import ast
+import copy
+import inspect
+import json
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import Finished
+
+import frictionzoo as fz
+from frictionzoo.cli.excite import _parse as parse_excite
+from frictionzoo.cli.export import _parse as parse_export
+from frictionzoo.core.config import check_overrides, compose_config
+from frictionzoo.core.options import read_options
+from frictionzoo.excite.limits import Limits
+from frictionzoo.excite.plan import Request
+from frictionzoo.export.base import REGISTRY as TARGETS
+from frictionzoo.identification.commands import Origin
+from frictionzoo.result.identified import Identified
+from frictionzoo.result.verdict import judge, say_finding
+from frictionzoo.show.terminal import summarise
+
+Run = Callable[[str], tuple[Path, Finished]]
+LOST = {"position_mae": None, "position_mae_std": None, "position_rmse": None, "velocity_rmse": None}
+
+
+@pytest.fixture
+def good(finished_run: Run) -> dict[str, Any]:
+    """The record of a run, with all that speaks against it taken away."""
+    result = json.loads((finished_run("mujoco_default")[0] / "result.json").read_text())
+    result |= {"warnings": [], "not_identified": None, "indistinct": [], "no_intervals": None, "residual": None}
+    result["fit"] |= {"stopped": "converged", "falling": 0.0, "moving": []}
+    for p in (*result["parameters"], *result["reference"]):
+        for row in (p, *p["by_joint"]):
+            row |= {"at_bound": False, "identifiable": True if row["identified"] else None}
+    for part, error in (("train", 0.01), ("test", 0.01), ("baseline", 0.1)):
+        result["metrics"][part]["position_mae"] = error
+    return result
+
+
+def place(**changes: Any) -> dict[str, Any]:
+    found = {"place": "load", "periods": None, "share": 0.6, "torque": 0.1, "chance": 1e-9, "known": False}
+    return {**found, "law": "load_dependent", "whole": True, **changes}
+
+
+def residual(*places: dict[str, Any], **changes: Any) -> dict[str, Any]:
+    row = {"joint": "knee", "rows": 900, "residual": 0.15, "noise": 0.01, "friction": 0.5, "correlation": 0.9}
+    row |= {"noise_correlation": -0.5, "kurtosis": 0.0, "places": list(places)}
+    return {"unit": "N m", "bandwidth": 20.0, "by_joint": [row | changes]}
+
+
+def spoil(result: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
+    spoilt = copy.deepcopy(result)
+    *sections, key = [int(name) if name.isdigit() else name for name in path.split(".")]
+    section = spoilt
+    for name in sections:
+        section = section[name]
+    section[key] = value
+    return spoilt
+
+
+def test_only_where_nothing_is_found_does_nothing_speak_against_it(good: dict[str, Any]) -> None:
+    assert judge(good) == {"grade": "nothing speaks against it", "findings": [], "commands": []}
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "grade", "text"),
+    [
+        ("parameters.0.identifiable", False, "use it with care", "not identifiable on these data: bench.armature"),
+        ("parameters.0.at_bound", True, "use it with care", "bench.armature ended at a bound"),
+        ("fit.moving", ["bench.armature"], "use it with care", "still moving when the fit ended: bench.armature"),
+        ("fit.falling", 0.2, "use it with care", "still took 20 % off the loss; raise fit.iterations"),
+        ("fit.stopped", "diverged", "do not use it", "the fit diverged"),
+        ("reference.0.at_bound", True, "use it with care", "a change against its error says little"),
+        ("indistinct", [["a.b", "c.d"]], "use it with care", "cannot tell apart a.b and c.d"),
+        ("no_intervals", "nobody asked", "use it with care", "no parameter has an interval: nobody asked"),
+        ("metrics.test.position_mae", 0.09, "use it with care", "the law explains next to nothing"),
+        ("metrics.test.position_mae", 0.2, "do not use it", "no better than a drive without friction"),
+        ("metrics.test.position_mae", None, "do not use it", "every test rollout diverged"),
+        ("metrics.train.position_mae", 0.005, "use it with care", "2 times that on the training data"),
+        ("by_horizon.0.test.diverged", 1, "do not use it", "diverged, and left out of the errors"),
+        ("by_horizon.0.baseline.diverged", 1, "use it with care", "frictionless test rollouts"),
+        ("warnings", ["qvel is late"], "use it with care", "qvel is late"),
+        ("not_identified", ["why", "this"], "do not use it", "this did not identify the drive: why; likely: this"),
+        ("residual", residual(place()), "use it with care", "goes with the load on the gear (0.1 N m, 20 % of the"),
+        ("residual", residual(), "use it with care", "30 % of the friction, is no noise"),
+    ],
+)
+def test_one_finding_is_never_nothing(good: dict[str, Any], path: str, value: Any, grade: str, text: str) -> None:
+    verdict = judge(spoil(good, path, value))
+    assert verdict["grade"] == grade and len(verdict["findings"]) >= 1
+    assert any(text in say_finding(finding) for finding in verdict["findings"])
+
+
+def test_what_is_left_is_no_finding_where_it_is_noise_or_little(good: dict[str, Any]) -> None:
+    for changes in ({"noise": 0.1}, {"correlation": 0.1}, {"residual": 0.02}):
+        assert judge(good | {"residual": residual(**changes)})["findings"] == []
+
+
+@pytest.mark.parametrize(
+    ("found", "text"),
+    [
+        (place(), "; load_dependent has that term"),
+        (place(known=True), "; load_dependent has another form of that term"),
+        (place(whole=False), "; load_dependent has that term, but not all of this law's"),
+        (place(law=None), "; no law has that"),
+        (place(law=None, known=True), "; the law has a term for it; its form, or its bounds, do not fit"),
+        (place(place="pull", law=None), "; no friction does that: look at gravity"),
+        (place(place="position", periods=12.0), "goes with the position, 12 periods in a turn ("),
+    ],
+)
+def test_where_the_error_is_and_what_has_that_is_said(good: dict[str, Any], found: dict, text: str) -> None:
+    (finding,) = judge(good | {"residual": residual(found)})["findings"]
+    assert finding["kind"] == "residual" and finding["law"] == found["law"] and text in say_finding(finding)
+
+
+def test_three_commands_can_be_copied(finished_run: Run, tiny: tuple[str, ...]) -> None:
+    """They are read by what reads the command line."""
+    folder, finished = finished_run("mujoco_default")
+    result = json.loads((folder / "result.json").read_text())
+    run, excite, export = (shlex.split(command) for command in result["verdict"]["commands"])
+    assert run[:3] == ["python", "-m", "frictionzoo.run"] and {*tiny} <= {*run[3:]}
+    config = compose_config(*run[3:])
+    assert "fit=lm" in run and config.model._target_ != compose_config("model=mujoco_default").model._target_
+    chosen = [each for each in run[3:] if each.partition("=")[0] in ("model", "data", "fit")]
+    check_overrides(config, compose_config(*chosen))
+
+    assert excite[:3] == ["python", "-m", "frictionzoo.excite"]
+    parsed = parse_excite(excite[3:])
+    (place,) = parsed.folders
+    request = Request.read(read_options(parsed.options, ""), Identified.load(Path(folder.parent, place)))
+    limits = Limits.read(1, **request.limits)
+    assert (limits.low < limits.home).all() and limits.velocity > 0 and limits.torque > 0
+
+    parsed = parse_export(export[3:])
+    assert export[:3] == ["python", "-m", "frictionzoo.export"] and Path(folder.parent, parsed.folder) == folder
+    assert parsed.options == ["target=mjcf"] and "mjcf" in TARGETS.names()
+    assert finished.out.rstrip().splitlines()[-3:] == [f"  {each}" for each in result["verdict"]["commands"]]
+
+
+def test_options_of_the_law_and_of_the_folder_are_not_those_of_the_next() -> None:
+    given = ["model=ripple", "model.params.periods.init=12", "data=files", "data.train=[a b.csv]", "resume=x", "seed=1"]
+    origin = Origin.of_run(given, Path("run 1"))
+    assert origin.options == ("data=files", "data.train=[a b.csv]", "seed=1")
+    assert origin.place == "'run 1'"
+    assert Origin.of_run(given, Path("b"), "a").command == "python -m frictionzoo.distill a"
+
+
+def test_the_terminal_ends_with_the_verdict(finished_run: Run) -> None:
+    folder, finished = finished_run("coulomb_smooth")
+    result = json.loads((folder / "result.json").read_text())
+    lines = summarise(result, folder).splitlines()
+    at = next(number for number, line in enumerate(lines) if line.startswith("verdict: "))
+    count = len(result["verdict"]["findings"])
+    assert count and lines[at] == f"verdict: {result['verdict']['grade']}, {count} finding{'s' * (count > 1)}"
+    assert [line for line in lines[at + 1 :] if line.startswith("warning: ")] and lines[-4].startswith("next: ")
+    assert any(line.startswith("files: ") for line in lines[:at])
+    assert finished.out.rstrip() == "\n".join(lines)
+
+
+def test_a_run_from_python_is_told_calls(finished_run: Run) -> None:
+    """Their names are those of the package, and their arguments those that were given."""
+    origin = Origin.of_call({"recipe": "auto", "segments": {"length": 50}, "method": object()})
+    call = f"fz.identify({', '.join(['bench', repr('ripple'), 'logs', *origin.options])})"
+    (statement,) = ast.parse(call).body
+    assert isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Call)
+    given = {word.arg: ast.unparse(word.value) for word in statement.value.keywords}
+    assert given == {"recipe": "'auto'", "segments": "{'length': 50}", "method": "method"}
+    inspect.signature(fz.identify).bind(None, "ripple", None, **given)
