@@ -133,8 +133,9 @@ class ParameterRow(TypedDict):
     """The fit ended at a bound, in one joint at least, so that the data may ask for more than the bounds allow; false
     for known parameters."""
     interval: Interval | Intervals | None
-    """Lower and upper end of the 95 % interval, by the spread between stretches of the training data and within the
-    bounds; for several joints a list of them in their order. null: none, for a known parameter, at a bound, and where
+    """Lower and upper end of the 95 % interval, by the spread between stretches of the training data, or between
+    recordings, and with `discretisation` from the value to where shorter steps would have it, within the bounds; for
+    several joints a list of them in their order. null: none, for a known parameter, at a bound, and where
     the data show no effect of it, or one in combination with others only; see also `no_intervals`."""
     identifiable: bool | None
     """Whether the data determine it. False: it has no interval, or one that reaches a bound or is too wide, in any
