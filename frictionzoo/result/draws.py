@@ -13,8 +13,7 @@ from frictionzoo.core.params import Param
 from frictionzoo.fit.covariance import Covariance
 from frictionzoo.fit.space import Space
 from frictionzoo.models.base import FrictionModel
-from frictionzoo.result.covariance import CovarianceRow
-from frictionzoo.result.types import Result
+from frictionzoo.result.types import CovarianceRow, Result
 from frictionzoo.result.values import Parameter, read_parameters
 
 

@@ -6,7 +6,6 @@
 
 from typing import Annotated, Any, Literal, TypedDict
 
-from frictionzoo.result.covariance import CovarianceRow
 from frictionzoo.result.kinds import (
     Carried,
     Count,
@@ -250,6 +249,25 @@ class EvaluationRow(TypedDict):
     """Hash of all measured windows; runs with the same one were judged on the same rollouts and can be compared."""
     window: Positive
     """Length of the moving mean over the error of the long rollout, in figures [s]."""
+
+
+class CovarianceRow(TypedDict):
+    """How sure parameters are together: a multivariate Student's t distribution of all that have an interval.
+
+    It is one of the optimiser's coordinates, logarithms or values over a scale; its marginals are the intervals.
+    """
+
+    labels: Annotated[list[Text], ("minItems", 1)]
+    """Their full names OWNER.NAME, of several joints OWNER.NAME/JOINT with the name of the joint, or of the joints that
+    share the value."""
+    scale: list[Literal["log"] | float]
+    """What makes a coordinate of a value: `log`, or the number that it is divided by."""
+    centre: list[float]
+    """Middle of each interval; the identified value, unless the fit ended away from its minimum."""
+    matrix: list[list[float]]
+    """Its shape: half an interval is the 97.5 % quantile of Student's t times the root of the diagonal."""
+    freedom: Positive
+    """Degrees of freedom of the t distribution."""
 
 
 class Result(TypedDict):
