@@ -35,6 +35,7 @@ _TAKES: dict[str, tuple[Any, ...]] = {
     "loss.velocity": (0.1,),
     "loss.robust": ("",),
     "loss.robust_scale": (0.1,),
+    "loss.encoder_step": (0.1,),
     "loss.refine": (True,),
     "loss.by_joint": (True,),
     "loop.patience": (0, None),
