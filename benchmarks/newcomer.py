@@ -10,6 +10,7 @@ MuJoCo C moves it in steps of 0.05 ms; the log has position and command, and of 
 import argparse
 import json
 import math
+import resource
 import subprocess
 import sys
 import tempfile
@@ -52,6 +53,7 @@ COLUMNS = {
     "friction_error": "friction [% off]",
     "delay_error": "delay [ms off]",
     "seconds": "time [s]",
+    "processor": "processor [s]",
 }
 
 
@@ -193,7 +195,7 @@ def main() -> None:
                 print(json.dumps(rows[-1]), file=sys.stderr, flush=True)
     for recipe in options.recipes:
         own = [row for row in rows if row["recipe"] == recipe]
-        for what in ("armature_error", "friction_error", "seconds"):
+        for what in ("armature_error", "friction_error", "seconds", "processor"):
             values = [row[what] for row in own]
             print(f"{recipe}: {what} median {np.median(values):.3g}, largest {max(values):.3g}")
     report(options.out, rows, COLUMNS, first=options.first)
@@ -215,9 +217,9 @@ def run(hidden: Hidden, folder: Path, speeds: Float[np.ndarray, "2"], recipe: st
     command += [f"bench.mjcf={folder / 'stand.xml'}", "bench.joint=motor", f"hydra.run.dir={out}"]
     command += [] if recipe == "auto" else [f"recipe={recipe}"]
     command += ["compilation_cache=null"]  # a newcomer has none
-    began = time.perf_counter()
+    began, before = time.perf_counter(), _processor()
     finished = subprocess.run(command, capture_output=True, text=True)
-    seconds = time.perf_counter() - began
+    seconds, processor = time.perf_counter() - began, _processor() - before
     if finished.returncode not in (0, 3):  # 3: the fit says that it did not identify the drive
         raise SystemExit(f"drive {hidden.seed}: {finished.stderr}")
     found = {row["name"]: row["value"] for row in json.loads((out / "result.json").read_text())["parameters"]}
@@ -239,7 +241,14 @@ def run(hidden: Hidden, folder: Path, speeds: Float[np.ndarray, "2"], recipe: st
         "friction_error": 100 * error / np.abs(hidden.friction(velocity)).mean(),
         "delay_error": 1e3 * abs(found.get("delay", 0.0) - hidden.delay),
         "seconds": seconds,
+        "processor": processor,
     }
+
+
+def _processor() -> float:
+    """What finished commands have taken of processors [s], which others that run beside them do not change."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 if __name__ == "__main__":

@@ -28,6 +28,7 @@ QUICKEST = {  # script: its arguments, and the rows that it has to give
     "branches": ("--segments 4 --length 10 --dtypes float64", 2),
     "newcomer": ("--drives 1 --first 5 --recipes given", 1),
     "coverage": ("--cases coulomb load --logs 2", 2),
+    "recipe": ("--cases twin -- data.samples=30000 segments.count=20 segments.length=50 fit.iterations=2", 1),
     "checkup": ("--data twin_clean --good twin_clean --most 1", 22),
     "excitation": ("--starts 1 --iterations 2 --period 2 -- data.samples=30000", 5),
     "growth": ("--samples 1e4 --lengths 50 --widths 16 --segments 200", 3),

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.optimize
 from conftest import spoil
 from scipy.optimize._lsq.least_squares import IMPLEMENTED_LOSSES
 from test_fit import TRUTH, bowl, identified, pose, record, run, x64  # noqa: F401 - x64 is a fixture for all tests
@@ -18,7 +19,7 @@ from frictionzoo.core.errors import ConfigError, FitError
 from frictionzoo.core.segments import Segments
 from frictionzoo.fit import LevenbergMarquardt
 from frictionzoo.fit import blocks as blocks_module
-from frictionzoo.fit.loss import ROBUST
+from frictionzoo.fit.loss import ROBUST, Loss
 from frictionzoo.fit.normal_equations import NormalEquations, compress
 
 LM = LevenbergMarquardt(100, 1e-12)
@@ -49,7 +50,11 @@ def test_a_known_drive_is_found_in_a_few_iterations(tmp_path: Path) -> None:
     assert (short.stopped, short.iterations) == ("finished", 2)
 
 
-@pytest.mark.parametrize("options", [{}, {"robust": "soft_l1", "robust_scale": 0.01}, {"refine": True}], ids=str)
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"robust": "soft_l1", "robust_scale": 0.01}, {"refine": True}, {"encoder_step": 0.01}],
+    ids=str,
+)
 def test_the_derivatives_are_those_of_the_loss(options: dict[str, Any]) -> None:
     # A law without corners: on one, where sticking begins, the best start may lie, and the loss has no gradient there.
     objective = pose("coulomb_smooth", **options).objective
@@ -168,6 +173,32 @@ def test_refined_starts_take_the_bias_of_noisy_ones_away(tmp_path: Path) -> None
 
 
 @pytest.mark.slow
+def test_rounding_beyond_half_a_step_is_what_counts() -> None:
+    loss = Loss(1.0, 0.0, "none", 1.0, False, 0.0, False, encoder_step=0.02)
+    errors = np.array([-0.03, -0.009, 0.0, 0.005, 0.02])
+    counted = np.asarray(loss.unexplained(jnp.asarray(errors)))
+    np.testing.assert_allclose(counted, np.sign(errors) * np.maximum(np.abs(errors) - 0.01, 0.0), atol=7e-4)
+    plain = Loss(1.0, 0.0, "none", 1.0, False, 0.0, False)
+    np.testing.assert_array_equal(plain.unexplained(jnp.asarray(errors)), errors)
+
+
+def test_what_rounding_explains_left_out_values_are_far_closer() -> None:
+    """Of swings that are sampled more often than the encoder steps, so that rounding errors follow each other."""
+    loss, time = Loss(1.0, 0.0, "none", 1.0, False, 0.0, False, encoder_step=0.1), np.linspace(0, 20, 4000)
+
+    def swing(values: np.ndarray) -> np.ndarray:
+        return values[0] * np.sin(time + values[1])
+
+    def off(truth: np.ndarray, count: Callable[[Any], Any]) -> np.ndarray:
+        measured = 0.1 * np.round(swing(truth) / 0.1)
+        found = scipy.optimize.least_squares(lambda values: count(jnp.asarray(swing(values) - measured)), truth + 0.01)
+        return found.x - truth
+
+    truths = np.random.default_rng(0).uniform([0.5, 0.0], [1.0, 1.0], (20, 2))
+    plain, counted = ([off(truth, count) for truth in truths] for count in (lambda errors: errors, loss.unexplained))
+    assert np.std(counted) < 0.3 * np.std(plain)
+
+
 def test_both_engines_find_the_same(tmp_path: Path) -> None:
     for model in ("mujoco_default", "coulomb_stribeck"):
         ours, stock = (
@@ -181,6 +212,7 @@ def test_both_engines_find_the_same(tmp_path: Path) -> None:
     ("options", "line"),
     [
         ({"robust": "huberr"}, r"loss\.robust=huberr: unknown; did you mean huber\?"),
+        ({"encoder_step": -1.0}, r"loss\.encoder_step=-1; expected 0, for none, or a positive number"),
         ({"robust": "huber", "robust_scale": 0.0}, r"loss\.robust_scale=0; expected a positive number"),
         ({"robust": "huber", "refine": True}, r"loss\.robust=huber with loss\.refine=true; expected one of them"),
         ({"refine": True, "velocity": 0.0}, r"loss\.refine=true with a weight of 0"),

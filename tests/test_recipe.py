@@ -12,7 +12,7 @@ from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.log import Dataset, Log
-from frictionzoo.identification.noise import Noise
+from frictionzoo.identification.noise import Noise, find_step
 from frictionzoo.identification.problem import Parts
 from frictionzoo.identification.stages import Choice, divide
 from frictionzoo.logs.signals import find_noise
@@ -53,6 +53,14 @@ def test_noise_is_told_from_a_motion(noise: float) -> None:
 def test_rounding_counts_as_noise() -> None:
     time = np.arange(4000) * 0.001
     assert find_noise(np.round(np.sin(time) / 0.01) * 0.01) == pytest.approx(0.01 / np.sqrt(12), rel=0.2)
+
+
+def test_the_step_of_an_encoder_is_found() -> None:
+    time, rng = np.arange(4000) * 0.005, np.random.default_rng(0)
+    motion = np.sin(3.0 * time) + 0.3 * np.sin(11.0 * time)
+    assert find_step([np.round(motion / 0.006) * 0.006]) == pytest.approx(0.006)
+    assert find_step([motion]) == 0.0 and find_step([np.ones(100)]) == 0.0
+    assert find_step([np.round(motion / 0.006) * 0.006 + rng.normal(0.0, 1e-4, len(time))]) == 0.0
 
 
 def test_velocities_count_by_their_noise_and_estimated_ones_next_to_nothing(recorded: Dataset) -> None:
@@ -146,7 +154,7 @@ def test_long_tails_call_for_a_robust_loss(recorded: Dataset) -> None:
     pushed = Log(**{**vars(log), "qpos": qpos, "qvel": qvel})
     fit = fz.identify(knee(), "coulomb_smooth", pushed, recipe="auto", test=0.2, **QUICK)
     chosen = {row["option"]: row for row in fit.result["recipe"]}
-    assert "long tails" in chosen["loss.robust"]["reason"] and "validation block" in chosen["loss.robust"]["reason"]
+    assert chosen["loss.robust"]["value"] == "soft_l1" and "validation block" in chosen["loss.robust"]["reason"]
 
 
 def test_a_network_has_no_pilot(recorded: Dataset) -> None:

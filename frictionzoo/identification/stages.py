@@ -248,11 +248,7 @@ class Stages:
         step, width = self._noise.step, soft_width(self._noise.step)
         counts = bool(step) and self._rounded and self.settings["loss"]["robust"] == "none"
         if not (counts and self._is_open("loss.encoder_step")):
-            told = (
-                "rounding is not what is left"
-                if step
-                else "positions are not rounded to whole steps, or have more noise"
-            )
+            told = "rounding is not what is left" if step else "positions are not rounded, or have more noise than that"
             yield from self._set("loss.encoder_step", 0.0, told)
             return
         told = "positions are rounded to it, and nothing more is left: within half of it errors say nothing"
