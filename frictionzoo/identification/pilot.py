@@ -38,12 +38,14 @@ class Found(NamedTuple):
         vector: The coordinates.
         half: Half of the 95 % interval of each; NaN where there is none.
         at_bound: Whether its value ended at a bound.
+        loss: The objective there.
     """
 
     labels: list[str]
     vector: Float[np.ndarray, "coordinates"]
     half: Float[np.ndarray, "coordinates"]
     at_bound: Bool[np.ndarray, "coordinates"]
+    loss: float
 
     def among(self, labels: Sequence[str], otherwise: Float[np.ndarray, "others"]) -> Float[np.ndarray, "others"]:
         """The coordinates of these names, another's where there is none."""
@@ -109,12 +111,12 @@ class Pilot:
             raise FitError("the loss is not finite where the fit begins")
         at_bound = self.space.at_bound(vector)
         if self.objective.stretches < 2:  # no spread between segments
-            return Found(self.space.labels, vector, np.full(len(vector), np.nan), at_bound)
+            return Found(self.space.labels, vector, np.full(len(vector), np.nan), at_bound, float(progress.best_loss))
         equations, scores = self.objective.compile_scores()(vector)
         found = assess(self.space, vector, equations, scores)
         ends = self.space.pick({name: found.intervals[name] for name in self.space.places})
         half = np.array([self._half(label, np.asarray(ends[label])) for label in self.space.labels])
-        return Found(self.space.labels, vector, half, at_bound)
+        return Found(self.space.labels, vector, half, at_bound, float(progress.best_loss))
 
     def moves(self, found: Found) -> Float[np.ndarray, "coordinates"]:
         """By how many of its half intervals each parameter would move from where another pilot of the same ended.

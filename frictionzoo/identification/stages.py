@@ -239,9 +239,16 @@ class Stages:
         return float(np.abs(pilot.errors(self._go_on(pilot).vector, block, horizon * self._interval)).mean())
 
     def _go_on(self, pilot: Pilot, found: Found | None = None) -> Found:
-        """Where a pilot ends that begins where another ended, or else the first of all."""
-        begun = found or self._first
-        return pilot.fit(None if begun is None else begun.among(pilot.space.labels, pilot.start))
+        """Where a pilot ends that begins where another ended; of another loss, the better of two starts.
+
+        Where the first of all ended, and the initial values: a robust loss has other minima than least squares.
+        """
+        if found is not None:
+            return pilot.fit(found.among(pilot.space.labels, pilot.start))
+        if self._first is None:
+            return pilot.fit()
+        starts = self._first.among(pilot.space.labels, pilot.start), pilot.start
+        return min((pilot.fit(start) for start in starts), key=lambda end: end.loss)
 
     def _choose_encoder(self) -> Iterator[Choice]:
         """Errors within half an encoder's step do not count where rounding is all that is left."""
