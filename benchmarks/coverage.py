@@ -1,11 +1,12 @@
-"""How often 95 % intervals hold the truth, over many simulated logs of one drive.
+"""How often 95 % intervals hold the truth, over many simulated data sets of one drive.
 
     python benchmarks/coverage.py
-    python benchmarks/coverage.py --cases load --logs 50
+    python benchmarks/coverage.py --cases load --logs 50 --recordings 1
 
-Each log has an excitation and noise of its own. With the right law, the share of logs whose interval holds the true
-value counts, for each parameter. Where the law lacks a term, there is no true value: then the share of speeds counts at
-which the drive's mean friction lies within the band of curves that are drawn from the intervals.
+Each data set is ten recordings, each with an excitation and noise of its own. With the right law, the share of data
+sets whose interval holds the true value counts, for each parameter. Where the law lacks a term, there is no true value:
+then the share of speeds counts at which the drive's mean friction lies within the band of curves that are drawn from
+the intervals.
 """
 
 import argparse
@@ -36,7 +37,7 @@ from frictionzoo.identification.pilot import Pilot
 from frictionzoo.logs.twin import Controller, Excitation, HiddenDrive
 from frictionzoo.models.base import sliding_torque
 
-RATE, SECONDS = 200, 20  # Hz, s
+RATE, SECONDS = 200, 20  # Hz, s of each data set
 SUBSTEPS = 10  # of a sample interval, steps of Runge and Kutta by which logs are simulated
 TIMESTEP = 2.5e-4  # s, of the fitted simulation
 LENGTH = 5  # samples of a segment
@@ -93,9 +94,9 @@ def friction_of(drive: HiddenDrive, qpos: Any, qvel: Any, motor: Any) -> Any:
     return dry * np.tanh(qvel / drive.smoothing_velocity) + drive.viscous_coefficient * qvel
 
 
-def record(drive: HiddenDrive, count: int, first: int) -> Recorded:
+def record(drive: HiddenDrive, count: int, first: int, seconds: float) -> Recorded:
     """So many logs, simulated side by side and nearly without an error of the step."""
-    samples, step = RATE * SECONDS, 1 / RATE / SUBSTEPS
+    samples, step = round(RATE * seconds), 1 / RATE / SUBSTEPS
     times = np.arange(samples) / RATE
     rngs = [np.random.default_rng(first + number) for number in range(count)]
     ctrl = np.stack([EXCITATION.command(times, rng) for rng in rngs])
@@ -149,27 +150,27 @@ def true_values(drive: HiddenDrive) -> dict[str, float]:
 
 
 class Fits:
-    """Fits of one law to one log after the other; what the first compiles serves them all."""
+    """Fits of one law to one data set after the other; what the first compiles serves them all."""
 
-    def __init__(self, law: fz.FrictionModel, log: Log) -> None:
+    def __init__(self, law: fz.FrictionModel, logs: Sequence[Log]) -> None:
         actuator = fz.PositionPD(kp=CONTROLLER.kp, kd=CONTROLLER.kd)
         self._bench = fz.Bench("knee_rod.xml", actuator=actuator, timestep=TIMESTEP)
         loss = {"velocity": (POSITION_NOISE / VELOCITY_NOISE) ** 2, "refine": True}
         segments = {"length": LENGTH, "count": None}
         self.pilot, self._finer = (
-            Pilot(remake(self._bench, timestep=step), law, [log], segments, loss, "specialised")
+            Pilot(remake(self._bench, timestep=step), law, logs, segments, loss, "specialised")
             for step in (TIMESTEP, TIMESTEP / 2)
         )
         self._law, self._curves = law, jax.jit(jax.vmap(self._curve, in_axes=(0, None)))
 
-    def fit(self, log: Log) -> tuple[np.ndarray, Uncertainty]:
-        """The best vector, and how far the log determines it."""
+    def fit(self, logs: Sequence[Log]) -> tuple[np.ndarray, Uncertainty]:
+        """The best vector, and how far the logs determine it."""
         objective, finer = self.pilot.objective, self._finer.objective
-        segments = cut_segments([self._bench.accept(log)], None, LENGTH)
+        segments = cut_segments([self._bench.accept(log) for log in logs], None, LENGTH)
         for own in (objective, finer):
             own.data = into_blocks(segments, divide(segments), jnp.float64, own._rollout)
         vector = minimise(objective)
-        self.pilot.objective = objective.starting(vector)  # the next log has its minimum nearby
+        self.pilot.objective = objective.starting(vector)  # the next data set has its minimum nearby
         return vector, estimate_uncertainty(objective, vector, finer=lambda: finer)
 
     def curves(self, vectors: Float[np.ndarray, "draws coordinates"], speed: np.ndarray) -> np.ndarray:
@@ -207,15 +208,17 @@ def mean_friction(recorded: Recorded, speed: np.ndarray) -> np.ndarray:
 def judge(name: str, options: argparse.Namespace) -> dict[str, Any]:
     """One case: a row of the table."""
     drive, law_name = CASES[name]
-    recorded = record(drive, options.logs, options.first)
+    each = options.recordings
+    recorded = record(drive, options.logs * each, options.first, SECONDS / each)
+    sets = [recorded.logs[start : start + each] for start in range(0, len(recorded.logs), each)]
     low, high = np.quantile(np.abs(recorded.qvel), [0.05, 0.99])
     speed = np.concatenate([-np.geomspace(low, high, SPEEDS // 2)[::-1], np.geomspace(low, high, SPEEDS // 2)])
     mean, truth = mean_friction(recorded, speed), true_values(drive)
-    began, fits = time.perf_counter(), Fits(law_of(options.law or law_name, drive), recorded.logs[0])
+    began, fits = time.perf_counter(), Fits(law_of(options.law or law_name, drive), sets[0])
     held, inside, errors, ratios = [], [], [], []
     space = fits.pilot.space
-    for number, log in enumerate(recorded.logs):
-        vector, found = fits.fit(log)
+    for number, logs in enumerate(sets):
+        vector, found = fits.fit(logs)
         ends = {name: rows[0] for name, rows in found.intervals.items()}
         held.append([ends[name][0] <= truth.get(name, np.nan) <= ends[name][1] for name in space.params])
         assert found.covariance is not None
@@ -235,6 +238,7 @@ def judge(name: str, options: argparse.Namespace) -> dict[str, Any]:
         "case": name,
         "law": options.law or law_name,
         "logs": options.logs,
+        "recordings": each,
         **{key.partition(".")[2]: 100 * float(share) for key, share in shares.items()},
         "curve": 100 * float(np.mean(inside)),
         "off": 100 * float(np.mean(errors)),
@@ -271,7 +275,8 @@ def parse() -> argparse.Namespace:
     parser.add_argument(
         "--held-out", nargs="*", metavar="EXPERIMENT", default=[], help="experiments on real recordings"
     )
-    parser.add_argument("--logs", type=int, default=200, metavar="N", help="how many simulated logs")
+    parser.add_argument("--logs", type=int, default=200, metavar="N", help="how many simulated data sets")
+    parser.add_argument("--recordings", type=int, default=10, metavar="N", help="of which each of them is made")
     parser.add_argument("--first", type=int, default=0, metavar="SEED", help="seed of the first")
     parser.add_argument("--law", help="fitted law, in place of each case's own")
     parser.add_argument("--verbose", action="store_true", help="each log as it comes")
