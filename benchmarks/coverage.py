@@ -253,7 +253,7 @@ def hold_out(name: str, draws: int) -> dict[str, Any]:
     parts = Parts.from_settings(cast(dict[str, Any], settings))
     with parts.computing() as place:
         problem = Problem.pose(parts)
-        drive = solve(problem, name, place)
+        drive = solve(problem, problem.drive.model.name, place)
     horizon, history = problem.settings["evaluation"]["horizons"][0], problem.sampling.history
     windows = cut_rollouts(problem.dataset.test, horizon, None, "consecutive", 0, history)
     band, measured = drive.band(windows, draws), windows.qpos[:, 1:]
