@@ -40,7 +40,6 @@ from frictionzoo.models.base import sliding_torque
 RATE, SECONDS = 200, 20  # Hz, s of each data set
 SUBSTEPS = 10  # of a sample interval, steps of Runge and Kutta by which logs are simulated
 TIMESTEP = 2.5e-4  # s, of the fitted simulation
-LENGTH = 5  # samples of a segment
 POSITION_NOISE, VELOCITY_NOISE = 2e-4, 0.02  # rad, rad/s
 EXCITATION = Excitation(12, (0.2, 1.0), (0.5, 10.0), (0.0, 2 * np.pi), 4.0)
 CONTROLLER = Controller(20.0, 1.0)  # as published of the bench
@@ -152,11 +151,11 @@ def true_values(drive: HiddenDrive) -> dict[str, float]:
 class Fits:
     """Fits of one law to one data set after the other; what the first compiles serves them all."""
 
-    def __init__(self, law: fz.FrictionModel, logs: Sequence[Log]) -> None:
+    def __init__(self, law: fz.FrictionModel, logs: Sequence[Log], length: int) -> None:
         actuator = fz.PositionPD(kp=CONTROLLER.kp, kd=CONTROLLER.kd)
         self._bench = fz.Bench("knee_rod.xml", actuator=actuator, timestep=TIMESTEP)
         loss = {"velocity": (POSITION_NOISE / VELOCITY_NOISE) ** 2, "refine": True}
-        segments = {"length": LENGTH, "count": None}
+        segments, self._length = {"length": length, "count": None}, length
         self.pilot, self._finer = (
             Pilot(remake(self._bench, timestep=step), law, logs, segments, loss, "specialised")
             for step in (TIMESTEP, TIMESTEP / 2)
@@ -166,7 +165,7 @@ class Fits:
     def fit(self, logs: Sequence[Log]) -> tuple[np.ndarray, Uncertainty]:
         """The best vector, and how far the logs determine it."""
         objective, finer = self.pilot.objective, self._finer.objective
-        segments = cut_segments([self._bench.accept(log) for log in logs], None, LENGTH)
+        segments = cut_segments([self._bench.accept(log) for log in logs], None, self._length)
         for own in (objective, finer):
             own.data = into_blocks(segments, divide(segments), jnp.float64, own._rollout)
         vector = minimise(objective)
@@ -214,7 +213,7 @@ def judge(name: str, options: argparse.Namespace) -> dict[str, Any]:
     low, high = np.quantile(np.abs(recorded.qvel), [0.05, 0.99])
     speed = np.concatenate([-np.geomspace(low, high, SPEEDS // 2)[::-1], np.geomspace(low, high, SPEEDS // 2)])
     mean, truth = mean_friction(recorded, speed), true_values(drive)
-    began, fits = time.perf_counter(), Fits(law_of(options.law or law_name, drive), sets[0])
+    began, fits = time.perf_counter(), Fits(law_of(options.law or law_name, drive), sets[0], options.length)
     held, inside, errors, ratios = [], [], [], []
     space = fits.pilot.space
     for number, logs in enumerate(sets):
@@ -239,6 +238,7 @@ def judge(name: str, options: argparse.Namespace) -> dict[str, Any]:
         "law": options.law or law_name,
         "logs": options.logs,
         "recordings": each,
+        "length": options.length,
         **{key.partition(".")[2]: 100 * float(share) for key, share in shares.items()},
         "curve": 100 * float(np.mean(inside)),
         "off": 100 * float(np.mean(errors)),
@@ -253,7 +253,7 @@ def hold_out(name: str, draws: int) -> dict[str, Any]:
     parts = Parts.from_settings(cast(dict[str, Any], settings))
     with parts.computing() as place:
         problem = Problem.pose(parts)
-        drive = solve(problem, name, place)
+        drive = solve(problem, problem.drive.model.name, place)
     horizon, history = problem.settings["evaluation"]["horizons"][0], problem.sampling.history
     windows = cut_rollouts(problem.dataset.test, horizon, None, "consecutive", 0, history)
     band, measured = drive.band(windows, draws), windows.qpos[:, 1:]
@@ -277,6 +277,7 @@ def parse() -> argparse.Namespace:
     )
     parser.add_argument("--logs", type=int, default=200, metavar="N", help="how many simulated data sets")
     parser.add_argument("--recordings", type=int, default=10, metavar="N", help="of which each of them is made")
+    parser.add_argument("--length", type=int, default=5, metavar="SAMPLES", help="of a segment")
     parser.add_argument("--first", type=int, default=0, metavar="SEED", help="seed of the first")
     parser.add_argument("--law", help="fitted law, in place of each case's own")
     parser.add_argument("--verbose", action="store_true", help="each log as it comes")
