@@ -184,7 +184,7 @@ def test_rounding_beyond_half_a_step_is_what_counts() -> None:
 
 def test_what_rounding_explains_left_out_values_are_far_closer() -> None:
     """Of swings that are sampled more often than the encoder steps, so that rounding errors follow each other."""
-    loss, time = Loss(1.0, 0.0, "none", 1.0, False, 0.0, False, encoder_step=0.1), np.linspace(0, 20, 4000)
+    loss, time = Loss(1.0, 0.0, "none", 1.0, False, 0.0, 0.1, False, False, 0.0), np.linspace(0, 20, 4000)
 
     def swing(values: np.ndarray) -> np.ndarray:
         return values[0] * np.sin(time + values[1])

@@ -194,7 +194,7 @@ def test_what_ends_a_job_is_one_line_that_says_how_to_go_on(
     place: str,
     keeps: str,
 ) -> None:
-    monkeypatch.setattr("frictionzoo.cli.job.run_job", lambda *_: end(number))
+    monkeypatch.setattr("frictionzoo.cli.job.run_job", lambda *_, **__: end(number))
     handlers = [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)]
     ended = call(place, *(["-m"] if "sweep" in place else []))
     assert ended.status == status

@@ -203,8 +203,8 @@ def _plain(value: Any) -> str:
     return str(value).replace(" ", "")
 
 
-def _round(value: float) -> float:
-    return float(f"{float(value):.3g}")
+def _round(value: float | np.floating) -> float:
+    return float(f"{value:.3g}")
 
 
 def _write(name: str, value: Any) -> str:

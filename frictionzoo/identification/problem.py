@@ -32,7 +32,7 @@ from frictionzoo.result.identified import Identified
 from frictionzoo.result.record import describe_data
 from frictionzoo.result.torque import choose_filtering
 from frictionzoo.simulate.context import computing, refuse_precision
-from frictionzoo.simulate.drive import Drive
+from frictionzoo.simulate.drive import Drive, refuse_other_joints
 from frictionzoo.simulate.proof import Proof, Recorded, initial_values, prove
 
 _log = logging.getLogger(__name__)
@@ -96,6 +96,7 @@ class Parts(NamedTuple):
             refuse_precision(settings["dtype"])  # before the first fit
         for note in bench.notes:
             _log.info("%s: %s", bench.source, note)
+        refuse_other_joints(model, bench)
         model.bind(bench.joints)
         watching = bench.observing(model.inputs)
         train, test = (tuple(map(watching.accept, logs)) for logs in (dataset.train, dataset.test))

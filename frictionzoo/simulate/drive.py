@@ -38,10 +38,7 @@ class Drive:
             ConfigError: No such engine, or it does not apply.
             ModelError: The law exists only in torch and has a memory.
         """
-        if model.nv != bench.nv:
-            raise BenchError(
-                f"a law of {model.nv} joints on {bench.source} with {bench.nv}, expected as many; set its nv"
-            )
+        refuse_other_joints(model, bench)
         if isinstance(model, TorchFriction):
             simulated = make_engine(engine, bench, AS_GIVEN, model.constrained)
             return cls(model, simulated, make_torch_rollout(simulated, model, sampling))
@@ -49,6 +46,12 @@ class Drive:
         if any(simulated.branches) and not looks_at_one_joint(model):
             simulated.branches = (0,) * bench.nv
         return cls(model, simulated, make_rollout(simulated, sampling))
+
+
+def refuse_other_joints(model: FrictionModel, bench: Bench) -> None:
+    """BenchError for a law of another number of joints than the bench has."""
+    if model.nv != bench.nv:
+        raise BenchError(f"a law of {model.nv} joints on {bench.source} with {bench.nv}, expected as many; set its nv")
 
 
 def looks_at_one_joint(model: FrictionModel) -> bool:
