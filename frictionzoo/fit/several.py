@@ -18,6 +18,7 @@ from frictionzoo.fit.torque_balance import Box
 _log = logging.getLogger(__name__)
 
 _SHIFTS = (-1.0, -0.5, 0.5, 1.0)  # sample intervals by which commands are tried to act later than was found
+_SHORT = 12  # vectors that are tried after a shift, at the most: a minimum is near, or the delay is none
 _NEAR = 0.2  # sample intervals within which another delay leads to the same minimum
 _ROUNDS = 5  # of such shifts, each from the best of those before
 _FLAT = 1e-8  # curvature of a combination, as a share of the largest, from which on the delay may move it along
@@ -93,7 +94,8 @@ class _Searches:
     """All searches of an objective, each law that is contained looked at once."""
 
     def __init__(self, objective: Objective, tries: int, tolerance: float) -> None:
-        self._objective, self._space, self._how = objective, objective.space, (tries, tolerance)
+        self._objective, self._space = objective, objective.space
+        self._tries, self._tolerance = tries, tolerance
         self._evaluate: Evaluate = objective.compile_normal_equations()
         self._found: dict[str, End] = {}
 
@@ -125,10 +127,12 @@ class _Searches:
                 ends.append(self._descend(part, f"{factor:g} times the initial {name}", moved))
         return self._found.setdefault(part.law.name, _least(ends))
 
-    def _descend(self, part: Part, name: str, vector: Float[np.ndarray, "coordinates"]) -> End:
+    def _descend(self, part: Part, name: str, vector: Float[np.ndarray, "coordinates"], most: int = MOST_TRIES) -> End:
         """Where a search with this law's own coordinates ends."""
         _, low, high = part.box
-        own, loss = descend(part.restrict(self._evaluate), Box(part.own(vector), low, high), *self._how)
+        own, loss = descend(
+            part.restrict(self._evaluate), Box(part.own(vector), low, high), min(most, self._tries), self._tolerance
+        )
         _log.debug("%s: from %s to a loss of %.9g", part.law.__name__, name, loss)
         return End(name, part.whole(own), loss)
 
@@ -144,7 +148,7 @@ class _Searches:
                 by = np.clip(best.vector[at] + shift * unit, low[at], high[at]) - best.vector[at]
                 if abs(by) > _NEAR * unit:
                     name = f"a delay {by / unit:+.2g} sample intervals from the best before"
-                    ends.append(self._descend(whole, name, best.vector + by * along))
+                    ends.append(self._descend(whole, name, best.vector + by * along, _SHORT))
             if (least := _least(ends)) is best:
                 break
             best = least

@@ -79,6 +79,7 @@ class Pilot:
     ) -> None:
         self.bench: Bench = bench.observing(model.inputs)
         accepted = tuple(map(self.bench.accept, logs))
+        self.robust: bool = loss["robust"] != "none"
         self._sampling = self.bench.sampling(accepted[0].timestep)
         self._drive = Drive.assemble(self.bench, copy.deepcopy(model), engine, self._sampling)
         self.segments = cut_segments(accepted, **segments, history=self._sampling.history)

@@ -239,15 +239,15 @@ class Stages:
         return float(np.abs(pilot.errors(self._go_on(pilot).vector, block, horizon * self._interval)).mean())
 
     def _go_on(self, pilot: Pilot, found: Found | None = None) -> Found:
-        """Where a pilot ends that begins where another ended; of another loss, the better of two starts.
+        """Where a pilot ends that begins where another ended, or else the first of all.
 
-        Where the first of all ended, and the initial values: a robust loss has other minima than least squares.
+        With a robust loss, which has other minima than least squares, the better end of that and of the initial values.
         """
-        if found is not None:
-            return pilot.fit(found.among(pilot.space.labels, pilot.start))
-        if self._first is None:
+        begun = found or self._first
+        if begun is None:
             return pilot.fit()
-        starts = self._first.among(pilot.space.labels, pilot.start), pilot.start
+        starts = [begun.among(pilot.space.labels, pilot.start)]
+        starts += [pilot.start] if pilot.robust and found is None else []
         return min((pilot.fit(start) for start in starts), key=lambda end: end.loss)
 
     def _choose_encoder(self) -> Iterator[Choice]:
