@@ -195,7 +195,7 @@ def identify(
     logs: Logs | Log | Sequence[Log],
     *,
     test: float | Split | None = None,
-    recipe: str = AUTO,
+    recipe: str = "given",
     method: str | Fit = "auto",
     segments: Cut | None = None,
     loss: Loss | None = None,

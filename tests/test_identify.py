@@ -90,7 +90,8 @@ import numpy as np
 
 def hold(drive, folder):
     again = fz.load(folder)
-    assert repr(again) == f"{drive!r}\\n\\nfiles: {folder}", (repr(again), repr(drive))
+    said = f"files: {folder}\\n\\n"
+    assert said in repr(again) and repr(again).replace(said, "") == repr(drive), (repr(again), repr(drive))
     assert "<table>" in drive._repr_html_()
     assert {*again.parameters} == {*drive.parameters}
     for name, parameter in drive.parameters.items():
@@ -262,7 +263,7 @@ def test_options_are_those_of_the_configuration() -> None:
     assert {*options} == {*library.How.__annotations__}
     for name in ("seed", "engine", "device", "compilation_cache"):
         assert options[name] == config[name]
-    assert options["recipe"] == compose_config("data=files").recipe == "auto"
+    assert options["recipe"] == config.recipe
 
 
 def test_what_was_read_twice_is_compared_under_two_labels(finished_run: Callable) -> None:

@@ -174,11 +174,11 @@ def test_refined_starts_take_the_bias_of_noisy_ones_away(tmp_path: Path) -> None
 
 @pytest.mark.slow
 def test_rounding_beyond_half_a_step_is_what_counts() -> None:
-    loss = Loss(1.0, 0.0, "none", 1.0, False, 0.0, False, encoder_step=0.02)
+    loss = Loss(1.0, 0.0, "none", 1.0, False, 0.0, 0.02, False, False, 0.0)
     errors = np.array([-0.03, -0.009, 0.0, 0.005, 0.02])
     counted = np.asarray(loss.unexplained(jnp.asarray(errors)))
     np.testing.assert_allclose(counted, np.sign(errors) * np.maximum(np.abs(errors) - 0.01, 0.0), atol=7e-4)
-    plain = Loss(1.0, 0.0, "none", 1.0, False, 0.0, False)
+    plain = Loss(1.0, 0.0, "none", 1.0, False, 0.0, 0.0, False, False, 0.0)
     np.testing.assert_array_equal(plain.unexplained(jnp.asarray(errors)), errors)
 
 
