@@ -102,8 +102,10 @@ def test_the_tutorial_of_ranges_holds_the_drive(follow: Callable, finished_run: 
     names = follow("tutorials/randomisation.md")
     for fit in names["units"]:
         assert_found(fit, SHAFT, 0.15)
-    for low, high in names["ranges"].values():
-        assert 0.8 < low < 1 < high < 1.2
+    for low, high in names[
+        "ranges"
+    ].values():  # an interval holds what steps of 2 ms do, of which the recording has some
+        assert 0.5 < low < 1 < high < 1.5
     low, high = np.array(names["ranges"]["bench.armature"]) * names["units"][0].parameters["bench.armature"].value
     assert low < SHAFT["armature"][0] < high
     with np.load(tmp_path / "drives" / "samples.npz") as samples:
