@@ -154,7 +154,7 @@ class Fits:
     def __init__(self, law: fz.FrictionModel, logs: Sequence[Log], length: int) -> None:
         actuator = fz.PositionPD(kp=CONTROLLER.kp, kd=CONTROLLER.kd)
         self._bench = fz.Bench("knee_rod.xml", actuator=actuator, timestep=TIMESTEP)
-        loss = {"velocity": (POSITION_NOISE / VELOCITY_NOISE) ** 2, "refine": True}
+        loss = {"velocity": (POSITION_NOISE / VELOCITY_NOISE) ** 2, "robust": "none", "refine": True}
         segments, self._length = {"length": length, "count": None}, length
         self.pilot, self._finer = (
             Pilot(remake(self._bench, timestep=step), law, logs, segments, loss, "specialised")
