@@ -35,8 +35,13 @@ def complaints(err: str) -> list[str]:
 
 
 def read_result(folder: Path) -> dict:
-    """Everything in `result.json` that a repetition has to repeat."""
-    return {key: value for key, value in json.loads((folder / "result.json").read_text()).items() if key != "timing"}
+    """Everything in `result.json` that a repetition has to repeat: not its times, nor the sweep's folder in commands."""
+    result = json.loads((folder / "result.json").read_text())
+    assert result.pop("timing")
+    verdict = result["verdict"]
+    named = f"{folder.parent.name}/{folder.name}"
+    assert any(named in command for command in verdict["commands"])
+    return result | {"verdict": verdict | {"commands": [line.replace(named, "RUN") for line in verdict["commands"]]}}
 
 
 def read_comparison(folder: Path) -> dict:
