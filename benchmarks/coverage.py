@@ -10,6 +10,7 @@ the intervals.
 """
 
 import argparse
+import math
 import sys
 import time
 from collections.abc import Sequence
@@ -45,7 +46,8 @@ EXCITATION = Excitation(12, (0.2, 1.0), (0.5, 10.0), (0.0, 2 * np.pi), 4.0)
 CONTROLLER = Controller(20.0, 1.0)  # as published of the bench
 MASS, CENTRE, INERTIA = 0.26, 0.1127, 0.0011  # of the rod of knee_rod.xml
 GRAVITY = 9.81
-DRAWS, SPEEDS, NEAREST = 1000, 40, 2000
+DRAWS, SPEEDS = 1000, 40
+NEAREST = 1 / 400  # of all samples, on either side of a speed, make its mean friction
 
 DRIVE = HiddenDrive(
     armature=0.05,
@@ -197,9 +199,10 @@ def mean_friction(recorded: Recorded, speed: np.ndarray) -> np.ndarray:
     """The drive's mean friction at each speed, over all that was visited in any log [N m]."""
     qvel, friction = recorded.qvel.ravel(), recorded.friction.ravel()
     order = np.argsort(qvel)
-    at = np.clip(np.searchsorted(qvel[order], speed), NEAREST, len(qvel) - NEAREST)
+    count = math.ceil(NEAREST * len(qvel))
+    at = np.clip(np.searchsorted(qvel[order], speed), count, len(qvel) - count)
     # Symmetric in speed: a straight line through the nearest has its value where its middle is.
-    near = order[at[:, None] + np.arange(-NEAREST, NEAREST)]
+    near = order[at[:, None] + np.arange(-count, count)]
     lines = [np.polyfit(qvel[own] - v, friction[own], 1)[1] for own, v in zip(near, speed, strict=True)]
     return np.array(lines)
 
