@@ -11,6 +11,7 @@ from jaxtyping import Float
 from frictionzoo.core.segments import Segments
 from frictionzoo.fit import Outcome, Space, estimate_uncertainty, fit_reference, run_fit
 from frictionzoo.fit.loop import Record
+from frictionzoo.fit.posterior import Fitted
 from frictionzoo.fit.recordings import Recordings
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.identification.commands import IN_MEMORY, Origin, suggest_commands
@@ -97,7 +98,7 @@ def solve(
 
 
 def _hand_over(problem: Problem, outcome: Outcome, result: Result, curves: Curves) -> Identified:
-    """The drive, apart from what found it."""
+    """The drive, with what it was found by for as long as it is in memory."""
     return Identified(
         folder=None,
         result=result,
@@ -109,6 +110,7 @@ def _hand_over(problem: Problem, outcome: Outcome, result: Result, curves: Curve
         sampling=problem.sampling,
         curves=curves,
         complaint=outcome.message,
+        fitted=Fitted(problem.objective, outcome.vector, problem.fit),
     )
 
 

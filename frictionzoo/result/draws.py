@@ -11,10 +11,27 @@ from frictionzoo.bench.base import Bench
 from frictionzoo.core.errors import ConfigError, RunError
 from frictionzoo.core.params import Param
 from frictionzoo.fit.covariance import Covariance
+from frictionzoo.fit.posterior import Fitted, draw_posterior
 from frictionzoo.fit.space import Space
 from frictionzoo.models.base import FrictionModel
-from frictionzoo.result.types import CovarianceRow, Result
+from frictionzoo.result.types import Result
 from frictionzoo.result.values import Parameter, read_parameters
+from frictionzoo.simulate.context import computing
+
+
+class Posterior(dict[str, Float[np.ndarray, "count nv"]]):
+    """Draws of each parameter by full name, in its unit, and whether the chains agree that they come from.
+
+    Attributes:
+        rhat: Of each number that was sampled, `bench.armature`, or `bench.armature/knee` of several joints, the
+            rank-normalised split R-hat: 1 where the chains agree.
+        effective: By the same names, the effective sample size of all that was drawn.
+        divergences: At how many of all draws the sampler's steps went astray.
+    """
+
+    rhat: dict[str, float]
+    effective: dict[str, float]
+    divergences: int
 
 
 def draw_parameters(
@@ -34,12 +51,7 @@ def draw_parameters(
         ConfigError: `count` is below 1.
         RunError: No parameter has an interval.
     """
-    if count < 1:
-        raise ConfigError(f"count={count}: expected 1 or more drives to draw")
-    if (row := result["covariance"]) is None:
-        why = result["no_intervals"] or "data determine none of its parameters"
-        raise RunError(f"{place}: {why}, expected intervals to draw from; look at what was identified, and fit again")
-    drawn, found = _draw(row, bench, model, count, seed), {}
+    drawn, found = _draw(_read_covariance(place, result, count), bench, model, count, seed), {}
     for name, parameter in read_parameters(result, bench.nv).items():
         moved = _determined(parameter, bench)
         if moved.any():
@@ -47,13 +59,57 @@ def draw_parameters(
     return found
 
 
+def draw_with_chains(
+    place: str, result: Result, bench: Bench, fitted: Fitted | None, count: int, seed: int
+) -> Posterior:
+    """The same of all parameters that have an interval, from the posterior.
+
+    Args:
+        place: Where the result lies, for messages.
+        result: Of the run.
+        bench: Its test stand.
+        fitted: What was minimised; None where it is not there any more.
+        count: Drives to draw.
+        seed: Of the draws.
+
+    Raises:
+        ConfigError: `count` is below 1, or as `draw_posterior`.
+        FitError: As `draw_posterior`.
+        RunError: No parameter has an interval, or it is not there what was minimised.
+    """
+    covariance = _read_covariance(place, result, count)
+    if fitted is None:
+        raise RunError(
+            f"{place}: read back or copied without its training data, expected a drive that identify returned; identify "
+            "it again, or draw with sample"
+        )
+    settings = result["settings"]
+    with computing(*(settings[name] for name in ("dtype", "device", "compilation_cache"))):
+        chains = draw_posterior(fitted, covariance, count, seed)
+    drawn, posterior = fitted.objective.space.physical(chains.vectors.T), Posterior()
+    for name, parameter in read_parameters(result, bench.nv).items():
+        if any(label.partition("/")[0] == name for label in chains.rhat):
+            posterior[name] = np.where(np.isnan(drawn[name].T), parameter.value, drawn[name].T)
+    posterior.rhat, posterior.effective, posterior.divergences = chains.rhat, chains.effective, chains.divergences
+    return posterior
+
+
+def _read_covariance(place: str, result: Result, count: int) -> Covariance:
+    """What is drawn from, of so many draws."""
+    if count < 1:
+        raise ConfigError(f"count={count}: expected 1 or more drives to draw")
+    if (row := result["covariance"]) is None:
+        why = result["no_intervals"] or "data determine none of its parameters"
+        raise RunError(f"{place}: {why}, expected intervals to draw from; look at what was identified, and fit again")
+    return Covariance(tuple(row["labels"]), np.array(row["centre"]), np.array(row["matrix"]), row["freedom"])
+
+
 def _draw(
-    row: CovarianceRow, bench: Bench, model: FrictionModel, count: int, seed: int
+    covariance: Covariance, bench: Bench, model: FrictionModel, count: int, seed: int
 ) -> dict[str, Float[np.ndarray, "count nv"]]:
     """Of all identified parameters; what has no interval is anywhere."""
     with jax.enable_x64(True):
         space = Space(bench, model, "float64")
-    covariance = Covariance(tuple(row["labels"]), np.array(row["centre"]), np.array(row["matrix"]), row["freedom"])
     vectors = np.repeat(np.asarray(space.start, np.float64)[:, None], count, axis=1)
     own = [space.labels.index(label) for label in covariance.labels]
     vectors[own] = covariance.draw(count, np.random.default_rng(seed)).T

@@ -25,11 +25,12 @@ from frictionzoo.core.output import RESULT, write_atomically
 from frictionzoo.core.segments import Sampling, Segments
 from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.export.written import Written
+from frictionzoo.fit.posterior import Fitted
 from frictionzoo.models import FrictionModel
 from frictionzoo.result.band import Band, predict_band
 from frictionzoo.result.curves import FILE as CURVES
 from frictionzoo.result.curves import Curves, write_curves
-from frictionzoo.result.draws import draw_parameters, put_values
+from frictionzoo.result.draws import Posterior, draw_parameters, draw_with_chains, put_values
 from frictionzoo.result.evaluate import JointErrors, Metrics, Prediction, Values
 from frictionzoo.result.read_back import LAW, load_law, read_bench, read_segments, thin
 from frictionzoo.result.record import read_run, write_result
@@ -59,6 +60,7 @@ class Identified:
         sampling: From their samples to steps of the simulation.
         curves: What figures are drawn from.
         complaint: One line where the fit diverged; None otherwise.
+        fitted: What was minimised, with the training data; None for a drive that was read back.
     """
 
     folder: Path | None
@@ -71,6 +73,7 @@ class Identified:
     sampling: Sampling
     curves: Curves
     complaint: str | None = None
+    fitted: Fitted | None = None
 
     @classmethod
     def load(cls, folder: Path) -> "Identified":
@@ -160,6 +163,30 @@ class Identified:
             RunError: No parameter has an interval.
         """
         return draw_parameters(self.place, self.result, self.bench, self.model, count, seed)
+
+    def posterior(self, count: int = 1000, seed: int = 0) -> Posterior:
+        """Draw drives that the training data allow, from a distribution with the shape that the data give it.
+
+        As `sample`, which is faster: where the loss is a parabola as far as intervals reach, the draws are distributed
+        alike. Where it is not, these are skewed or curved as it is, and keep to the bounds. They come from four chains
+        of NUTS on the loss, adjusted to the intervals' covariance: see `frictionzoo.fit.posterior`. All parameters that
+        have an interval are drawn, those that are not identifiable, too.
+
+        It takes the training data, so a drive that `identify` returned, and blackjax, the extra `posterior`.
+
+        Args:
+            count: Drives to draw.
+            seed: Of the draws.
+
+        Returns:
+            Values by full name, in their unit, and whether the chains agreed.
+
+        Raises:
+            ConfigError: `count` is below 1, too many parameters were identified, or blackjax is not installed.
+            FitError: The fit has not converged, or the chains do not agree.
+            RunError: No parameter has an interval, or the drive was read from a folder.
+        """
+        return draw_with_chains(self.place, self.result, self.bench, self.fitted, count, seed)
 
     def band(self, segments: Segments | None = None, count: int = 100, seed: int = 0) -> Band:
         """Where the measured position will be in rollouts, at each instant with 95 %.
