@@ -1,5 +1,6 @@
 """The posterior of what was identified, by NUTS: the joint distribution with the shape that the data give it."""
 
+import importlib.util
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -154,7 +155,7 @@ class _Target:
     def of(cls, fitted: Fitted, covariance: Covariance) -> "_Target":
         """The target for what was fitted; see `draw_posterior` for what is refused."""
         space, best = fitted.objective.space, np.asarray(fitted.vector, np.float64)
-        _refuse_many(fitted, covariance)
+        _refuse(fitted, covariance)
         own = np.array([space.labels.index(label) for label in covariance.labels])
         equations, _ = fitted.objective.compile_scores()(fitted.vector)
         hessian, gradient = equations.hessian[np.ix_(own, own)], equations.gradient[own]
@@ -177,7 +178,7 @@ class _Target:
     def place(self, free: Float[Array, "own"]) -> Float[Array, "own"]:
         """The coordinates of a point."""
         logit = self.origin + jnp.asarray(self.spread, free.dtype) @ free
-        return (self.low + (self.high - self.low) * jax.nn.sigmoid(logit)).astype(free.dtype)
+        return jnp.asarray(self.low + (self.high - self.low) * jax.nn.sigmoid(logit), free.dtype)
 
     def log_density(self, free: Float[Array, "own"], loss: Callable[[Array], Array]) -> Float[Array, ""]:
         """The posterior's logarithm but for a constant, of the objective `loss` as a function of a vector."""
@@ -220,7 +221,11 @@ def adjust(
     return float(size), symmetric * deviation[:, None] / deviation
 
 
-def _refuse_many(fitted: Fitted, covariance: Covariance) -> None:
+def _refuse(fitted: Fitted, covariance: Covariance) -> None:
+    if importlib.util.find_spec("blackjax") is None:
+        raise ConfigError(
+            'posterior: blackjax not found, expected an installed package; pip install "frictionzoo[posterior]"'
+        )
     if type(fitted.fit).compile_scores is not Fit.compile_scores:
         raise ConfigError(
             f"fit={fitted.fit.name}: its loss is one of torque, without the rollouts that a posterior is drawn by; fit "
@@ -237,12 +242,8 @@ def _sample(
     objective: Objective, target: _Target, draws: int, seed: int
 ) -> tuple[Float[np.ndarray, "chains draws own"], Bool[np.ndarray, "chains draws"]]:
     """All draws, and at which of them the sampler's steps went astray."""
-    try:
-        import blackjax
-    except ImportError:
-        raise ConfigError(
-            'a posterior is drawn by blackjax, expected an installed package; pip install "frictionzoo[posterior]"'
-        ) from None
+    import blackjax  # an extra
+
     of_all, dtype = objective.value_and_grad("auto"), objective.space.start.dtype
 
     def chain(key: Array, start: Array, data: Blocks) -> tuple[Array, Array]:
@@ -254,11 +255,11 @@ def _sample(
         def log_density(free: Array) -> Array:
             return target.log_density(free, loss)
 
-        adaptation = blackjax.window_adaptation(
+        adaptation: Any = blackjax.window_adaptation(
             blackjax.nuts, log_density, initial_step_size=_STEP, adaptation_info_fn=lambda *told: None
         )
         warm, sampling = jax.random.split(key)
-        (state, found), _ = adaptation.run(warm, start, WARMUP)
+        (state, found), _ = adaptation.run(warm, start, num_steps=WARMUP)
         step = blackjax.nuts(log_density, **found).step
 
         def draw(state: Any, key: Array) -> tuple[Any, tuple[Array, Array]]:
@@ -269,8 +270,8 @@ def _sample(
 
     run = objective.compile(chain, FORWARD)
     starts = np.random.default_rng(seed).standard_normal((CHAINS, len(target.own)))
-    keys = jax.random.split(jax.random.key(seed), CHAINS)
-    parts = [run(*objective.spread((key, jnp.asarray(at, dtype))), objective.data) for key, at in zip(keys, starts)]
+    begun = zip(jax.random.split(jax.random.key(seed), CHAINS), starts, strict=True)
+    parts = [run(*objective.spread((key, jnp.asarray(at, dtype))), objective.data) for key, at in begun]
     places, diverged = (np.stack([np.asarray(part) for part in own]) for own in zip(*parts, strict=True))
     return places.astype(np.float64), diverged
 

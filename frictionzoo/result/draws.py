@@ -11,7 +11,7 @@ from frictionzoo.bench.base import Bench
 from frictionzoo.core.errors import ConfigError, RunError
 from frictionzoo.core.params import Param
 from frictionzoo.fit.covariance import Covariance
-from frictionzoo.fit.posterior import Fitted, draw_posterior
+from frictionzoo.fit.posterior import Chains, Fitted, draw_posterior
 from frictionzoo.fit.space import Space
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.result.types import Result
@@ -29,9 +29,11 @@ class Posterior(dict[str, Float[np.ndarray, "count nv"]]):
         divergences: At how many of all draws the sampler's steps went astray.
     """
 
-    rhat: dict[str, float]
-    effective: dict[str, float]
-    divergences: int
+    def __init__(self, draws: Mapping[str, Float[np.ndarray, "count nv"]], chains: Chains) -> None:
+        super().__init__(draws)
+        self.rhat: dict[str, float] = chains.rhat
+        self.effective: dict[str, float] = chains.effective
+        self.divergences: int = chains.divergences
 
 
 def draw_parameters(
@@ -80,18 +82,18 @@ def draw_with_chains(
     covariance = _read_covariance(place, result, count)
     if fitted is None:
         raise RunError(
-            f"{place}: read back or copied without its training data, expected a drive that identify returned; identify "
-            "it again, or draw with sample"
+            f"{place}: without the training data, which are in no folder and no copy, expected a drive that identify "
+            "returned; identify it again, or draw with sample"
         )
     settings = result["settings"]
     with computing(*(settings[name] for name in ("dtype", "device", "compilation_cache"))):
         chains = draw_posterior(fitted, covariance, count, seed)
-    drawn, posterior = fitted.objective.space.physical(chains.vectors.T), Posterior()
+    drawn, found = fitted.objective.space.physical(chains.vectors.T), {}
+    sampled = {label.partition("/")[0] for label in chains.rhat}
     for name, parameter in read_parameters(result, bench.nv).items():
-        if any(label.partition("/")[0] == name for label in chains.rhat):
-            posterior[name] = np.where(np.isnan(drawn[name].T), parameter.value, drawn[name].T)
-    posterior.rhat, posterior.effective, posterior.divergences = chains.rhat, chains.effective, chains.divergences
-    return posterior
+        if name in sampled:
+            found[name] = np.where(np.isnan(drawn[name].T), parameter.value, drawn[name].T)
+    return Posterior(found, chains)
 
 
 def _read_covariance(place: str, result: Result, count: int) -> Covariance:
