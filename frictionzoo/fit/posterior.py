@@ -280,7 +280,8 @@ def _diagnose(found: Float[np.ndarray, "chains draws own"]) -> tuple[list[float]
     """R-hat and effective sample size of each coordinate."""
     from blackjax.diagnostics import ess_bulk, rhat
 
-    return np.atleast_1d(rhat(found)).tolist(), np.atleast_1d(ess_bulk(found)).tolist()
+    both = jax.jit(lambda draws: (rhat(draws), ess_bulk(draws)))(found)  # operation by operation it takes seconds
+    return np.atleast_1d(both[0]).tolist(), np.atleast_1d(both[1]).tolist()
 
 
 def _pick(
