@@ -127,6 +127,7 @@ def identify(options: argparse.Namespace, robot: Robot, folder: Path) -> dict[st
         "evaluation.horizons": [1.0],
         "evaluation.trajectory": 1.0,
         "scale.torque": 5,
+        "recipe": "given",  # each of its choices compiles the whole robot anew
         "compilation_cache": "null",
         "loop.progress": "false",
     }

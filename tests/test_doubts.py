@@ -13,6 +13,9 @@ from conftest import needs_data
 
 from frictionzoo.bench import Bench, Force, PositionPD
 from frictionzoo.checkup import check_up, find_all
+from frictionzoo.checkup.commands import takes_energy
+from frictionzoo.checkup.following import Followed, check_following
+from frictionzoo.checkup.lags import compare
 from frictionzoo.checkup.motion import check_motion
 from frictionzoo.core.errors import ConfigError, LogError
 from frictionzoo.core.log import Dataset, Log
@@ -212,6 +215,27 @@ def test_joints_that_are_swapped_or_turned_are_told(leg: Callable, make: Callabl
     turn = np.array([1.0, -1.0])
     # Of a leg that hangs down, either joint turned round gives the mirror image of the other.
     assert re.search("(hip|knee) turns the other way: set data.sign.qpos", said(turn * qpos, turn * qvel, turn * asked))
+
+
+def test_a_joint_that_others_move_may_brake_them(recorded: tuple[Log, Bench], leg: Callable) -> None:
+    """And then need not follow a command that asks for little."""
+    alone, (of, beside) = recorded[1], (leg(), 1)
+    assert takes_energy(alone, 0, -0.1) and not takes_energy(alone, 0, 0.1)
+    assert takes_energy(of, beside, -0.6) and not takes_energy(of, beside, -0.1)
+
+    log = recorded[0]
+    ctrl = 0.1 * np.sin(40 * log.time)[:, None]  # to which the position pays no heed
+    both = replace(log, ctrl=ctrl)
+    joint = Followed(
+        *(signal[:, 0] for signal in (log.qpos, ctrl)),
+        np.ones(log.samples, bool),
+        compare(log.qpos[:, 0], ctrl[:, 0], log.timestep, np.ones(log.samples, bool)),
+        0.05,
+        -0.1,
+    )
+    told = {bench.nv: list(check_following(both, "", bench, 0, joint, False, None)) for bench in (alone, of)}
+    assert [(kind, certain) for kind, certain, _ in told[1]] == [("ignored", True)]
+    assert [(kind, certain) for kind, certain, _ in told[2]] == [("ignored", False)]
 
 
 @needs_data

@@ -35,7 +35,7 @@ def complaints(err: str) -> list[str]:
 
 
 def read_result(folder: Path) -> dict:
-    """Everything in `result.json` that a repetition has to repeat: not its times, nor the sweep's folder in commands."""
+    """Everything in `result.json` that a repetition has to repeat: not times, nor the sweep's folder in commands."""
     result = json.loads((folder / "result.json").read_text())
     assert result.pop("timing")
     verdict = result["verdict"]

@@ -47,8 +47,9 @@ def check_command(of: str, ctrl: Signal, follows: Float[np.ndarray, "on"] | None
 def check_work(of: str, bench: Bench, joint: int, share: float) -> Iterator[tuple[str, bool, str]]:
     """A command that takes energy; of a joint that others move and that gravity may drive, that is only doubtful."""
     took = f"ctrl{of} takes energy from the drive all along ({100 * share:.0f} % of what it exchanges)"
-    alone = bench.branches.count(bench.branches[joint]) == 1
-    if alone and share < OPPOSED:
+    if not takes_energy(bench, joint, share):
+        return
+    if _is_alone(bench, joint):
         yield (
             "work",
             True,
@@ -56,12 +57,21 @@ def check_work(of: str, bench: Bench, joint: int, share: float) -> Iterator[tupl
             "qpos and ctrl are swapped, have other units or another zero, or belong to other times (data.columns, "
             "data.units, data.clean.command_lag)",
         )
-    elif not alone and share < CARRIED:
+    else:
         yield (
             "work",
             False,
             f"{took}: right where gravity or other joints move it, else look at its sign (data.sign.ctrl)",
         )
+
+
+def takes_energy(bench: Bench, joint: int, share: float) -> bool:
+    """Whether a command takes more energy than it may: one that moves its joint alone takes none."""
+    return share < (OPPOSED if _is_alone(bench, joint) else CARRIED)
+
+
+def _is_alone(bench: Bench, joint: int) -> bool:
+    return bench.branches.count(bench.branches[joint]) == 1
 
 
 def work(log: Log, bench: Bench) -> Float[np.ndarray, "nv"]:

@@ -9,6 +9,7 @@ import scipy.optimize
 from jaxtyping import Bool, Float
 
 from frictionzoo.bench import Bench
+from frictionzoo.checkup.commands import takes_energy
 from frictionzoo.checkup.findings import say_sign
 from frictionzoo.checkup.lags import SHORTEST, WINDOWS, Likeness, compare, find_drift, pick_lag, say_drift
 from frictionzoo.core.log import Log
@@ -103,7 +104,7 @@ def check_following(
     elif found.likeness.correlation[best] < IGNORES:
         yield (
             "ignored",
-            found.work < 0,
+            takes_energy(bench, joint, found.work),
             f"qpos{of} does not follow ctrl at any time (correlation {found.likeness.correlation[best]:.2f}): look "
             "whether ctrl is a desired position (bench.actuator, or another bench) and which joint's it is "
             "(data.columns.ctrl)",
