@@ -51,6 +51,25 @@ class Choice(NamedTuple):
         return f"{self.option}={str(value).lower() if isinstance(value, bool) else value}: {self.reason}"
 
 
+def imply(loss: Mapping[str, Any]) -> Iterator[Choice]:
+    """What the options of a loss that are given leave no choice for.
+
+    Args:
+        loss: All of them; an open one is `auto`.
+    """
+    given = {name: value for name, value in loss.items() if value != AUTO}
+    if given.get("impulse"):
+        yield Choice("loss.position", 0.0, "impulses are between measured velocities")
+        yield Choice("loss.refine", False, "impulses are between measured velocities")
+    if given.get("robust", "none") != "none":
+        yield Choice("loss.refine", False, "a robust loss begins at measured states")
+    if 0 in (given.get("position"), given.get("velocity")):
+        yield Choice("loss.refine", False, "initial states are estimated by position and velocity, or not at all")
+    if given.get("continuity"):
+        yield Choice("loss.refine", True, "segments hold together where initial states are estimated along")
+        yield Choice("segments.count", None, "segments hold together that follow one another")
+
+
 def is_open(params: Mapping[str, Any], name: str) -> bool:
     """Whether the section of a bench's parameters leaves open if this one is identified."""
     return isinstance(params.get(name), Mapping) and params[name].get("identify") == AUTO
@@ -98,6 +117,7 @@ class Stages:
 
     def run(self) -> Iterator[Choice]:
         """All stages."""
+        yield from self._heed()
         yield from self._weigh()
         yield from self._choose_segments()
         if self._small:
@@ -120,6 +140,14 @@ class Stages:
         section, _, key = option.rpartition(".")
         (self.settings[section] if section else self.settings)[key] = value
         yield Choice(option, value, reason)
+
+    def _heed(self) -> Iterator[Choice]:
+        """What the given options leave no choice for, which then counts as given."""
+        for choice in imply(self._given["loss"]):
+            section, _, key = choice.option.partition(".")
+            yield from self._set(*choice)
+            if self._is_open(choice.option):
+                self._given = {**self._given, section: {**self._given[section], key: choice.value}}
 
     def _weigh(self) -> Iterator[Choice]:
         """Precision and weights."""
@@ -208,13 +236,17 @@ class Stages:
         least = max(_BEYOND * float(self._noise.position.max()), _WIDE * float(np.median(np.sqrt(squares))))
         longer = max(horizon, self.settings["segments"]["length"])
         robust = {"robust": "soft_l1", "robust_scale": float(f"{least:.2g}"), "refine": False, "length": longer}
+        beyond_it = "beyond, errors count by their size"
+        if self.settings["loss"]["robust"] not in (AUTO, "none"):  # of these errors; the pilot knew no scale
+            yield from self._set("loss.robust_scale", robust["robust_scale"], beyond_it)
+            return
         wanted = self._lacking and all(map(self._is_open, ("loss.robust", "loss.robust_scale", "loss.refine")))
         share = self._validate(**robust) / self._validate() if wanted else 1.0
         if wanted:
             told += f"; a robust loss predicts a validation block with {share:.3g} times the error of least squares"
         if share < 1 - _BETTER:
             yield from self._set("loss.robust", "soft_l1", told)
-            yield from self._set("loss.robust_scale", robust["robust_scale"], "beyond, errors count by their size")
+            yield from self._set("loss.robust_scale", robust["robust_scale"], beyond_it)
             yield from self._set("loss.refine", False, "a robust loss begins at measured states")
             if self._is_open("segments.length") and longer > self.settings["segments"]["length"]:
                 self.settings["segments"]["length"] = longer
