@@ -2,7 +2,7 @@
 
 import copy
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -100,6 +100,7 @@ class Stages:
         self._lacking = False  # whether the law leaves more than noise
         self._rounded = False  # whether it leaves what rounding does
         self._kept: dict[str, bool] = {}  # whether what was free is identified
+        self._shown: list[str] = []  # of it, what recordings show, and not what is of use alone
 
     def _is_small(self) -> bool:
         """Whether the fit is Levenberg-Marquardt's: then a pilot of it says what is best."""
@@ -307,6 +308,7 @@ class Stages:
         self._found = self._found or self._go_on(self._pilot())
         shown = {name: self._is_shown(self._found, name) for name in free}
         doubtful = [name for name, (is_shown, _) in shown.items() if not is_shown]
+        self._shown = [name for name in free if name not in doubtful]
         # Where a law lacks something, intervals are wide, and what makes up for it may be of use all the same.
         helping = self._validate() if doubtful and self._lacking else math.inf
         for name in free:
@@ -364,9 +366,21 @@ class Stages:
                 break
             self._set_step(step / 2**halvings)
             found = (finer if halvings == 1 else self._pilot(_MOST_STEPS)).fit(found.vector)
+            found = yield from self._look_again(found)
         self.start = found.vector
         if self._step_is_open:
             yield Choice("bench.timestep", self._step, reason)
+
+    def _look_again(self, found: Found) -> Generator[Choice, None, Found]:
+        """Leave out what only longer steps showed: a simulation runs late by a part of its step, as commands may."""
+        looked = {name: self._is_shown(found, name) for name in self._shown}
+        gone = [name for name, (is_shown, _) in looked.items() if not is_shown]
+        for name in gone:
+            self._shown.remove(name)
+            self._identify(name, False)
+            why = f"not shown with steps of {1e3 * self._step:.3g} ms: {looked[name][1]}"
+            yield Choice(f"bench.params.{name}.identify", False, why)
+        return self._go_on(self._pilot(_MOST_STEPS), found) if gone else found
 
     @property
     def _step(self) -> float:
