@@ -9,12 +9,14 @@ from omegaconf import OmegaConf
 
 import frictionzoo as fz
 from frictionzoo.core.build import build
-from frictionzoo.core.config import compose_config
+from frictionzoo.core.config import compose_config, compose_settings
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.log import Dataset, Log
+from frictionzoo.core.params import AUTO
+from frictionzoo.fit.loss import Loss
 from frictionzoo.identification.noise import Noise, find_step
 from frictionzoo.identification.problem import Parts
-from frictionzoo.identification.stages import Choice, divide
+from frictionzoo.identification.stages import Choice, divide, imply
 from frictionzoo.logs.signals import find_noise
 
 TIMESTEP, DELAY = 0.005, 0.012
@@ -125,19 +127,47 @@ def test_halving_the_step_that_was_chosen_moves_nothing(found: fz.Identified, re
             assert abs(of_joint["value"] - again["value"]) < 0.25 * (ends[1] - ends[0]), one["name"]
 
 
+USUAL: dict[str, Any] = {"position": 1.0, "velocity": 0.1, "robust": "none", "robust_scale": 1.0, "encoder_step": 0.0}
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {},
+        {"robust": "huber"},
+        {"velocity": 0.0, "robust": "huber"},
+        {"velocity": 0.0},
+        {"impulse": True, "slow": 0.1},
+        {"continuity": 1.0},
+        {"refine": False},
+    ],
+    ids=str,
+)
+def test_a_loss_that_is_given_in_part_is_made_whole(given: dict[str, Any]) -> None:
+    """What is chosen goes with what a user says, whatever else the recordings show."""
+    settings = compose_settings({"loss": given}, "recipe=auto")
+    implied = {choice.option: choice.value for choice in imply(settings["loss"])}
+    chosen = USUAL | {"refine": True, "by_joint": False}
+    chosen |= {option.partition(".")[2]: value for option, value in implied.items() if option.startswith("loss.")}
+    loss = settings["loss"] | {name: chosen[name] for name, value in settings["loss"].items() if value == AUTO}
+    assert Loss(**loss) and given.items() <= loss.items()
+    assert implied.get("segments.count", 0) is None or not given.get("continuity")
+
+
 @pytest.mark.usefixtures("in_haste")
 def test_what_a_user_says_stays(recorded: Dataset) -> None:
     bench = fz.Bench(
         "knee_rod.xml", "knee", actuator=fz.PositionPD(kp=20, kd=1.0), params={"delay": DELAY}, timestep=TIMESTEP
     )
-    how: dict[str, Any] = {"segments": {"length": 30}, "loss": {"velocity": 0.5, "refine": False}, "dtype": "float64"}
+    how: dict[str, Any] = {"segments": {"length": 30}, "loss": {"velocity": 0.5, "robust": "huber"}, "dtype": "float64"}
     fit = fz.identify(bench, "coulomb_smooth", list(recorded.train), recipe="auto", test=0.2, **how, **QUICK)
     chosen = {row["option"] for row in fit.result["recipe"]}
-    assert chosen.isdisjoint({"segments.length", "loss.velocity", "loss.refine", "dtype", "bench.timestep"})
+    assert chosen.isdisjoint({"segments.length", "loss.velocity", "loss.robust", "dtype", "bench.timestep"})
     assert "bench.params.delay.identify" not in chosen
     settings = fit.result["settings"]
     assert settings["segments"]["length"] == 30 and settings["loss"]["velocity"] == 0.5
-    assert settings["loss"]["refine"] is False and settings["bench"]["timestep"] == TIMESTEP
+    assert settings["loss"]["robust"] == "huber" and settings["bench"]["timestep"] == TIMESTEP
+    assert settings["loss"]["refine"] is False and 0 < settings["loss"]["robust_scale"] < 0.1  # rad
     assert {row["name"]: row["value"] for row in fit.result["parameters"]}["delay"] == DELAY
 
 

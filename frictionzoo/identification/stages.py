@@ -2,7 +2,7 @@
 
 import copy
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -51,6 +51,25 @@ class Choice(NamedTuple):
         return f"{self.option}={str(value).lower() if isinstance(value, bool) else value}: {self.reason}"
 
 
+def imply(loss: Mapping[str, Any]) -> Iterator[Choice]:
+    """What the options of a loss that are given leave no choice for.
+
+    Args:
+        loss: All of them; an open one is `auto`.
+    """
+    given = {name: value for name, value in loss.items() if value != AUTO}
+    if given.get("impulse"):
+        yield Choice("loss.position", 0.0, "impulses are between measured velocities")
+        yield Choice("loss.refine", False, "impulses are between measured velocities")
+    if given.get("robust", "none") != "none":
+        yield Choice("loss.refine", False, "a robust loss begins at measured states")
+    if 0 in (given.get("position"), given.get("velocity")):
+        yield Choice("loss.refine", False, "initial states are estimated by position and velocity, or not at all")
+    if given.get("continuity"):
+        yield Choice("loss.refine", True, "segments hold together where initial states are estimated along")
+        yield Choice("segments.count", None, "segments hold together that follow one another")
+
+
 def is_open(params: Mapping[str, Any], name: str) -> bool:
     """Whether the section of a bench's parameters leaves open if this one is identified."""
     return isinstance(params.get(name), Mapping) and params[name].get("identify") == AUTO
@@ -81,6 +100,7 @@ class Stages:
         self._lacking = False  # whether the law leaves more than noise
         self._rounded = False  # whether it leaves what rounding does
         self._kept: dict[str, bool] = {}  # whether what was free is identified
+        self._shown: list[str] = []  # of it, what recordings show, and not what is of use alone
 
     def _is_small(self) -> bool:
         """Whether the fit is Levenberg-Marquardt's: then a pilot of it says what is best."""
@@ -98,6 +118,7 @@ class Stages:
 
     def run(self) -> Iterator[Choice]:
         """All stages."""
+        yield from self._heed()
         yield from self._weigh()
         yield from self._choose_segments()
         if self._small:
@@ -120,6 +141,14 @@ class Stages:
         section, _, key = option.rpartition(".")
         (self.settings[section] if section else self.settings)[key] = value
         yield Choice(option, value, reason)
+
+    def _heed(self) -> Iterator[Choice]:
+        """What the given options leave no choice for, which then counts as given."""
+        for choice in imply(self._given["loss"]):
+            section, _, key = choice.option.partition(".")
+            yield from self._set(*choice)
+            if self._is_open(choice.option):
+                self._given = {**self._given, section: {**self._given[section], key: choice.value}}
 
     def _weigh(self) -> Iterator[Choice]:
         """Precision and weights."""
@@ -208,13 +237,17 @@ class Stages:
         least = max(_BEYOND * float(self._noise.position.max()), _WIDE * float(np.median(np.sqrt(squares))))
         longer = max(horizon, self.settings["segments"]["length"])
         robust = {"robust": "soft_l1", "robust_scale": float(f"{least:.2g}"), "refine": False, "length": longer}
+        beyond_it = "beyond, errors count by their size"
+        if self.settings["loss"]["robust"] not in (AUTO, "none"):  # of these errors; the pilot knew no scale
+            yield from self._set("loss.robust_scale", robust["robust_scale"], beyond_it)
+            return
         wanted = self._lacking and all(map(self._is_open, ("loss.robust", "loss.robust_scale", "loss.refine")))
         share = self._validate(**robust) / self._validate() if wanted else 1.0
         if wanted:
             told += f"; a robust loss predicts a validation block with {share:.3g} times the error of least squares"
         if share < 1 - _BETTER:
             yield from self._set("loss.robust", "soft_l1", told)
-            yield from self._set("loss.robust_scale", robust["robust_scale"], "beyond, errors count by their size")
+            yield from self._set("loss.robust_scale", robust["robust_scale"], beyond_it)
             yield from self._set("loss.refine", False, "a robust loss begins at measured states")
             if self._is_open("segments.length") and longer > self.settings["segments"]["length"]:
                 self.settings["segments"]["length"] = longer
@@ -275,6 +308,7 @@ class Stages:
         self._found = self._found or self._go_on(self._pilot())
         shown = {name: self._is_shown(self._found, name) for name in free}
         doubtful = [name for name, (is_shown, _) in shown.items() if not is_shown]
+        self._shown = [name for name in free if name not in doubtful]
         # Where a law lacks something, intervals are wide, and what makes up for it may be of use all the same.
         helping = self._validate() if doubtful and self._lacking else math.inf
         for name in free:
@@ -332,9 +366,21 @@ class Stages:
                 break
             self._set_step(step / 2**halvings)
             found = (finer if halvings == 1 else self._pilot(_MOST_STEPS)).fit(found.vector)
+            found = yield from self._look_again(found)
         self.start = found.vector
         if self._step_is_open:
             yield Choice("bench.timestep", self._step, reason)
+
+    def _look_again(self, found: Found) -> Generator[Choice, None, Found]:
+        """Leave out what only longer steps showed: a simulation runs late by a part of its step, as commands may."""
+        looked = {name: self._is_shown(found, name) for name in self._shown}
+        gone = [name for name, (is_shown, _) in looked.items() if not is_shown]
+        for name in gone:
+            self._shown.remove(name)
+            self._identify(name, False)
+            why = f"not shown with steps of {1e3 * self._step:.3g} ms: {looked[name][1]}"
+            yield Choice(f"bench.params.{name}.identify", False, why)
+        return self._go_on(self._pilot(_MOST_STEPS), found) if gone else found
 
     @property
     def _step(self) -> float:
