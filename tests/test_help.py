@@ -42,6 +42,16 @@ def test_help_does_not_wait_for_imports(name: str) -> None:
     assert "frictionzoo" in imported and not HEAVY & imported
 
 
+def test_a_missing_recording_is_told_before_slow_imports(tmp_path: Path) -> None:
+    code = "import atexit, sys; atexit.register(lambda: print(*{'torch', 'jax', 'mujoco'} & {*sys.modules}))"
+    code += "; from frictionzoo.cli.commands import main; main('run')"
+    words = [sys.executable, "-c", code, "data=files", "data.train=[nothing.csv]", "bench.mjcf=knee_rod.xml"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    finished = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert finished.returncode == 2 and finished.stderr.startswith("frictionzoo: nothing.csv: no such file")
+    assert finished.stdout == "\n"
+
+
 def test_the_page_names_every_command_wherever_a_run_is_asked_for_help(
     capsys: pytest.CaptureFixture,
 ) -> None:

@@ -97,6 +97,7 @@ def test_a_mistake_of_each_kind_is_one_line(refuse: Callable, tmp_path: Path, ti
         ("fit=adan", ("no such fit", "did you mean adam?")),
         ("bench=nee", ("no such bench", "did you mean knee?")),
         ("sed=3", ("sed: unknown option", "did you mean seed?")),
+        ("foo=1", ("foo: unknown option; expected one of bench,",)),  # which is near none
         ("model.params.static_torque.inti=1", ("unknown option", "did you mean init?")),
         ("segments.count", ("segments.count", "missing EQUAL")),
     ],

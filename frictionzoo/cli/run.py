@@ -19,6 +19,7 @@ from frictionzoo.cli.mistakes import NOT_IDENTIFIED, fail, mistakes_in_one_line,
 from frictionzoo.cli.overrides import choices_of, given_to_hydra, last_value, refuse_no_choice
 from frictionzoo.cli.resume import keep_record, restore_overrides, say_how_a_run_goes_on, say_how_a_sweep_goes_on
 from frictionzoo.cli.sweep import SweepFolder, conclude_sweep, describe, objective_of, run_in_sweep
+from frictionzoo.core.build import build
 from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, forget_plugin_schemas, register_resolvers
 from frictionzoo.core.output import occupy
 from frictionzoo.core.threads import limit_threads, threads_each
@@ -53,6 +54,7 @@ def _identify(config: DictConfig, model: str, folder: Path) -> tuple[Result, str
     check_overrides(config, compose_config(*choices_of(hydra_config.runtime.choices)))
     alone = hydra_config.mode == RunMode.RUN or hydra_config.runtime.choices["hydra/launcher"] == "basic"
     limit_threads(config.threads if alone else threads_each(config.threads))
+    build(cast(dict[str, Any], OmegaConf.to_container(config.data, resolve=True))).find()
     # Imported here, so that --help and a typing error do not wait for torch and JAX, and that these meet the limit.
     from frictionzoo.cli.job import run_job
     from frictionzoo.show.terminal import summarise

@@ -73,6 +73,6 @@ def refuse_unlike(name: str, value: object, kind: type | tuple[type, ...], expec
 def closest(name: str, options: Iterable[str]) -> str:
     """Hint for an unknown name: the closest of the options that would have been understood, then all of them."""
     options = sorted(options)
-    near = difflib.get_close_matches(name, options, n=1, cutoff=0.5)
+    near = difflib.get_close_matches(name, options, n=1, cutoff=0.6)
     listed = f"expected one of {', '.join(options)}" if options else "none is available"
     return f"did you mean {near[0]}? ({listed})" if near else listed

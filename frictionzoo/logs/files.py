@@ -80,6 +80,11 @@ class Files(Source):
         if self.test and self.split.by != "time":
             raise ConfigError(f"data.split.by={self.split.by} and data.test={self.test}; expected one of them")
 
+    def find(self) -> None:
+        """See `Source.find`."""
+        for names in filter(None, (self.train, self.test)):
+            find_files(names, self.folder, self.source)
+
     def recordings(self) -> list[Recording]:
         """All recordings as they come, those that only test last.
 

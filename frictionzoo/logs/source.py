@@ -12,6 +12,14 @@ class Source(Described, ABC):
 
     name: str
 
+    def find(self) -> None:
+        """Look whether the recordings are there, before anything is read or a slow import is waited for.
+
+        Raises:
+            LogError: A path leads to no file.
+        """
+        return None
+
     @abstractmethod
     def load(self) -> Dataset:
         """The recordings.
