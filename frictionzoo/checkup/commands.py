@@ -46,9 +46,9 @@ def check_command(of: str, ctrl: Signal, follows: Float[np.ndarray, "on"] | None
 
 def check_work(of: str, bench: Bench, joint: int, share: float) -> Iterator[tuple[str, bool, str]]:
     """A command that takes energy; of a joint that others move and that gravity may drive, that is only doubtful."""
-    took = f"ctrl{of} takes energy from the drive all along ({100 * share:.0f} % of what it exchanges)"
     if not takes_energy(bench, joint, share):
         return
+    took = f"ctrl{of} takes energy from the drive all along ({100 * share:.0f} % of what it exchanges)"
     if _is_alone(bench, joint):
         yield (
             "work",

@@ -18,7 +18,6 @@ class Source(Described, ABC):
         Raises:
             LogError: A path leads to no file.
         """
-        return None
 
     @abstractmethod
     def load(self) -> Dataset:
