@@ -1,6 +1,6 @@
 # Every target works in the active environment; `make install` fills it.
 .DEFAULT_GOAL := help
-.PHONY: help install test slow reproduce lint format docs
+.PHONY: help install test slow reproduce cards lint format docs
 
 help: ## list the targets
 	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -16,6 +16,9 @@ slow: ## whole programs, and experiments in their small variants; FRICTIONZOO_DA
 
 reproduce: ## the experiments at full size, about an hour on two cores: checks their numbers and rewrites their tables
 	python experiments/reproduce.py
+
+cards: ## a card of each drive that the experiments measured, after `make reproduce`; LICENCE=ID says under which
+	python experiments/cards.py --licence "$(LICENCE)"
 
 lint: ## what CI checks besides tests
 	ruff format --check

@@ -1,8 +1,6 @@
 """Writes what pages say of plug-ins from their docstrings: `python docs/write_plugins.py`."""
 
-import inspect
 import re
-import textwrap
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
@@ -14,6 +12,7 @@ from frictionzoo.core.registry import KINDS
 from frictionzoo.models import FrictionModel, get_model
 from frictionzoo.models.by_joint import ByJoint
 from frictionzoo.models.network import NetworkModel
+from frictionzoo.show.text import to_markdown
 
 DOCS = Path(__file__).parent
 HEAD = """# Plug-ins
@@ -79,19 +78,6 @@ def section_of(name: str) -> str:
     """What a choice of `model=` is: the docstring of its law, or what a configuration of its own says at its head."""
     text = to_markdown(_law(name).__doc__ or "") if _is_law(name) else _header(name)
     return f"## `{name}`\n\n{text}\n\nOptions: [`conf/model/{name}.yaml`](../conf/model/{name}.yaml)"
-
-
-def to_markdown(docstring: str) -> str:
-    """A docstring's paragraphs up to its arguments; equations and symbols become blocks of code."""
-    text = re.split(r"\n\n(?:Args|Raises|Attributes):\n", inspect.cleandoc(docstring))[0]
-    blocks = text.split("\n\n")
-    symbols = next((i for i, block in enumerate(blocks) if block.startswith(" ")), len(blocks))
-    for i, block in enumerate(blocks):
-        lines = block.split("\n")
-        equation = 0 < i < symbols and all(re.search(r" <?= ", line) or line.startswith(" ") for line in lines)
-        if equation or block.startswith(" "):
-            blocks[i] = f"```\n{textwrap.dedent(block)}\n```"
-    return "\n\n".join(blocks)
 
 
 def _is_law(name: str) -> bool:

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from frictionzoo.card import record as card
 from frictionzoo.comparison import record as comparison
 from frictionzoo.core.output import write_atomically
 from frictionzoo.inspect import survey
@@ -14,6 +15,7 @@ DOCS = Path(__file__).parent
 SCHEMAS = {  # docs/NAME.md is made from the schema of NAME.json
     "result": result.read_schema,
     "comparison": comparison.read_schema,
+    "card": card.read_schema,
     "inspect": survey.read_schema,
 }
 HEAD = """# `{name}.json`

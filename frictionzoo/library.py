@@ -11,6 +11,9 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 
 from frictionzoo.bench import Bench
+from frictionzoo.card.hub import PREFIX, fetch_card
+from frictionzoo.card.read import read_card
+from frictionzoo.card.record import CARD
 from frictionzoo.comparison.compared import Compared
 from frictionzoo.comparison.runs import Failure
 from frictionzoo.core.build import build
@@ -195,7 +198,7 @@ def identify(
     logs: Logs | Log | Sequence[Log],
     *,
     test: float | Split | None = None,
-    recipe: str = "given",
+    recipe: str = AUTO,
     method: str | Fit = "auto",
     segments: Cut | None = None,
     loss: Loss | None = None,
@@ -220,7 +223,7 @@ def identify(
         test: Which of them judge the result: the last share of each, or a rule; None as they were read.
         recipe: `auto`: what is not said here or by the bench is found on the training logs, and told with its reason in
             `result["recipe"]`: precision, segments, loss, whether commands act late or the encoder's zero is another,
-            and the simulation step. `given`: it is that of the configuration, the paper's.
+            and the simulation step. `given`: it is that of the configuration, the paper's, with the step of the MJCF.
         method: Name of a fit, `auto`, `lm`, `adam`, `grid` or `known`, or one with options of its own.
         segments: What the fit compares: `count` windows of `length` samples.
         loss: What the fit minimises: weights of `position` and `velocity`, `robust`, `robust_scale`, `refine`,
@@ -315,8 +318,22 @@ def compare(
 
 
 def load(folder: str | Path) -> Identified:
-    """A run that has ended, read back from the folder where its `result.json` lies; see `Identified.load`."""
-    return Identified.load(Path(folder))
+    """A run that has ended, or the card of one, read back.
+
+    Args:
+        folder: Where the run's `result.json` or the `card.json` lies; or `hub:OWNER/NAME`, a card of a hub of models,
+            for which the extra `hub` is needed.
+
+    Returns:
+        The drive; that of a card has no recordings, so that what it is to follow has to be given.
+
+    Raises:
+        RunError: It is no such folder of this version, or one of its files is damaged.
+        BenchError: The MJCF of a run's bench is not there any more, or not what it was.
+        ConfigError: The extra is not installed.
+    """
+    place = fetch_card(folder) if isinstance(folder, str) and folder.startswith(PREFIX) else Path(folder)
+    return read_card(place) if (place / CARD).exists() else Identified.load(place)
 
 
 @_naming_arguments()

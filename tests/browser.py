@@ -1,6 +1,10 @@
 """Pages as a real browser shows them: one Chromium for all tests of a worker."""
 
 import atexit
+import base64
+import gzip
+import json
+import re
 import shutil
 from functools import cache
 from pathlib import Path
@@ -29,6 +33,13 @@ WIDTHS = """await allDrawn();
   return [innerWidth, document.documentElement.scrollWidth,
     ...shown().flatMap(canvas => [...canvas.querySelectorAll(".main-svg")])
       .map(svg => Math.ceil(svg.getBoundingClientRect().right))];"""
+
+
+def read_data(source: str) -> dict[str, Any]:
+    """What a page hands to its script: `figures`, `dark` and `state`."""
+    packed = re.search(r'<script type="text/plain" id="figures">(.*?)</script>', source, re.S)
+    assert packed
+    return json.loads(gzip.decompress(base64.b64decode(packed[1])))
 
 
 class Browser:

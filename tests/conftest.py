@@ -34,8 +34,8 @@ from frictionzoo.identification import Problem
 from frictionzoo.models.by_name import complete_laws
 from frictionzoo.result.curves import Curves
 from frictionzoo.show import comparison_figures, with_matplotlib
+from frictionzoo.simulate.base import FORWARD
 from frictionzoo.simulate.context import computing
-from frictionzoo.simulate.rollout import FORWARD
 
 # As for XLA in `pytest_configure`; torch is loaded and no longer looks at the environment.
 torch.set_num_threads(1)
@@ -265,7 +265,9 @@ def start(compilation_cache: Path, tmp_path: Path) -> Iterator[Callable[..., sub
 def job_settings(compilation_cache: Path) -> Iterator[None]:
     """Undoes what jobs that run in this process leave behind: handlers of logging, Hydra's and JAX's settings."""
     options = {"jax_compilation_cache_dir": str(compilation_cache), **CACHE_OPTIONS}
-    before = {name: getattr(jax.config, name) for name in (*options, "jax_enable_x64", "jax_default_device")}
+    # Precision and device are not among them: jobs set them in contexts, as tests do that start one. What holds
+    # in a context, made a setting, would outlast it.
+    before = {name: getattr(jax.config, name) for name in options}
     root = logging.getLogger()
     handlers, level = root.handlers[:], root.level
     with pytest.MonkeyPatch.context() as patch:

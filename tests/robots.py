@@ -47,8 +47,22 @@ def record(
     seconds: float = 10.0,
     noise: tuple[float, float] = (2e-6, 1e-3),
     seed: int = 0,
+    substeps: int = 1,
 ) -> None:
-    """A recording by MuJoCo C under its own position controllers, with the noise of encoders, as CSV."""
+    """A recording by MuJoCo C under its own position controllers, with the noise of encoders, as CSV.
+
+    Args:
+        path: Of the CSV.
+        mjcf: The drive without what is identified; a sample is taken each of its steps.
+        truth: Armature, frictionloss and damping of each joint.
+        gains: `kp` and `kd` of the controllers.
+        headers: Of the signals' columns.
+        seconds: How long it is.
+        noise: Standard deviation of positions [rad] and velocities [rad/s].
+        seed: Of command and noise.
+        substeps: Simulation steps a sample, through which a command lasts. A drive's motion knows of no steps: with one
+            of 1 or 2 ms, what it does to friction is in the recording.
+    """
     spec = mujoco.MjSpec.from_string(mjcf)
     for index, joint in enumerate(spec.joints):
         joint.armature, joint.frictionloss = truth["armature"][index], truth["frictionloss"][index]
@@ -58,6 +72,7 @@ def record(
         actuator.set_to_position(kp=kp, kv=kd)
     model = spec.compile()
     data, rng, time = mujoco.MjData(model), np.random.default_rng(seed), np.arange(0, seconds, model.opt.timestep)
+    model.opt.timestep /= substeps
     frequencies, phases = rng.uniform(0.5, 9.0, (4, model.nv)), rng.uniform(0, 2 * np.pi, (4, model.nv))
     amplitudes = rng.uniform(0.5, 1.0, (4, model.nv)) / frequencies
     ctrl = (amplitudes * np.sin(time[:, None, None] * frequencies + phases)).sum(axis=1)
@@ -65,7 +80,7 @@ def record(
     data.qpos[:] = ctrl[0]
     for state, data.ctrl[:] in zip(states, ctrl, strict=True):
         state[:] = np.concatenate([data.qpos, data.qvel])
-        mujoco.mj_step(model, data)
+        mujoco.mj_step(model, data, nstep=substeps)
     states += rng.normal(size=states.shape) * np.repeat(noise, model.nv)
     columns = ",".join(["time", *itertools.chain(*headers.values())])
     np.savetxt(path, np.hstack([time[:, None], states, ctrl]), fmt="%.9g", delimiter=",", header=columns, comments="")

@@ -344,6 +344,7 @@ RULES: list[tuple[str, How, *tuple[pytest.MarkDecorator, ...]]] = [
     (r"pip install \./experiments/\w+|python -m pytest experiments/\w+", leave_to_the_packages_test),
     (rf"{JOB}.*\b(makkar|layer_norm_network)\b.*", leave_to_the_packages_test),
     (r"make help", list_targets),
+    (r"make cards LICENCE=cc-by-4\.0", left_to("test_experiments::test_a_measured_drive_gets_a_card")),
     (r"make \w+", leave_target_to_ci),
     (r"mkdocs serve", serve_documentation, SLOW),
     (r"tensorboard --logdir outputs", serve_tensorboard, SLOW),
@@ -368,6 +369,10 @@ RULES: list[tuple[str, How, *tuple[pytest.MarkDecorator, ...]]] = [
         left_to("test_export_targets::test_a_drive_goes_into_several_joints_and_adds_their_actuators"),
     ),
     (r"python -m frictionzoo\.export\.read_bam FILE\.json", left_to("test_bam::test_the_command_prints_options")),
+    (
+        r"python -m frictionzoo\.card RUN licence=cc-by-4\.0.*",
+        left_to("test_card::test_the_command_writes_it_and_refuses_what_is_no_run"),
+    ),
     (
         r"python -m frictionzoo\.distill RUN model=stribeck",
         left_to("test_distill::test_a_law_of_the_same_family_is_found_again"),

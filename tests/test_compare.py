@@ -17,6 +17,7 @@ from frictionzoo.comparison.runs import Failure, read_runs
 from frictionzoo.core.errors import RunError
 from frictionzoo.core.state import Signals
 from frictionzoo.result.curves import Curves, read_curves, write_curves
+from frictionzoo.result.portrait import Portrait
 from frictionzoo.result.record import write_result
 
 ROLLOUTS = 10
@@ -292,6 +293,15 @@ def test_curves_of_another_shape_are_refused(zoo):
     write_curves(zoo / "1_simple", replace(curves, test_mae=curves.test_mae[:3]))
     with pytest.raises(RunError, match=r"1_simple: test_mae of shape \(3,\), expected \(10,\)"):
         read_runs([zoo])
+
+
+def test_runs_may_differ_in_what_is_their_own(zoo):
+    """One law sees more, leaves torque up to another frequency, and lost a training rollout."""
+    curves, own = read_curves(zoo / "1_simple"), {"left": np.ones((7, 1)), "left_time": np.arange(7.0)}
+    portraits = {"load": Portrait(*np.ones((8, 3, 1)))}
+    own |= {"portraits": portraits, "train_errors": np.ones((4, 5, 1))}
+    write_curves(zoo / "1_simple", replace(curves, **own))
+    assert compare(zoo) and len(read_runs([zoo])[0]) == 4
 
 
 def test_a_missing_file_is_said(zoo):

@@ -14,6 +14,7 @@ from frictionzoo.models.coulomb_stribeck import CoulombStribeck
 from frictionzoo.models.mujoco_default import MujocoDefault
 from frictionzoo.models.neural_friction import NeuralFriction
 from frictionzoo.result.curves import NEIGHBOURS, read_curves, sample_friction, write_curves
+from frictionzoo.result.portrait import Portrait
 
 OWN = {"init": 0.3, "low": 1e-3, "high": 1.0, "scale": "log", "identify": True}
 
@@ -27,15 +28,18 @@ def samples():
 def test_arrays_come_back_as_they_were(tmp_path):
     curves = make_curves(HARD, nv=2)
     driven = Signals(curves.signals.ctrl, {"gain": 2 * curves.qpos}, {"temperature": 3 * curves.qpos})
-    curves = replace(curves, signals=driven)
+    portrait = Portrait(*np.random.default_rng(1).normal(size=(8, 5, 2)))
+    curves = replace(curves, signals=driven, portraits={"velocity": portrait, "load": portrait})
     write_curves(tmp_path, curves)
     first = (tmp_path / "curves.safetensors").read_bytes()
     again = read_curves(tmp_path)
     for name, values in vars(curves).items():
         if name != "signals":
-            pairs = values.items() if name == "history" else [(name, values)]
-            for key, value in pairs:
-                np.testing.assert_array_equal(again.history[key] if name == "history" else getattr(again, name), value)
+            read = getattr(again, name)
+            pairs = [(read[key], values[key]) for key in values] if isinstance(values, dict) else [(read, values)]
+            for other, value in pairs:
+                np.testing.assert_array_equal(other, value)
+    assert again.portraits.keys() == curves.portraits.keys()
     assert again.signals.named().keys() == driven.named().keys()
     for name, signal in driven.named().items():
         np.testing.assert_array_equal(again.signals.named()[name], signal)

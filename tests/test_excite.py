@@ -264,13 +264,9 @@ def test_what_is_expected_is_what_a_fit_finds(knee: Bench) -> None:
         qpos = 1e-5 * np.round(motion.qpos / 1e-5)
         qvel = motion.qvel + 0.01 * rng.normal(size=qpos.shape)
         log = Log("designed", 1e-3 * np.arange(len(qpos)), qpos, qvel, motion.ctrl, "", simulated=True)
-        how = {
-            "method": "lm",
-            "segments": cut,
-            "evaluation": judging,
-            "discretisation": False,
-        }  # noise alone is expected
-        fit = fz.identify(knee, "mujoco_default", log, test=0.1, **how)  # pyright: ignore[reportArgumentType]
+        how: dict[str, Any] = {"recipe": "given", "method": "lm", "segments": cut, "evaluation": judging}
+        how["discretisation"] = False  # noise alone is expected
+        fit = fz.identify(knee, "mujoco_default", log, test=0.1, **how)
         for name, value in TRUTH.items():  # within four standard deviations
             assert fit.parameters[name].value[0] == pytest.approx(value, abs=2 * half[name])
         ratios.append([np.ptp(fit.parameters[name].interval[0]) / 2 / half[name] for name in TRUTH])

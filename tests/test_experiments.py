@@ -1,10 +1,13 @@
 """The experiments, small ones, against their expected.yaml, and what is written about them."""
 
 import functools
+import json
 import math
+import shutil
 import sys
 from pathlib import Path
 
+import cards
 import pytest
 import reproduce
 import safetensors.torch
@@ -12,6 +15,7 @@ import torch
 import yaml
 from conftest import needs_data
 
+import frictionzoo as fz
 from frictionzoo.cli.run import NOT_IDENTIFIED
 from frictionzoo.core.state import DriveState
 from frictionzoo.logs import files
@@ -88,6 +92,23 @@ def test_an_experiment_starts_with_the_command_that_runs_it(path):
     assert command.startswith(f"# python -m frictionzoo.run experiment={path.stem}")
     pages = [page.read_text() for page in EXPERIMENTS.glob("*/README.md")]
     assert any(command.removeprefix("# ") in page for page in pages)
+
+
+@pytest.mark.parametrize(("name", "folds"), [("sts3215", False), ("kuka_lwr4", True)])
+def test_a_measured_drive_gets_a_card(finished_run, tmp_path, monkeypatch, capsys, name, folds):
+    """Of its experiment, the run that is recommended; one that was not run has none."""
+    sweep, runs = finished_run("sweep")[0], tmp_path / "runs" / name
+    shutil.copytree(sweep, runs / "0" / "0" if folds else runs / "0")
+    if folds:
+        shutil.copytree(finished_run("mujoco_default")[0], runs / "1" / "0")
+    words = ["cards.py", "--licence", "cc0-1.0", "--runs", str(tmp_path / "runs"), "--output", str(tmp_path / "cards")]
+    monkeypatch.setattr(sys, "argv", words)
+    monkeypatch.setattr("frictionzoo.card.law.DRAWS", 3)
+    assert cards.main() == 0
+    assert capsys.readouterr().out == f"{name}: {tmp_path / 'cards' / name}\n"
+    recommended = json.loads((sweep / "comparison" / "comparison.json").read_text())["recommendation"]["run"]
+    assert fz.load(tmp_path / "cards" / name).result["model"] == recommended
+    assert [path.name for path in (tmp_path / "cards").iterdir()] == [name]
 
 
 def test_checks_find_what_is_not_as_expected():

@@ -1,8 +1,11 @@
 """`report.html`: its answers, hostile names, nothing from elsewhere, and how a real browser shows it."""
 
+import base64
 import copy
+import gzip
 import json
 import re
+from dataclasses import replace
 from functools import reduce
 from html.parser import HTMLParser
 from operator import getitem
@@ -10,13 +13,18 @@ from operator import getitem
 import numpy as np
 import plotly.graph_objects as go
 import pytest
-from browser import DRAWN, WIDTHS, needs_browser, open_page
+from browser import DRAWN, WIDTHS, needs_browser, open_page, read_data
+from plotly.offline import get_plotlyjs_version
 from test_report import FIT, bench, curves_of, dataset, evaluation, make_rollout, model, of_joints, result  # noqa: F401
 
+from frictionzoo.core.anonymous import without_paths
 from frictionzoo.result.evaluate import Prediction
+from frictionzoo.result.portrait import Portrait
 from frictionzoo.result.verdict import still_falling
-from frictionzoo.show.run_page import check_result, write_report
-from frictionzoo.show.with_plotly import POINTS
+from frictionzoo.show import with_plotly
+from frictionzoo.show.run_page import MOST, check_result, correlate, write_report
+from frictionzoo.show.run_plots import choose_rollouts, plot_run
+from frictionzoo.show.text import format_change
 
 HOSTILE = "</script><img src=x onerror=alert(1)>\"'&"
 
@@ -56,10 +64,6 @@ def report(path, record, joints=("knee",), rollout=None, **more):
     return path.read_text(encoding="utf-8")
 
 
-def figures_of(source):
-    return json.loads(re.search(r'<script type="application/json" id="figures">(.*?)</script>', source, re.S)[1])
-
-
 def checks_of(record):
     return {check.title: check for check in check_result(record)}
 
@@ -77,7 +81,121 @@ def test_the_page_answers_the_three_questions(record, tmp_path):
     assert all(version in page.text for version in record["versions"].values())
     assert "6.50 s" in page.text
     links = [attributes["href"] for tag, attributes in page.elements if tag == "a"]
-    assert links == ["result.json", "identified.xml"]  # what is there, and what is written next
+    files = [link for link in links if not link.startswith("#")]
+    assert files == ["result.json", "identified.xml"]  # what is there, and what is written next
+
+
+@pytest.mark.parametrize("joints", [("knee",), ("hip", "knee")], ids=len)
+def test_links_at_the_top_lead_to_sections(record, tmp_path, joints):
+    page = Page(report(tmp_path / "report.html", record, joints))
+    places = [attributes["id"] for attributes in page.with_attribute("id")]
+    links = [attributes["href"][1:] for attributes in page.with_attribute("href") if attributes["href"][0] == "#"]
+    assert len(links) > 6 and {*links} <= {*places} and len(places) == len({*places})
+    assert sorted(links, key=places.index)[:2] == ["verdict", "rollout"]
+
+
+def test_the_page_opens_with_what_to_do(record, tmp_path):
+    record["verdict"] = record["verdict"] | {"commands": ["frictionzoo model=stribeck", "excite", "export"]}
+    text = Page(report(tmp_path / "report.html", record)).text
+    change = format_change(*(record["metrics"][part]["position_mae"] for part in ("test", "baseline")))
+    asked = (change, "Verdict: ", "How it is used", "fz.load(", "What to do next", "model=stribeck", "Best")
+    places = [text.find(each) for each in (*asked[:-1], "rollout of the test data")]
+    assert -1 not in places and places == sorted(places)
+
+
+def test_no_absolute_path_is_on_the_page(record, tmp_path):
+    home = "/home/somebody/logs"
+    record["verdict"] = record["verdict"] | {"commands": [f"frictionzoo data.train=[{home}/a.csv,{home}/b.csv]"]}
+    record["warnings"] = [f"{home}/a.csv: 3 samples are missing"]
+    record["notes"] = [f"read from {home}/robot.xml; N m/rad, 1/2, and/or"]
+    record["data"]["logs"][0]["name"] = f"{home}/a.csv"
+    page = Page(report(tmp_path / "report.html", record))
+    shown = page.text + json.dumps(page.elements)
+    assert "somebody" not in shown and str(tmp_path) not in shown
+    assert "data.train=[a.csv,b.csv]" in page.text and "robot.xml; N m/rad, 1/2, and/or" in page.text
+    assert f"fz.load('{tmp_path.name}')" in page.text
+
+
+def test_paths_below_this_folder_are_relative(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    given = {"a": [f"export {tmp_path}/runs/1 'x=[/other/place/b.csv]'", 3], "b": r"C:\home\me\c.csv, m/s"}
+    assert without_paths(given, below=tmp_path) == {"a": ["export runs/1 'x=[b.csv]'", 3], "b": "c.csv, m/s"}
+
+
+def spread_out(sizes):
+    """Rollouts whose errors are of these sizes; of NaN, the rollout diverges."""
+    segments, fitted, _ = make_rollout()
+    times = np.array(sizes)[:, None, None]
+    several = replace(
+        segments, qpos=np.repeat(segments.qpos, len(sizes), 0), qvel=np.repeat(segments.qvel, len(sizes), 0)
+    )
+    error = fitted.qpos - segments.qpos[:, 1:]
+    qpos = several.qpos[:, 1:] + times * error
+    return several, Prediction(qpos, several.qvel[:, 1:]), Prediction(qpos + 0.1, several.qvel[:, 1:])
+
+
+@pytest.mark.parametrize(
+    ("sizes", "ranks"),
+    [
+        ([2.0], {"only": 0}),
+        ([2.0, 1.0], {"best": 1, "worst": 0}),
+        ([2.0, 5.0, 1.0, 3.0, 4.0], {"best": 2, "median": 3, "worst": 1}),
+        ([2.0, np.nan, 1.0], {"best": 2, "median": 0, "worst": 1}),
+    ],
+    ids=len,
+)
+def test_best_median_and_worst_rollout_are_shown_and_said(record, tmp_path, sizes, ranks):
+    rollout = spread_out(sizes)
+    assert choose_rollouts(curves_of(rollout)) == ranks
+    source = report(tmp_path / "report.html", record, rollout=rollout)
+    page, figures = Page(source), read_data(source)["figures"]
+    for number, (rank, at) in enumerate(ranks.items()):
+        assert f"The {rank} " in source
+        drawn = next(t["y"] for t in figures[number]["data"] if t["name"] == "this model" and t["yaxis"] == "y")
+        expected = rollout[1].qpos[at, :, 0]
+        np.testing.assert_allclose(drawn[1:], expected[np.isfinite(expected)], rtol=1e-5)
+        mean = np.abs(rollout[1].qpos[at] - rollout[0].qpos[at, 1:]).mean()
+        assert f"{rank} {mean:.4g} rad" in page.text if np.isfinite(mean) else f"{rank} none" in page.text
+
+
+def test_friction_and_what_is_left_are_drawn(record, tmp_path):
+    """Joint by joint, over all that the law sees; a portrait without intervals or points has none."""
+    at = np.linspace(-2, 2, 9)[:, None] * np.ones(2)
+    none, points = np.full((9, 2), np.nan), np.where(abs(at) < 1, np.nan, at)
+    velocity = Portrait(at, at, at - 0.1, at + 0.2, points, points + 1, points, points + 3)
+    load = Portrait(abs(at), at, none, none, *[none] * 4)
+    curves = curves_of(make_rollout(nv=2), **{"bench.armature": np.ones((3, 2))})
+    left = np.where(np.arange(20)[:, None] % 5, 0.25, np.nan) * np.ones(2)
+    more = {"portraits": {"load": load, "velocity": velocity}, "left": left, "left_time": np.arange(20.0)}
+    drawn = plot_run(of_joints(record, "hip", "knee"), replace(curves, **more))
+    titles = [figure.title for figure in drawn["portraits"]]
+    assert titles == [
+        f"Friction of {joint} over the {what}" for joint in ("hip", "knee") for what in ("load on the gear", "velocity")
+    ]
+    bare, full = (with_plotly.draw(figure)["data"] for figure in drawn["portraits"][:2])
+    assert [trace["name"] for trace in bare] == ["law"]
+    band, law, implied = full
+    assert law["y"] == at[:, 0].tolist() and band["y"][:9] == (at[:, 0] + 0.2).tolist()
+    seen = points[~np.isnan(points[:, 0]), 0]
+    assert implied["x"] == seen.tolist() and implied["y"] == (seen + 1).tolist()
+    assert set(implied["error_y"]["array"]) == {2.0} and set(implied["error_y"]["arrayminus"]) == {1.0}
+    assert [sum(trace["y"]) for trace in with_plotly.draw(drawn["left"][1])["data"]] == [16 * 0.25]
+    assert "1 N m from the curve on average" in drawn["portraits"][1].text
+
+
+def test_where_a_value_began_and_how_values_go_together(record, tmp_path):
+    record["covariance"] = {
+        "labels": ["bench.armature", "friction.static_torque"],
+        **{"scale": ["log", "log"], "centre": [0.0, 0.0], "matrix": [[4.0, -3.0], [-3.0, 9.0]], "freedom": 10.0},
+    }
+    page = Page(report(tmp_path / "report.html", record))
+    assert "began at 0.1 " in page.text and "1.00 -0.50" in page.text
+    assert correlate(record | {"covariance": None}, "knee") is None
+    several = of_joints(record, "hip", "knee")
+    several["covariance"] = record["covariance"] | {"labels": ["bench.armature/knee", "friction.static_torque/knee"]}
+    found = correlate(several, "knee")
+    assert found and found["names"] == ["armature", "static_torque"] and found["rows"][0][1] == -0.5
+    assert correlate(several, "hip") is None
 
 
 def test_intervals_stand_beside_the_values(record, tmp_path):
@@ -90,19 +208,26 @@ def test_intervals_stand_beside_the_values(record, tmp_path):
 def test_every_figure_has_a_heading_and_a_text(record, tmp_path):
     source = report(tmp_path / "report.html", record)
     canvases = Page(source).with_attribute("data-figure")
-    figures = figures_of(source)["figures"]
+    figures = read_data(source)["figures"]
     assert [int(canvas["data-figure"]) for canvas in canvases] == list(range(len(figures)))
-    assert len(figures) == 6  # trajectory, error, loss, two parameters, horizons
+    assert len(figures) == 7  # trajectory, error, phase, loss, two parameters, horizons
     for canvas in canvases:
         assert canvas["role"] == "img" and len(canvas["aria-label"]) > 40
-    assert source.count("<h3>") == len(figures)
+    assert len(re.findall(r"<h3>[^<]+</h3>\s*<div class=\"canvas", source)) == len(figures)
     for figure in figures:
         go.Figure(figure)  # raises for a property that plotly does not know
 
 
+def test_plotly_is_the_one_whose_schema_holds_and_no_more_than_figures_need(record, tmp_path):
+    packed = re.search(r'id="plotly">(.*?)</script>', report(tmp_path / "report.html", record))[1]
+    library = gzip.decompress(base64.b64decode(packed)).decode()
+    assert library.startswith("/**\n* plotly.js (basic - minified) v" + get_plotlyjs_version())
+    assert "Licensed under the MIT license" in library and len(packed) < 6e5
+
+
 def test_curves_are_those_of_the_rollout(record, tmp_path):
     segments, fitted, baseline = make_rollout()
-    trajectory = figures_of(report(tmp_path / "report.html", record))["figures"][0]
+    trajectory = read_data(report(tmp_path / "report.html", record))["figures"][0]
     for signal, axis in (("qpos", "y"), ("qvel", "y2")):
         curves = {trace["name"]: trace["y"] for trace in trajectory["data"] if trace["yaxis"] == axis}
         start = getattr(segments, signal)[0, :, 0]
@@ -115,11 +240,11 @@ def test_long_curves_keep_their_extremes_and_lose_the_rest(record, tmp_path):
     segments, fitted, baseline = make_rollout(length=30_000)
     segments.qpos[0, 12_345, 0] = 9.0
     source = report(tmp_path / "report.html", record, rollout=(segments, fitted, baseline))
-    figures = figures_of(source)["figures"]
+    figures = read_data(source)["figures"]
     lengths = [len(trace["x"]) for figure in figures[:2] for trace in figure["data"] if "fill" not in trace]
-    assert POINTS / 2 < max(lengths) <= POINTS
+    assert MOST / 2 < max(lengths) <= MOST
     assert 9.0 in next(trace for trace in figures[0]["data"] if trace["name"] == "measured")["y"]
-    assert len(source) < 7_000_000
+    assert len(source) < 2_500_000
 
 
 def test_hostile_names_stay_text(record, tmp_path):
@@ -136,7 +261,7 @@ def test_hostile_names_stay_text(record, tmp_path):
     assert [tag for tag, _ in page.elements].count("script") == [tag for tag, _ in plain.elements].count("script") == 3
     assert "img" not in [tag for tag, _ in page.elements]
     assert HOSTILE in page.text
-    drawn = json.dumps(figures_of(source)["figures"])
+    drawn = json.dumps(read_data(source)["figures"])
     assert "<img" not in drawn and "<b>" not in drawn
 
 
@@ -236,7 +361,7 @@ def test_a_diverged_rollout_is_drawn_as_far_as_it_goes(record, tmp_path, spoilt,
     predictions[spoilt == "baseline"] = Prediction(qpos, qpos)
     source = report(tmp_path / "report.html", record, rollout=(segments, *predictions))
     name = {"model": "this model", "baseline": "no friction"}[spoilt]
-    curves = [trace for trace in figures_of(source)["figures"][0]["data"] if trace["name"] == name]
+    curves = [trace for trace in read_data(source)["figures"][0]["data"] if trace["name"] == name]
     assert [len(trace["y"]) for trace in curves] == [first + 1] * 2
     assert "diverged" in Page(source).with_attribute("data-figure")[0]["aria-label"]
 
@@ -251,9 +376,9 @@ def test_a_run_without_any_finite_error_has_a_page(record, tmp_path):
 @needs_browser
 def test_a_browser_draws_every_figure_in_the_colours_that_are_preferred(record, tmp_path):
     path = tmp_path / "report.html"
-    page = figures_of(report(path, record, joints=(HOSTILE, "knee")))
+    page = read_data(report(path, record, joints=(HOSTILE, "knee")))
     browser = open_page(path, scheme="dark")
-    assert browser.run(DRAWN) == len(page["figures"]) - 1  # the trajectory of the other joint is folded
+    assert browser.run(DRAWN) == len(page["figures"]) - 2  # the other joint's trajectory and phase plot are folded
     opened = "document.querySelectorAll('details').forEach(fold => (fold.open = true)); await pause(100);"
     assert browser.run(opened + DRAWN) == len(page["figures"])
     assert browser.run("return isDark()")
@@ -267,7 +392,15 @@ def test_a_browser_draws_every_figure_in_the_colours_that_are_preferred(record, 
 def test_a_phone_shows_the_page_without_scrolling_sideways(record, tmp_path, joints):
     name = "report-of-a-recording-with-a-very-long-name-that-cannot-be-broken-anywhere"
     record["data"]["name"] = record["data"]["logs"][0]["name"] = name
+    for parameter in record["parameters"]:  # what a table of a law with long names must not hide at its right edge
+        parameter["name"] = f"{parameter['name']}_of_the_external_load"
+        parameter["by_joint"][0] |= {"identifiable": False, "interval": [0.0123456, 0.0234567]}
     report(tmp_path / "report.html", record, joints=joints)
-    inner, page, *drawings = open_page(tmp_path / "report.html", width=390).run(WIDTHS)
+    browser = open_page(tmp_path / "report.html", width=390)
+    inner, page, *drawings = browser.run(WIDTHS)
+    ends = browser.run("""document.querySelectorAll("details").forEach(fold => (fold.open = true));
+      return [...document.querySelectorAll(".mark, pre, .parameters td, .parameters th")]
+        .map(mark => Math.ceil(mark.getBoundingClientRect().right));""")
+    assert ends and max(ends) <= inner
     assert inner == 390 and page <= inner
     assert drawings and max(drawings) <= inner

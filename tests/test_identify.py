@@ -20,13 +20,15 @@ import pytest
 from conftest import ROOT
 from jax.experimental.compilation_cache import compilation_cache as jax_cache
 from nbclient import NotebookClient
+from omegaconf import OmegaConf
 
 import frictionzoo as fz
 from frictionzoo import library
 from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config
-from frictionzoo.core.errors import ConfigError, LogError
+from frictionzoo.core.errors import ConfigError, LogError, RunError
 from frictionzoo.fit import Adam
+from frictionzoo.identification.stages import OPTIONAL, is_open
 from frictionzoo.logs.logs import Logs
 
 ARMATURE = 0.02  # kg m^2, of the recorded drive
@@ -134,21 +136,26 @@ def cells() -> list[str]:
 
 
 def record(path: Path, pace: float, samples: int = 4100) -> None:
-    """A recording by MuJoCo C, every 5 ms, of a drive with Coulomb, Stribeck and viscous friction."""
+    """A recording by MuJoCo C, every 5 ms, of a drive with Coulomb, Stribeck and viscous friction.
+
+    It has an encoder's noise: without, the recipe finds each step of the simulation too long.
+    """
     spec = mujoco.MjSpec.from_string(STAND)
     spec.joint("shaft").armature = ARMATURE
+    spec.option.timestep = 1e-4  # s: the recipe finds steps that are too long, were the recording's among them
     model = spec.compile()
     data = mujoco.MjData(model)
     rows = []
     for _ in range(samples):
         command = 0.7 * np.sin(pace * data.time) + 0.4 * np.sin(2.3 * pace * data.time + 1)
         rows.append((data.time, data.qpos[0], data.qvel[0], command))
-        for _ in range(5):
+        for _ in range(50):
             (qpos,), (qvel,) = data.qpos, data.qvel
             friction = np.tanh(qvel / 0.01) * (0.15 + 0.1 * np.exp(-((qvel / 0.1) ** 2))) + 0.05 * qvel
             data.qfrc_applied[0] = 15 * (command - qpos) - 0.5 * qvel - friction
             mujoco.mj_step(model, data)
-    np.savetxt(path, rows, fmt="%.9g", delimiter=",", header="time,qpos,qvel,ctrl", comments="")
+    noise = np.random.default_rng(int(pace)).normal(size=(samples, 4)) * (0, 2e-4, 1e-2, 0)
+    np.savetxt(path, rows + noise, fmt="%.9g", delimiter=",", header="time,qpos,qvel,ctrl", comments="")
 
 
 @pytest.fixture(scope="module")
@@ -184,7 +191,7 @@ def test_the_block_runs_as_a_program(stand: Path, tmp_path: Path, start: Callabl
     shutil.copytree(stand, tmp_path, dirs_exist_ok=True)
     (tmp_path / "program.py").write_text("\n".join([*cells(), OWN, HOLDS]))
     program = start(program=["program.py"])
-    out, err = program.communicate(timeout=300)
+    out, err = program.communicate(timeout=900)
     assert program.returncode == 0, err
     assert not out, "an expression of a program prints nothing"
     hold(tmp_path, finished_run("coulomb_stribeck")[0])
@@ -264,7 +271,50 @@ def test_options_are_those_of_the_configuration() -> None:
     assert {*options} == {*library.How.__annotations__}
     for name in ("seed", "engine", "device", "compilation_cache"):
         assert options[name] == config[name]
-    assert options["recipe"] == config.recipe
+    assert options["recipe"] == compose_config("data=files").recipe == "auto"
+
+
+SAID: dict[str, tuple[dict[str, Any], dict[str, Any], tuple[str, ...]]] = {
+    "nothing": ({}, {}, ()),
+    "much": (
+        {"timestep": 5e-4, "params": {"delay": 0.003}},
+        {
+            "method": Adam(iterations=3),
+            "segments": {"length": 20, "count": None},
+            "loss": {"velocity": 0.0, "robust": "huber", "refine": False},
+            "dtype": "float32",
+        },
+        (
+            *("bench.timestep=0.0005", "bench.params.delay.init=0.003", "bench.params.delay.identify=false"),
+            *("fit=adam", "fit.iterations=3", "segments.length=20", "segments.count=null", "dtype=float32"),
+            *("loss.velocity=0.0", "loss.robust=huber", "loss.refine=false"),
+        ),
+    ),
+    "given": ({}, {"recipe": "given"}, ("recipe=given",)),
+}
+"""Of the bench and of the call, what Python says, and the command line."""
+
+
+@pytest.mark.parametrize("name", SAID)
+def test_it_leaves_open_what_the_command_line_does(monkeypatch: pytest.MonkeyPatch, recording: Path, name: str) -> None:
+    bench, how, options = SAID[name]
+    posed: dict[str, Any] = {}
+
+    def settle(settings: dict[str, Any], *_: Any) -> None:
+        posed.update(settings)
+        raise RunError("as far as this")
+
+    monkeypatch.setattr(library.Parts, "settle", settle)
+    with pytest.raises(RunError, match="as far as this"):
+        stand = fz.Bench("knee_rod.xml", "knee", actuator=fz.PositionPD(kp=20, kd=1.0), **bench)
+        fz.identify(stand, "mujoco_default", fz.read(recording), **how)
+    told: Any = OmegaConf.to_container(compose_config("data=files", *options), resolve=True)
+    for section in ("recipe", "dtype", "segments", "loss"):
+        assert posed[section] == told[section]
+    for optional in OPTIONAL:
+        assert is_open(posed["bench"]["params"] or {}, optional) == is_open(told["bench"]["params"], optional)
+    if name != "given":  # where a configuration names a bench's step and a method, and Python has them of its own
+        assert posed["fit"] == told["fit"] and posed["bench"]["timestep"] == told["bench"]["timestep"]
 
 
 def test_what_was_read_twice_is_compared_under_two_labels(finished_run: Callable) -> None:

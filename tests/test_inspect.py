@@ -11,10 +11,10 @@ import jsonschema
 import numpy as np
 import plotly.graph_objects as go
 import pytest
-from browser import DRAWN, WIDTHS, needs_browser, open_page
+from browser import DRAWN, WIDTHS, needs_browser, open_page, read_data
 from conftest import DATA, ROOT, needs_data
 from recordings import make_recording, read_sts3215, simulate_servo
-from test_html import HOSTILE, Page, figures_of
+from test_html import HOSTILE, Page
 
 from frictionzoo.cli.inspect import main
 from frictionzoo.core.log import Dataset, Log
@@ -174,7 +174,7 @@ def test_the_page_has_the_findings_and_the_worst_recording(page, faulty):
     for finding in survey["findings"]:
         assert " ".join(finding["text"].split()) in shown.text
     assert rank_by_faults(survey)[0]["name"] == HOSTILE
-    figures = figures_of(source)["figures"]
+    figures = read_data(source)["figures"]
     assert len(figures) == 2 + 6  # velocities, the worst recording, spreads
     spikes = [trace for trace in figures[1]["data"] if trace["name"] == "spike"]
     time = faulty[1].time - faulty[1].time[0]
@@ -190,7 +190,7 @@ def test_the_page_has_the_findings_and_the_worst_recording(page, faulty):
 def test_a_browser_draws_every_figure(page):
     path, _ = page
     browser = open_page(path)
-    assert browser.run(DRAWN) == len(figures_of(path.read_text(encoding="utf-8"))["figures"])
+    assert browser.run(DRAWN) == len(read_data(path.read_text(encoding="utf-8"))["figures"])
     inner, width, *_ = browser.run(WIDTHS)
     assert width <= inner
 

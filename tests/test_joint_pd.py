@@ -19,7 +19,7 @@ from frictionzoo.bench import Actuator, Bench
 from frictionzoo.checkup import check_up
 from frictionzoo.core.errors import BenchError, ConfigError
 from frictionzoo.core.log import Dataset, Log
-from frictionzoo.core.segments import Sampling, cut_segments
+from frictionzoo.core.segments import Sampling, Segments, cut_segments
 from frictionzoo.core.state import Signals
 from frictionzoo.fit import Objective, Space, fit_reference
 from frictionzoo.models import FrictionModel
@@ -156,6 +156,39 @@ def test_it_moves_as_in_mujoco_c(leg: Any, make: Any, law: Actuator, integrator:
     recorded = Recorded(0.7 * told["ctrl"], 0.7 * told["ctrl_velocity"], signals, np.zeros((100, 0)))
     proof = prove(bench, friction, "specialised", initial_values(bench, friction), recorded)
     assert 0 < proof.step <= proof.rollout < 1e-2 * TOLERANCE
+
+
+@pytest.mark.parametrize("law", [fz.JointPD, fz.RecordedPD, fz.Force])
+@pytest.mark.parametrize("name", ["torque_limit", "torque_saturation"])
+def test_a_limit_leaves_a_torque(law: type[Actuator], name: str) -> None:
+    """What is 0 altogether and known is not there; 0 as a beginning, in one joint of several, or less is refused."""
+    gains: Any = GAINS if law is fz.JointPD else {}
+    assert name not in law(**gains, **{name: 0.0}).params
+    begun = {"init": 0.0, "low": 0.0, "high": 10.0, "scale": 1.0, "identify": True}
+    for wrong in (-3.0, [5.0, 0.0], begun, begun | {"init": {"hip": 5.0, "knee": 0.0}}):
+        with pytest.raises(ConfigError, match=rf"^{law.__name__}: {name}=.+; expected above 0; leave it out where"):
+            law(**gains, **{name: wrong})
+
+
+def test_a_hidden_saturation_is_found(leg: Any, make: Any) -> None:
+    """What the motor lacks of large torques alone, beside the armature and friction of a joint that swings a load."""
+    hidden = {"init": 20.0, "low": 1.0, "high": 100.0, "scale": "log", "identify": True}
+    bench: Bench = leg(fz.JointPD(**GAINS, torque_saturation=hidden), LINK.format("Euler"))
+    law: FrictionModel = make("model", "model=mujoco_default", nv=1)
+    rollout = make_rollout(make_engine("specialised", bench, friction_of(law), True), Sampling(STEP, 1, 0))
+    truth = {name: np.array(of[:1]) for name, of in TRUTH.items()} | {"torque_saturation": np.array([LIMIT])}
+    friction = {name: truth[name] for name in law.params}
+    values = {"bench": bench.initial_values() | truth, "friction": friction}
+    told = {name: 2.0 * np.stack([commands(200, seed)[name][:, :1] for seed in range(4)]) for name in commands(1)}
+    signals, still = Signals(told["ctrl"], {n: told[n] for n in told if n != "ctrl"}), np.zeros((4, 1))
+    moved = [np.concatenate([still[:, None], of], axis=1) for of in rollout.compiled(values, still, still, signals)]
+    segments = Segments(*moved, signals, STEP)
+    assert np.abs(GAINS["kp"] * (told["ctrl"] - moved[0][:, :-1])).max() > 2 * LIMIT
+    found = fit_reference(Objective(Space(bench, law, "float64"), rollout, segments, 1.0, 0.01, "none", 1.0, False))
+    identified = {**found["bench"], **found["friction"]}
+    assert {name: identified[name].item() for name in truth} == pytest.approx(
+        {name: of.item() for name, of in truth.items()}, rel=1e-4
+    )
 
 
 def test_a_hidden_delay_of_all_commands_is_found(leg: Any, make: Any) -> None:

@@ -1,5 +1,6 @@
 """Every friction law of this package, built from its YAML."""
 
+import math
 from functools import cache
 from typing import Any
 
@@ -243,6 +244,28 @@ def test_stribeck_load_dependent_known_values():
     limit = friction(make_law("stribeck_load_dependent"), SPEEDS, 2.0, -1.0, **values).frictionloss
     # The load is 3.
     assert limit.flatten().tolist() == pytest.approx([0.3 + 0.3 + (0.2 + 0.15) * s for s in SHARES], abs=1e-9)
+
+
+@pytest.mark.parametrize("speed", [0.05, -0.1, 0.4])
+def test_laws_that_remember_slide_at_their_limit_under_load(speed):
+    """At constant velocity, under a motor's torque of 2 against 1 from outside."""
+    bell, sign = math.exp(-((speed / 0.1) ** 2)), math.copysign(1, speed)
+    share = 0.3 if speed > 0 else 0.1
+    limits = {
+        "dahl_load_dependent": 0.3 + 0.1 * 3,
+        "lugre_load_dependent": 0.3 + 0.1 * 3 + (0.2 + 0.05 * 3) * bell,
+        "torque_proportional": 0.3 + share * 2,
+    }
+    values = {
+        **{"coulomb_torque": 0.3, "kinetic_torque": 0.3, "static_torque": 0.5, "stribeck_velocity": 0.1},
+        **{"load_friction": 0.1, "stribeck_load_friction": 0.05},
+        **{"load_friction_driving": 0.3, "load_friction_braking": 0.1},
+        **{"viscous_coefficient": 0.07, "rest_velocity": 1e-3},
+    }
+    for name, limit in limits.items():
+        terms = friction(make_law(name), [speed], 2.0, -1.0, **values)
+        slid = terms.torque.item() + terms.damping.item() * speed
+        assert slid == pytest.approx(sign * limit + 0.07 * speed, rel=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -39,7 +39,7 @@ def fit_to(loss: Callable, start: list[float], low: float = -1e3, high: float = 
             bounds = {"low": np.full(count, low), "high": np.full(count, high)}
             self.space: Any = SimpleNamespace(labels=labels, start=jnp.asarray(start, jnp.float32), **bounds)
             self.data: Any = Blocks(*[None] * len(Blocks._fields))
-            self.compile = lambda function, options: jax.jit(function)
+            self.compile = lambda function, forward: jax.jit(function)
 
         def spread(self, tree: Any) -> Any:
             return tree
@@ -152,7 +152,7 @@ def test_draws_of_a_drive_have_its_intervals(recording: Path) -> None:
     evaluation: Any = {name: [0.1] if name == "horizons" else float(value) for name, value in brief.items()}
     evaluation |= {name: int(evaluation[name]) for name in ("rollouts", "places")}
     logs, options = fz.read(recording), {"progress": False}
-    how: Any = {"segments": {"length": 20, "count": 40}, "evaluation": evaluation, "loop": options}
+    how: Any = {"recipe": "given", "segments": {"length": 20, "count": 40}, "evaluation": evaluation, "loop": options}
     fit = fz.identify(
         bench, "mujoco_default", logs, test=0.2, method="lm", dtype="float64", discretisation=False, **how
     )

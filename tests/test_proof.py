@@ -41,6 +41,7 @@ def prove_on(tmp_path: Path, make: Callable, in_haste: None) -> Callable[..., Pr
     [
         ("mujoco_default", "specialised", {"joint": SPRING}),
         ("dahl", "specialised", {}),
+        pytest.param("torque_proportional", "mjx", {}, marks=pytest.mark.slow),
         ("neural_friction", "specialised", {"option": 'integrator="implicitfast"'}),
         # The softness of contacts goes with the identified armature, through the body's inverse inertia.
         ("mujoco_default", "mjx", {"world": '<geom type="plane" size="1 1 .1" pos="0 0 -.2"/>'}),

@@ -40,7 +40,7 @@ def recorded() -> Dataset:
 @pytest.fixture(scope="module")
 def found(recorded: Dataset) -> fz.Identified:
     """What is found with nothing but the recording and the bench."""
-    return fz.identify(knee(), "coulomb_smooth", list(recorded.train), recipe="auto", test=0.2, **QUICK)
+    return fz.identify(knee(), "coulomb_smooth", list(recorded.train), test=0.2, **QUICK)
 
 
 @pytest.mark.parametrize("noise", [1e-4, 1e-2])
@@ -160,7 +160,7 @@ def test_what_a_user_says_stays(recorded: Dataset) -> None:
         "knee_rod.xml", "knee", actuator=fz.PositionPD(kp=20, kd=1.0), params={"delay": DELAY}, timestep=TIMESTEP
     )
     how: dict[str, Any] = {"segments": {"length": 30}, "loss": {"velocity": 0.5, "robust": "huber"}, "dtype": "float64"}
-    fit = fz.identify(bench, "coulomb_smooth", list(recorded.train), recipe="auto", test=0.2, **how, **QUICK)
+    fit = fz.identify(bench, "coulomb_smooth", list(recorded.train), test=0.2, **how, **QUICK)
     chosen = {row["option"] for row in fit.result["recipe"]}
     assert chosen.isdisjoint({"segments.length", "loss.velocity", "loss.robust", "dtype", "bench.timestep"})
     assert "bench.params.delay.identify" not in chosen
@@ -182,7 +182,7 @@ def test_long_tails_call_for_a_robust_loss(recorded: Dataset) -> None:
         qpos[at : at + 40] += push
         qvel[at : at + 40] += np.gradient(push[:, 0], TIMESTEP)[:, None]
     pushed = Log(**{**vars(log), "qpos": qpos, "qvel": qvel})
-    fit = fz.identify(knee(), "coulomb_smooth", pushed, recipe="auto", test=0.2, **QUICK)
+    fit = fz.identify(knee(), "coulomb_smooth", pushed, test=0.2, **QUICK)
     chosen = {row["option"]: row for row in fit.result["recipe"]}
     assert chosen["loss.robust"]["value"] == "soft_l1" and "validation block" in chosen["loss.robust"]["reason"]
 

@@ -397,7 +397,7 @@ def curves_of(rollout, **values):
     nothing, torque = np.empty(0), np.empty((0, segments.qpos.shape[2]))
     return Curves(
         **{"measured_qpos": segments.qpos, "measured_qvel": segments.qvel, "signals": segments.signals},
-        **{"load": np.empty((1, 0)), "qpos": model.qpos, "qvel": model.qvel},
+        **{"load": np.empty((len(segments.qpos), 0)), "qpos": model.qpos, "qvel": model.qvel},
         **{"baseline_qpos": baseline.qpos, "baseline_qvel": baseline.qvel, "train_mae": nothing, "test_mae": nothing},
         **dict.fromkeys(("local_mae", "local_speed", "local_load", "velocity"), nothing),
         **dict.fromkeys(("friction", "friction_low", "friction_high"), torque),

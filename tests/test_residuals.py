@@ -16,7 +16,7 @@ from frictionzoo.fit.recordings import Recordings
 from frictionzoo.library import law
 from frictionzoo.models import FrictionModel
 from frictionzoo.result.attribution import Candidate, attribute
-from frictionzoo.result.residuals import measure_residual
+from frictionzoo.result.residuals import Left, describe_residual, find_left
 
 ARMATURE, DRY, VISCOUS, STEP = 0.05, 0.3, 0.2, 0.002
 MASS, LENGTH, OWN = 0.26, 0.1127, 0.0011  # of knee_rod.xml
@@ -58,13 +58,19 @@ def record(more: Friction, seconds: float = 20.0, seed: int = 0, noise: float = 
 
 
 def looked_at(log: Log, model: FrictionModel | None = None, **bench: Any) -> Any:
-    """What is left of the torque of a drive with about the right values."""
+    """What goes with what is left of the torque of a drive with about the right values."""
+    left, space = leave(log, model, **bench)
+    return None if left is None else describe_residual(left, space, np.asarray(space.start))
+
+
+def leave(log: Log, model: FrictionModel | None = None, **bench: Any) -> tuple[Left | None, Space]:
+    """What is left of that torque, and the coordinates of the drive's values."""
     free = {"init": ARMATURE, "low": 1e-3, "high": 1.0, "scale": "log", "identify": True}
     stand = Bench("knee_rod.xml", actuator=Force(**bench), params={"armature": free})
     model = model or plain("mujoco_default", frictionloss=DRY, damping=VISCOUS)
     logs = (stand.observing(model.inputs).accept(log),)
     space = Space(stand, model, "float64")
-    return measure_residual(Recordings(stand, model, logs), space, np.asarray(space.start), Filtering())
+    return find_left(Recordings(stand, model, logs), space, np.asarray(space.start), Filtering()), space
 
 
 def plain(name: str, **values: float) -> FrictionModel:

@@ -36,7 +36,7 @@ from frictionzoo.simulate import Engine, Values, proof
 from frictionzoo.simulate.choose import naming_what_mjx_lacks
 from frictionzoo.simulate.drive import Drive
 from frictionzoo.simulate.proof import TOLERANCE, Cases, Recorded, initial_values, prove
-from frictionzoo.simulate.rollout import FORWARD, make_rollout
+from frictionzoo.simulate.rollout import make_rollout
 
 ENGINES = ("specialised", "mjx")
 LAWS = {  # of each kind: none, a constraint, an explicit torque, a memory, a network
@@ -130,7 +130,7 @@ class Sweep:
             if other not in self.programs:
                 self.programs[other] = jax.jit(
                     functools.partial(roll, engine),
-                    compiler_options={**FORWARD, **engine.compiler_options, **proof._ONCE},
+                    compiler_options={**engine.forward_options, **proof._ONCE},
                 )
             simulate = self.programs[other]
             known = [jax.tree.map(lambda value: np.asarray(value, np.float64), each) for each in values]

@@ -27,6 +27,9 @@ def made(name: str) -> FrictionModel:
         ("mujoco_default", "temperature", ("temperature_arrhenius", True)),
         ("temperature_linear", "load", ("load_dependent", False)),
         ("coulomb_stribeck", "reversal", ("lugre", True)),
+        ("load_dependent", "reversal", ("dahl_load_dependent", True)),
+        ("stribeck_load_dependent", "reversal", ("lugre_load_dependent", True)),
+        ("dahl", "load", ("dahl_load_dependent", True)),
         ("ripple", "direction", ("residual_network", True)),
     ],
 )

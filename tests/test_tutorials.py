@@ -24,6 +24,7 @@ SHAFT = {"armature": [0.03], "frictionloss": [0.15], "damping": [0.05]}
 SERVO = SHAFT | {"damping": [0.55], "kp": [15.0]}  # kd among its damping
 LEG = {"armature": [0.01, 0.008], "frictionloss": [0.25, 0.15], "damping": [0.05, 0.03]}
 ENCODER = 2e-4, 1e-2  # rad, rad/s: its noise
+SUBSTEPS = 100  # of 20 us: the recipe finds what longer ones do, and steps of 2 ms move friction by a tenth and more
 
 
 def blocks_of(page: str, language: str) -> list[str]:
@@ -38,9 +39,9 @@ def write_robots(folder: Path) -> None:
     (folder / "robot.xml").write_text(leg)
     fixed = ET.tostring(read_robot(str(folder / "robot.xml")).root, encoding="unicode")
     gains = {"kp": [25, 40], "kd": [0.6, 1.0]}
-    record(folder / "leg.csv", fixed, LEG, gains, headers, seconds=20.0, noise=ENCODER)
+    record(folder / "leg.csv", fixed, LEG, gains, headers, seconds=20.0, noise=ENCODER, substeps=SUBSTEPS)
     (folder / "arm.xml").write_text(arm())
-    record(folder / "arm.csv", arm(), TRUTH, GAINS, HEADERS)
+    record(folder / "arm.csv", arm(), TRUTH, GAINS, HEADERS)  # in the steps with which the page identifies it
 
 
 @pytest.fixture
@@ -53,7 +54,7 @@ def follow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., dic
     for seed, name in enumerate(("a", "b")):
         headers, gains = {signal: [signal] for signal in ("qpos", "qvel", "ctrl")}, {"kp": 15, "kd": 0.5}
         path = tmp_path / f"{name}.csv"
-        record(path, STAND, SHAFT, gains, headers, seconds=20.0, noise=ENCODER, seed=seed)
+        record(path, STAND, SHAFT, gains, headers, seconds=20.0, noise=ENCODER, seed=seed, substeps=SUBSTEPS)
 
     def run(page: str, first: int = 0) -> dict[str, Any]:
         names: dict[str, Any] = {"__name__": page}
@@ -74,6 +75,7 @@ def assert_found(drive: fz.Identified, truth: dict[str, Any], tolerance: float) 
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("in_haste")
 @pytest.mark.parametrize(
     ("page", "drive", "truth", "tolerance"),
     [("leg", "leg", LEG, 0.05), ("arm", "arm", TRUTH, 0.05), ("servo", "servo", SERVO, 0.15)],
@@ -89,6 +91,7 @@ def test_a_tutorial_finds_its_drive(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("in_haste")
 def test_the_tutorial_of_a_law_ranks_it(follow: Callable, tmp_path: Path) -> None:
     found = follow("tutorials/law.md")["found"]
     assert {*found.ranking} == {"baseline", "coulomb_smooth", "mujoco_default", "pushed_coulomb"}
@@ -97,14 +100,13 @@ def test_the_tutorial_of_a_law_ranks_it(follow: Callable, tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("in_haste")
 def test_the_tutorial_of_ranges_holds_the_drive(follow: Callable, finished_run: Callable, tmp_path: Path) -> None:
     (tmp_path / "drive").symlink_to(finished_run("mujoco_default")[0])
     names = follow("tutorials/randomisation.md")
     for fit in names["units"]:
         assert_found(fit, SHAFT, 0.15)
-    for low, high in names[
-        "ranges"
-    ].values():  # an interval holds what steps of 2 ms do, of which the recording has some
+    for low, high in names["ranges"].values():
         assert 0.5 < low < 1 < high < 1.5
     low, high = np.array(names["ranges"]["bench.armature"]) * names["units"][0].parameters["bench.armature"].value
     assert low < SHAFT["armature"][0] < high
@@ -115,6 +117,7 @@ def test_the_tutorial_of_ranges_holds_the_drive(follow: Callable, finished_run: 
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("in_haste")
 def test_the_page_on_python_identifies_compares_and_defines_a_law(follow: Callable, tmp_path: Path) -> None:
     before = torch.get_default_dtype()
     names = follow("python.md", first=2)

@@ -282,6 +282,10 @@ class Bench(Described):
             actuators.append({"name": name, "joint": name, **law, **self._delayed(values, index)})
         return self._template.write(joints, actuators, comments)
 
+    def template(self) -> str:
+        """The MJCF without friction, armature and actuator of the joints, with link inertias, gravity and step."""
+        return self._template.write(self.nv * [{}], [])
+
     def compile(self, constraint: bool | Sequence[bool]) -> mujoco.MjModel:
         """The compiled model with initial values.
 

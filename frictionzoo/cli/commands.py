@@ -15,6 +15,7 @@ COMMANDS = {
     "compare": "compare runs on the same data: table, figures, a page",
     "inspect": "look at recordings before any fit",
     "export": "write an identified drive for another program",
+    "card": "write an identified drive for those without its run",
     "distill": "fit a simpler law to an identified drive",
     "excite": "design the command to record next, within limits",
     "list": "list laws, methods, formats and what else can be chosen",
@@ -55,8 +56,9 @@ examples (RUN stands for a run's folder, outputs/DATE/TIME_DATA_MODEL):
     frictionzoo compare RUN OTHER_RUN --output comparison
   Go on with a run that was stopped
     frictionzoo resume=RUN
-  The identified drive as MJCF; a simpler law for it
+  The identified drive as MJCF; a card of it for others; a simpler law for it
     frictionzoo export RUN target=mjcf
+    frictionzoo card RUN licence=cc-by-4.0
     frictionzoo distill RUN model=stribeck
   The command to record next, for a drive that a run found
     frictionzoo excite RUN position=1.5 velocity=4 torque=2

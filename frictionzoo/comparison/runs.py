@@ -13,7 +13,7 @@ from omegaconf.errors import OmegaConfBaseException
 from frictionzoo.core.config import list_options
 from frictionzoo.core.errors import RunError
 from frictionzoo.core.output import FAILURE, RESULT, RUNNING
-from frictionzoo.result.curves import Curves
+from frictionzoo.result.curves import OWN, Curves
 from frictionzoo.result.record import read_json, read_run
 from frictionzoo.result.types import Result
 
@@ -126,8 +126,7 @@ def _refuse_incomparable(run: Run, first: Run) -> None:
         raise RunError(f"{run.folder}: {both}; compare runs judged on the same rollouts")
     for field in fields(Curves):
         came, expected = (getattr(curves, field.name) for curves in (run.curves, first.curves))
-        # The history is each fit's own, and what drives a rollout reaches back as far as the bench's delay.
-        if field.name not in ("history", "signals") and came.shape != expected.shape:
+        if field.name not in OWN and came.shape != expected.shape:
             both = f"{field.name} of shape {came.shape}, expected {expected.shape} as in {first.folder}"
             raise RunError(f"{run.folder}: {both}; run it again")
 

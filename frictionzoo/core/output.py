@@ -4,6 +4,8 @@ import contextlib
 import logging
 import math
 import os
+import shutil
+import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -78,6 +80,31 @@ def write_atomically(path: Path, content: bytes) -> None:
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink()
+
+
+@contextlib.contextmanager
+def take_place(place: Path) -> Iterator[Path]:
+    """An empty folder that takes its place, with all that is in it, only if nothing went wrong."""
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        fresh = Path(tempfile.mkdtemp(prefix=f".{place.name}.", dir=place.parent))
+        fresh.chmod(0o755)
+    except OSError as error:
+        raise _no_folder(place, error) from error
+    try:
+        yield fresh
+        try:
+            if place.exists():
+                shutil.rmtree(place)
+            fresh.rename(place)
+        except OSError as error:
+            raise _no_folder(place, error) from error
+    finally:
+        shutil.rmtree(fresh, ignore_errors=True)
+
+
+def _no_folder(place: Path, error: OSError) -> OutputError:
+    return OutputError(f"{place}: {error.strerror}; set output to a folder that can be written")
 
 
 def to_json(value: Any) -> Any:

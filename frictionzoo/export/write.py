@@ -2,10 +2,8 @@
 
 import json
 import platform
-import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import asdict, replace
 from importlib import metadata
 from importlib.util import find_spec
@@ -16,7 +14,7 @@ import numpy as np
 
 from frictionzoo import __version__
 from frictionzoo.core.errors import ConfigError, ExportError, FrictionzooError, OutputError, closest
-from frictionzoo.core.output import to_json, write_atomically
+from frictionzoo.core.output import take_place, to_json, write_atomically
 from frictionzoo.core.params import UNITS
 from frictionzoo.export.base import get_target, read_number, target_names
 from frictionzoo.export.written import Export, Written
@@ -146,37 +144,12 @@ def _write(fitted: Identified, name: str, place: Path, timestep: float | None, o
     # An older export is replaced; anything else stays.
     if place.exists() and (not place.is_dir() or (any(place.iterdir()) and not (place / NOTE).exists())):
         raise OutputError(f"{place}: it holds something else than an export; set output to another folder")
-    with _take_place(place) as fresh:
+    with take_place(place) as fresh:
         export = target.write(moved, fresh, own)
         export = Export(export.files, export.differences, (*export.limits, *_say_timestep(fitted, moved)))
         note = _note(moved, name, target.packages, export)
         write_atomically(fresh / NOTE, (json.dumps(to_json(note), indent=2, allow_nan=False) + "\n").encode())
     return Written(name, place, export, error=fitted.result["metrics"]["test"]["position_mae"])
-
-
-@contextmanager
-def _take_place(place: Path) -> Iterator[Path]:
-    """An empty folder that takes its place, with all that is in it, only if nothing went wrong."""
-    try:
-        place.parent.mkdir(parents=True, exist_ok=True)
-        fresh = Path(tempfile.mkdtemp(prefix=f".{place.name}.", dir=place.parent))
-        fresh.chmod(0o755)
-    except OSError as error:
-        raise _no_folder(place, error) from error
-    try:
-        yield fresh
-        try:
-            if place.exists():
-                shutil.rmtree(place)
-            fresh.rename(place)
-        except OSError as error:
-            raise _no_folder(place, error) from error
-    finally:
-        shutil.rmtree(fresh, ignore_errors=True)
-
-
-def _no_folder(place: Path, error: OSError) -> OutputError:
-    return OutputError(f"{place}: {error.strerror}; set output to a folder that can be written")
 
 
 def _say_timestep(fitted: Identified, moved: Identified) -> list[str]:

@@ -23,8 +23,9 @@ from frictionzoo.fit.space import Space
 from frictionzoo.fit.sparsity import Sparsity
 from frictionzoo.fit.tangents import Seen, Tangents
 from frictionzoo.simulate import Values
+from frictionzoo.simulate.base import FORWARD
 from frictionzoo.simulate.bridge import as_torch_function, to_arrays, to_tensors
-from frictionzoo.simulate.rollout import FORWARD, Rollout
+from frictionzoo.simulate.rollout import Rollout
 from frictionzoo.simulate.torch_rollout import TorchRollout
 
 T = TypeVar("T")
@@ -290,7 +291,7 @@ class Objective:
 
     def _compile_together(self, exact: bool) -> Callable[[Array, Blocks], list[Any]]:
         """The same where segments hold together: initial states are found, and eliminated, for all blocks at once."""
-        find, finish = self.compile(self._states, FORWARD), jax.jit(self._finish)
+        find, finish = self.compile(self._states, forward=True), jax.jit(self._finish)
 
         def look(vector: Array, part: tuple[Blocks, Array, Array]) -> Seen:
             return self._look(vector, *part)
@@ -312,7 +313,7 @@ class Objective:
     ) -> Callable[[Array, Any], Any]:
         """Two programs as one function of a vector and a block: a rollout, and what follows from it."""
         start = self.spread(self.space.start)
-        first = self.compile(look, FORWARD).lower(start, example).compile()
+        first = self.compile(look, forward=True).lower(start, example).compile()
         second = jax.jit(then, compiler_options=FORWARD).lower(first(start, example), example).compile()
         return lambda vector, part: second(first(vector, part), part)
 

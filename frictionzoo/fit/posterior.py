@@ -17,7 +17,6 @@ from frictionzoo.fit.base import Fit
 from frictionzoo.fit.blocks import Blocks
 from frictionzoo.fit.covariance import Covariance
 from frictionzoo.fit.objective import Objective
-from frictionzoo.simulate.rollout import FORWARD
 
 _log = logging.getLogger(__name__)
 
@@ -268,7 +267,7 @@ def _sample(
 
         return jax.lax.scan(draw, state, jax.random.split(sampling, draws))[1]
 
-    run = objective.compile(chain, FORWARD)
+    run = objective.compile(chain, forward=True)
     starts = np.random.default_rng(seed).standard_normal((CHAINS, len(target.own)))
     begun = zip(jax.random.split(jax.random.key(seed), CHAINS), starts, strict=True)
     parts = [run(*objective.spread((key, jnp.asarray(at, dtype))), objective.data) for key, at in begun]

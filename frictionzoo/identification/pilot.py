@@ -52,6 +52,10 @@ class Found(NamedTuple):
         known = dict(zip(self.labels, self.vector, strict=True))
         return np.array([known.get(label, value) for label, value in zip(labels, otherwise, strict=True)])
 
+    def in_halves(self, step: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "coordinates"]:
+        """A step's size in half intervals, of which one that is narrower than `EXACT`, or none, counts as that."""
+        return np.abs(step) / np.fmax(self.half, EXACT)
+
 
 class Pilot:
     """A problem of which only the fit is posed, in float64.
@@ -119,17 +123,16 @@ class Pilot:
         half = np.array([self._half(label, np.asarray(ends[label])) for label in self.space.labels])
         return Found(self.space.labels, vector, half, at_bound, float(progress.best_loss))
 
-    def moves(self, found: Found) -> Float[np.ndarray, "coordinates"]:
-        """By how many of its half intervals each parameter would move from where another pilot of the same ended.
+    def step_from(self, found: Found) -> Float[np.ndarray, "coordinates"]:
+        """How each coordinate would move from where another pilot of the same ended.
 
-        One step of Gauss and Newton; 0 of what the data do not determine. An interval that is narrower than `EXACT`
-        counts as that.
+        One step of Gauss and Newton; 0 of what the data do not determine.
         """
         equations = self.objective.compile_normal_equations()(found.vector)
         free = (found.half < WIDEST) & ~found.at_bound  # of NaN, False
         step = np.zeros(len(free))
         step[free] = -_solve(equations, np.flatnonzero(free))
-        return np.where(free, np.abs(step) / np.maximum(np.where(free, found.half, 1.0), EXACT), 0.0)
+        return step
 
     def values(self, vector: Float[np.ndarray, "coordinates"]) -> Values:
         """Of all parameters."""

@@ -3,6 +3,8 @@
 import copy
 import logging
 import time
+from dataclasses import replace
+from typing import Any
 
 import jax
 import numpy as np
@@ -20,11 +22,12 @@ from frictionzoo.identification.problem import Problem
 from frictionzoo.logs.cache import cache_folder
 from frictionzoo.models import Baseline
 from frictionzoo.result.curves import Curves, sample_friction
+from frictionzoo.result.draws import draw_parameters
 from frictionzoo.result.evaluate import Judgement
 from frictionzoo.result.identified import Identified
+from frictionzoo.result.portrait import DRAWS, Rows, portray
 from frictionzoo.result.record import Findings, build_result
-from frictionzoo.result.residual_types import ResidualRow
-from frictionzoo.result.residuals import measure_residual
+from frictionzoo.result.residuals import Left, describe_residual, find_left
 from frictionzoo.result.torque import choose_filtering, measure_torque
 from frictionzoo.result.torque_types import TorqueRow
 from frictionzoo.result.types import FitRow, Result, TimingRow
@@ -68,7 +71,8 @@ def solve(
     judged = time.perf_counter()
     judgement = problem.evaluation.judge(problem.drive.rollout.compiled, outcome.values)
     baseline, reference = judge_baseline(measured or problem)
-    torque, residual = _measure_torque(problem, outcome), _measure_residual(problem, outcome)
+    torque, left = _measure_torque(problem, outcome), _find_left(problem, outcome)
+    residual = describe_residual(left, problem.objective.space, outcome.vector) if left else None
 
     found = Findings(
         name=name,
@@ -94,7 +98,9 @@ def solve(
         commands=suggest_commands(problem, outcome.values["bench"], residual, origin),
         recipe=[{"option": option, "value": value, "reason": reason} for option, value, reason in problem.choices],
     )
-    return _hand_over(problem, outcome, build_result(found), _collect_curves(problem, outcome, judgement, baseline))
+    result = build_result(found)
+    curves = _collect_curves(problem, outcome, judgement, baseline)
+    return _hand_over(problem, outcome, result, replace(curves, **_portray(problem, result, left)))
 
 
 def _hand_over(problem: Problem, outcome: Outcome, result: Result, curves: Curves) -> Identified:
@@ -136,11 +142,21 @@ def _measure_torque(problem: Problem, outcome: Outcome) -> TorqueRow | None:
     return measure_torque(recordings, len(problem.dataset.train), space, outcome.vector, filtering)
 
 
-def _measure_residual(problem: Problem, outcome: Outcome) -> ResidualRow | None:
-    """Whether the final values leave only noise of the training recordings' torque."""
+def _find_left(problem: Problem, outcome: Outcome) -> Left | None:
+    """What the final values leave of the training recordings' torque."""
     recordings = Recordings(problem.bench, problem.drive.model, problem.dataset.train)
     filtering, _ = choose_filtering(problem.fit, problem.evaluation.torque)
-    return measure_residual(recordings, problem.objective.space, outcome.vector, filtering)
+    return find_left(recordings, problem.objective.space, outcome.vector, filtering)
+
+
+def _portray(problem: Problem, result: Result, left: Left | None) -> dict[str, Any]:
+    """The law beside what recordings imply, and what is left over time, as `Curves` has them."""
+    model, samples = problem.drive.model, problem.samples
+    drawn = result["covariance"] and draw_parameters("", result, problem.bench, model, DRAWS, seed=0)
+    if left is None:
+        return {"portraits": portray(model, drawn or {}, Rows(samples, samples.qvel != 0))}
+    torque = np.where(left.counts, left.torque, np.nan)
+    return {"portraits": portray(model, drawn or {}, left.rows), "left_time": left.time, "left": torque}
 
 
 def _log_engine(problem: Problem) -> None:

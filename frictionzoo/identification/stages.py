@@ -6,9 +6,11 @@ from collections.abc import Generator, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from frictionzoo.bench import Bench
 from frictionzoo.core.described import remake
+from frictionzoo.core.errors import FitError
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.params import AUTO
 from frictionzoo.fit import Fit, Space
@@ -350,7 +352,8 @@ class Stages:
             step = self._set_step(self._step / 2)
             finer = self._pilot(_MOST_STEPS)
             self._set_step(step)
-            moves = finer.moves(found)
+            ahead = finer.step_from(found)
+            moves = found.in_halves(ahead)
             largest = float(moves.max(initial=0.0))
             moved = found.labels[int(moves.argmax())]
             reason = f"halved, {moved} would move by {largest:.2g} of half its interval, or of 0.3 %"
@@ -365,11 +368,25 @@ class Stages:
                 )
                 break
             self._set_step(step / 2**halvings)
-            found = (finer if halvings == 1 else self._pilot(_MOST_STEPS)).fit(found.vector)
+            found = self._follow(finer if halvings == 1 else self._pilot(_MOST_STEPS), found, ahead, halvings)
             found = yield from self._look_again(found)
         self.start = found.vector
         if self._step_is_open:
             yield Choice("bench.timestep", self._step, reason)
+
+    def _follow(self, pilot: Pilot, found: Found, ahead: Float[np.ndarray, "coordinates"], halvings: int) -> Found:
+        """Where a pilot of shorter steps ends, begun where it should: what a step does is proportional to its length.
+
+        Args:
+            pilot: With the shorter steps.
+            found: Where the one before ended.
+            ahead: By what its coordinates move when its steps are halved once.
+            halvings: How often they were.
+        """
+        try:
+            return pilot.fit(found.vector + 2 * (1 - 0.5**halvings) * ahead)
+        except FitError:  # that far, the law holds no longer
+            return pilot.fit(found.vector)
 
     def _look_again(self, found: Found) -> Generator[Choice, None, Found]:
         """Leave out what only longer steps showed: a simulation runs late by a part of its step, as commands may."""

@@ -4,7 +4,7 @@ from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models import FrictionModel, Values, register_model
-from frictionzoo.models.bristles import remaining, settled_force
+from frictionzoo.models.bristles import bend, settled_bend, slip
 
 
 @register_model("dahl")
@@ -44,21 +44,14 @@ class Dahl(FrictionModel):
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The yielded contact."""
-        dry = values["coulomb_torque"] * xp.tanh(state.qvel / values["rest_velocity"])
-        return FrictionTerms(torque=dry, damping=values["viscous_coefficient"])
+        return slip(xp, values, state, values["coulomb_torque"])
 
     def settle(self, xp: Any, values: Values, state: DriveState) -> Any:
         """The bend of a joint at rest or in steady motion."""
-        force = settled_force(xp, state, values["coulomb_torque"], values["rest_velocity"])
-        return (force / values["stiffness"])[..., None]
+        return settled_bend(xp, values, state, values["coulomb_torque"])
 
     def advance(
         self, xp: Any, values: Values, state: DriveState, memory: Any, timestep: float
     ) -> tuple[FrictionTerms, Any]:
         """The spring's torque at the end of the step."""
-        stiffness = values["stiffness"]
-        rate = stiffness * xp.abs(state.qvel) / values["coulomb_torque"]
-        decay, reach = remaining(xp, rate, timestep)
-        bend = decay * memory[..., 0] + reach * state.qvel
-        damping = stiffness * reach + values["viscous_coefficient"]
-        return FrictionTerms(torque=stiffness * decay * bend, damping=damping), bend[..., None]
+        return bend(xp, values, state, memory, timestep, values["coulomb_torque"], 0.0)

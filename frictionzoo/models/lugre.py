@@ -4,7 +4,7 @@ from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models import FrictionModel, Values, register_model
-from frictionzoo.models.bristles import remaining, settled_force, stribeck_force
+from frictionzoo.models.bristles import bend, settled_bend, slip, stribeck_force
 
 
 @register_model("lugre")
@@ -55,23 +55,15 @@ class LuGre(FrictionModel):
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """The slipping bristles."""
-        dry = stribeck_force(xp, values, state.qvel) * xp.tanh(state.qvel / values["rest_velocity"])
-        return FrictionTerms(torque=dry, damping=values["viscous_coefficient"])
+        return slip(xp, values, state, stribeck_force(xp, values, state.qvel))
 
     def settle(self, xp: Any, values: Values, state: DriveState) -> Any:
         """The bend of a joint at rest or in steady motion."""
-        force = settled_force(xp, state, stribeck_force(xp, values, state.qvel), values["rest_velocity"])
-        return (force / values["stiffness"])[..., None]
+        return settled_bend(xp, values, state, stribeck_force(xp, values, state.qvel))
 
     def advance(
         self, xp: Any, values: Values, state: DriveState, memory: Any, timestep: float
     ) -> tuple[FrictionTerms, Any]:
         """The bristles' torque at the end of the step."""
-        stiffness, micro = values["stiffness"], values["micro_damping"]
-        rate = stiffness * xp.abs(state.qvel) / stribeck_force(xp, values, state.qvel)
-        decay, reach = remaining(xp, rate, timestep)
-        bend = decay * memory[..., 0] + reach * state.qvel
-        # With z' = v - rate z at the end of the step: s z + c z' = (s - c rate) decay z + (s reach + c decay) v.
-        torque = (stiffness - micro * rate) * decay * bend
-        damping = stiffness * reach + micro * decay + values["viscous_coefficient"]
-        return FrictionTerms(torque=torque, damping=damping), bend[..., None]
+        limit = stribeck_force(xp, values, state.qvel)
+        return bend(xp, values, state, memory, timestep, limit, values["micro_damping"])

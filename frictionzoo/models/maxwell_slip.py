@@ -5,7 +5,7 @@ from typing import Any
 from frictionzoo.core.errors import refuse_outside
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models import FrictionModel, Params, Values, register_model
-from frictionzoo.models.bristles import settled_force, stribeck_force
+from frictionzoo.models.bristles import settled_force, slip, stribeck_force
 
 MOST_ELEMENTS = 1000
 
@@ -67,8 +67,7 @@ class MaxwellSlip(FrictionModel):
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
         """All elements slipping."""
-        dry = stribeck_force(xp, values, state.qvel) * xp.tanh(state.qvel / values["rest_velocity"])
-        return FrictionTerms(torque=dry, damping=values["viscous_coefficient"])
+        return slip(xp, values, state, stribeck_force(xp, values, state.qvel))
 
     def settle(self, xp: Any, values: Values, state: DriveState) -> Any:
         """The same force in all elements."""

@@ -15,13 +15,17 @@ from frictionzoo.core.errors import RunError
 from frictionzoo.core.output import write_atomically
 from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.models.base import FrictionModel, sliding_torque
+from frictionzoo.result.portrait import Portrait
 
 FILE = "curves.safetensors"
 POINTS = 81  # velocities at which a law is drawn; odd, so that 0 is one of them
 SAMPLES = 20_000  # of the recorded states that are looked at, evenly spread
 NEIGHBOURS = 200  # recorded states, those of the closest velocity, that stand for all states at a velocity
 SPREAD = (0.1, 0.9)  # quantiles of a law's torque over these states
-_HISTORY = "history."
+OWN = "history", "signals", "train_errors", "portraits", "left_time", "left"
+"""Of which runs on the same data may have more or less: the course of the fit, what reaches back as far as the bench's
+delay, training rollouts that stayed finite, what the law sees, and the bandwidth in which torque was compared."""
+_HISTORY, _PORTRAITS = "history.", "portraits."
 
 
 @dataclass(frozen=True)
@@ -48,6 +52,9 @@ class Curves:
         friction_high: Its 90 % quantile.
         history: One row an iteration of the fit: `iteration`, `loss`, `grad_norm`, `bench.NAME`, `friction.NAME`.
         train_errors: Position less the measured one in training rollouts of the main horizon, as `Judgement` has it.
+        portraits: The law beside what recordings imply, by what it is drawn over, as `portray` has it.
+        left_time: Time in the training recordings that were looked at, one after the other [s].
+        left: What is left of the torque in motion, NaN at rest [N m or N].
     """
 
     measured_qpos: Float[np.ndarray, "rollouts states nv"]
@@ -69,9 +76,13 @@ class Curves:
     friction_high: Float[np.ndarray, "points nv"]
     history: Mapping[str, Shaped[np.ndarray, "iterations ..."]]
     train_errors: Float[np.ndarray, "kept horizon joints"] = field(default_factory=lambda: np.empty((0, 0, 0)))
+    portraits: Mapping[str, Portrait] = field(default_factory=dict)
+    left_time: Float[np.ndarray, "rows"] = field(default_factory=lambda: np.empty(0))
+    left: Float[np.ndarray, "rows drawn"] = field(default_factory=lambda: np.empty((0, 0)))
 
 
-_ARRAYS = tuple(each.name for each in fields(Curves) if each.name not in ("signals", "history"))
+_NAMED = "signals", "history", "portraits"
+_ARRAYS = tuple(each.name for each in fields(Curves) if each.name not in _NAMED)
 
 
 def write_curves(folder: Path, curves: Curves) -> None:
@@ -86,6 +97,7 @@ def write_curves(folder: Path, curves: Curves) -> None:
     """
     arrays = {name: getattr(curves, name) for name in _ARRAYS} | curves.signals.named()
     arrays |= {f"{_HISTORY}{name}": values for name, values in curves.history.items()}
+    arrays |= {f"{_PORTRAITS}{o}.{n}": a for o, own in curves.portraits.items() for n, a in own._asdict().items()}
     whole = {name: np.ascontiguousarray(values, dtype=np.float64) for name, values in arrays.items()}
     write_atomically(folder / FILE, safetensors.numpy.save(whole))
 
@@ -104,7 +116,12 @@ def read_curves(folder: Path) -> Curves:
         arrays: dict[str, Any] = safetensors.numpy.load(path.read_bytes())
         history = {key.removeprefix(_HISTORY): value for key, value in arrays.items() if key.startswith(_HISTORY)}
         signals = Signals.from_named(arrays)
-        return Curves(**{name: arrays[name] for name in _ARRAYS}, signals=signals, history=history)
+        over = sorted({key.split(".")[1] for key in arrays if key.startswith(_PORTRAITS)})
+        portraits = {
+            name: Portrait(*(arrays[f"{_PORTRAITS}{name}.{each}"] for each in Portrait._fields)) for name in over
+        }
+        named = {"signals": signals, "history": history, "portraits": portraits}
+        return Curves(**{name: arrays[name] for name in _ARRAYS}, **named)
     except OSError as error:
         raise RunError(f"{path}: {error.strerror}; expected the folder of a finished run; run it again") from None
     except (safetensors.SafetensorError, KeyError) as error:

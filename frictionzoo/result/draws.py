@@ -115,7 +115,8 @@ def _draw(
     vectors = np.repeat(np.asarray(space.start, np.float64)[:, None], count, axis=1)
     own = [space.labels.index(label) for label in covariance.labels]
     vectors[own] = covariance.draw(count, np.random.default_rng(seed)).T
-    return {name: values.T for name, values in space.physical(vectors).items()}
+    with np.errstate(over="ignore"):  # after a fit that diverged; it is brought into the bounds
+        return {name: values.T for name, values in space.physical(vectors).items()}
 
 
 def _determined(parameter: Parameter, bench: Bench) -> Bool[np.ndarray, "nv"]:

@@ -56,9 +56,9 @@ class Identified:
         state: These values as they are saved, in the types in which the law came to hold them.
         values: Values of all parameters and of a network's weights, by owner (`bench`, `friction`) and name, as numpy
             arrays in float64: those of the bench of shape (nv,), those of the law as in its `state_dict`.
-        segments: The long test rollouts: measured states and what drove them.
+        segments: The long test rollouts: measured states and what drove them; none of a drive of a card.
         sampling: From their samples to steps of the simulation.
-        curves: What figures are drawn from.
+        curves: What figures are drawn from; empty for a drive of a card.
         complaint: One line where the fit diverged; None otherwise.
         fitted: What was minimised, with the training data; None for a drive that was read back.
     """
@@ -109,12 +109,14 @@ class Identified:
 
         Raises:
             OutputError: A file cannot be written.
+            RunError: It is a drive of a card.
         """
         # Imported here, so that what reads a run does not wait for what draws one.
         from frictionzoo.export.bench import write_identified
         from frictionzoo.show.run_page import write_report
         from frictionzoo.show.run_plots import write_figures
 
+        self.recorded  # noqa: B018 - raises where there is nothing to draw
         began, folder = time.perf_counter(), Path(folder)
         try:
             (folder / RESULT).unlink(missing_ok=True)
@@ -205,7 +207,7 @@ class Identified:
         Raises:
             RunError: Less than two training rollouts of the evaluation have stayed finite.
         """
-        segments = self.segments if segments is None else segments
+        segments = self.recorded if segments is None else segments
         draws = self.sample(count, seed) if self.result["covariance"] else {}
 
         def simulate(drawn: Mapping[str, Float[np.ndarray, "nv"]]) -> Float[np.ndarray, "batch time nv"]:
@@ -241,6 +243,7 @@ class Identified:
         # Imported here, so that what draws nothing does not wait for it.
         from frictionzoo.show.run_plots import draw_rollout
 
+        self.recorded  # noqa: B018 - raises where there is nothing to draw
         return draw_rollout(self.result, self.curves)
 
     def export(self, target: str, path: str | Path, **options: str | float | int | Mapping[str, Any]) -> Written:
@@ -277,6 +280,20 @@ class Identified:
     def timestep(self) -> float:
         """Step of the simulation [s]."""
         return self.bench.timestep
+
+    @property
+    def recorded(self) -> Segments:
+        """The long test rollouts, where there are any.
+
+        Raises:
+            RunError: It is a drive of a card, which has no recordings.
+        """
+        if not self.segments.count:
+            raise RunError(
+                f"{self.place}: a card, which has no recordings, expected segments or a run's folder; give "
+                "rollout(segments), or take the run"
+            )
+        return self.segments
 
     @property
     def over(self) -> str:
@@ -317,7 +334,7 @@ class Identified:
             qpos and qvel after each sample interval.
         """
         drive = self if timestep is None else self.at(timestep)
-        segments = drive.segments if segments is None else segments
+        segments = drive.recorded if segments is None else segments
         with jax.enable_x64(True):
             start = segments.qpos[:, 0], segments.qvel[:, 0]
             own = drive.jax_values if values is None else values
@@ -351,13 +368,13 @@ class Identified:
         """
         with jax.enable_x64(True):
             bench = self.jax_values["bench"] if late else {}
-            signals = self.segments.signals.map(jnp.asarray)
+            signals = self.recorded.signals.map(jnp.asarray)
             return applied({"bench": bench}, signals, self.sampling).map(lambda signal: np.asarray(signal, np.float64))
 
     @cached_property
     def samples(self) -> DriveState:
         """What the friction law sees at the measured states of the rollouts, arrays of shape (samples, nv)."""
-        segments = self.segments
+        segments = self.recorded
         qpos, qvel = segments.qpos[:, :-1], segments.qvel[:, :-1]
         with jax.enable_x64(True):
             states = jax.jit(make_observer(self.engine, self.sampling))
@@ -371,7 +388,7 @@ class Identified:
         Raises:
             BenchError: It is not; see `frictionzoo.simulate.proof.prove`.
         """
-        segments = self.segments
+        segments = self.recorded
         qpos, qvel, signals = jax.tree.map(
             lambda signal: signal.reshape(-1, self.bench.nv),
             (segments.qpos[:, :-1], segments.qvel[:, :-1], segments.acting),

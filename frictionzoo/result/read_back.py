@@ -21,14 +21,36 @@ LAW = "friction.safetensors"
 
 
 def load_law(model: FrictionModel, path: Path) -> dict[str, torch.Tensor]:
-    """Write the saved values into the model, and return them; safetensors holds numbers, so nothing is executed."""
+    """Write the saved values into the model, and return them."""
+    return put_law(model, read_tensors(path, model.name), path)
+
+
+def read_tensors(path: Path, whose: str) -> dict[str, torch.Tensor]:
+    """What a file of safetensors holds, which is numbers, so nothing is executed.
+
+    Args:
+        path: Of the file.
+        whose: Whose values it has, for messages.
+
+    Raises:
+        RunError: It cannot be read.
+    """
     try:
-        saved = safetensors.torch.load(path.read_bytes())
-        model.double().load_state_dict(saved)
-        return saved
+        return safetensors.torch.load(path.read_bytes())
     except OSError as error:
         raise RunError(f"{path}: {error.strerror}; expected the folder of a finished run; run it again") from None
-    except (safetensors.SafetensorError, RuntimeError) as error:
+    except safetensors.SafetensorError as error:
+        raise RunError(
+            f"{path}: {' '.join(str(error).split())}; expected the values of {whose}; run it again"
+        ) from None
+
+
+def put_law(model: FrictionModel, saved: dict[str, torch.Tensor], path: Path) -> dict[str, torch.Tensor]:
+    """Write values into the model, and return them; RunError, which names their file, where they are another's."""
+    try:
+        model.double().load_state_dict(saved)
+        return saved
+    except RuntimeError as error:
         reason = " ".join(str(error).split())
         raise RunError(f"{path}: {reason}; expected the values of {model.name}; run it again") from None
 

@@ -182,16 +182,33 @@ def read_run(folder: Path) -> tuple[types.Result, Curves]:
     path = folder / RESULT
     if not path.exists():
         raise RunError(f"{folder}: no {RESULT} in it, expected the folder of a finished run; name one")
-    result = read_json(path)
-    if result.get("schema_version") != SCHEMA_VERSION:
-        raise RunError(
-            f"{path}: schema_version {result.get('schema_version')}, expected {SCHEMA_VERSION}; run it again with this "
-            "version"
-        )
-    error = jsonschema.Draft202012Validator(read_schema()).iter_errors(result)
+    return cast(types.Result, read_valid(path, SCHEMA_VERSION, read_schema())), read_curves(folder)
+
+
+def read_valid(path: Path, version: int, schema: Mapping[str, Any]) -> dict[str, Any]:
+    """The object that a JSON file of this program holds.
+
+    Args:
+        path: Of the file.
+        version: Its `schema_version`.
+        schema: Its JSON schema.
+
+    Raises:
+        RunError: It cannot be read, or holds something else.
+    """
+    content = read_json(path)
+    if content.get("schema_version") != version:
+        came = content.get("schema_version")
+        raise RunError(f"{path}: schema_version {came}, expected {version}; run it again with this version")
+    refuse_invalid(path, content, schema)
+    return content
+
+
+def refuse_invalid(path: Path, content: Mapping[str, Any], schema: Mapping[str, Any]) -> None:
+    """RunError, which names the file, where an object is not as a schema has it."""
+    error = jsonschema.Draft202012Validator(schema).iter_errors(content)
     if first := next(iter(error), None):
         raise RunError(f"{path}: {first.json_path}: {first.message[:200]}; expected the file that this version writes")
-    return cast(types.Result, result), read_curves(folder)
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -204,7 +221,7 @@ def read_json(path: Path) -> dict[str, Any]:
         content = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise RunError(f"{path}: {error.strerror}; expected a file that can be read") from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise RunError(f"{path}: not JSON ({error}); expected the file that this version writes") from None
     if not isinstance(content, dict):
         raise RunError(f"{path}: {type(content).__name__}, expected an object; name a folder that this program made")

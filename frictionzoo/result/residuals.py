@@ -29,6 +29,7 @@ from frictionzoo.models.sees import observe, suggest_law
 from frictionzoo.result import residual_types as types
 from frictionzoo.result.attribution import Candidate, Explained, attribute, correlation, excess
 from frictionzoo.result.places import PULL, Seen, as_candidates, find_ripple, list_periods, ripple, time_since_reversal
+from frictionzoo.result.portrait import Rows
 
 LONGEST = 40_000  # samples that are looked at, shared by the logs
 SHORTEST = 1.0  # s; shorter logs are mostly the ends of filters
@@ -51,43 +52,53 @@ class Left(NamedTuple):
         torque: What is left [N m or N].
         noise: As much of it as the encoders' noise makes [N m or N].
         friction: The law's torque, filtered and decimated [N m or N].
+        unfiltered: The same at the rows' instants.
         counts: Which rows count, joint by joint: those in motion.
+        recordings: Bench, law and the logs that were looked at.
+        state: What the law sees in all their samples.
+        bandwidth: Up to which torques are compared [Hz].
     """
 
     equation: TorqueEquation
     torque: Torque
     noise: Torque
     friction: Torque
+    unfiltered: Torque
     counts: Bool[np.ndarray, "rows nv"]
-
-
-class Drive(NamedTuple):
-    """What was identified, and what it was identified from.
-
-    Attributes:
-        bench: The test stand.
-        model: The law.
-        logs: The recordings.
-        state: What the law sees in all their samples.
-        bandwidth: Up to which torques are compared [Hz].
-    """
-
-    bench: Bench
-    model: FrictionModel
-    logs: Sequence[Log]
+    recordings: Recordings
     state: DriveState
     bandwidth: float
 
     def law(self, joint: int) -> tuple[FrictionModel, set[str]]:
         """The law of a joint, and what it sees."""
-        law = self.model.of_joint(joint)[0]
-        return law, {*law.sees} or observe(self.model, self.state)
+        model = self.recordings.model
+        law = model.of_joint(joint)[0]
+        return law, {*law.sees} or observe(model, self.state)
+
+    @property
+    def time(self) -> Float[np.ndarray, "rows"]:
+        """Of each row, the time since the first log began, as if the logs were one after the other [s]."""
+        return self.recordings.logs[0].timestep * self._places
+
+    @property
+    def rows(self) -> Rows:
+        """The rows as a portrait of the law takes them.
+
+        The actuator's torque is that which the law asks for: what it does give answers to any error, and goes with it.
+        """
+        state = self.state.map(lambda signal: signal[self._places])
+        motor = state.motor_torque - self.torque
+        return Rows(state._replace(motor_torque=motor), self.counts, self.unfiltered + self.torque)
+
+    @property
+    def _places(self) -> Int[np.ndarray, "rows"]:
+        return _places(self.equation.decimate)
 
 
-def measure_residual(
+def find_left(
     recordings: Recordings, space: Space, vector: Float[np.ndarray, "coordinates"], filtering: Filtering
-) -> types.ResidualRow | None:
-    """What is left of the torque that the actuators give, in motion, and what it goes with, as `ResidualRow` says.
+) -> Left | None:
+    """What is left of the torque that the actuators give, up to the highest bandwidth in which noise is not most of it.
 
     Args:
         recordings: Bench, law with the values that were found, and the training logs.
@@ -96,24 +107,41 @@ def measure_residual(
         filtering: How positions become accelerations, and up to which frequency torques are compared.
 
     Returns:
-        None where the recordings are too short; a line tells why.
+        None where the recordings are too short, or it is not finite; a line tells why.
     """
     bench, model, logs = recordings
     logs = _shorten(logs)
     try:
         if sum(filtering.decimation(logs).rows) < FEWEST:
             return None
-        left, used = _find_left(Recordings(bench, model, logs), space, vector, filtering)
+        left = _narrow(Recordings(bench, model, logs), space, vector, filtering)
     except FrictionzooError as error:
         _log.info("what is left of the torque is not looked at: %s", error)
         return None
-    drive = Drive(bench, model, logs, left.equation.state(vector), used.bandwidth)
-    slopes = _slopes(left, _follow(model, logs), bench, space, vector)
-    if not all(np.isfinite(part).all() for part in (left.torque, left.noise, slopes)):
+    if not all(np.isfinite(part).all() for part in (left.torque, left.noise)):
         _log.info("what is left of the torque is not looked at: it is not finite with these values")
         return None
-    rows = [_describe(left, joint, slopes, drive) for joint in range(bench.nv)]
-    found = {"unit": UNITS[bench.joint_type]["torque"], "bandwidth": used.bandwidth}
+    return left
+
+
+def describe_residual(left: Left, space: Space, vector: Float[np.ndarray, "coordinates"]) -> types.ResidualRow | None:
+    """What the torque that is left in motion goes with, as `ResidualRow` says.
+
+    Args:
+        left: What is left.
+        space: Coordinates of the values.
+        vector: The values.
+
+    Returns:
+        None where it has no finite derivative by the values; a line tells why.
+    """
+    bench, model, logs = left.recordings
+    slopes = _slopes(left, _follow(model, logs), bench, space, vector)
+    if not np.isfinite(slopes).all():
+        _log.info("what is left of the torque is not looked at: it has no derivative with these values")
+        return None
+    rows = [_describe(left, joint, slopes) for joint in range(bench.nv)]
+    found = {"unit": UNITS[bench.joint_type]["torque"], "bandwidth": left.bandwidth}
     return cast(types.ResidualRow, {**found, "by_joint": [row for row in rows if row is not None]})
 
 
@@ -127,9 +155,9 @@ def _shorten(logs: Sequence[Log]) -> tuple[Log, ...]:
     return tuple(log if log.samples <= most else log.between(0, most, "start") for log in kept)
 
 
-def _find_left(
+def _narrow(
     recordings: Recordings, space: Space, vector: Float[np.ndarray, "coordinates"], filtering: Filtering
-) -> tuple[Left, Filtering]:
+) -> Left:
     """What is left up to the highest bandwidth in which noise is not most of it."""
     left = _leave(recordings, space, vector, filtering)
     for bandwidth in BANDWIDTHS:
@@ -143,7 +171,7 @@ def _find_left(
             left, filtering = _leave(recordings, space, vector, narrower), narrower
         except FrictionzooError:  # too short for it
             break
-    return left, filtering
+    return left
 
 
 def _leave(
@@ -162,14 +190,16 @@ def _leave(
         for each in (logs, spoilt)
     ]
     friction, values = _follow(model, logs), space.values(jnp.asarray(vector, space.start.dtype))["friction"]
-    frictions = [friction(values, equation.state(vector)) for equation in equations]
+    states = [equation.state(vector) for equation in equations]
+    frictions = [friction(values, state) for state in states]
     torque, worse = (e.left(vector, own) for e, own in zip(equations, frictions, strict=True))
     equation, speeds = equations[0], [np.abs(e.motion.qvel) for e in equations]
     error = np.sqrt(np.mean(np.square(equations[1].motion.qvel - equation.motion.qvel), axis=0))
     slow = speeds[0] < np.maximum(filtering.slow * np.sqrt(np.mean(np.square(speeds[0]), axis=0)), 3 * error)
     near = max(1, round(0.5 / filtering.bandwidth / logs[0].timestep))
-    counts = ~_near_rest(slow, near, equation.decimate)[_places(equation.decimate)]
-    return Left(equation, torque, worse - torque, equation.decimate(frictions[0]), counts)
+    decimate, places = equation.decimate, _places(equation.decimate)
+    own = decimate(frictions[0]), frictions[0][places], ~_near_rest(slow, near, decimate)[places]
+    return Left(equation, torque, worse - torque, *own, recordings, states[0], filtering.bandwidth)
 
 
 def _near_rest(slow: Bool[np.ndarray, "time nv"], near: int, decimate: Decimation) -> Bool[np.ndarray, "time nv"]:
@@ -245,16 +275,16 @@ def _slopes(
     return np.concatenate(slopes, axis=2)
 
 
-def _describe(left: Left, joint: int, slopes: np.ndarray, drive: Drive) -> types.JointResidualRow | None:
+def _describe(left: Left, joint: int, slopes: np.ndarray) -> types.JointResidualRow | None:
     """What is left of one joint's torque; None where it hardly moves."""
     rows = np.flatnonzero(left.counts[:, joint])
     if len(rows) < FEWEST:
         return None
     error, noise, friction = (part[rows, joint] for part in (left.torque, left.noise, left.friction))
     whole = _rms(friction + error)
-    found = _attribute(left, joint, rows, slopes[rows, joint], drive)
+    found = _attribute(left, joint, rows, slopes[rows, joint])
     return {
-        "joint": drive.bench.joints[joint],
+        "joint": left.recordings.bench.joints[joint],
         "rows": len(rows),
         "residual": _rms(error),
         "noise": _rms(noise),
@@ -267,22 +297,20 @@ def _describe(left: Left, joint: int, slopes: np.ndarray, drive: Drive) -> types
 
 
 def _attribute(
-    left: Left, joint: int, rows: Int[np.ndarray, "counted"], known: Float[np.ndarray, "counted _"], drive: Drive
+    left: Left, joint: int, rows: Int[np.ndarray, "counted"], known: Float[np.ndarray, "counted _"]
 ) -> list[types.PlaceRow]:
     """What the error of a joint goes with, and which law sees that."""
-    error, decimate = left.torque[rows, joint], left.equation.decimate
-    seen = _see(left, joint, drive)
+    error, decimate, bench = left.torque[rows, joint], left.equation.decimate, left.recordings.bench
+    seen = _see(left, joint)
     candidates = as_candidates(seen, decimate, rows, left.noise[rows, joint])
-    periods, chosen = list_periods(seen, drive.bench.joint_type == "hinge", drive.bandwidth), {}
+    periods, chosen = list_periods(seen, bench.joint_type == "hinge", left.bandwidth), {}
     if len(periods):
         for name, alike in (("ripple", False), ("cogging", True)):
             chosen[name] = find_ripple(seen, periods, alike, error, known, _places(decimate)[rows])
             columns = decimate(ripple(seen, chosen[name], alike))[rows]
             candidates[name] = Candidate(columns, len(periods))
-    law, sees = drive.law(joint)
-    return [
-        _name_law(one, chosen, law, sees, _rms(error)) for one in attribute(error, known, candidates, drive.bench.nv)
-    ]
+    law, sees = left.law(joint)
+    return [_name_law(one, chosen, law, sees, _rms(error)) for one in attribute(error, known, candidates, bench.nv)]
 
 
 def _name_law(
@@ -303,8 +331,8 @@ def _name_law(
     return cast(types.PlaceRow, found)
 
 
-def _see(left: Left, joint: int, drive: Drive) -> Seen:
-    state, logs = drive.state, drive.logs
+def _see(left: Left, joint: int) -> Seen:
+    state, logs = left.state, left.recordings.logs
     begins = np.cumsum([0, *(log.samples for log in logs[:-1])])
     qpos, qvel = state.qpos[:, joint], state.qvel[:, joint]
     warmth = [log.extras.get("temperature") for log in logs]

@@ -50,6 +50,7 @@ class Curve(Mark):
         marker: Of the points, as plotly names it; empty for none.
         size: Of the points [px of a page].
         ends: Lower and upper ends of intervals along the horizontal axis.
+        reach: Lower and upper ends of whiskers along the vertical axis.
     """
 
     x: Float[np.ndarray, "points"]
@@ -58,6 +59,7 @@ class Curve(Mark):
     marker: str = ""
     size: float = 6.0
     ends: Float[np.ndarray, "2 points"] | None = None
+    reach: Float[np.ndarray, "2 points"] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,14 +1,17 @@
 """What the pages for a browser share: templates, and how they print numbers."""
 
+import base64
+import gzip
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from importlib import resources
 from typing import Any
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from plotly.offline import get_plotlyjs
 
 from frictionzoo.result.names import merge_known, read_values
 from frictionzoo.result.types import ParameterRow, ValueRow
@@ -45,6 +48,7 @@ def render_page(
     sections: Mapping[str, Sequence[Figure]],
     checks: Sequence[Check],
     points: int = with_plotly.POINTS,
+    state: Mapping[str, Any] | None = None,
     **content: Any,
 ) -> bytes:
     """One self-contained page.
@@ -54,10 +58,12 @@ def render_page(
         sections: Figures by the name that the template has for them.
         checks: Why to trust it, and why not.
         points: At most so many of each curve.
-        content: What else the template names: the program's `version`; `state` is handed to the page's script.
+        state: What the page's script is handed besides.
+        content: What else the template names, as the program's `version`.
     """
     drawn = {name: [with_plotly.draw(figure, points) for figure in figures] for name, figures in sections.items()}
-    names = list(sections)
+    names, figures = list(sections), [figure for figures in drawn.values() for figure in figures]
+    data = {"figures": figures, "dark": DARK, "state": state or {}}
     return (
         _environment()
         .get_template(template)
@@ -65,15 +71,26 @@ def render_page(
             sections=sections,
             # Number of the first figure of each section.
             first={name: sum(len(drawn[before]) for before in names[:i]) for i, name in enumerate(names)},
-            figures=[figure for figures in drawn.values() for figure in figures],
+            data=pack(json.dumps(data, separators=(",", ":"))),
+            plotly=_pack_plotly(),
             checks=checks,
             doubts=sum(check.doubtful for check in checks),
-            dark=DARK,
-            plotly=get_plotlyjs().replace("</script", "<\\/script"),
-            **{"state": {}} | content,
+            state=state or {},
+            **content,
         )
         .encode()
     )
+
+
+def pack(text: str) -> str:
+    """A text for a page's script to unpack, of less than half its size: base64 of gzip, without a date."""
+    return base64.b64encode(gzip.compress(text.encode(), mtime=0)).decode()
+
+
+@cache
+def _pack_plotly() -> str:
+    library = resources.files("frictionzoo.show").joinpath("plotly", "plotly-basic.min.js")
+    return pack(library.read_text(encoding="utf-8"))
 
 
 @cache
@@ -111,9 +128,9 @@ def _say_whose(row: ValueRow) -> str:
     return f"shared by {row['name']}" if len(row["joints"]) > 1 else row["name"]
 
 
-def _place(row: ValueRow) -> float:
-    """Where a value lies between its bounds, from 0 to 100; in decades where the bounds are positive."""
-    value, low, high = row["value"], row["low"], row["high"]
+def _place(row: ValueRow, value: float) -> float:
+    """Where a value lies between the bounds of a row, from 0 to 100; in decades where the bounds are positive."""
+    low, high = row["low"], row["high"]
     if low > 0:
         low, high, value = math.log(low), math.log(high), math.log(max(value, low))
     return round(100 * min(1.0, max(0.0, (value - low) / (high - low))), 1)

@@ -1,4 +1,4 @@
-"""Drives over the first long test rollout: what they do, and how far that is from what was measured."""
+"""Drives over one long test rollout: what they do, and how far that is from what was measured."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -28,23 +28,29 @@ class Drive:
         look: What its marks have in common.
         part: `baseline_` for the run's drive without friction.
         reference: Whether it has no friction, so that it may run away.
+        rollout: Which of the long test rollouts.
     """
 
     curves: Curves
     look: Mapping[str, Any]
     part: str = ""
     reference: bool = False
+    rollout: int = 0
+
+    def measured(self, signal: str) -> Float[np.ndarray, "states nv"]:
+        """`qpos` or `qvel`, as it was recorded."""
+        return getattr(self.curves, f"measured_{signal}")[self.rollout].astype(np.float64)
 
     def follow(self, signal: str) -> Float[np.ndarray, "states nv"]:
         """`qpos` or `qvel` with the measured state that it starts from, NaN from where it is too large to be drawn."""
-        start = getattr(self.curves, f"measured_{signal}")[0, :1]
-        curve = np.concatenate([start, getattr(self.curves, f"{self.part}{signal}")[0]]).astype(np.float64)
+        simulated = getattr(self.curves, f"{self.part}{signal}")[self.rollout].astype(np.float64)
+        curve = np.concatenate([self.measured(signal)[:1], simulated])
         kept = np.logical_and.accumulate((np.abs(curve) < LARGEST).all(axis=1))
         return np.where(kept[:, None], curve, np.nan)
 
     def errors(self) -> Float[np.ndarray, "states"]:
         """Absolute position error, mean over joints; NaN from where it has diverged."""
-        return np.abs(self.follow("qpos") - self.curves.measured_qpos[0]).mean(axis=1)
+        return np.abs(self.follow("qpos") - self.measured("qpos")).mean(axis=1)
 
 
 def draw_motion(drives: Sequence[Drive], joint: int, timestep: float, units: Sequence[str]) -> tuple[Panel, Panel]:
@@ -55,7 +61,7 @@ def draw_motion(drives: Sequence[Drive], joint: int, timestep: float, units: Seq
     """
     panels: list[Panel] = []
     for (signal, quantity, share), unit in zip(_SIGNALS, units, strict=True):
-        measured = getattr(drives[0].curves, f"measured_{signal}")[0, :, joint].astype(np.float64)
+        measured = drives[0].measured(signal)[:, joint]
         curves = [drive.follow(signal)[:, joint] for drive in drives]
         time = timestep * np.arange(len(measured))
         back = Curve(x=time, y=measured, name="measured", width=4.5, opacity=0.3)

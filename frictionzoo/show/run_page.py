@@ -1,15 +1,19 @@
 """`report.html`: one run on one page that opens without a network, from the answer down to the curves behind it."""
 
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from frictionzoo.core.anonymous import list_paths, without_paths
 from frictionzoo.core.output import write_atomically
 from frictionzoo.result.curves import Curves
 from frictionzoo.result.types import DataRow, FitRow, ParameterRow, PartsRow, Result, TimingRow, ValueRow
 from frictionzoo.result.verdict import doubt_reference, judge, list_rollouts, say_finding
 from frictionzoo.show.page import Check, render_page
-from frictionzoo.show.run_plots import plot_run
+from frictionzoo.show.run_plots import choose_rollouts, plot_run
 from frictionzoo.show.terminal import ERRORS
 from frictionzoo.show.text import format_change, format_number, format_share
 
@@ -27,6 +31,26 @@ TITLES = {
     "residual": "What is left",
 }
 """Of findings, by their kind."""
+LINKS = {
+    "verdict": "Verdict",
+    "rollout": "Rollouts",
+    "friction": "Friction",
+    "left": "What is left",
+    "parameters": "Parameters",
+    "errors": "Errors",
+    "joints": "Joint by joint",
+    "history": "The fit",
+    "horizons": "Horizons",
+    "files": "Files",
+}
+"""Sections by their id."""
+_OF_ONE, _OF_SEVERAL = ("friction", "left"), ("joints",)
+MOST, LEAST = 1500, 500  # points of a curve, of one joint and of however many: three stand beside each other
+PORTRAYED = (
+    "Points: the law's friction at the recorded instants and what is left of the recorded torque, in motion; they lie "
+    "on the curve where only noise is left. Bars reach from 10 to 90 % of a bin. The band is what the intervals of "
+    "identifiable parameters allow, without any there is none; it says nothing of what the law lacks."
+)
 METHODS = {"adam": "Adam", "lm": "Levenberg-Marquardt", "grid": "The grid search", "known": "Known values"}
 FILES = {  # what else a run leaves behind, by path beside the page
     "result.json": "every number of this page, for programs",
@@ -52,13 +76,26 @@ def write_report(path: Path, result: Result, curves: Curves) -> None:
     Raises:
         OutputError: It cannot be written.
     """
+    # A page that is handed on tells nobody where somebody's home is; what lies in this folder, its commands reach.
+    known = tuple(list_paths(result["settings"]))
+    place, result = without_paths([str(path.parent.absolute()), result], known, Path.cwd())
+    result["parameters"] = _add_starts(result["parameters"], result, curves)
+    joints = list_joints(result) if len(result["joints"]) > 1 else []
     page = render_page(
         "show/run.html.jinja",
         plot_run(result, curves),
         list(check_result(result)),
+        points=max(LEAST, MOST // len(result["joints"])),
         result=result,
         verdict=result["verdict"],
-        joints=list_joints(result) if len(result["joints"]) > 1 else [],
+        joints=joints,
+        links=[(key, text) for key, text in LINKS.items() if key not in (_OF_ONE if joints else _OF_SEVERAL)],
+        place=place,
+        uses=_list_uses(place),
+        ranks=_say_ranks(curves),
+        shown=_say_shown(result, curves),
+        portrayed=PORTRAYED,
+        correlations=[correlate(result, joint) for joint in result["joints"]],
         headline=_say_headline(result),
         errors=list(_list_errors(result["metrics"])),
         evaluations=list(_list_evaluations(result)),
@@ -67,6 +104,72 @@ def write_report(path: Path, result: Result, curves: Curves) -> None:
         version=result["versions"]["frictionzoo"],
     )
     write_atomically(path, page)
+
+
+def _list_uses(place: str) -> list[str]:
+    """How the result in this folder is used: in a shell, and line by line in Python."""
+    return [
+        f"python -m frictionzoo.export {shlex.quote(place)} target=mjcf",
+        "import frictionzoo as fz",
+        f"drive = fz.load({place!r})",
+        "drive.parameters, drive.rollout()",
+    ]
+
+
+def _add_starts(parameters: list[ParameterRow], result: Result, curves: Curves) -> list[ParameterRow]:
+    """The same, of each identified value with where the fit began."""
+    found: Any = parameters
+    for parameter in found:
+        course = curves.history.get(f"{parameter['owner']}.{parameter['name']}")
+        for row in parameter["by_joint"]:
+            if row["identified"] and course is not None:
+                row["start"] = float(np.ravel(course[0])[result["joints"].index(row["joints"][0])])
+    return found
+
+
+def _say_ranks(curves: Curves) -> str:
+    *before, last = choose_rollouts(curves)
+    return f"{', '.join(before)} and {last} rollout".capitalize() if before else f"The {last} rollout"
+
+
+def _say_shown(result: Result, curves: Curves) -> str:
+    """Which rollouts are drawn, and how their errors compare with what the headline has."""
+    test, error = result["metrics"]["test"], {}
+    for name, rollout in choose_rollouts(curves).items():
+        measured = curves.measured_qpos[rollout, 1:]
+        of = (np.abs(qpos[rollout] - measured).mean() for qpos in (curves.qpos, curves.baseline_qpos))
+        error[name] = [float(each) if np.isfinite(each) else None for each in of]
+    said = ", ".join(
+        f"{name} {format_number(own)} {test['unit']}" + (f" ({change} to no friction)" if change else "")
+        for name, (own, without) in error.items()
+        for change in [format_change(own, without)]
+    )
+    duration = result["data"]["timestep"] * curves.qpos.shape[1]
+    return (
+        f"Of {len(curves.qpos)} rollouts of {duration:g} s at places of the test recordings, mean position error over "
+        f"joints: {said}. The headline's error is the mean over {test['rollouts']} rollouts of {test['horizon']:g} s."
+    )
+
+
+def correlate(result: Result, joint: str) -> dict[str, Any] | None:
+    """Correlation of what was identified of a joint, from the covariance; None of fewer than two parameters."""
+    if (covariance := result["covariance"]) is None:
+        return None
+    labels = covariance["labels"]
+    own = {
+        label: p["name"]
+        for p in result["parameters"]
+        for row in p["by_joint"]
+        if joint in row["joints"]
+        for label in (f"{p['owner']}.{p['name']}", f"{p['owner']}.{p['name']}/{row['name']}")
+        if label in labels
+    }
+    if len(own) < 2:
+        return None
+    places = [labels.index(label) for label in own]
+    matrix = np.array(covariance["matrix"])[np.ix_(places, places)]
+    size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    return {"names": [*own.values()], "rows": np.clip(matrix / np.outer(size, size), -1, 1).tolist()}
 
 
 def check_result(result: Result) -> Iterator[Check]:
@@ -217,7 +320,15 @@ def list_joints(result: Result) -> list[dict[str, Any]]:
         ]
         # What all joints share is no matter of this one.
         doubts = [_doubt_value(p, value) for p, value in values if len(value["joints"]) < len(result["joints"])]
-        shown = {"name": row["joint"], "errors": errors, "parameters": values, "open": row is largest}
+        left = (result["residual"] or {"by_joint": []})["by_joint"]
+        residual = next((own for own in left if own["joint"] == row["joint"]), None)
+        shown = {
+            "name": row["joint"],
+            "residual": residual,
+            "errors": errors,
+            "parameters": values,
+            "open": row is largest,
+        }
         found.append({**shown, "doubt": "; ".join(filter(None, doubts))})
     return found
 
@@ -233,7 +344,7 @@ def _list_evaluations(result: Result) -> Iterator[dict[str, Any]]:
     names = {"test": "test, this model", "train": "train, this model", "baseline": "test, no friction"}
     for entry in result["by_horizon"]:
         yield from ({"on": name, **entry[part]} for part, name in names.items())
-    for key, where in (("a", "the trajectory above"), ("b", "random places")):
+    for key, where in (("a", "one long rollout"), ("b", "random places")):
         for part, name in (("model", "this model"), ("baseline", "no friction")):
             yield {"on": f"{where}, {name}", **result["paper"][key][part]}
 

@@ -1,4 +1,4 @@
-"""What is drawn of one run: the paper's figures 3, 4 and 5, and its errors at each horizon."""
+"""What is drawn of one run: its friction, rollouts, what they leave, the fit's course, errors at each horizon."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -13,24 +13,41 @@ from frictionzoo.result.types import Result
 from frictionzoo.show import with_matplotlib
 from frictionzoo.show.colors import BASELINE, BEST, JOINTS, MODEL, TRAIN
 from frictionzoo.show.figure import Axis, Bars, Curve, Figure, Mark, Panel, Sheet, Stripe, scale_values
+from frictionzoo.show.friction_plots import find_units, plot_left, plot_portraits
 from frictionzoo.show.rollouts import Drive, draw_errors, draw_motion
 from frictionzoo.show.text import format_number, format_unit
 
 COLUMNS = 4  # joints beside each other on a sheet
+PHASE = 5.0  # s of a rollout; of more, curves hide each other
+_FIRST = {"": 0}  # of the long test rollouts, that of the paper's evaluation (a)
 REPORTED: Mapping[str, Any] = {"width": 0.0, "marker": "diamond", "size": 8.0, "color": BEST}  # what a fit reports
 
 
 def plot_run(result: Result, curves: Curves) -> dict[str, list[Figure]]:
     """All that is drawn of one run, by name; nothing under one where there is nothing to show.
 
-    Of several rollouts, the first is drawn.
+    Under `portraits`, `phase`, `left` and `trajectories` each joint has as many, those of the first joint first.
     """
+    shown = choose_rollouts(curves)
     return {
-        "trajectories": list(_plot_trajectories(result, curves)),
-        "error": [_plot_error(result, curves)],
+        "portraits": list(plot_portraits(result, curves)),
+        "trajectories": list(_plot_trajectories(result, curves, shown)),
+        "error": list(_plot_errors(result, curves, shown)),
+        "phase": list(_plot_phases(result, curves, shown)),
+        "left": list(plot_left(result, curves)),
         "history": list(_plot_history(result, curves)),
         "horizons": [_plot_horizons(result)] if len(result["by_horizon"]) > 1 else [],
     }
+
+
+def choose_rollouts(curves: Curves) -> dict[str, int]:
+    """Those of the long test rollouts that are drawn, by what they are: best, median and worst, diverged ones last."""
+    error = np.abs(curves.qpos - curves.measured_qpos[:, 1:]).mean(axis=(1, 2))
+    order = np.argsort(np.where(np.isfinite(error), error, np.inf), kind="stable").tolist()
+    if len(order) == 1:
+        return {"only": order[0]}
+    middle = {"median": order[(len(order) - 1) // 2]} if len(order) > 2 else {}
+    return {"best": order[0]} | middle | {"worst": order[-1]}
 
 
 def write_figures(folder: Path, result: Result, curves: Curves) -> None:
@@ -39,14 +56,14 @@ def write_figures(folder: Path, result: Result, curves: Curves) -> None:
     Raises:
         OutputError: They cannot be written.
     """
-    drawn = plot_run(result, curves)
     fitted = f"{_describe(result, 'fit to the training part')}\nmarked: iteration {result['fit']['best_iteration']}, "
     window = f"moving mean and standard deviation over {result['evaluation']['window']:g} s"
     tested = _describe(result, "one rollout of the test part")
+    history, error = list(_plot_history(result, curves)), list(_plot_errors(result, curves, _FIRST))
     sheets = {
-        "figure3_parameters": Sheet(f"{fitted}as reported", drawn["history"], 1.9, columns=2, headings=True),
-        "figure4_trajectory": _arrange(result, drawn["trajectories"]),
-        "figure5_error": Sheet(f"{tested}\n{window}", drawn["error"], 3.6),
+        "figure3_parameters": Sheet(f"{fitted}as reported", history, 1.9, columns=2, headings=True),
+        "figure4_trajectory": _arrange(result, curves),
+        "figure5_error": Sheet(f"{tested}\n{window}", error, 3.6),
     }
     if len(curves.history["iteration"]) == 1:  # known values have no course
         del sheets["figure3_parameters"]
@@ -56,10 +73,11 @@ def write_figures(folder: Path, result: Result, curves: Curves) -> None:
 
 def draw_rollout(result: Result, curves: Curves) -> Drawing:
     """Figure 4, for matplotlib."""
-    return with_matplotlib.draw(_arrange(result, list(_plot_trajectories(result, curves))))
+    return with_matplotlib.draw(_arrange(result, curves))
 
 
-def _arrange(result: Result, trajectories: list[Figure]) -> Sheet:
+def _arrange(result: Result, curves: Curves) -> Sheet:
+    trajectories = list(_plot_trajectories(result, curves, _FIRST))
     title = _describe(result, "one rollout of the test part")
     return Sheet(title, trajectories, 6.0, columns=min(len(trajectories), COLUMNS), headings=True)
 
@@ -118,22 +136,51 @@ def _draw_courses(iteration: np.ndarray, columns: Mapping[str, np.ndarray], at: 
     yield Curve(x=np.full(len(columns), best), y=reached, name="reported", legend=several, **REPORTED)
 
 
-def _plot_trajectories(result: Result, curves: Curves) -> Iterator[Figure]:
-    """Figure 4, a figure a joint: measured and simulated position above velocity."""
-    test, timestep, drives = result["metrics"]["test"], result["data"]["timestep"], _list_drives(curves)
+def _plot_trajectories(result: Result, curves: Curves, shown: Mapping[str, int]) -> Iterator[Figure]:
+    """Figure 4, of each joint a figure a rollout: measured and simulated position above velocity."""
+    test, timestep = result["metrics"]["test"], result["data"]["timestep"]
     duration = timestep * (curves.measured_qpos.shape[1] - 1)
     for joint, name in enumerate(result["joints"]):
-        panels = draw_motion(drives, joint, timestep, (test["unit"], test["velocity_unit"]))
-        errors = [drive.follow("qpos")[:, joint] - curves.measured_qpos[0, :, joint] for drive in drives]
-        model, baseline = (_say_error(error, test["unit"]) for error in errors)
-        text = f"Measured and simulated position and velocity of joint {name} over {duration:g} s; "
-        text += f"the mean position error is {model} with the model and {baseline} without friction."
-        yield Figure(f"Trajectory of {name}", text, panels, time=True)
+        for rank, rollout in shown.items():
+            drives = _list_drives(curves, rollout)
+            panels = draw_motion(drives, joint, timestep, (test["unit"], test["velocity_unit"]))
+            errors = [drive.follow("qpos")[:, joint] - drive.measured("qpos")[:, joint] for drive in drives]
+            model, baseline = (_say_error(error, test["unit"]) for error in errors)
+            text = f"Measured and simulated position and velocity of joint {name} over {duration:g} s; "
+            text += f"the mean position error is {model} with the model and {baseline} without friction."
+            title = f"{_say_rank(rank, curves)}{name}" if rank else f"Trajectory of {name}"
+            yield Figure(title, text, panels, time=True)
 
 
-def _list_drives(curves: Curves) -> tuple[Drive, Drive]:
+def _say_rank(rank: str, curves: Curves) -> str:
+    count = len(curves.qpos)
+    return f"The {rank} of {count} long test rollouts: " if count > 1 else "The only long test rollout: "
+
+
+def _plot_phases(result: Result, curves: Curves, shown: Mapping[str, int]) -> Iterator[Figure]:
+    """Of each joint, velocity over position in the middle one of the rollouts."""
+    rank, rollout = list(shown.items())[(len(shown) - 1) // 2]
+    model, _ = _list_drives(curves, rollout)
+    units, kept = find_units(result), slice(1 + round(PHASE / result["data"]["timestep"]))
+    for joint, name in enumerate(result["joints"]):
+        (x, y), (at, speed) = (
+            [own(of)[kept, joint] for of in ("qpos", "qvel")] for own in (model.measured, model.follow)
+        )
+        marks = Curve(x=x, y=y, name="measured", width=4.5, opacity=0.3), Curve(x=at, y=speed, **model.look)
+        panel = Panel(marks, Axis("position", units["position"]), Axis("velocity", units["velocity"]))
+        text = (
+            f"Velocity over position of {name} in the {rank} rollout, at most {PHASE:g} s of it: where the curves part "
+        )
+        text += "at zero velocity, the drive sets out or stops elsewhere than measured."
+        yield Figure(f"Phase plot of {name}", text, (panel,))
+
+
+def _list_drives(curves: Curves, rollout: int) -> tuple[Drive, Drive]:
     model, baseline = {"name": "this model", "color": MODEL}, {"name": "no friction", "color": BASELINE}
-    return Drive(curves, model), Drive(curves, baseline, "baseline_", reference=True)
+    return (
+        Drive(curves, model, rollout=rollout),
+        Drive(curves, baseline, "baseline_", reference=True, rollout=rollout),
+    )
 
 
 def _say_error(error: Float[np.ndarray, "samples"], unit: str) -> str:
@@ -142,14 +189,18 @@ def _say_error(error: Float[np.ndarray, "samples"], unit: str) -> str:
     return f"{steps.mean():.4g} {unit}" if np.isfinite(steps).all() else "without a value (the rollout diverged)"
 
 
-def _plot_error(result: Result, curves: Curves) -> Figure:
-    """Figure 5: absolute position error over time, mean over joints: its moving mean and +- one standard deviation."""
-    window, unit, drives = result["evaluation"]["window"], result["metrics"]["test"]["unit"], _list_drives(curves)
-    model, baseline = (format_number(float(np.nanmax(drive.errors()))) for drive in drives)
-    text = f"Moving mean and standard deviation over {window:g} s of the absolute position error; the largest error is "
-    text += f"{model} {unit} with the model and {baseline} {unit} without friction."
-    panel = draw_errors(drives, result["data"]["timestep"], window, unit)
-    return Figure("Its error", text, (panel,), time=True)
+def _plot_errors(result: Result, curves: Curves, shown: Mapping[str, int]) -> Iterator[Figure]:
+    """Figure 5, a figure a rollout: absolute position error, mean over joints: moving mean +- standard deviation."""
+    window, unit = result["evaluation"]["window"], result["metrics"]["test"]["unit"]
+    for rank, rollout in shown.items():
+        drives = _list_drives(curves, rollout)
+        model, baseline = (format_number(float(np.nanmax(drive.errors()))) for drive in drives)
+        text = (
+            f"Moving mean and standard deviation over {window:g} s of the absolute position error; the largest error "
+        )
+        text += f"is {model} {unit} with the model and {baseline} {unit} without friction."
+        panel = draw_errors(drives, result["data"]["timestep"], window, unit)
+        yield Figure(f"Error of the {rank} rollout" if rank else "Its error", text, (panel,), time=True)
 
 
 def _plot_horizons(result: Result) -> Figure:

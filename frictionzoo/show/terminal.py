@@ -39,6 +39,19 @@ def summarise_in_html(result: Result, folder: Path | None) -> str:
     return _arrange(result, folder, _tabulate_in_html, _say_in_html, _tell_in_html)
 
 
+def tabulate_values(result: Result) -> str:
+    """Parameters alone, in Markdown."""
+    return _tabulate_in_markdown(_list_parameters(result))
+
+
+def tabulate_errors(result: Result) -> str:
+    """Test errors beside those without friction, of several joints each one's too, in Markdown."""
+    metrics = result["metrics"]
+    tables = [_list_errors(metrics["test"], metrics["baseline"], ("this drive", "no friction"))]
+    tables += [_list_joints(result)] if len(result["joints"]) > 1 else []
+    return "\n\n".join(map(_tabulate_in_markdown, tables))
+
+
 def _say_in_html(text: str) -> str:
     return f"<p>{html.escape(text)}</p>"
 

@@ -1,5 +1,7 @@
 """How figures and pages print numbers, units and names."""
 
+import inspect
+import re
 import textwrap
 from collections.abc import Sequence
 
@@ -37,3 +39,16 @@ def format_digits(value: float, digits: int) -> str:
 def wrap(text: str, width: int, lines: int | None = None) -> list[str]:
     """A user's text on lines of this width, at most so many of them."""
     return textwrap.wrap(text, width, max_lines=lines, placeholder=" …") or [" "]
+
+
+def to_markdown(docstring: str) -> str:
+    """A docstring's paragraphs up to its arguments; equations and symbols become blocks of code."""
+    text = re.split(r"\n\n(?:Args|Raises|Attributes):\n", inspect.cleandoc(docstring))[0]
+    blocks = text.split("\n\n")
+    symbols = next((i for i, block in enumerate(blocks) if block.startswith(" ")), len(blocks))
+    for i, block in enumerate(blocks):
+        lines = block.split("\n")
+        equation = 0 < i < symbols and all(re.search(r" <?= ", line) or line.startswith(" ") for line in lines)
+        if equation or block.startswith(" "):
+            blocks[i] = f"```\n{textwrap.dedent(block)}\n```"
+    return "\n\n".join(blocks)

@@ -114,8 +114,11 @@ def _draw_marks(axes: Axes, panel: Panel) -> None:
 def _draw_mark(axes: Axes, mark: Mark, order: float) -> None:
     match mark:
         case Curve() if mark.ends is not None:
-            reach = np.abs(mark.ends - mark.x)
-            axes.errorbar(mark.x, mark.y, xerr=reach, capsize=4, elinewidth=1.8, zorder=order, **_look(mark))
+            ends = np.abs(mark.ends - mark.x)
+            axes.errorbar(mark.x, mark.y, xerr=ends, capsize=4, elinewidth=1.8, zorder=order, **_look(mark))
+        case Curve() if mark.reach is not None:
+            ends = np.abs(mark.reach - mark.y)
+            axes.errorbar(mark.x, mark.y, yerr=ends, capsize=2.5, elinewidth=1.0, zorder=3, **_look(mark))
         case Curve():
             # Points are whole at the edge too, and in front.
             axes.plot(mark.x, mark.y, zorder=order if mark.width else 3, clip_on=mark.width > 0, **_look(mark))

@@ -110,14 +110,21 @@ def _draw_curve(mark: Curve, points: int, panel: Panel) -> dict[str, Any]:
     if mark.marker:
         edge = {"color": mark.color, "width": 1.5}
         trace["marker"] = {"color": mark.color, "symbol": mark.marker, "size": mark.size, "line": edge}
-    if mark.ends is not None:
-        below, above = map(round_points, np.abs(mark.ends - mark.x))
-        ends = {"type": "data", "symmetric": False, "array": above, "arrayminus": below}
-        trace["error_x"] = ends | {"color": mark.color, "thickness": 2, "width": 5}
     finite = np.isfinite(mark.y)
+    if mark.ends is not None:
+        trace["error_x"] = _draw_whiskers(mark.ends[:, finite], mark.x[finite], mark.color, 2.0)
+    if mark.reach is not None:
+        trace["error_y"] = _draw_whiskers(mark.reach[:, finite], mark.y[finite], mark.color, 1.2)
     x, y = mark.x[finite], mark.y[finite]
-    kept = decimate(y, points)
+    # A path that turns round has no extremes by which it is known; its points are kept evenly.
+    kept = decimate(y, points) if (np.diff(x) >= 0).all() else np.arange(0, len(x), -(-len(x) // points))
     return trace | _point(mark, "%{y:.5g}", panel.y.unit) | {"x": round_points(x[kept]), "y": round_points(y[kept])}
+
+
+def _draw_whiskers(ends: np.ndarray, about: np.ndarray, color: str, width: float) -> dict[str, Any]:
+    below, above = map(round_points, np.abs(ends - about))
+    shared = {"type": "data", "symmetric": False, "color": color, "thickness": width, "width": 2.5 * width}
+    return shared | {"array": above, "arrayminus": below}
 
 
 def _draw_bars(mark: Bars, panel: Panel) -> dict[str, Any]:

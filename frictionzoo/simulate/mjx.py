@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from frictionzoo.bench import Bench
 from frictionzoo.bench.compiled import INERTIAL, can_collide, rigid_inertia
 from frictionzoo.core.state import DriveState, FrictionTerms, Signals
-from frictionzoo.simulate.base import UNFUSED, Engine, Friction, Values, control
+from frictionzoo.simulate.base import FORWARD, UNFUSED, Engine, Friction, Values, control
 from frictionzoo.simulate.linear import solve_spd
 
 with contextlib.redirect_stdout(io.StringIO()):  # it prints that its optional backend is not installed
@@ -104,7 +104,9 @@ class MjxEngine(Engine):
         # mode cannot pass.
         model.opt.iterations = 1 if bench.nv == 1 else model.opt.iterations
         model.opt.tolerance = min(model.opt.tolerance, _TOLERANCE)
-        self.compiler_options: Mapping[str, Any] = {} if bench.nv <= _FUSED_JOINTS else UNFUSED
+        fused = bench.nv <= _FUSED_JOINTS
+        self.compiler_options: Mapping[str, Any] = {} if fused else UNFUSED
+        self.forward_options: Mapping[str, Any] = FORWARD if fused else UNFUSED
         self._bench = bench
         self._fields = fields
         self.branches = bench.branches

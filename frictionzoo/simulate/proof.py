@@ -166,7 +166,7 @@ def _in_engine(
 ) -> Float[np.ndarray, "values 2 cases steps nv"]:
     with jax.enable_x64(True), naming_what_mjx_lacks(bench):
         rollout = Drive.assemble(bench, copy.deepcopy(model), engine).rollout
-        simulate = replace(rollout, compiler_options={**rollout.compiler_options, **_ONCE}).compiled
+        simulate = replace(rollout, forward_options={**rollout.forward_options, **_ONCE}).compiled
         known = [jax.tree.map(lambda value: np.asarray(value, np.float64), _without_delay(each)) for each in values]
         return np.stack([[np.asarray(part) for part in simulate(each, *cases)] for each in known])
 

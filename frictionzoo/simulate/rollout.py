@@ -17,12 +17,6 @@ from frictionzoo.simulate import Engine, Values
 State = tuple[Array, Array, Array]
 """Position, velocity and the friction law's memory, one row a segment."""
 
-FORWARD = {"xla_cpu_use_fusion_emitters": False}
-"""For XLA, of functions without a reverse sweep: its older emitters of code for CPUs.
-
-They compile in two thirds of the time; rollouts and tangents run up to a third faster, reverse sweeps a fifth slower.
-"""
-
 
 @dataclass(frozen=True)
 class Rollout:
@@ -35,7 +29,8 @@ class Rollout:
 
     Attributes:
         function: The rollout, not compiled.
-        compiler_options: For `jax.jit` of whatever it is part of.
+        compiler_options: For `jax.jit` of whatever it is part of, as the engine's.
+        forward_options: Likewise.
         forward_limit: Tangents up to which forward mode is faster than a reverse sweep.
         reverse: Whether there is a reverse mode.
         branches: Number of the branch of each joint, from 0: joints of different ones do not move each other.
@@ -44,6 +39,7 @@ class Rollout:
 
     function: Callable[..., tuple[Any, Any]]
     compiler_options: Mapping[str, Any]
+    forward_options: Mapping[str, Any]
     forward_limit: int
     reverse: bool
     branches: tuple[int, ...]
@@ -56,16 +52,16 @@ class Rollout:
     @cached_property
     def compiled(self) -> Callable[..., tuple[Any, Any]]:
         """The same, compiled."""
-        return self.compile(self.function, FORWARD)
+        return self.compile(self.function, forward=True)
 
-    def compile(self, function: Callable[..., Any], options: Mapping[str, Any] | None = None) -> Any:
+    def compile(self, function: Callable[..., Any], forward: bool = False) -> Any:
         """`jax.jit` of a function that calls this rollout.
 
         Args:
             function: What is compiled.
-            options: More for XLA, where the engine has nothing against them; `FORWARD` without a reverse sweep.
+            forward: Whether there is no reverse sweep in it.
         """
-        return jax.jit(function, compiler_options={**(options or {}), **self.compiler_options})
+        return jax.jit(function, compiler_options=dict(self.forward_options if forward else self.compiler_options))
 
 
 def make_rollout(engine: Engine, sampling: Sampling | None = None) -> Rollout:
@@ -105,8 +101,8 @@ def make_rollout(engine: Engine, sampling: Sampling | None = None) -> Rollout:
         _, (positions, velocities) = jax.lax.scan(advance, (qpos, qvel, memory), acting)
         return jnp.swapaxes(positions, 0, 1), jnp.swapaxes(velocities, 0, 1)
 
-    known = engine.compiler_options, engine.forward_limit, engine.reverse, engine.branches, engine.keeps_slopes
-    return Rollout(rollout, *known)
+    options = engine.compiler_options, engine.forward_options
+    return Rollout(rollout, *options, engine.forward_limit, engine.reverse, engine.branches, engine.keeps_slopes)
 
 
 def make_observer(engine: Engine, sampling: Sampling) -> Callable[..., DriveState]:

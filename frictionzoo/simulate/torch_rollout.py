@@ -86,7 +86,8 @@ def make_torch_rollout(engine: Engine, model: TorchFriction, sampling: Sampling 
         with torch.no_grad():
             return to_arrays(in_torch(*to_tensors((values, qpos, qvel, signals, load))))
 
-    return TorchRollout(in_arrays, engine.compiler_options, 0, engine.reverse, engine.branches, False, in_torch, label)
+    options = engine.compiler_options, engine.forward_options
+    return TorchRollout(in_arrays, *options, 0, engine.reverse, engine.branches, False, in_torch, label)
 
 
 def _acting(sampling: Sampling, bench: Mapping[str, Any], signals: Signals) -> Signals:

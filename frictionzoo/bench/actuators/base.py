@@ -9,6 +9,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
+import numpy as np
+
 from frictionzoo.core.described import Described
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.params import Param, read_params
@@ -38,6 +40,7 @@ class Actuator(Described, ABC):
         name: Set by `register_actuator`.
         dimensions: Dimension of each parameter, a key of `frictionzoo.core.params.UNITS`.
         optional: Parameters that need not be given, and that are left out then: what they stand for is not there.
+        positive: Parameters that begin above 0 in each joint where they are there, and what else to do.
         defaults: Section of each parameter that is known where nothing is said of it.
         inputs: What the controller needs in each sample besides `ctrl`; recordings have it among their `extras`.
         optional_inputs: What those among them are that a recording may lack.
@@ -50,12 +53,14 @@ class Actuator(Described, ABC):
             list of one value a joint.
 
     Raises:
-        ConfigError: A parameter is missing, unknown, given twice, or its bounds make no sense.
+        ConfigError: A parameter is missing, unknown, given twice, 0 or below where it may not be, or its bounds make no
+            sense.
     """
 
     name: ClassVar[str]
     dimensions: ClassVar[Mapping[str, str]]
     optional: ClassVar[tuple[str, ...]] = ()
+    positive: ClassVar[Mapping[str, str]] = {}
     defaults: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     inputs: ClassVar[tuple[str, ...]] = ()
     optional_inputs: ClassVar[Mapping[str, float]] = {}
@@ -67,6 +72,10 @@ class Actuator(Described, ABC):
             raise ConfigError(f"{owner}: {name} is given twice, expected a value or a section; leave one out")
         given = {**sections, **values}
         self.params: dict[str, Param] = read_params(owner, self.dimensions, given, self.optional, self.defaults)
+        for name, advice in self.positive.items():
+            init: Any = self.params[name].init if name in self.params else None
+            if init is not None and not np.all(np.array([*init.values()] if isinstance(init, Mapping) else init) > 0):
+                raise ConfigError(f"{owner}: {name}={init}; expected above 0; {advice}")
 
     @property
     def has_controller(self) -> bool:

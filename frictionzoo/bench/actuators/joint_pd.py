@@ -3,11 +3,8 @@
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-import numpy as np
-
 from frictionzoo.bench.actuators.base import Actuator, Affine, register_actuator
-from frictionzoo.bench.actuators.saturation import LIMITS, saturate
-from frictionzoo.core.errors import ConfigError
+from frictionzoo.bench.actuators.saturation import LIMITS, POSITIVE, saturate
 
 GAIN: Mapping[str, Any] = {"init": 1.0, "low": 0.5, "high": 2.0, "scale": "log", "identify": False}
 """Section of a `torque_gain` of which nothing is said: the torque is what the controller asks for."""
@@ -34,9 +31,6 @@ class JointPD(Actuator):
 
     Source: B. Katz, "A low cost modular actuator for dynamic robots", MIT, 2018, the controller of the MIT Mini
     Cheetah's motors, which Unitree's and others' motors have too; the hyperbolic tangent: arXiv 2505.14266, 2025.
-
-    Raises:
-        ConfigError: As of every actuator law, or kp is not above 0.
     """
 
     dimensions: ClassVar[Mapping[str, str]] = {
@@ -47,19 +41,14 @@ class JointPD(Actuator):
         **LIMITS,
     }
     optional: ClassVar[tuple[str, ...]] = (*LIMITS, *OFFSET)
+    positive: ClassVar[Mapping[str, str]] = {
+        "kp": "take Force for commands of torque alone, RecordedPD for gains that recordings have",
+        **POSITIVE,
+    }
     defaults: ClassVar[Mapping[str, Mapping[str, Any]]] = {"torque_gain": GAIN}
     inputs: ClassVar[tuple[str, ...]] = ("ctrl_velocity", "ctrl_torque")
     optional_inputs: ClassVar[Mapping[str, float]] = {"ctrl_velocity": 0.0, "ctrl_torque": 0.0}
     commands: ClassVar[tuple[str, ...]] = inputs
-
-    def __init__(self, params: Mapping[str, Mapping[str, Any]] | None = None, **values: Any) -> None:
-        super().__init__(params, **values)
-        init: Any = self.params["kp"].init
-        if init is not None and not np.all(np.array([*init.values()] if isinstance(init, Mapping) else init) > 0):
-            raise ConfigError(
-                f"JointPD: kp={init}; expected above 0; take Force for commands of torque alone, RecordedPD for gains "
-                "that recordings have"
-            )
 
     def affine(self, values: Mapping[str, Any]) -> Affine:
         """See `Actuator.affine`."""

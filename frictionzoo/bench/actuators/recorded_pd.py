@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 
 from frictionzoo.bench.actuators.base import Actuator, Affine, register_actuator
 from frictionzoo.bench.actuators.joint_pd import GAIN, OFFSET
-from frictionzoo.bench.actuators.saturation import LIMITS, saturate
+from frictionzoo.bench.actuators.saturation import LIMITS, POSITIVE, saturate
 
 
 @register_actuator("recorded_pd")
@@ -22,6 +22,7 @@ class RecordedPD(Actuator):
 
     dimensions: ClassVar[Mapping[str, str]] = {"torque_gain": "1", **LIMITS, **OFFSET}
     optional: ClassVar[tuple[str, ...]] = (*LIMITS, *OFFSET)
+    positive: ClassVar[Mapping[str, str]] = POSITIVE
     defaults: ClassVar[Mapping[str, Mapping[str, Any]]] = {"torque_gain": GAIN}
     inputs: ClassVar[tuple[str, ...]] = ("kp", "kd", "ctrl_velocity", "ctrl_torque")
     optional_inputs: ClassVar[Mapping[str, float]] = {"ctrl_velocity": 0.0, "ctrl_torque": 0.0}

@@ -6,6 +6,11 @@ from typing import Any
 LIMITS: Mapping[str, str] = {"torque_limit": "torque", "torque_saturation": "torque"}
 """Dimension of each parameter of a limit; a law that may have one has them among its `optional`."""
 
+POSITIVE: Mapping[str, str] = dict.fromkeys(
+    LIMITS, "leave it out where there is none, give a joint without one more than it ever needs"
+)
+"""Of each parameter of a limit, what to do where it is 0: the drive would have no torque."""
+
 
 def saturate(xp: Any, values: Mapping[str, Any], torque: Any) -> Any:
     """A torque within the limits that there are; the very one where there are none.

@@ -1,0 +1,5 @@
+"""`python -m frictionzoo.card`, see `frictionzoo.cli.card`."""
+
+from frictionzoo.cli.commands import main
+
+main("card")

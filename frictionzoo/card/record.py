@@ -1,0 +1,94 @@
+"""`card.json`: the machine-readable half of a card, described by `card.schema.json` beside this file."""
+
+import copy
+import json
+import shlex
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final, cast
+
+import numpy as np
+from omegaconf import OmegaConf
+
+from frictionzoo.card.law import list_laws
+from frictionzoo.card.portable import describe_bench
+from frictionzoo.card.types import Card, VisitedRow
+from frictionzoo.core.anonymous import last_of, list_paths, without_paths
+from frictionzoo.result.identified import Identified
+
+CARD = "card.json"
+MODEL = "model.safetensors"
+PICTURE = "friction.png"
+PAGE = "README.md"
+CARD_VERSION: Final = 1
+STATED = ("supply", "temperature", "payload")
+_OVERRIDES = Path(".hydra", "overrides.yaml")
+
+
+def read_schema() -> dict[str, Any]:
+    """The JSON schema of `card.json`; its descriptions are the documentation of every field."""
+    return json.loads(resources.files("frictionzoo.card").joinpath("card.schema.json").read_text(encoding="utf-8"))
+
+
+def build_card(drive: Identified, stated: Mapping[str, str], files: Mapping[str, str]) -> Card:
+    """What is said of a drive, ready for JSON.
+
+    Args:
+        drive: Of a run's folder.
+        stated: `licence`, and where they are given `name`, `supply`, `temperature` and `payload`.
+        files: Hashes by name.
+    """
+    result = drive.result
+    card = {
+        "schema_version": CARD_VERSION,
+        "name": title_of(drive, stated),
+        "licence": stated["licence"],
+        "laws": list_laws(drive),
+        "conditions": {
+            **{name: stated.get(name) for name in STATED},
+            "visited": _list_visited(drive),
+            "fastest": float(np.abs(drive.curves.velocity).max()),
+        },
+        "command": _read_command(drive.folder),
+        "files": dict(files),
+        "result": _make_portable(drive),
+    }
+    known = {
+        *list_paths(result["settings"]),
+        *([str(drive.folder), str(drive.folder.resolve())] if drive.folder else []),
+    }
+    return cast(Card, without_paths(card, tuple(known | {str(Path(path).parent) for path in known if len(path) > 1})))
+
+
+def title_of(drive: Identified, stated: Mapping[str, str]) -> str:
+    """As `name` has it, or by data set and law."""
+    return stated.get("name", f"{drive.result['data']['name']}, {drive.result['model']}")
+
+
+def _list_visited(drive: Identified) -> list[VisitedRow]:
+    seen, segments = drive.samples, drive.recorded
+    rows: list[VisitedRow] = []
+    for at, joint in enumerate(drive.bench.joints):
+        position, speed = segments.qpos[..., at], np.abs(segments.qvel[..., at])
+        torque = np.abs(seen.motor_torque[:, at])
+        ends = [float(position.min()), float(position.max())]
+        rows.append({"joint": joint, "position": ends, "speed": float(speed.max()), "torque": float(torque.max())})
+    return rows
+
+
+def _read_command(folder: Path | None) -> str | None:
+    """The command of a run; None where its folder has none."""
+    if folder is None or not (folder / _OVERRIDES).exists():
+        return None
+    options = [str(option) for option in OmegaConf.to_container(OmegaConf.load(folder / _OVERRIDES)) or []]
+    return shlex.join(["frictionzoo", *options])
+
+
+def _make_portable(drive: Identified) -> dict[str, Any]:
+    result: dict[str, Any] = copy.deepcopy(cast(dict[str, Any], drive.result))
+    result["verdict"]["commands"] = []  # they are about the run's folder
+    result["settings"]["bench"] = describe_bench(drive.bench, result["settings"]["bench"])
+    for log in result["data"]["logs"]:
+        log["name"] = last_of(log["name"])
+    return result

@@ -1,0 +1,148 @@
+"""A run's drive written as a card: a page, a record, values, MJCF and a picture."""
+
+import hashlib
+import json
+import re
+from collections.abc import Iterator, Mapping
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import safetensors.torch
+import torch
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from frictionzoo import __version__
+from frictionzoo.card.law import trace_law
+from frictionzoo.card.portable import TEMPLATE, write_template
+from frictionzoo.card.record import CARD, MODEL, PAGE, PICTURE, STATED, build_card, read_schema, title_of
+from frictionzoo.card.types import Card
+from frictionzoo.core.anonymous import find_paths
+from frictionzoo.core.errors import ConfigError, OutputError, closest
+from frictionzoo.core.output import RESULT, take_place, to_json, write_atomically
+from frictionzoo.core.params import UNITS
+from frictionzoo.result.identified import Identified
+from frictionzoo.result.record import refuse_invalid
+from frictionzoo.show.friction import save_law
+from frictionzoo.show.terminal import tabulate_errors, tabulate_values
+from frictionzoo.show.text import format_number
+
+OPTIONS = ("licence", "output", "name", *STATED)
+FOLDER = "card"  # in the run's
+_MODELS = ("identified.xml", "identified.urdf", "bench.xml")  # what a run leaves for MuJoCo
+FILES = {
+    CARD: "all of this for programs",
+    MODEL: "values of law and test stand, in full precision",
+    "identified.xml": "the test stand, or the robot's own file, with the drive, for MuJoCo",
+    "identified.urdf": "the robot's own file with the drive",
+    "bench.xml": "what was simulated of the robot, for MuJoCo",
+    TEMPLATE: "the test stand without the drive, for `fz.load`",
+    PICTURE: "the picture above",
+}
+"""What a card consists of besides its page."""
+_LICENCE = re.compile(r"[a-z0-9][a-z0-9.+-]*")
+
+
+def write_card(folder: Path, options: Mapping[str, str]) -> tuple[Path, list[str]]:
+    """Write the card of a run.
+
+    Args:
+        folder: The run's.
+        options: `licence`, and where wanted `output`, a folder, `name`, `supply`, `temperature` and `payload`.
+
+    Returns:
+        The card's folder, and a line for each path of this machine that is in it: a robot's own file is as it was.
+
+    Raises:
+        ConfigError: An option is missing, unknown, or makes no sense.
+        RunError: It is not the folder of a finished run, or its test stand refers to files.
+        OutputError: The card's folder holds something else, or cannot be written.
+    """
+    _refuse_impossible(options)
+    place = Path(options.get("output", folder / FOLDER))
+    if place.exists() and not _is_replaceable(place):
+        raise OutputError(f"{place}: it holds something else than a card; set output to another folder")
+    drive = Identified.load(folder)
+    with take_place(place) as fresh:
+        _write_files(drive, fresh, options)
+    return place, list(_list_left(place))
+
+
+def _list_left(place: Path) -> Iterator[str]:
+    for path in (place / name for name in _MODELS if (place / name).exists()):
+        for found in find_paths(path.read_text(encoding="utf-8")):
+            yield f"{path}: {found} is in it, as in the robot's own file; remove it from that before others see it"
+
+
+def _refuse_impossible(options: Mapping[str, str]) -> None:
+    for option, value in options.items():
+        if option not in OPTIONS:
+            raise ConfigError(f"{option}: unknown option; {closest(option, OPTIONS)}")
+        if not value.isprintable() or not value.strip():
+            raise ConfigError(f"{option}={value!r}: expected one line of text")
+    if "licence" not in options:
+        raise ConfigError("licence is missing; say under which others may use the card, such as licence=cc-by-4.0")
+    if not _LICENCE.fullmatch(options["licence"]):
+        raise ConfigError(
+            f"licence={options['licence']}: expected an identifier in lower case as model hubs have it, such as "
+            "cc-by-4.0 or apache-2.0"
+        )
+
+
+def _is_replaceable(place: Path) -> bool:
+    """Whether it is a card, which has no run in it, or empty."""
+    return place.is_dir() and (not any(place.iterdir()) or ((place / CARD).exists() and not (place / RESULT).exists()))
+
+
+def _write_files(drive: Identified, folder: Path, options: Mapping[str, str]) -> None:
+    assert drive.folder  # it was read from there
+    tensors = {f"bench.{name}": torch.from_numpy(np.array(value)) for name, value in drive.values["bench"].items()}
+    tensors |= {f"friction.{name}": value.contiguous() for name, value in drive.state.items()}
+    header = {"frictionzoo": f"{drive.model.name}, version {__version__}"}
+    write_atomically(folder / MODEL, safetensors.torch.save(tensors, header))
+    write_atomically(folder / TEMPLATE, write_template(drive.bench).encode())
+    for name in _MODELS:
+        if (drive.folder / name).exists():
+            write_atomically(folder / name, (drive.folder / name).read_bytes())
+    units = UNITS[drive.bench.joint_type]
+    velocity, curves = trace_law(drive)
+    save_law(
+        folder / PICTURE,
+        title_of(drive, options),
+        drive.bench.joints,
+        velocity,
+        curves,
+        (units["velocity"], units["torque"]),
+    )
+    hashes = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(folder.iterdir())}
+    card = to_json(build_card(drive, options, hashes))
+    refuse_invalid(folder / CARD, card, read_schema())
+    write_atomically(folder / PAGE, render_page(card).encode())
+    write_atomically(folder / CARD, (json.dumps(card, indent=2, allow_nan=False) + "\n").encode())
+
+
+def render_page(card: Card) -> str:
+    """The card's page in Markdown, with the head that model hubs read."""
+    result = card["result"]
+    units = UNITS["slide" if result["metrics"]["test"]["unit"] == "m" else "hinge"]
+    tables = {"values": tabulate_values(result), "errors": tabulate_errors(result)}  # pyright: ignore[reportArgumentType]
+    content = {"card": card, "result": result, "units": units, "picture": PICTURE, "files": FILES, **tables}
+    return _environment().get_template("card/card.md.jinja").render(content)
+
+
+@cache
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("frictionzoo", ""),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters |= {"number": format_number, "plain": _escape, "quoted": json.dumps}
+    return environment
+
+
+def _escape(text: str) -> str:
+    """A user's text as Markdown that shows it as it is, in a table too."""
+    return re.sub(r"([\\`*_{}\[\]<>#|!~&])", r"\\\1", text)

@@ -1,0 +1,36 @@
+"""Command line: `python -m frictionzoo.card RUN licence=cc-by-4.0` writes a run's drive for those without the run."""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from frictionzoo.cli.mistakes import mistakes_in_one_line
+from frictionzoo.core.options import read_options
+
+_OPTIONS = """options: licence=ID, required, under which others may use the card, as model hubs name it: cc-by-4.0,
+apache-2.0; name=TEXT, its title; supply=TEXT, temperature=TEXT, payload=TEXT, under which the drive was recorded, not
+stated where they are left out; output=FOLDER, card in the run's where it is left out."""
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Entry point; without arguments, for those of the command line. A user's mistake is one line and exit status 2."""
+    parsed = _parse(arguments)
+    with mistakes_in_one_line():
+        options = read_options(parsed.options, "licence=cc-by-4.0")
+        # Imported here, so that --help does not wait for it.
+        from frictionzoo.card.write import write_card
+
+        place, left = write_card(parsed.folder, options)
+        print("\n".join([*(f"warning: {line}" for line in left), f"files: {place}"]))
+
+
+def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="python -m frictionzoo.card",
+        description="Write the drive that a run identified as a card: values with intervals, law, conditions, hashes "
+        "of the recordings and held-out errors on a page and for programs, with MJCF. frictionzoo.load reads it.",
+        epilog=_OPTIONS,
+    )
+    parser.add_argument("folder", metavar="RUN", type=Path, help="the folder of a finished run")
+    parser.add_argument("options", metavar="KEY=VALUE", nargs="*", help="licence=ID, and more")
+    return parser.parse_args(arguments)

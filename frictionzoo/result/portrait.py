@@ -1,0 +1,173 @@
+"""A law's friction beside the friction that recordings imply, over the velocity and whatever else the law sees."""
+
+import copy
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+
+from frictionzoo.core.state import DriveState
+from frictionzoo.fit.uncertainty import LEVEL
+from frictionzoo.models.base import FrictionModel, sliding_torque
+from frictionzoo.models.sees import observe
+
+SAMPLES = 20_000  # rows that are looked at, evenly spread
+POINTS = 61  # places at which a law is drawn; odd, so that standstill is one of them
+BINS = 24  # of the rows
+NEIGHBOURS = 100  # rows, the closest ones, that stand for all at a place
+FEWEST = 10  # rows of a bin; the median of fewer says little
+SPREAD = 0.1, 0.9  # quantiles between which most of a bin's rows lie
+DRAWS = 100  # drives of a band
+
+_OVER = {"velocity": "speed", "load": "load", "position": "position", "temperature": "temperature"}
+"""What friction is drawn over, and what a law has to see for it."""
+_REPLACED = {"velocity": "qvel", "position": "qpos", "temperature": "temperature"}
+Torque = Float[np.ndarray, "rows nv"]
+
+
+class Portrait(NamedTuple):
+    """Friction of each joint over one quantity; over all but the velocity, its size against the motion.
+
+    Attributes:
+        at: Where the law is drawn [unit of the quantity], NaN of a joint that does not move.
+        law: Its torque there, the median over the closest rows [N m or N].
+        low: Lower end of its 95 % interval, of drives that the data allow; NaN where nothing has an interval.
+        high: Upper end.
+        where: Median of the quantity in each bin of rows, NaN of a bin with too few of them.
+        implied: Median of the friction that their torque implies.
+        lower: Its 10 % quantile in the bin.
+        upper: Its 90 % quantile.
+    """
+
+    at: Float[np.ndarray, "points nv"]
+    law: Float[np.ndarray, "points nv"]
+    low: Float[np.ndarray, "points nv"]
+    high: Float[np.ndarray, "points nv"]
+    where: Float[np.ndarray, "bins nv"]
+    implied: Float[np.ndarray, "bins nv"]
+    lower: Float[np.ndarray, "bins nv"]
+    upper: Float[np.ndarray, "bins nv"]
+
+
+class Rows(NamedTuple):
+    """States in which a law is looked at.
+
+    Attributes:
+        state: What the law sees.
+        counts: Which rows count, joint by joint.
+        implied: The friction that the recorded torque implies in them [N m or N]; None where it is not known.
+    """
+
+    state: DriveState
+    counts: Bool[np.ndarray, "rows nv"]
+    implied: Torque | None = None
+
+
+def portray(
+    model: FrictionModel, draws: Mapping[str, Float[np.ndarray, "count nv"]], rows: Rows
+) -> dict[str, Portrait]:
+    """A law over the velocity, and over load, position and temperature where it sees them.
+
+    The band is that of the law alone: of each place, the 2.5 and 97.5 % quantiles over drives that are drawn. Of a law
+    with a memory, what it comes down to at constant velocity is drawn.
+
+    What rows imply is the law's torque at their instants and what is left of the recorded torque: they lie on the curve
+    where only noise is left, and beside it where the law does not fit.
+    Source: W. A. Larsen, S. J. McCleary, "The use of partial residual plots in regression analysis", 1972.
+
+    Args:
+        model: The law with its identified values.
+        draws: Of parameters, by full name; empty where there are none.
+        rows: Recorded states.
+    """
+    law, rows = copy.deepcopy(model).double(), _thin(rows)
+    sees = {what for joint in range(model.nv) for what in law.of_joint(joint)[0].sees} or observe(law, rows.state)
+    own = {name.removeprefix("friction."): values for name, values in draws.items() if name.startswith("friction.")}
+    return {
+        name: _portray(law, own, rows, name, signal)
+        for name, signal in _list_signals(rows.state)
+        if name == "velocity" or _OVER[name] in sees
+    }
+
+
+def _thin(rows: Rows) -> Rows:
+    part = slice(None, None, max(1, len(rows.counts) // SAMPLES))
+    state = rows.state.map(lambda signal: np.asarray(signal[part], np.float64))
+    return Rows(state, rows.counts[part], None if rows.implied is None else rows.implied[part])
+
+
+def _list_signals(state: DriveState) -> Iterator[tuple[str, Torque]]:
+    yield "velocity", state.qvel
+    yield "load", np.abs(state.motor_torque - state.external_torque)
+    yield "position", state.qpos
+    if state.temperature is not None:
+        yield "temperature", state.temperature
+
+
+def _portray(
+    law: FrictionModel, draws: Mapping[str, np.ndarray], rows: Rows, name: str, signal: Float[np.ndarray, "rows nv"]
+) -> Portrait:
+    nv, along = signal.shape[1], name == "velocity"
+    at, nearest = np.full((POINTS, nv), np.nan), np.zeros((POINTS, NEIGHBOURS, nv), int)
+    bins = np.full((4, BINS, nv), np.nan)
+    for joint in range(nv):
+        counted = np.flatnonzero(rows.counts[:, joint])
+        if len(counted) < FEWEST:
+            continue
+        own = signal[counted, joint]
+        at[:, joint] = _spread_out(own, POINTS, along)
+        nearest[:, :, joint] = counted[_find_nearest(own, at[:, joint])]
+        if rows.implied is not None:
+            side = 1.0 if along else np.sign(rows.state.qvel[counted, joint])
+            bins[:, :, joint] = _sort_into_bins(own, side * rows.implied[counted, joint], along)
+    states = rows.state.map(lambda each: torch.from_numpy(np.take_along_axis(each[:, None], nearest, axis=0)))
+    if name in _REPLACED:
+        # Rows beside a place stand for it in all but the quantity itself.
+        there = torch.from_numpy(np.broadcast_to(at[:, None], nearest.shape).copy())
+        states = states._replace(**{_REPLACED[name]: there})
+    sides = 1.0 if along else torch.sign(states.qvel)
+    curve, ends = _draw_law(law, {}, states, sides), np.full((2, *at.shape), np.nan)
+    if draws:
+        count = min(DRAWS, *map(len, draws.values()))
+        drawn = [_draw_law(law, {n: v[i] for n, v in draws.items()}, states, sides) for i in range(count)]
+        ends = np.quantile(drawn, [(1 - LEVEL) / 2, (1 + LEVEL) / 2], axis=0)
+    curve, ends = np.where(np.isnan(at), np.nan, curve), np.where(np.isnan(at), np.nan, ends)
+    return Portrait(at, curve, *ends, *bins)
+
+
+def _spread_out(signal: Float[np.ndarray, "counted"], count: int, along: bool) -> Float[np.ndarray, "count"]:
+    """Places over the signal's range; over a velocity dense around standstill, where laws differ most."""
+    if not along:
+        return np.linspace(signal.min(), signal.max(), count)
+    share = np.linspace(-1, 1, count)
+    return np.where(share < 0, abs(min(signal.min(), 0.0)), max(signal.max(), 0.0)) * np.sign(share) * share**2
+
+
+def _find_nearest(signal: Float[np.ndarray, "counted"], at: Float[np.ndarray, "points"]) -> Int[np.ndarray, "points n"]:
+    order = np.argsort(signal)
+    first = np.clip(np.searchsorted(signal[order], at) - NEIGHBOURS // 2, 0, max(0, len(signal) - NEIGHBOURS))
+    return order[np.minimum(first[:, None] + np.arange(NEIGHBOURS), len(signal) - 1)]
+
+
+def _sort_into_bins(
+    signal: Float[np.ndarray, "counted"], torque: Float[np.ndarray, "counted"], along: bool
+) -> Float[np.ndarray, "4 bins"]:
+    """Of each bin: median of the signal, and median and both quantiles of the torque."""
+    place = np.clip(np.searchsorted(_spread_out(signal, BINS + 1, along), signal, "right") - 1, 0, BINS - 1)
+    found = np.full((4, BINS), np.nan)
+    for number in np.flatnonzero(np.bincount(place, minlength=BINS) >= FEWEST):
+        inside = place == number
+        found[:, number] = np.median(signal[inside]), *np.quantile(torque[inside], (0.5, *SPREAD))
+    return found
+
+
+def _draw_law(
+    law: FrictionModel, values: Mapping[str, np.ndarray], states: DriveState, sides: torch.Tensor | float
+) -> Float[np.ndarray, "points nv"]:
+    """The median over the rows at each place of the law's torque with these values of some parameters."""
+    changed = {name: torch.tensor(value[law.params[name].members(law.nv)]) for name, value in values.items()}
+    with torch.no_grad():
+        terms = torch.func.functional_call(law, changed, (states,))
+        return torch.quantile(sides * sliding_torque(torch, terms, states.qvel), 0.5, dim=1).numpy()

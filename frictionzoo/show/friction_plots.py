@@ -1,0 +1,83 @@
+"""What is drawn of a run's friction: the law beside what recordings imply, and what it leaves of their torque."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from frictionzoo.core.params import UNITS
+from frictionzoo.result.curves import Curves
+from frictionzoo.result.portrait import Portrait
+from frictionzoo.result.types import Result
+from frictionzoo.show.colors import MODEL
+from frictionzoo.show.figure import Axis, Band, Curve, Figure, Mark, Panel, Stripe
+from frictionzoo.show.text import format_number
+
+_OVER = {  # names of axes, and their units or what UNITS has them by
+    "velocity": ("velocity", "velocity"),
+    "load": ("load on the gear", "torque"),
+    "position": ("position", "position"),
+    "temperature": ("temperature", "°C"),
+}
+
+
+def plot_portraits(result: Result, curves: Curves) -> Iterator[Figure]:
+    """Of each joint, the law with its band, and what recordings imply, over all that the law sees."""
+    units = find_units(result)
+    for joint, name in enumerate(result["joints"]):
+        for over, portrait in curves.portraits.items():
+            alone = type(portrait)(*(part[:, joint] for part in portrait))
+            label, unit = _OVER[over]
+            x = Axis(label, units.get(unit, unit))
+            y = Axis("friction" if over == "velocity" else "friction against the motion", units["torque"])
+            text = f"Friction of {name} over the {label}: {_say_portrait(alone, units['torque'])}"
+            panel = Panel(list(_draw_portrait(alone, over == "velocity")), x, y)
+            yield Figure(f"Friction of {name} over the {label}", text, (panel,))
+
+
+def _draw_portrait(portrait: Portrait, crosses: bool) -> Iterator[Mark]:
+    if crosses:
+        yield Stripe(low=0.0, high=0.0, level=True)
+        yield Stripe(low=0.0, high=0.0)
+    sure = np.isfinite(portrait.low)
+    name = "law, with its 95 % interval" if sure.any() else "law"
+    if sure.any():
+        yield Band(x=portrait.at[sure], low=portrait.low[sure], high=portrait.high[sure], name=name, color=MODEL)
+    yield Curve(x=portrait.at, y=portrait.law, width=2.2, name=name, color=MODEL)
+    if (seen := np.isfinite(portrait.where)).any():
+        where, implied, *ends = (part[seen] for part in portrait[4:])
+        look: Mapping[str, Any] = {"width": 0.0, "marker": "circle", "reach": np.stack(ends)}
+        yield Curve(x=where, y=implied, name="implied by the recorded torque", **look)
+
+
+def _say_portrait(portrait: Portrait, unit: str) -> str:
+    seen = np.isfinite(portrait.where)
+    if not seen.any():
+        return "the law; the recordings do not tell what friction they imply."
+    off = portrait.implied[seen] - np.interp(portrait.where[seen], portrait.at, portrait.law)
+    size = float(np.abs(portrait.implied[seen]).mean()) or 1.0
+    return (
+        "the law, and what the recorded torque implies in motion, its median and the 10 to 90 % range in each of "
+        f"{seen.sum()} bins. The medians are {format_number(float(np.abs(off).mean()))} {unit} from the curve on "
+        f"average, {100 * np.abs(off).mean() / size:.2g} % of the friction."
+    )
+
+
+def plot_left(result: Result, curves: Curves) -> Iterator[Figure]:
+    """Of each joint, the torque that is left over the time of the training recordings."""
+    unit = find_units(result)["torque"]
+    rows = {row["joint"]: row for row in (result["residual"] or {"by_joint": []})["by_joint"]}
+    for joint, name in enumerate(result["joints"] if curves.left.size else ()):
+        look: Mapping[str, Any] = {"width": 0.0, "marker": "circle", "size": 2.5, "opacity": 0.7}
+        left = Curve(x=curves.left_time, y=curves.left[:, joint], name="left of the torque", color=MODEL, **look)
+        size = rows[name]["residual"] if name in rows else None
+        marks = [Stripe(low=0.0, high=0.0, level=True), left]
+        x = Axis("time in the training data", "s")
+        text = f"What the identified drive leaves of the torque of {name} while it moves"
+        text += "." if size is None else f": {format_number(size)} {unit} in root mean square."
+        yield Figure(f"Torque that is left of {name}", text, (Panel(marks, x, Axis("torque", unit)),))
+
+
+def find_units(result: Result) -> Mapping[str, str]:
+    """Units of the run's joints, by dimension."""
+    return UNITS["hinge" if result["metrics"]["test"]["unit"] == UNITS["hinge"]["position"] else "slide"]

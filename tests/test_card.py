@@ -1,0 +1,461 @@
+"""Cards: a run's drive for those who have neither the run nor its recordings."""
+
+import hashlib
+import json
+import pickle
+import re
+import shutil
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+import yaml
+from conftest import ROOT, finish
+from robot_texts import LEG
+from test_export_robot import fit as fit_robot
+
+import frictionzoo as fz
+from frictionzoo.card import law
+from frictionzoo.card.portable import TEMPLATE, build_parts, describe_bench, place_settings, write_template
+from frictionzoo.card.record import CARD, MODEL, PAGE, PICTURE, read_schema
+from frictionzoo.card.write import FILES, write_card
+from frictionzoo.cli.card import main
+from frictionzoo.core.anonymous import find_paths, without_paths
+from frictionzoo.core.described import describe
+from frictionzoo.core.errors import ConfigError, FrictionzooError, OutputError, RunError
+from frictionzoo.result.identified import Identified
+
+EXACT = 1e-9  # rad, rad/s
+LICENCE = {"licence": "cc-by-4.0"}
+STATED = {"name": "A <knee> | with a_rod", "supply": "7.4 V", "temperature": "21 °C"}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_draws() -> Iterator[None]:
+    """Of the picture's band; a hundred take seconds."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(law, "DRAWS", 5)
+        yield
+
+
+@pytest.fixture(scope="module")
+def run(finished_run: Callable) -> Path:
+    return finished_run("coulomb_stribeck")[0]
+
+
+@pytest.fixture(scope="module")
+def card(run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A card; it is there to be read."""
+    folder = tmp_path_factory.mktemp("cards") / "knee"
+    assert write_card(run, LICENCE | STATED | {"output": str(folder)}) == (folder, [])
+    return folder
+
+
+@pytest.fixture
+def own(card: Path, tmp_path: Path) -> Path:
+    """A copy, to be changed."""
+    return shutil.copytree(card, tmp_path / "elsewhere" / "card")
+
+
+def test_it_says_what_the_run_found(card: Path, run: Path) -> None:
+    files = {path.name for path in card.iterdir()}
+    assert files == {PAGE, *FILES} - {"identified.urdf", "bench.xml"}
+    record, result = json.loads((card / CARD).read_text()), json.loads((run / "result.json").read_text())
+    jsonschema.Draft202012Validator(read_schema()).validate(record)
+    assert record["result"]["parameters"] == result["parameters"]
+    assert record["result"]["metrics"] == result["metrics"]
+    assert {log["sha256"] for log in record["result"]["data"]["logs"]} == {
+        log["sha256"] for log in result["data"]["logs"]
+    }
+    assert {*record["files"]} == files - {PAGE, CARD}
+    (visited,), drive = record["conditions"]["visited"], fz.load(run)
+    assert visited["position"] == [drive.segments.qpos.min(), drive.segments.qpos.max()]
+    assert visited["speed"] == np.abs(drive.segments.qvel).max()
+    assert visited["torque"] == np.abs(drive.samples.motor_torque).max()
+    assert (card / "identified.xml").read_bytes() == (run / "identified.xml").read_bytes()
+    assert (card / PICTURE).read_bytes().startswith(b"\x89PNG")
+
+
+def test_its_page_has_what_hubs_read_and_every_value(card: Path, run: Path) -> None:
+    _, head, page = (card / PAGE).read_text().split("---\n", 2)
+    assert yaml.safe_load(head) == {
+        "license": "cc-by-4.0",
+        "library_name": "frictionzoo",
+        "tags": ["robotics", "friction", "system-identification", "mujoco", "coulomb_stribeck"],
+    }
+    result = json.loads((run / "result.json").read_text())
+    for row in result["parameters"]:
+        (line,) = re.findall(rf"^\| {row['owner']}\.{row['name']} .*$", page, re.M)
+        assert f"| {row['value']:.4g} |" in line and f"| {row['unit']} |" in line
+        assert not row["interval"] or f"{row['interval'][0]:.4g} to {row['interval'][1]:.4g}" in line
+    for part in ("test", "baseline"):
+        assert f"| {result['metrics'][part]['position_mae']:.4g} |" in page
+    for log in result["data"]["logs"]:
+        assert f"`{log['sha256']}`" in page
+    assert "torque = (f_k + (f_s - f_k) exp(-(v / v_s)^2)) tanh(v / v_0) + d v" in page
+    assert page.startswith("\n# A \\<knee\\> \\| with a\\_rod\n")
+    assert "- supply: 7.4 V\n" in page and "- payload: not stated\n" in page
+    assert f"![Friction torque over velocity]({PICTURE})" in page
+    assert re.search(r"^frictionzoo model=coulomb_stribeck fit=lm .*'?data\.train=\[knee\.csv\]'? ", page, re.M)
+
+
+def test_the_band_is_what_the_intervals_allow(finished_run: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    drive = fz.load(finished_run("mujoco_default")[0])
+    known = {name: drive.parameters[name].value for name in ("friction.frictionloss", "friction.damping")}
+    drawn = {name: value * np.array([[1.1], [0.8], [1.3], [0.9], [1.2]]) for name, value in known.items()}
+    monkeypatch.setattr(
+        Identified, "sample", lambda self, count: {name: draws[:count] for name, draws in drawn.items()}
+    )
+    velocity, (torque, low, high) = law.trace_law(drive)
+    dry, viscous = ([known[name], *drawn[name]] for name in known)
+    own, *others = (f * np.sign(velocity) + d * velocity for f, d in zip(dry, viscous, strict=True))
+    sliding = velocity != 0
+    np.testing.assert_allclose(torque[sliding, 0], own[sliding], rtol=1e-9)
+    for end, share, beyond in ((low, 0.025, np.minimum), (high, 0.975, np.maximum)):
+        expected = beyond(np.quantile(others, share, axis=0), own)
+        np.testing.assert_allclose(end[sliding, 0], expected[sliding], rtol=1e-9)
+    assert (high - low)[sliding].min() > 0
+
+
+def test_it_names_no_path_of_the_machine(card: Path, run: Path, recording: Path) -> None:
+    for path in card.iterdir():
+        if path.suffix in (".json", ".md", ".xml", ".safetensors"):
+            text = path.read_bytes().decode(errors="replace")
+            assert not [part for part in recording.parts[1:-1] if f"{part}/" in text or f"/{part}" in text], path
+            assert str(run) not in text and str(Path.home()) + "/" not in text, path
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("/home/me/a b/c.csv", "c.csv"),
+        ("data.train=[/home/me/a.csv,/home/me/b.csv]", "data.train=[a.csv,b.csv]"),
+        ("look at '/home/me/a b/c.csv': gaps", "look at 'c.csv': gaps"),
+        (r"C:\Users\me\a.csv is late", "a.csv is late"),
+        ("~/logs/a.csv", "a.csv"),
+        *[(kept, kept) for kept in ("N m s/rad", "0.5 N m / 3", "https://a.org/b", "logs/a.csv", "a: 1/2 or 3/(4 s)")],
+    ],
+)
+def test_paths_become_names(text: str, expected: str) -> None:
+    assert without_paths({text: [text, 1.0, None]}, ("/home/me/a b/c.csv",)) == {expected: [expected, 1.0, None]}
+
+
+def test_paths_in_a_robot_s_file_are_told() -> None:
+    text = '<!-- of /home/me --><compiler meshdir="/opt/a b"/><geom/>\n<a><mesh file="b.stl"/></a><!-- N m/rad -->'
+    assert find_paths(text) == ["/home/me", "/opt/a"]
+
+
+@pytest.mark.parametrize("name", ["mujoco_default", "coulomb_stribeck", "neural_friction"])
+def test_it_moves_as_the_run_did_wherever_it_lies(finished_run: Callable, tmp_path: Path, name: str) -> None:
+    run = fz.load(finished_run(name)[0])
+    write_card(run.folder, LICENCE | {"output": str(tmp_path / "here")})
+    shutil.move(tmp_path / "here", tmp_path / "empty" / "there")
+    moved = fz.load(tmp_path / "empty" / "there")
+    for own, expected in zip(moved.rollout(run.segments), run.rollout(), strict=True):
+        np.testing.assert_allclose(own, expected, rtol=0, atol=EXACT)
+    assert moved.timestep == run.timestep and moved.result["metrics"] == run.result["metrics"]
+    for full, parameter in run.parameters.items():
+        np.testing.assert_array_equal(moved.parameters[full].value, parameter.value)
+
+
+def test_the_page_s_code_does_what_it_says(
+    run: Path, card: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    (tmp_path / "RUN").symlink_to(run)
+    (tmp_path / "CARD").symlink_to(card)
+    monkeypatch.chdir(tmp_path)
+    (block,) = re.findall(r"^```python\n(.*?)^```$", (ROOT / "docs" / "cards.md").read_text(), re.M | re.S)
+    exec(block, names := {})
+    np.testing.assert_allclose(names["qpos"], names["run"].rollout()[0], rtol=0, atol=EXACT)
+    assert capsys.readouterr().out == f"{fz.load(run).parameters['friction.static_torque'].value}\n"
+
+
+def test_what_needs_recordings_says_that_a_card_has_none(card: Path, tmp_path: Path) -> None:
+    drive = fz.load(card)
+    assert drive.at(drive.timestep / 2).timestep == drive.timestep / 2
+    export = partial(drive.export, "mjcf", tmp_path / "export")
+    for what in (drive.rollout, drive.plot, drive.band, export, partial(drive.save, tmp_path / "run")):
+        with pytest.raises(RunError, match=r"a card, which has no recordings, expected segments or a run's folder"):
+            what()
+    assert not [*tmp_path.iterdir()]
+
+
+def test_a_robot_needs_its_own_file_no_more(tmp_path: Path) -> None:
+    source, folder, tie = tmp_path / "robot.xml", tmp_path / "card", {"all": ".*"}
+    source.write_text(LEG)
+    fitted = fit_robot(source, tie=tie, timestep=0.002)
+    folder.mkdir()
+    (folder / TEMPLATE).write_text(write_template(fitted.bench))
+    section = {name: part for name, part in describe(fitted.model).items() if name != "nv"}
+    bench = describe_bench(fitted.bench, {"solreffriction": [0.02, 1.0], "tie": tie, "base": "fixed"})
+    expected = fitted.rollout()
+    source.unlink()
+    remade, model = build_parts(
+        folder, place_settings(folder, json.loads(json.dumps({"bench": bench, "model": section})))
+    )
+    assert remade.joints == fitted.bench.joints and remade.nv > 1
+    assert remade.groups(remade.params["armature"]) == remade.nv * ["all"]
+    model.double().load_state_dict(fitted.model.state_dict())
+    for own, other in zip(replace(fitted, bench=remade, model=model).rollout(), expected, strict=True):
+        np.testing.assert_allclose(own, other, rtol=0, atol=EXACT)
+
+
+def replace_text(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+
+
+def settle(folder: Path, change: Callable[[dict[str, Any]], None] = lambda card: None) -> None:
+    """Change a card, and let it be whole by its hashes."""
+    card = json.loads((folder / CARD).read_text())
+    change(card)
+    card["files"] = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in card["files"]}
+    (folder / CARD).write_text(json.dumps(card))
+
+
+def settings(card: dict[str, Any]) -> dict[str, Any]:
+    return card["result"]["settings"]
+
+
+@pytest.mark.parametrize(
+    ("damage", "expected"),
+    [
+        (lambda folder: (folder / CARD).write_text("{"), "not JSON"),
+        (lambda folder: (folder / CARD).write_text("[" * 100_000), "not JSON"),
+        (lambda folder: (folder / CARD).write_text('{"schema_version": 2}'), "schema_version 2, expected 1"),
+        (
+            lambda folder: (folder / MODEL).write_bytes((folder / MODEL).read_bytes()[:-8]),
+            "SHA-256 .* get the card anew",
+        ),
+        (lambda folder: (folder / TEMPLATE).unlink(), "No such file or directory"),
+        (lambda folder: settle(folder, lambda card: card.pop("licence")), "'licence' is a required property"),
+        (lambda folder: settle(folder, lambda card: card["result"].pop("model")), "'model' is a required property"),
+    ],
+)
+def test_a_damaged_card_is_one_line(own: Path, damage: Callable, expected: str) -> None:
+    damage(own)
+    with pytest.raises(RunError, match=rf"^{re.escape(str(own))}.*{expected}") as told:
+        fz.load(own)
+    assert "\n" not in str(told.value)
+
+
+class Executed:
+    """What a pickle would do."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (exec, ("import sys; sys.executed = True",))
+
+
+STRANGERS = ("os.system", "frictionzoo.distill.__main__.main", "frictionzoo.logs.files.Files", "antigravity.Law", "x")
+
+
+@pytest.mark.parametrize("target", STRANGERS)
+@pytest.mark.parametrize("place", ["bench", "actuator", "params", "model"])
+def test_nothing_but_laws_is_built(own: Path, target: str, place: str) -> None:
+    def name(card: dict[str, Any]) -> None:
+        bench = settings(card)["bench"]
+        parts = {
+            "bench": bench,
+            "actuator": bench["actuator"],
+            "params": bench["params"],
+            "model": settings(card)["model"],
+        }
+        parts[place]["_target_"] = target
+
+    settle(own, name)
+    before = {*sys.modules}
+    with pytest.raises(RunError, match=r"expected (frictionzoo\.bench\.Bench; it is no card|one of python -m)"):
+        fz.load(own)
+    assert not {"antigravity", "frictionzoo.distill.__main__"} & ({*sys.modules} - before)
+
+
+def nonsense(place: str, value: Any) -> Callable[[Path], None]:
+    return lambda folder: settle(folder, lambda card: settings(card).update({place: value}))
+
+
+def write_model(content: bytes) -> Callable[[Path], None]:
+    def write(folder: Path) -> None:
+        (folder / MODEL).write_bytes(content)
+        settle(folder)
+
+    return write
+
+
+def refer(to: str) -> Callable[[Path], None]:
+    def write(folder: Path) -> None:
+        replace_text(folder / TEMPLATE, "<worldbody>", f"{to}<worldbody>")
+        settle(folder)
+
+    return write
+
+
+def lie(card: dict[str, Any]) -> None:
+    next(row for row in card["result"]["parameters"] if row["name"] == "armature")["value"] *= 1.001
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (write_model(pickle.dumps(Executed())), "expected the values of coulomb_stribeck"),
+        (write_model(b""), "expected the values of coulomb_stribeck"),
+        (refer('<include file="/etc/passwd"/>'), "refers to <include>, expected one file"),
+        (refer('<asset><mesh name="m" file="/etc/passwd"/></asset>'), "refers to /etc/passwd, expected one file"),
+        (refer('<extension><plugin plugin="a.so"/></extension>'), "refers to <extension>, expected one file"),
+        (refer("<"), "MJCF|XML|not well-formed"),
+        (nonsense("bench", []), r"settings\.bench=\[\], expected a section"),
+        (nonsense("bench", {"_target_": "frictionzoo.bench.Bench"}), "actuator"),
+        (nonsense("model", None), "can be made of its settings"),
+        (nonsense("model", {"_target_": "frictionzoo.models.Lugre", "params": 3}), "Lugre|can be made|law"),
+        (lambda folder: settle(folder, lie), "another bench.armature than card.json has"),
+        (lambda folder: settle(folder, lambda card: card["files"].update({"../x": 64 * "0"})), "names the file"),
+    ],
+)
+def test_a_foreign_card_is_one_line_and_nothing_of_it_runs(own: Path, change: Callable, expected: str) -> None:
+    (own.parent / "x").write_text("mine")
+    change(own)
+    with pytest.raises(FrictionzooError, match=expected) as told:
+        fz.load(own)
+    assert "\n" not in str(told.value) and not hasattr(sys, "executed")
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "expected"),
+    [
+        ({}, ConfigError, r"^licence is missing; say under which .* such as licence=cc-by-4\.0$"),
+        ({"licence": "CC BY 4.0\n- evil: 1"}, ConfigError, r"expected one line of text$"),
+        ({"licence": "CC BY 4.0"}, ConfigError, r"^licence=CC BY 4\.0: expected an identifier in lower case"),
+        ({"license": "mit"}, ConfigError, r"^license: unknown option; did you mean licence\?"),
+        (LICENCE | {"output": "taken"}, OutputError, r"^taken: it holds something else than a card"),
+        (LICENCE | {"output": "taken/a.txt/card"}, OutputError, r"set output to a folder that can be written$"),
+    ],
+)
+def test_what_cannot_be_written_leaves_nothing(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: dict, error: type, expected: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken" / "a.txt").write_text("mine")
+    before = {*tmp_path.rglob("*"), *run.iterdir()}
+    with pytest.raises(error, match=expected):
+        write_card(run, options)
+    assert {*tmp_path.rglob("*"), *run.iterdir()} == before
+
+
+def test_a_failure_on_the_way_leaves_the_older_card(run: Path, own: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: Any) -> None:
+        raise OutputError("the disk is full")
+
+    before = {path.name: path.read_bytes() for path in own.iterdir()}
+    monkeypatch.setattr("frictionzoo.card.write.save_law", fail)
+    with pytest.raises(OutputError, match="disk is full"):
+        write_card(run, LICENCE | {"output": str(own)})
+    assert {path.name: path.read_bytes() for path in own.iterdir()} == before and len([*own.parent.iterdir()]) == 1
+
+
+def test_the_command_writes_it_and_refuses_what_is_no_run(run: Path, tmp_path: Path) -> None:
+    done = finish(lambda: main([str(run), "licence=mit", f"output={tmp_path / 'card'}"]))
+    assert done.status == 0 and done.out == f"files: {tmp_path / 'card'}\n" and (tmp_path / "card" / PAGE).exists()
+    refused = finish(lambda: main([str(tmp_path), "licence=mit"]))
+    assert refused.status == 2 and refused.err.count("\n") == 1
+    assert refused.err.startswith(f"frictionzoo: {tmp_path}: no result.json in it")
+    assert {path.name for path in tmp_path.iterdir()} == {"card"}
+
+
+class Hub(BaseHTTPRequestHandler):
+    """The part of a hub's interface that downloads a repository's files."""
+
+    files: Path
+    commit = 40 * "c"
+
+    def do_HEAD(self) -> None:
+        self.do_GET()
+
+    def do_GET(self) -> None:
+        asked = re.fullmatch(r"/maker/knee/resolve/(main|v1|c{40})/([^/?]+)(\?.*)?", self.path)
+        path = self.files / asked[2] if asked else None
+        if path is None or not path.is_file():
+            self.send_response(404)
+            self.send_header("X-Error-Code", "EntryNotFound" if asked else "RepoNotFound")
+            content = b""
+        else:
+            content = path.read_bytes()
+            self.send_response(200)
+            self.send_header("ETag", f'"{hashlib.sha256(content).hexdigest()}"')
+        self.send_header("X-Repo-Commit", self.commit)
+        self.send_header("Content-Length", str(len(content)))
+        self.end_headers()
+        if self.command == "GET":
+            self.wfile.write(content)
+
+    def log_message(self, *_: Any) -> None:
+        pass
+
+
+@pytest.fixture
+def hub(card: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[type[Hub]]:
+    """A stand-in on this machine's own address, and an empty cache; nothing else is reached."""
+    pytest.importorskip("huggingface_hub", reason="the extra hub is not installed")
+    handler = type("Own", (Hub,), {"files": card})
+    server = ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    address = f"http://127.0.0.1:{server.server_port}"
+    constants = "huggingface_hub.constants"
+    monkeypatch.setattr(f"{constants}.ENDPOINT", address)
+    monkeypatch.setattr(
+        f"{constants}.HUGGINGFACE_CO_URL_TEMPLATE", address + "/{repo_id}/resolve/{revision}/{filename}"
+    )
+    monkeypatch.setattr(f"{constants}.HF_HUB_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(f"{constants}.HF_HUB_DISABLE_XET", True)
+    yield handler
+    server.shutdown()
+    server.server_close()
+
+
+def test_a_card_comes_by_name(hub: type[Hub], card: Path, tmp_path: Path) -> None:
+    drive, same = fz.load("hub:maker/knee"), fz.load(card)
+    assert drive.folder and drive.folder.is_relative_to(tmp_path / "cache") and drive.folder.name == hub.commit
+    assert {path.name for path in drive.folder.iterdir()} == {path.name for path in card.iterdir()} - {PAGE}
+    assert repr(drive).replace(str(drive.folder), "") == repr(same).replace(str(card), "")
+    assert fz.load("hub:maker/knee@v1").folder == drive.folder
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("hub:maker/arm", r"^hub:maker/arm: no such repository, or none that is public; expected hub:OWNER/NAME$"),
+        ("hub:maker", r"^hub:maker: expected hub:OWNER/NAME, or hub:OWNER/NAME@REVISION$"),
+        ("hub:../knee", r"^hub:\.\./knee: expected hub:OWNER/NAME"),
+    ],
+)
+def test_a_name_that_is_none_is_one_line(hub: type[Hub], name: str, expected: str) -> None:
+    with pytest.raises(FrictionzooError, match=expected):
+        fz.load(name)
+
+
+def test_a_repository_without_a_card_is_one_line(hub: type[Hub], tmp_path: Path) -> None:
+    hub.files = tmp_path
+    with pytest.raises(RunError, match=r"^hub:maker/knee: no card\.json in it, expected a card; name another"):
+        fz.load("hub:maker/knee")
+
+
+def test_a_hub_that_does_not_answer_has_what_is_kept(hub: type[Hub], monkeypatch: pytest.MonkeyPatch) -> None:
+    kept = fz.load("hub:maker/knee").folder
+    monkeypatch.setattr("huggingface_hub.constants.HF_HUB_OFFLINE", True)
+    assert fz.load("hub:maker/knee").folder == kept
+    with pytest.raises(RunError, match=r"^hub:maker/arm: the hub does not answer, and card\.json is not kept here"):
+        fz.load("hub:maker/arm")
+
+
+def test_without_the_extra_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(ConfigError, match=r'^hub:a/b: huggingface-hub not found, .* pip install "frictionzoo\[hub\]"$'):
+        fz.load("hub:a/b")
