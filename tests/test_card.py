@@ -23,7 +23,6 @@ from robot_texts import LEG
 from test_export_robot import fit as fit_robot
 
 import frictionzoo as fz
-from frictionzoo.card import law
 from frictionzoo.card.portable import TEMPLATE, build_parts, describe_bench, place_settings, write_template
 from frictionzoo.card.record import CARD, MODEL, PAGE, PICTURE, read_schema
 from frictionzoo.card.write import FILES, write_card
@@ -36,14 +35,6 @@ from frictionzoo.result.identified import Identified
 EXACT = 1e-9  # rad, rad/s
 LICENCE = {"licence": "cc-by-4.0"}
 STATED = {"name": "A <knee> | with a_rod", "supply": "7.4 V", "temperature": "21 °C"}
-
-
-@pytest.fixture(scope="module", autouse=True)
-def few_draws() -> Iterator[None]:
-    """Of the picture's band; a hundred take seconds."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(law, "DRAWS", 5)
-        yield
 
 
 @pytest.fixture(scope="module")
@@ -107,22 +98,13 @@ def test_its_page_has_what_hubs_read_and_every_value(card: Path, run: Path) -> N
     assert re.search(r"^frictionzoo model=coulomb_stribeck fit=lm .*'?data\.train=\[knee\.csv\]'? ", page, re.M)
 
 
-def test_the_band_is_what_the_intervals_allow(finished_run: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_without_a_portrait_is_refused(finished_run: Callable, tmp_path: Path, monkeypatch: Any) -> None:
     drive = fz.load(finished_run("mujoco_default")[0])
-    known = {name: drive.parameters[name].value for name in ("friction.frictionloss", "friction.damping")}
-    drawn = {name: value * np.array([[1.1], [0.8], [1.3], [0.9], [1.2]]) for name, value in known.items()}
-    monkeypatch.setattr(
-        Identified, "sample", lambda self, count: {name: draws[:count] for name, draws in drawn.items()}
-    )
-    velocity, (torque, low, high) = law.trace_law(drive)
-    dry, viscous = ([known[name], *drawn[name]] for name in known)
-    own, *others = (f * np.sign(velocity) + d * velocity for f, d in zip(dry, viscous, strict=True))
-    sliding = velocity != 0
-    np.testing.assert_allclose(torque[sliding, 0], own[sliding], rtol=1e-9)
-    for end, share, beyond in ((low, 0.025, np.minimum), (high, 0.975, np.maximum)):
-        expected = beyond(np.quantile(others, share, axis=0), own)
-        np.testing.assert_allclose(end[sliding, 0], expected[sliding], rtol=1e-9)
-    assert (high - low)[sliding].min() > 0
+    older = replace(drive, curves=replace(drive.curves, portraits={}))
+    monkeypatch.setattr(Identified, "load", lambda folder: older)
+    with pytest.raises(RunError, match="there is no friction portrait in it, as an older frictionzoo left it"):
+        write_card(tmp_path, {**LICENCE, "output": str(tmp_path / "card")})
+    assert not (tmp_path / "card").exists()
 
 
 def test_it_names_no_path_of_the_machine(card: Path, run: Path, recording: Path) -> None:
@@ -156,6 +138,7 @@ def test_paths_in_a_robot_s_file_are_told() -> None:
 @pytest.mark.parametrize("name", ["mujoco_default", "coulomb_stribeck", "neural_friction"])
 def test_it_moves_as_the_run_did_wherever_it_lies(finished_run: Callable, tmp_path: Path, name: str) -> None:
     run = fz.load(finished_run(name)[0])
+    assert run.folder
     write_card(run.folder, LICENCE | {"output": str(tmp_path / "here")})
     shutil.move(tmp_path / "here", tmp_path / "empty" / "there")
     moved = fz.load(tmp_path / "empty" / "there")
@@ -355,7 +338,7 @@ def test_a_failure_on_the_way_leaves_the_older_card(run: Path, own: Path, monkey
         raise OutputError("the disk is full")
 
     before = {path.name: path.read_bytes() for path in own.iterdir()}
-    monkeypatch.setattr("frictionzoo.card.write.save_law", fail)
+    monkeypatch.setattr("frictionzoo.card.write.save_portraits", fail)
     with pytest.raises(OutputError, match="disk is full"):
         write_card(run, LICENCE | {"output": str(own)})
     assert {path.name: path.read_bytes() for path in own.iterdir()} == before and len([*own.parent.iterdir()]) == 1

@@ -1,6 +1,7 @@
 """`card.json`: the machine-readable half of a card, described by `card.schema.json` beside this file."""
 
 import copy
+import inspect
 import json
 import shlex
 from collections.abc import Mapping
@@ -11,11 +12,11 @@ from typing import Any, Final, cast
 import numpy as np
 from omegaconf import OmegaConf
 
-from frictionzoo.card.law import list_laws
 from frictionzoo.card.portable import describe_bench
-from frictionzoo.card.types import Card, VisitedRow
+from frictionzoo.card.types import Card, LawRow, VisitedRow
 from frictionzoo.core.anonymous import last_of, list_paths, without_paths
 from frictionzoo.result.identified import Identified
+from frictionzoo.show.text import to_markdown
 
 CARD = "card.json"
 MODEL = "model.safetensors"
@@ -44,7 +45,7 @@ def build_card(drive: Identified, stated: Mapping[str, str], files: Mapping[str,
         "schema_version": CARD_VERSION,
         "name": title_of(drive, stated),
         "licence": stated["licence"],
-        "laws": list_laws(drive),
+        "laws": _list_laws(drive),
         "conditions": {
             **{name: stated.get(name) for name in STATED},
             "visited": _list_visited(drive),
@@ -64,6 +65,16 @@ def build_card(drive: Identified, stated: Mapping[str, str], files: Mapping[str,
 def title_of(drive: Identified, stated: Mapping[str, str]) -> str:
     """As `name` has it, or by data set and law."""
     return stated.get("name", f"{drive.result['data']['name']}, {drive.result['model']}")
+
+
+def _list_laws(drive: Identified) -> list[LawRow]:
+    """The laws of the joints, each once."""
+    rows: dict[str, LawRow] = {}
+    for at, joint in enumerate(drive.bench.joints):
+        law = drive.model.of_joint(at)[0]
+        text = to_markdown(inspect.getdoc(type(law)) or "")
+        rows.setdefault(law.name, {"name": law.name, "joints": [], "text": text})["joints"].append(joint)
+    return list(rows.values())
 
 
 def _list_visited(drive: Identified) -> list[VisitedRow]:

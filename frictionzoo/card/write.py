@@ -13,17 +13,16 @@ import torch
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from frictionzoo import __version__
-from frictionzoo.card.law import trace_law
 from frictionzoo.card.portable import TEMPLATE, write_template
 from frictionzoo.card.record import CARD, MODEL, PAGE, PICTURE, STATED, build_card, read_schema, title_of
 from frictionzoo.card.types import Card
 from frictionzoo.core.anonymous import find_paths
-from frictionzoo.core.errors import ConfigError, OutputError, closest
+from frictionzoo.core.errors import ConfigError, OutputError, RunError, closest
 from frictionzoo.core.output import RESULT, take_place, to_json, write_atomically
 from frictionzoo.core.params import UNITS
 from frictionzoo.result.identified import Identified
 from frictionzoo.result.record import refuse_invalid
-from frictionzoo.show.friction import save_law
+from frictionzoo.show.friction_plots import save_portraits
 from frictionzoo.show.terminal import tabulate_errors, tabulate_values
 from frictionzoo.show.text import format_number
 
@@ -63,6 +62,10 @@ def write_card(folder: Path, options: Mapping[str, str]) -> tuple[Path, list[str
     if place.exists() and not _is_replaceable(place):
         raise OutputError(f"{place}: it holds something else than a card; set output to another folder")
     drive = Identified.load(folder)
+    if not drive.curves.portraits:
+        raise RunError(
+            f"{folder}: there is no friction portrait in it, as an older frictionzoo left it; identify again"
+        )
     with take_place(place) as fresh:
         _write_files(drive, fresh, options)
     return place, list(_list_left(place))
@@ -104,16 +107,7 @@ def _write_files(drive: Identified, folder: Path, options: Mapping[str, str]) ->
     for name in _MODELS:
         if (drive.folder / name).exists():
             write_atomically(folder / name, (drive.folder / name).read_bytes())
-    units = UNITS[drive.bench.joint_type]
-    velocity, curves = trace_law(drive)
-    save_law(
-        folder / PICTURE,
-        title_of(drive, options),
-        drive.bench.joints,
-        velocity,
-        curves,
-        (units["velocity"], units["torque"]),
-    )
+    save_portraits(folder / PICTURE, title_of(drive, options), drive.result, drive.curves)
     hashes = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(folder.iterdir())}
     card = to_json(build_card(drive, options, hashes))
     refuse_invalid(folder / CARD, card, read_schema())

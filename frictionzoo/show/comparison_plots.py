@@ -15,10 +15,11 @@ from frictionzoo.comparison.statistics import MATTERS
 from frictionzoo.comparison.types import Comparison, PairRow
 from frictionzoo.result.names import read_values
 from frictionzoo.result.types import MetricsRow, ParameterRow
-from frictionzoo.show.colors import BEST, RUNS, SOFT
+from frictionzoo.show.colors import BEST, GRID, RUNS, SOFT
 from frictionzoo.show.figure import (
     FLATTENED,
     Axis,
+    Band,
     Bars,
     Curve,
     Dash,
@@ -29,7 +30,6 @@ from frictionzoo.show.figure import (
     scale_errors,
     scale_values,
 )
-from frictionzoo.show.friction import draw_law, zero
 from frictionzoo.show.rollouts import RUNAWAY, Drive, draw_errors, draw_motion, say_above
 from frictionzoo.show.run_plots import REPORTED
 from frictionzoo.show.text import format_digits, format_number, format_unit, wrap
@@ -262,11 +262,14 @@ def _draw_errors_over(
 def _plot_friction(comparison: Comparison) -> Iterator[Figure]:
     """Friction torque over velocity, a figure a joint; a band where it depends on more than the velocity."""
     for joint, name in enumerate(comparison["joints"]):
-        marks: list[Mark] = [zero()]
+        marks: list[Mark] = [Stripe(low=0.0, high=0.0, level=True, color=GRID)]
         for label, look in _looks(comparison).items():
             law = comparison["friction"][label]
             torque, low, high = (_numbers(law[part][joint]) for part in ("torque", "low", "high"))
-            marks += draw_law(_numbers(law["velocity"]), torque, low, high, look)
+            velocity = _numbers(law["velocity"])
+            if np.isfinite([low, high]).all() and not np.array_equal(low, high):
+                marks.append(Band(x=velocity, low=low, high=high, **look))
+            marks.append(Curve(x=velocity, y=torque, **look))
         x, y = Axis("velocity", comparison["velocity_unit"]), Axis("friction", comparison["torque_unit"])
         text = f"Torque of each run's friction law at joint {name}, opposing the velocity. Where it depends on more "
         text += "than the velocity, the curve is the median over recorded states and the band holds 80 % of them."

@@ -1,6 +1,8 @@
 """What is drawn of a run's friction: the law beside what recordings imply, and what it leaves of their torque."""
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,10 +11,12 @@ from frictionzoo.core.params import UNITS
 from frictionzoo.result.curves import Curves
 from frictionzoo.result.portrait import Portrait
 from frictionzoo.result.types import Result
+from frictionzoo.show import with_matplotlib
 from frictionzoo.show.colors import MODEL
-from frictionzoo.show.figure import Axis, Band, Curve, Figure, Mark, Panel, Stripe
+from frictionzoo.show.figure import Axis, Band, Curve, Figure, Mark, Panel, Sheet, Stripe
 from frictionzoo.show.text import format_number
 
+COLUMNS = 4  # joints beside each other in a picture
 _OVER = {  # names of axes, and their units or what UNITS has them by
     "velocity": ("velocity", "velocity"),
     "load": ("load on the gear", "torque"),
@@ -23,16 +27,31 @@ _OVER = {  # names of axes, and their units or what UNITS has them by
 
 def plot_portraits(result: Result, curves: Curves) -> Iterator[Figure]:
     """Of each joint, the law with its band, and what recordings imply, over all that the law sees."""
-    units = find_units(result)
-    for joint, name in enumerate(result["joints"]):
-        for over, portrait in curves.portraits.items():
-            alone = type(portrait)(*(part[:, joint] for part in portrait))
-            label, unit = _OVER[over]
-            x = Axis(label, units.get(unit, unit))
-            y = Axis("friction" if over == "velocity" else "friction against the motion", units["torque"])
-            text = f"Friction of {name} over the {label}: {_say_portrait(alone, units['torque'])}"
-            panel = Panel(list(_draw_portrait(alone, over == "velocity")), x, y)
-            yield Figure(f"Friction of {name} over the {label}", text, (panel,))
+    for joint in range(len(result["joints"])):
+        for over in curves.portraits:
+            yield _plot_portrait(result, curves, joint, over)
+
+
+def save_portraits(path: Path, title: str, result: Result, curves: Curves) -> None:
+    """A picture of the law over the velocity, a panel a joint.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    joints = result["joints"]
+    figures = [replace(_plot_portrait(result, curves, at, "velocity"), title=name) for at, name in enumerate(joints)]
+    sheet = Sheet(title, figures, 3.6, columns=min(len(figures), COLUMNS), headings=len(figures) > 1)
+    with_matplotlib.save_figure(with_matplotlib.draw(sheet), path)
+
+
+def _plot_portrait(result: Result, curves: Curves, joint: int, over: str) -> Figure:
+    units, name, (label, unit) = find_units(result), result["joints"][joint], _OVER[over]
+    alone = Portrait(*(part[:, joint] for part in curves.portraits[over]))
+    x = Axis(label, units.get(unit, unit))
+    y = Axis("friction" if over == "velocity" else "friction against the motion", units["torque"])
+    text = f"Friction of {name} over the {label}: {_say_portrait(alone, units['torque'])}"
+    panel = Panel(list(_draw_portrait(alone, over == "velocity")), x, y)
+    return Figure(f"Friction of {name} over the {label}", text, (panel,))
 
 
 def _draw_portrait(portrait: Portrait, crosses: bool) -> Iterator[Mark]:
