@@ -11,8 +11,8 @@ from importlib import resources
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from frictionzoo.core.templates import open_template
 from frictionzoo.result.names import merge_known, read_values
 from frictionzoo.result.types import ParameterRow, ValueRow
 from frictionzoo.show import with_plotly
@@ -65,8 +65,7 @@ def render_page(
     names, figures = list(sections), [figure for figures in drawn.values() for figure in figures]
     data = {"figures": figures, "dark": DARK, "state": state or {}}
     return (
-        _environment()
-        .get_template(template)
+        open_template(template, _FILTERS, html=True)
         .render(
             sections=sections,
             # Number of the first figure of each section.
@@ -91,20 +90,6 @@ def pack(text: str) -> str:
 def _pack_plotly() -> str:
     library = resources.files("frictionzoo.show").joinpath("plotly", "plotly-basic.min.js")
     return pack(library.read_text(encoding="utf-8"))
-
-
-@cache
-def _environment() -> Environment:
-    environment = Environment(
-        loader=PackageLoader("frictionzoo", ""),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {"number": format_number, "unit": format_unit, "place": _place, "change": format_change}
-    environment.filters |= {"merge_known": merge_known, "overview": _overview, "share": format_share}
-    return environment
 
 
 def _overview(parameter: ParameterRow) -> dict[str, Any]:
@@ -134,3 +119,9 @@ def _place(row: ValueRow, value: float) -> float:
     if low > 0:
         low, high, value = math.log(low), math.log(high), math.log(max(value, low))
     return round(100 * min(1.0, max(0.0, (value - low) / (high - low))), 1)
+
+
+_FILTERS = {
+    **{"number": format_number, "unit": format_unit, "place": _place, "change": format_change},
+    **{"merge_known": merge_known, "overview": _overview, "share": format_share},
+}
