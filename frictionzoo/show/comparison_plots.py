@@ -15,7 +15,7 @@ from frictionzoo.comparison.statistics import MATTERS
 from frictionzoo.comparison.types import Comparison, PairRow
 from frictionzoo.result.names import read_values
 from frictionzoo.result.types import MetricsRow, ParameterRow
-from frictionzoo.show.colors import BEST, GRID, RUNS, SOFT
+from frictionzoo.show.colors import BASELINE, BEST, GRID, RUNS, SOFT
 from frictionzoo.show.figure import (
     FLATTENED,
     Axis,
@@ -46,10 +46,18 @@ Look = Mapping[str, Any]
 """What the marks of one run have in common: its name, its place, its colour and its dash."""
 
 
-def choose_looks(labels: Iterable[str]) -> dict[str, Look]:
-    """How each run is drawn, by label; the best comes first."""
+def choose_looks(labels: Iterable[str], reference: str | None = None) -> dict[str, Look]:
+    """How each run is drawn, by label; the best comes first.
+
+    The reference, which has no friction, has the colour that no friction has on the page of a run, and alone has it.
+    """
+    labels = list(labels)
+    colors = [color for color in RUNS if color != BASELINE] if reference in labels else RUNS
+    places = {label: i for i, label in enumerate(each for each in labels if each != reference)}
+    styles = {label: (colors[i % len(colors)], DASHES[i % len(DASHES)]) for label, i in places.items()}
+    styles[reference or ""] = BASELINE, DASHES[1]
     return {
-        label: {"name": label, "run": i, "color": RUNS[i % len(RUNS)], "dash": DASHES[i % len(DASHES)]}
+        label: {"name": label, "run": i, "color": styles[label][0], "dash": styles[label][1]}
         for i, label in enumerate(labels)
     }
 
@@ -76,7 +84,7 @@ def plot_comparison(comparison: Comparison, runs: Sequence[Run]) -> dict[str, li
 
 
 def _looks(comparison: Comparison) -> dict[str, Look]:
-    return choose_looks(run["label"] for run in comparison["runs"])
+    return choose_looks((run["label"] for run in comparison["runs"]), comparison["reference"])
 
 
 def _numbers(values: Iterable[float | None]) -> Float[np.ndarray, "values"]:
@@ -222,7 +230,7 @@ def _plot_differences(comparison: Comparison) -> Figure:
     low, high = (np.array([0.0, *_numbers(pair[end] for pair in pairs.values())]) for end in ("low", "high"))
     limit = _limit(np.maximum(-low, high), FRAME)
     limits = 1.1 * max(-limit, min(np.nanmin(low), -0.1 * limit)), 1.1 * limit
-    above = Axis("position MAE above that of the best", unit, limits=limits)
+    above = Axis("above the best", unit, limits=limits)
     return _arrange_rows("How sure is the order?", text, marks, above, labels)
 
 

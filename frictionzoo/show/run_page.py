@@ -91,7 +91,7 @@ def write_report(path: Path, result: Result, curves: Curves) -> None:
         joints=joints,
         links=[(key, text) for key, text in LINKS.items() if key not in (_OF_ONE if joints else _OF_SEVERAL)],
         place=place,
-        uses=_list_uses(place),
+        uses=list_uses(place),
         ranks=_say_ranks(curves),
         shown=_say_shown(result, curves),
         portrayed=PORTRAYED,
@@ -106,7 +106,7 @@ def write_report(path: Path, result: Result, curves: Curves) -> None:
     write_atomically(path, page)
 
 
-def _list_uses(place: str) -> list[str]:
+def list_uses(place: str) -> list[str]:
     """How the result in this folder is used: in a shell, and line by line in Python."""
     return [
         f"python -m frictionzoo.export {shlex.quote(place)} target=mjcf",
