@@ -30,7 +30,7 @@ from frictionzoo.show.figure import (
     scale_errors,
     scale_values,
 )
-from frictionzoo.show.rollouts import RUNAWAY, Drive, draw_errors, draw_motion, say_above
+from frictionzoo.show.rollouts import RUNAWAY, Drive, draw_errors, draw_motion, say_above, say_where
 from frictionzoo.show.run_plots import REPORTED
 from frictionzoo.show.text import format_digits, format_number, format_unit, wrap
 
@@ -146,7 +146,8 @@ def _plot_trajectories(comparison: Comparison, runs: Sequence[Run]) -> Iterator[
     duration = timestep * (runs[0].curves.measured_qpos.shape[1] - 1)
     for joint, name in enumerate(comparison["joints"]):
         panels = draw_motion(drives, joint, timestep, (comparison["unit"], comparison["velocity_unit"]))
-        text = f"Measured and simulated position and velocity of joint {name} over {duration:g} s of test data, all "
+        place = say_where(comparison["data"], runs[0].curves, 0) or "test data"
+        text = f"Measured and simulated position and velocity of joint {name} over {duration:g} s of {place}, all "
         text += f"{len(runs)} runs under the same command."
         yield Figure(f"Trajectory of {name}", text, panels, time=True)
 

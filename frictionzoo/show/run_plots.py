@@ -14,7 +14,7 @@ from frictionzoo.show import with_matplotlib
 from frictionzoo.show.colors import BASELINE, BEST, JOINTS, MODEL, TRAIN
 from frictionzoo.show.figure import Axis, Bars, Curve, Figure, Mark, Panel, Sheet, Stripe, scale_values
 from frictionzoo.show.friction_plots import find_units, plot_left, plot_portraits
-from frictionzoo.show.rollouts import Drive, draw_errors, draw_motion
+from frictionzoo.show.rollouts import Drive, draw_errors, draw_motion, say_where
 from frictionzoo.show.text import format_number, format_unit
 
 COLUMNS = 4  # joints beside each other on a sheet
@@ -150,7 +150,9 @@ def _plot_trajectories(result: Result, curves: Curves, shown: Mapping[str, int])
             panels = draw_motion(drives, joint, timestep, (test["unit"], test["velocity_unit"]))
             errors = [drive.follow("qpos")[:, joint] - drive.measured("qpos")[:, joint] for drive in drives]
             model, baseline = (_say_error(error, test["unit"]) for error in errors)
-            text = f"Measured and simulated position and velocity of joint {name} over {duration:g} s; "
+            place = say_where(result["data"], curves, rollout)
+            text = f"Measured and simulated position and velocity of joint {name} over {duration:g} s"
+            text += f", {place}; " if place else "; "
             text += f"the mean position error is {model} with the model and {baseline} without friction."
             title = f"{_say_rank(rank, curves)}{name}" if rank else f"Trajectory of {name}"
             yield Figure(title, text, panels, time=True)
@@ -200,7 +202,8 @@ def _plot_errors(result: Result, curves: Curves, shown: Mapping[str, int]) -> It
         drives = _list_drives(curves, rollout)
         model, baseline = (format_number(float(np.nanmax(drive.errors()))) for drive in drives)
         text = (
-            f"Moving mean and standard deviation over {window:g} s of the absolute position error; the largest error "
+            f"Moving mean and standard deviation over {window:g} s of the absolute position error"
+            f"{f', {place}' if (place := say_where(result['data'], curves, rollout)) else ''}; the largest error "
         )
         text += f"is {model} {unit} with the model and {baseline} {unit} without friction."
         panel = draw_errors(drives, result["data"]["timestep"], window, unit)
