@@ -16,8 +16,7 @@ from frictionzoo.comparison.statistics import MATTERS
 from frictionzoo.comparison.types import Comparison, DifferenceRow, RolloutsRow, RunRow
 from frictionzoo.core.anonymous import list_paths, without_paths
 from frictionzoo.core.output import RESULT, write_atomically
-from frictionzoo.result.names import read_values
-from frictionzoo.result.types import ParameterRow, ValueRow
+from frictionzoo.result.names import pick_value, read_values
 from frictionzoo.result.verdict import judge
 from frictionzoo.show.colors import DARK
 from frictionzoo.show.comparison_advice import check_order, list_next_steps, list_steps_to_use, name_runs
@@ -168,14 +167,10 @@ def _list_parameters(entries: Sequence[RunRow]) -> Iterator[dict[str, Any]]:
         found = [parameters.get(key) for parameters in held]
         values = [p and {**p, "value": float(np.nanmean(read_values(p)))} for p in found]
         joints = [
-            {"name": row["joint"], "values": [p and _pick_value(p, row["joint"]) for p in found]}
+            {"name": row["joint"], "values": [p and pick_value(p, row["joint"]) for p in found]}
             for row in entries[0]["by_joint"]
         ]
         yield dict(zip(("owner", "name", "unit"), key, strict=True)) | {"values": values, "by_joint": joints}
-
-
-def _pick_value(parameter: ParameterRow, joint: str) -> ValueRow | None:
-    return next((row for row in parameter["by_joint"] if joint in row["joints"]), None)
 
 
 def list_errors_by_joint(comparison: Comparison) -> list[dict[str, Any]]:
