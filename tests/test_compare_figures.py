@@ -74,7 +74,7 @@ def panels_of(name, comparison, runs):
 
 def drawn(axes, label, comparison):
     """Data of the one line of this run."""
-    look = choose_looks(run["label"] for run in comparison["runs"])[label]
+    look = choose_looks((run["label"] for run in comparison["runs"]), comparison["reference"])[label]
     (line,) = [line for line in axes.get_lines() if line.get_color() == look["color"]]
     return np.asarray(line.get_xdata(), float), np.asarray(line.get_ydata(), float)
 
@@ -95,9 +95,11 @@ def test_figure3_draws_the_parameters(runs, comparison):
     for axes, run in zip(panels, runs, strict=True):
         iteration, values = drawn(axes, run.label, comparison)
         np.testing.assert_array_equal(iteration, run.curves.history["iteration"])
-        np.testing.assert_array_equal(values, run.curves.history["friction.damping"][:, 0])
+        # From 0.1 to 100 N m s/rad, three decades.
+        np.testing.assert_allclose(values, np.log10(run.curves.history["friction.damping"][:, 0] / 0.1) / 0.03)
         best, _, marker = axes.get_lines()
-        assert (marker.get_xdata()[0], marker.get_ydata()[0]) == (3, run.result["parameters"][0]["value"])
+        assert (marker.get_xdata()[0], marker.get_ydata()[0]) == (3, pytest.approx(values[-1]))
+        assert axes.get_ylabel() == "between the bounds [%]"
         assert (set(best.get_xdata()), best.get_linestyle()) == ({3}, "--")
         assert colors.same_color(best.get_color(), "#D00000")
         text = axes.get_legend().get_texts()[0].get_text()
@@ -239,7 +241,7 @@ def test_differences_are_those_to_the_best(runs, comparison):
         point, _, (bar,) = container.lines
         assert point.get_xdata()[0] == pair["mean"]
         np.testing.assert_allclose(bar.get_segments()[0][:, 0], [pair["low"], pair["high"]], rtol=1e-9)
-    assert axes.get_xlabel() == "position MAE above that of the best [rad]"
+    assert axes.get_xlabel() == "MAE above the best [rad]"
 
 
 def test_errors_of_different_sizes_are_logarithmic(runs, comparison):

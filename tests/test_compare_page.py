@@ -15,13 +15,17 @@ from test_html import HOSTILE, Page, judge_targets
 from test_report import bench, dataset, evaluation, model, of_joints, result  # noqa: F401
 
 from frictionzoo.comparison.record import compare_runs
-from frictionzoo.comparison.runs import Failure, Run
+from frictionzoo.comparison.runs import Failure, Run, gather
+from frictionzoo.core.output import RESULT
 from frictionzoo.core.state import Signals
 from frictionzoo.result.curves import Curves
+from frictionzoo.show.colors import BASELINE
+from frictionzoo.show.comparison_advice import list_next_steps
 from frictionzoo.show.comparison_page import check_comparison, write_page
 from frictionzoo.show.comparison_plots import choose_looks
 
 LONG, SHORT, WINDOWS, TIMESTEP = 300, 100, 40, 0.001
+RUN = "python -m frictionzoo.run"
 LABELS = ("coulomb_stribeck", "coulomb_smooth segments.length=20 seed=1", "baseline")
 LOST = {"position_mae": None, "position_mae_std": None, "position_rmse": None, "velocity_rmse": None}
 
@@ -107,6 +111,70 @@ def test_the_page_answers_the_three_questions(runs, tmp_path):
     assert f"−{changes[LABELS[0]]} %" in text and "within noise" in text and "simulated data" in text
 
 
+def test_the_page_opens_with_what_to_take_and_what_to_do(runs, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for run in runs:
+        run.folder.mkdir()
+        (run.folder / RESULT).touch()
+        run.result["verdict"] = {"commands": [f"{RUN} data=twin model=lugre", "python -m frictionzoo.excite", "export"]}
+    source, comparison = show(tmp_path / "comparison.html", runs)
+    text, chosen = plain(source), comparison["recommendation"]["run"]
+    place = next(run.folder.name for run in runs if run.label == chosen)
+    asked = [
+        f"Take {chosen}",
+        "How sure that is",
+        "These data do not tell",
+        "How it is used",
+        f"frictionzoo.export {place}",
+    ]
+    asked += [f"fz.load('{place}')", "What to do next", "model=lugre", "frictionzoo.excite", "± sigma"]
+    places = [text.find(each) for each in asked]
+    assert -1 not in places and places == sorted(places)
+    page = Page(source)
+    links = [link["href"][1:] for link in page.with_attribute("href") if link["href"][0] == "#"]
+    identifiers = [element["id"] for element in page.with_attribute("id")]
+    assert len(links) == 11 and links == sorted(links, key=identifiers.index)
+
+
+def test_what_is_next_fits_what_was_found(runs, result):  # noqa: F811
+    """More rollouts where they may tell laws apart, and no law that was tried."""
+    close = replace(runs[1], label="coulomb_smooth")
+    for run in (runs[0], close):
+        commands = [f"{RUN} 'data.train=[a b.csv]' evaluation.rollouts=3 model=coulomb_smooth", "record", "export"]
+        run.result["verdict"] = {"commands": commands}
+    swept = f"{RUN} -m 'data.train=[a b.csv]' model=coulomb_smooth,coulomb_stribeck evaluation.rollouts=40"
+    steps = list_next_steps(compare_runs([runs[0], close], []), runs[0])
+    assert [step.command for step in steps] == [swept, "record"]
+    steps = list_next_steps(compare_runs([runs[0], runs[2]], []), runs[0])
+    assert steps[0].command.endswith("model=coulomb_smooth") and len(steps) == 2
+    runs[0].result["verdict"]["commands"] = ["fz.identify(bench, 'baseline', logs)", "excite(drive)", "export"]
+    steps = list_next_steps(compare_runs([runs[0], runs[2]], []), runs[0])
+    assert [step.command for step in steps] == ["excite(drive)"]
+
+
+def test_no_absolute_path_is_on_the_page(result, tmp_path):  # noqa: F811
+    home = "/home/some body/logs"
+    runs = [make_run(tmp_path, result, "baseline", 0.01 * (1 + i), seed=i) for i in range(2)]
+    for i, run in enumerate(runs):
+        run.result["data"]["logs"][0]["name"] = f"{home}/a.csv"
+        run.result["warnings"] = [f"{home}/a.csv: 3 samples are missing"]
+        run.result["settings"] |= {"seed": 0, "bench": {"mjcf": f"{home}/stand{i}.xml"}, "data": [f"{home}/a.csv"]}
+    labelled = gather(runs)
+    assert [run.label for run in labelled] == [f"baseline bench.mjcf=stand{i}.xml" for i in range(2)]
+    failure = Failure("7_neural_friction", "neural_friction", f"{home}/a.csv: not finite")
+    source, _ = show(tmp_path / "comparison.html", labelled, [failure])
+    shown = Page(source).text + json.dumps(Page(source).elements) + json.dumps(read_data(source))
+    assert "some body" not in shown and str(tmp_path) not in shown
+    assert "a.csv: 3 samples are missing" in shown and "a.csv: not finite" in shown
+
+
+def test_same_names_in_other_folders_are_told_apart(result, tmp_path):  # noqa: F811
+    runs = [make_run(tmp_path, result, "baseline", 0.01, seed=i) for i in range(2)]
+    for run, folder in zip(runs, "ab", strict=True):
+        run.result["settings"] |= {"seed": 0, "bench": {"mjcf": f"/{folder}/stand.xml"}}
+    assert [run.label for run in gather(runs)] == ["baseline (0_baseline)", "baseline (1_baseline)"]
+
+
 def test_rows_are_ranked_and_open_their_panels(runs, tmp_path):
     source, comparison = show(tmp_path / "comparison.html", runs[::-1])
     page = Page(source)
@@ -168,7 +236,7 @@ def test_figures_hold_the_numbers_of_the_comparison(runs, tmp_path):
 
 def test_a_run_has_the_same_look_in_every_figure(runs, tmp_path):
     source, comparison = show(tmp_path / "comparison.html", runs)
-    looks = choose_looks(entry["label"] for entry in comparison["runs"])
+    looks = choose_looks((entry["label"] for entry in comparison["runs"]), "baseline")
     for title in ("Trajectory of knee", "Error over time", "Against the speed", "Structure left in the error"):
         lines = [t for t in figure_named(source, title)["data"] if "meta" in t and "fill" not in t]
         assert {trace["name"] for trace in lines} == set(looks)
@@ -182,6 +250,12 @@ def test_a_run_has_the_same_look_in_every_figure(runs, tmp_path):
 def test_many_runs_are_told_apart():
     looks = choose_looks(map(str, range(42)))
     assert len({(look["color"], look["dash"]) for look in looks.values()}) == 42
+
+
+def test_no_friction_has_a_colour_of_its_own():
+    looks = choose_looks([*map(str, range(9)), "baseline"], "baseline")
+    assert [label for label, look in looks.items() if look["color"] == BASELINE] == ["baseline"]
+    assert len({(look["color"], look["dash"]) for look in looks.values()}) == 10
 
 
 def test_a_far_difference_leaves_the_frame_and_is_named(runs, result, tmp_path):  # noqa: F811
@@ -247,6 +321,7 @@ def test_links_lead_to_what_is_there(runs, tmp_path):
         (tmp_path / "out" / name).touch()
     source, _ = show(tmp_path / "out" / "comparison.html", runs)
     links = {attributes["href"] for tag, attributes in Page(source).elements if tag == "a"}
+    links -= {link for link in links if link.startswith("#")}
     reports = {f"../{run.folder.name}/report.html" for run in runs[:2]}
     assert links == {"comparison.json", "table.tex", "figures/figure6_mae.pdf"} | reports
 
@@ -350,6 +425,10 @@ def test_a_browser_draws_every_figure_and_shows_the_run_that_is_clicked_or_linke
     assert open_page(path, fragment=f"#{LABELS[2]}").run(f"return until(() => {linked} === {LABELS[2]!r})")
 
 
+CLIPPED = """return [...document.querySelectorAll(".box")]
+  .filter(box => box.clientWidth && box.scrollWidth > box.clientWidth + 1).map(box => box.textContent);"""
+
+
 @needs_browser
 def test_the_page_does_not_scroll_sideways(runs, result, tmp_path):  # noqa: F811
     name = "law-with-a-very-long-name-that-cannot-be-broken-anywhere-at-all-in-any-table"
@@ -358,6 +437,8 @@ def test_the_page_does_not_scroll_sideways(runs, result, tmp_path):  # noqa: F81
         run.result["data"]["name"] = run.result["data"]["logs"][0]["name"] = name
     show(tmp_path / "comparison.html", runs, [Failure(name, name, name)])
     for width in (390, 1440):
-        inner, page, *drawings = open_page(tmp_path / "comparison.html", width=width).run(WIDTHS)
+        browser = open_page(tmp_path / "comparison.html", width=width)
+        inner, page, *drawings = browser.run(WIDTHS)
         assert inner == width and page <= inner
         assert drawings and max(drawings) <= inner
+        assert browser.run(CLIPPED) == []

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import safetensors.numpy
 import torch
 from test_compare import HARD, make_curves
 from test_report import PARAMS
@@ -13,7 +14,7 @@ from frictionzoo.models.baseline import Baseline
 from frictionzoo.models.coulomb_stribeck import CoulombStribeck
 from frictionzoo.models.mujoco_default import MujocoDefault
 from frictionzoo.models.neural_friction import NeuralFriction
-from frictionzoo.result.curves import NEIGHBOURS, read_curves, sample_friction, write_curves
+from frictionzoo.result.curves import LATER, NEIGHBOURS, read_curves, sample_friction, write_curves
 from frictionzoo.result.portrait import Portrait
 
 OWN = {"init": 0.3, "low": 1e-3, "high": 1.0, "scale": "log", "identify": True}
@@ -45,6 +46,11 @@ def test_arrays_come_back_as_they_were(tmp_path):
         np.testing.assert_array_equal(again.signals.named()[name], signal)
     write_curves(tmp_path, again)
     assert (tmp_path / "curves.safetensors").read_bytes() == first
+    arrays = safetensors.numpy.load(first)
+    for name in LATER:  # an older run
+        del arrays[name]
+    safetensors.numpy.save_file(arrays, tmp_path / "curves.safetensors")
+    assert read_curves(tmp_path).begins.size == 0
 
 
 def test_a_law_of_the_velocity_is_drawn_as_its_formula(samples):

@@ -22,6 +22,7 @@ from frictionzoo.result.evaluate import Prediction
 from frictionzoo.result.portrait import Portrait
 from frictionzoo.result.verdict import still_falling
 from frictionzoo.show import with_plotly
+from frictionzoo.show.rollouts import say_where
 from frictionzoo.show.run_page import MOST, check_result, correlate, write_report
 from frictionzoo.show.run_plots import choose_rollouts, plot_run
 from frictionzoo.show.text import format_change
@@ -156,6 +157,17 @@ def test_best_median_and_worst_rollout_are_shown_and_said(record, tmp_path, size
         np.testing.assert_allclose(drawn[1:], expected[np.isfinite(expected)], rtol=1e-5)
         mean = np.abs(rollout[1].qpos[at] - rollout[0].qpos[at, 1:]).mean()
         assert f"{rank} {mean:.4g} rad" in page.text if np.isfinite(mean) else f"{rank} none" in page.text
+
+
+def test_recordings_of_the_rollouts_are_named(record, tmp_path):
+    curves = curves_of(spread_out([2.0, 5.0, 1.0]))
+    assert say_where(record["data"], curves, 2) == ""
+    curves = replace(curves, recording=np.zeros(3), begins=np.array([1.5, 0.25, 12.0]))
+    write_report(tmp_path / "report.html", of_joints(record, "knee"), curves)
+    name = next(log["name"] for log in record["data"]["logs"] if log["part"] == "test")
+    text = Page((tmp_path / "report.html").read_text()).text
+    for rank, begins in (("best", "12"), ("median", "1.5"), ("worst", "0.25")):
+        assert re.search(rf"{rank} \S+ rad \([^)]*{name} from {begins} s on\)", text), rank
 
 
 def test_friction_and_what_is_left_are_drawn(record, tmp_path):

@@ -125,6 +125,15 @@ def test_random_rollouts_are_distinct_and_follow_the_seed():
     np.testing.assert_array_equal(np.diff(cut_rollouts(logs, 1.0, 50, "random", 3).qpos[..., 0], axis=1), 1)
 
 
+def test_a_window_says_of_which_log_it_is_and_when_it_begins():
+    logs = [make_log(100), dataclasses.replace(make_log(80), time=make_log(80).time + 5.0)]
+    cut = cut_rollouts(logs, 0.01, 40, "random", seed=0)
+    assert cut.recording is not None and cut.begins is not None and {*cut.recording} == {0, 1}
+    for number, begins, qpos in zip(cut.recording, cut.begins, cut.qpos, strict=True):
+        at = np.flatnonzero(logs[number].time == begins)
+        np.testing.assert_array_equal(logs[number].qpos[at], qpos[:1])
+
+
 def test_more_random_rollouts_than_places_gives_every_place():
     rollouts = cut_rollouts([make_log(15)], 0.1, 100, "random", 0)
     assert sorted(rollouts.qpos[:, 0, 0]) == [0, 1, 2, 3, 4]

@@ -10,6 +10,7 @@ import yaml
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from frictionzoo.core.anonymous import list_paths, without_paths
 from frictionzoo.core.config import list_options
 from frictionzoo.core.errors import RunError
 from frictionzoo.core.output import FAILURE, RESULT, RUNNING
@@ -154,5 +155,7 @@ def _describe(same: Sequence[Run]) -> Iterator[list[str]]:
     yield [f"fit={run.result['fit']['method']}" for run in same]
     options = differing([run.result["settings"] for run in same], (*NAMED, "model"))
     if len(options) <= MOST_NAMED:
-        yield [" ".join(f"{name}={values[i]}" for name, values in options.items()) for i in range(len(same))]
+        # Names are on pages and in tables for others, whom it does not concern where files lie here.
+        named = {name: [without_paths(each, tuple(list_paths(each))) for each in options[name]] for name in options}
+        yield [" ".join(f"{name}={values[i]}" for name, values in named.items()) for i in range(len(same))]
     yield [f"({run.folder.name})" for run in same]

@@ -32,7 +32,7 @@ def without_paths(value: Any, known: tuple[str, ...] = (), below: Path | None = 
         return {without_paths(key, known, below): without_paths(part, known, below) for key, part in value.items()}
     if isinstance(value, list):
         return [without_paths(part, known, below) for part in value]
-    if not isinstance(value, str):
+    if not isinstance(value, str) or not ("/" in value or "\\" in value):
         return value
     for path in sorted(known, key=len, reverse=True):
         value = value.replace(path, _shorten(path, below))

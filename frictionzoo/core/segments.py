@@ -33,6 +33,7 @@ class Segments:
         load: What each one's payload changes in the bench's model; None where there is none.
         follows: Whether each begins where the one before it ends; None where none does.
         recording: Number of the log that each was cut from; None where they are of one.
+        begins: Time of each one's first state in its log [s]; None where that is not known.
     """
 
     qpos: Float[np.ndarray, "batch states nv"]
@@ -42,6 +43,7 @@ class Segments:
     load: Float[np.ndarray, "batch load"] | None = None
     follows: Bool[np.ndarray, "batch"] | None = None
     recording: Int[np.ndarray, "batch"] | None = None
+    begins: Float[np.ndarray, "batch"] | None = None
 
     @property
     def acting(self) -> Signals:
@@ -266,4 +268,5 @@ def _windows(logs: Sequence[Log], places: Int[np.ndarray, "segments 2"], length:
     signals = {name: np.concatenate([of_log[name] for of_log in recorded])[driven] for name in recorded[0]}
     load = np.stack([log.load for log in logs])[places[:, 0]]
     follows = np.append(False, (np.diff(places, axis=0) == [0, length]).all(axis=1))
-    return Segments(qpos, qvel, Signals.from_named(signals), logs[0].timestep, load, follows, places[:, 0])
+    begins = np.concatenate([log.time for log in logs])[index[:, 0]]
+    return Segments(qpos, qvel, Signals.from_named(signals), logs[0].timestep, load, follows, places[:, 0], begins)

@@ -191,6 +191,8 @@ def _collect_curves(problem: Problem, outcome: Outcome, judgement: Judgement, ba
         friction_high=high,
         history=outcome.history,
         train_errors=judgement.train_errors,
+        recording=np.array(measured.recording, np.float64),
+        begins=np.array(measured.begins, np.float64),
     )
 
 

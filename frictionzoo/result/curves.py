@@ -22,9 +22,12 @@ POINTS = 81  # velocities at which a law is drawn; odd, so that 0 is one of them
 SAMPLES = 20_000  # of the recorded states that are looked at, evenly spread
 NEIGHBOURS = 200  # recorded states, those of the closest velocity, that stand for all states at a velocity
 SPREAD = (0.1, 0.9)  # quantiles of a law's torque over these states
-OWN = "history", "signals", "train_errors", "portraits", "left_time", "left"
+OWN = "history", "signals", "train_errors", "portraits", "left_time", "left", "recording", "begins"
 """Of which runs on the same data may have more or less: the course of the fit, what reaches back as far as the bench's
-delay, training rollouts that stayed finite, what the law sees, and the bandwidth in which torque was compared."""
+delay, training rollouts that stayed finite, what the law sees, the bandwidth in which torque was compared, and what
+older runs do not say."""
+LATER = "recording", "begins"
+"""What a run of an earlier version does not have."""
 _HISTORY, _PORTRAITS = "history.", "portraits."
 
 
@@ -55,6 +58,8 @@ class Curves:
         portraits: The law beside what recordings imply, by what it is drawn over, as `portray` has it.
         left_time: Time in the training recordings that were looked at, one after the other [s].
         left: What is left of the torque in motion, NaN at rest [N m or N].
+        recording: Of each long test rollout, the number of its recording among those of the test part.
+        begins: Time in that recording at its first state [s].
     """
 
     measured_qpos: Float[np.ndarray, "rollouts states nv"]
@@ -79,6 +84,8 @@ class Curves:
     portraits: Mapping[str, Portrait] = field(default_factory=dict)
     left_time: Float[np.ndarray, "rows"] = field(default_factory=lambda: np.empty(0))
     left: Float[np.ndarray, "rows drawn"] = field(default_factory=lambda: np.empty((0, 0)))
+    recording: Float[np.ndarray, "placed"] = field(default_factory=lambda: np.empty(0))
+    begins: Float[np.ndarray, "placed"] = field(default_factory=lambda: np.empty(0))
 
 
 _NAMED = "signals", "history", "portraits"
@@ -121,7 +128,8 @@ def read_curves(folder: Path) -> Curves:
             name: Portrait(*(arrays[f"{_PORTRAITS}{name}.{each}"] for each in Portrait._fields)) for name in over
         }
         named = {"signals": signals, "history": history, "portraits": portraits}
-        return Curves(**{name: arrays[name] for name in _ARRAYS}, **named)
+        kept = [name for name in _ARRAYS if name in arrays or name not in LATER]
+        return Curves(**{name: arrays[name] for name in kept}, **named)
     except OSError as error:
         raise RunError(f"{path}: {error.strerror}; expected the folder of a finished run; run it again") from None
     except (safetensors.SafetensorError, KeyError) as error:

@@ -70,3 +70,16 @@ def read_values(parameter: ParameterRow | ReferenceRow) -> Float[np.ndarray, "nv
     """The values of all joints; NaN where a joint's law has no such parameter."""
     value: Any = parameter["value"]
     return np.atleast_1d(np.array(value, np.float64))
+
+
+def pick_value(parameter: ParameterRow, joint: str) -> ValueRow | None:
+    """The entry of a parameter that holds for a joint; None where the joint's law has no such parameter."""
+    return next((row for row in parameter["by_joint"] if joint in row["joints"]), None)
+
+
+def place_between_bounds(row: ValueRow, values: Float[np.ndarray, "points"]) -> Float[np.ndarray, "points"]:
+    """Where values lie between the bounds of an entry, from 0 to 1; in decades where the bounds are positive."""
+    low, high = row["low"], row["high"]
+    if low > 0:
+        low, high, values = np.log(low), np.log(high), np.log(np.maximum(values, low))
+    return np.clip((values - low) / (high - low), 0.0, 1.0)

@@ -32,7 +32,8 @@ def arrange(comparison: Comparison, runs: Sequence[Run]) -> dict[str, Sheet]:
     """What is drawn on which file; a sheet without figures has nothing to show."""
     drawn, evaluation, joints = plot_comparison(comparison, runs), comparison["evaluation"], len(comparison["joints"])
     data = f"{comparison['data']['name']} ({'simulated' if comparison['data']['simulated'] else 'real'} data)"
-    fits = f"Fits to the training part of {data}\nred: the best iteration and what it identified"
+    fits = f"Fits to the training part of {data}\nred: the best iteration and what it identified; from the lower "
+    fits += "bound of each parameter to the upper one, in decades where both are positive"
     one = f"One rollout of the test part of {data}"
     window = f"moving mean and standard deviation over {runs[0].result['evaluation']['window']:g} s"
     short = f"{evaluation['rollouts']} rollouts of {evaluation['horizon']:g} s, {data}"

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -13,20 +14,35 @@ from frictionzoo.comparison.record import FEW
 from frictionzoo.comparison.runs import Run
 from frictionzoo.comparison.statistics import MATTERS
 from frictionzoo.comparison.types import Comparison, DifferenceRow, RolloutsRow, RunRow
-from frictionzoo.core.output import write_atomically
-from frictionzoo.result.names import read_values
-from frictionzoo.result.types import ParameterRow, ValueRow
+from frictionzoo.core.anonymous import list_paths, without_paths
+from frictionzoo.core.output import RESULT, write_atomically
+from frictionzoo.result.names import pick_value, read_values
+from frictionzoo.result.verdict import judge
 from frictionzoo.show.colors import DARK
+from frictionzoo.show.comparison_advice import check_order, list_next_steps, list_steps_to_use, name_runs
 from frictionzoo.show.comparison_plots import Look, choose_looks, plot_comparison
 from frictionzoo.show.page import Check, render_page
 from frictionzoo.show.run_page import METHODS, check_held_out, check_origin, check_result, list_timing
-from frictionzoo.show.run_plots import plot_run
+from frictionzoo.show.run_plots import plot_history
 
 POINTS = 2000  # of a curve; a comparison has many of them
-NAMED = 4  # runs that a sentence names, the others are counted
 LONG = 4  # differing options above which they are folded away
 FITTED = ("fit", "segments", "loss", "bench")  # options that make fits unlike each other
 FILES = {"comparison.json": "every number of this page, for programs", "table.tex": "the ranking as a LaTeX table"}
+LINKS = {
+    "verdict": "Which to take",
+    "ranking": "How good is each",
+    "trust": "What speaks for it",
+    "runs": "Run by run",
+    "errors": "How large, how sure",
+    "rollout": "A rollout",
+    "where": "Where the error is",
+    "friction": "The laws",
+    "parameters": "Parameters",
+    "data": "Data",
+    "files": "Files",
+}
+"""Sections by their id."""
 STOPPED = {
     "converged": "converged",
     "finished": "all iterations made",
@@ -42,18 +58,20 @@ def write_page(path: Path, comparison: Comparison, runs: Sequence[Run]) -> None:
     Raises:
         OutputError: It cannot be written.
     """
-    looks = choose_looks(entry["label"] for entry in comparison["runs"])
-    named = {run.label: run for run in runs}
-    ranked = [named[label] for label in looks]
+    comparison, ranked, places = _anonymise(comparison, runs)
+    looks = choose_looks((run.label for run in ranked), comparison["reference"])
     rows = [_describe(i, run, comparison, looks[run.label], path.parent) for i, run in enumerate(ranked)]
     best = next((row for row in rows if row["recommended"]), None)
+    order, *checks = check_comparison(comparison, ranked)
     # In the order of the page; the parameters of each run by themselves, under its place in the ranking.
-    sections = {str(i): plot_run(run.result, run.curves)["history"] for i, run in enumerate(ranked)}
-    sections |= {name: drawn for name, drawn in plot_comparison(comparison, runs).items() if name != "parameters"}
+    sections = {
+        str(i): list(plot_history(run.result, run.curves, looks[run.label]["color"])) for i, run in enumerate(ranked)
+    }
+    sections |= {name: drawn for name, drawn in plot_comparison(comparison, ranked).items() if name != "parameters"}
     page = render_page(
         "show/comparison.html.jinja",
         sections,
-        list(check_comparison(comparison, ranked)),
+        checks,
         POINTS,
         comparison=comparison,
         rows=rows,
@@ -62,6 +80,9 @@ def write_page(path: Path, comparison: Comparison, runs: Sequence[Run]) -> None:
         worst=_find_worst(comparison["runs"][0]),
         matters=MATTERS,
         recommended=best,
+        order=order,
+        advice=None if best is None else _advise(comparison, ranked[best["index"]], places[best["index"]]),
+        links=LINKS,
         parameters=list(_list_parameters(comparison["runs"])),
         folded=len(comparison["differences"]) > LONG,
         files=_list_files(path.parent),
@@ -69,6 +90,29 @@ def write_page(path: Path, comparison: Comparison, runs: Sequence[Run]) -> None:
         version=__version__,
     )
     write_atomically(path, page)
+
+
+def _anonymise(comparison: Comparison, runs: Sequence[Run]) -> tuple[Comparison, list[Run], list[str]]:
+    """The same without absolute paths, the runs best first, and their folders as somebody here may type them.
+
+    A page that is handed on tells nobody where somebody's home is.
+    """
+    named = {run.label: run for run in runs}
+    ranked = [named[entry["label"]] for entry in comparison["runs"]]
+    known = tuple(dict.fromkeys(path for run in ranked for path in list_paths(run.result["settings"])))
+    spoken: Any = [comparison, *([run.label, run.result, str(run.folder.absolute())] for run in ranked)]
+    comparison, *described = without_paths(spoken, known, Path.cwd())
+    bare = [replace(run, label=label, result=result) for run, (label, result, _) in zip(ranked, described, strict=True)]
+    return comparison, bare, [place for *_, place in described]
+
+
+def _advise(comparison: Comparison, chosen: Run, place: str) -> dict[str, Any]:
+    """How the run to take is used, and what to do next."""
+    return {
+        "place": place if (chosen.folder / RESULT).exists() else None,
+        "uses": list_steps_to_use(chosen, place),
+        "next": list_next_steps(comparison, chosen),
+    }
 
 
 def _describe(index: int, run: Run, comparison: Comparison, look: Look, folder: Path) -> dict[str, Any]:
@@ -96,6 +140,7 @@ def _describe(index: int, run: Run, comparison: Comparison, look: Look, folder: 
         "stopped": STOPPED.get(entry["fit"]["stopped"], entry["fit"]["stopped"]),
         "timing": list_timing(entry["timing"]),
         "doubts": _doubt(run),
+        "grade": judge(run.result)["grade"],
         # Quoted, so that no name of a folder is read as a scheme, a query or a fragment.
         "report": quote(Path(os.path.relpath(report, folder.resolve())).as_posix()) if report.exists() else None,
     }
@@ -122,14 +167,10 @@ def _list_parameters(entries: Sequence[RunRow]) -> Iterator[dict[str, Any]]:
         found = [parameters.get(key) for parameters in held]
         values = [p and {**p, "value": float(np.nanmean(read_values(p)))} for p in found]
         joints = [
-            {"name": row["joint"], "values": [p and _pick_value(p, row["joint"]) for p in found]}
+            {"name": row["joint"], "values": [p and pick_value(p, row["joint"]) for p in found]}
             for row in entries[0]["by_joint"]
         ]
         yield dict(zip(("owner", "name", "unit"), key, strict=True)) | {"values": values, "by_joint": joints}
-
-
-def _pick_value(parameter: ParameterRow, joint: str) -> ValueRow | None:
-    return next((row for row in parameter["by_joint"] if joint in row["joints"]), None)
 
 
 def list_errors_by_joint(comparison: Comparison) -> list[dict[str, Any]]:
@@ -156,11 +197,11 @@ def _list_files(folder: Path) -> dict[str, str]:
 
 
 def check_comparison(comparison: Comparison, runs: Sequence[Run]) -> Iterator[Check]:
-    """What speaks for the ranking and what against it; `runs` are the same with their curves, best first."""
+    """How sure the order is, and what else speaks for it and against; `runs` are the same, best first."""
+    yield check_order(comparison)
     if failed := len(comparison["failures"]):
         text = f"{failed} of {failed + len(comparison['runs'])} jobs left no result; their reasons are named."
         yield Check("bad", "Failed jobs", text)
-    yield _check_order(comparison)
     yield _check_rollouts(comparison["evaluation"])
     yield check_held_out(comparison["data"])
     yield _check_divergence(comparison)
@@ -170,25 +211,6 @@ def check_comparison(comparison: Comparison, runs: Sequence[Run]) -> Iterator[Ch
     yield _check_fits(runs)
     yield _check_differences(comparison["differences"])
     yield check_origin(comparison["data"])
-
-
-def _check_order(comparison: Comparison) -> Check:
-    first, *others = (entry["label"] for entry in comparison["runs"])
-    if comparison["recommendation"] is None:
-        return Check("bad", "Order", "There is no order: every test rollout of every run diverged.")
-    if not others:
-        return Check("note", "Order", "There is one run: nothing to compare it with.")
-    pairs = {pair["run"]: pair for pair in comparison["pairs"] if pair["other"] == first}
-    close = [label for label in others if pairs[label]["verdict"] == "noise"]
-    if close:
-        text = f"Within noise of the best, {first}: {_name(close)}. These data do not tell them apart by what matters"
-        return Check("note", "Order", f"{text}; the simplest is recommended.")
-    return Check("good", "Order", f"{first} is better than each of the others by more than noise.")
-
-
-def _name(labels: Sequence[str]) -> str:
-    """Names in a sentence."""
-    return ", ".join(labels[:NAMED]) + (f" and {len(labels) - NAMED} more" if len(labels) > NAMED else "")
 
 
 def _check_rollouts(evaluation: RolloutsRow) -> Check:
@@ -207,7 +229,7 @@ def _check_divergence(comparison: Comparison) -> Check:
     if not lost:
         return Check("good", "Stability", "All train and test rollouts of all runs stayed finite and count.")
     chosen = (comparison["recommendation"] or {}).get("run")
-    text = f"Rollouts diverged, and are left out of the errors, of {_name([*lost.values()])}."
+    text = f"Rollouts diverged, and are left out of the errors, of {name_runs([*lost.values()])}."
     return Check("bad" if chosen is None or chosen in lost else "caution", "Stability", text)
 
 
@@ -218,7 +240,7 @@ def _check_bounds(entries: Sequence[RunRow]) -> Check:
         if (names := [parameter["name"] for parameter in entry["parameters"] if parameter["at_bound"]])
     ]
     if ended:
-        text = f"Parameters ended at a bound in {_name(ended)}. Widen it or doubt the model."
+        text = f"Parameters ended at a bound in {name_runs(ended)}. Widen it or doubt the model."
         return Check("caution", "Bounds", text)
     return Check("good", "Bounds", "No identified parameter of any run ended at a bound.")
 
@@ -226,7 +248,7 @@ def _check_bounds(entries: Sequence[RunRow]) -> Check:
 def _check_fits(runs: Sequence[Run]) -> Check:
     doubtful = [run.label for run in runs if any(check.title == "Fit" for check in _doubt(run))]
     if doubtful:
-        text = f"The fit of {_name(doubtful)} may not have reached its optimum: select the run to read why."
+        text = f"The fit of {name_runs(doubtful)} may not have reached its optimum: select the run to read why."
         return Check("caution", "Fits", text)
     return Check("good", "Fits", "Every fit came to rest or tried all of its combinations.")
 
@@ -236,8 +258,8 @@ def _check_differences(differences: Sequence[DifferenceRow]) -> Check:
     sections = list(dict.fromkeys(option.partition(".")[0] for option in options))
     unlike = [section for section in sections if section in FITTED]
     if unlike:
-        text = f"Runs differ in more than their law: in options of {_name(unlike)}, listed on this page"
+        text = f"Runs differ in more than their law: in options of {name_runs(unlike)}, listed on this page"
         return Check("caution", "Fitted alike?", f"{text}. Part of a difference may come from there.")
     if options:
-        return Check("note", "Fitted alike", f"Besides the law, runs differ in {_name(options)} alone.")
+        return Check("note", "Fitted alike", f"Besides the law, runs differ in {name_runs(options)} alone.")
     return Check("good", "Fitted alike", "Runs differ in their law alone; all other options are the same.")

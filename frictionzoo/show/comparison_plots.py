@@ -13,9 +13,9 @@ from jaxtyping import Float
 from frictionzoo.comparison.runs import Run
 from frictionzoo.comparison.statistics import MATTERS
 from frictionzoo.comparison.types import Comparison, PairRow
-from frictionzoo.result.names import read_values
+from frictionzoo.result.names import pick_value, place_between_bounds
 from frictionzoo.result.types import MetricsRow, ParameterRow
-from frictionzoo.show.colors import BEST, GRID, RUNS, SOFT
+from frictionzoo.show.colors import BASELINE, BEST, GRID, RUNS, SOFT
 from frictionzoo.show.figure import (
     FLATTENED,
     Axis,
@@ -30,7 +30,7 @@ from frictionzoo.show.figure import (
     scale_errors,
     scale_values,
 )
-from frictionzoo.show.rollouts import RUNAWAY, Drive, draw_errors, draw_motion, say_above
+from frictionzoo.show.rollouts import RUNAWAY, Drive, draw_errors, draw_motion, say_above, say_where
 from frictionzoo.show.run_plots import REPORTED
 from frictionzoo.show.text import format_digits, format_number, format_unit, wrap
 
@@ -46,10 +46,18 @@ Look = Mapping[str, Any]
 """What the marks of one run have in common: its name, its place, its colour and its dash."""
 
 
-def choose_looks(labels: Iterable[str]) -> dict[str, Look]:
-    """How each run is drawn, by label; the best comes first."""
+def choose_looks(labels: Iterable[str], reference: str | None = None) -> dict[str, Look]:
+    """How each run is drawn, by label; the best comes first.
+
+    The reference, which has no friction, has the colour that no friction has on the page of a run, and alone has it.
+    """
+    labels = list(labels)
+    colors = [color for color in RUNS if color != BASELINE] if reference in labels else RUNS
+    places = {label: i for i, label in enumerate(each for each in labels if each != reference)}
+    styles = {label: (colors[i % len(colors)], DASHES[i % len(DASHES)]) for label, i in places.items()}
+    styles[reference or ""] = BASELINE, DASHES[1]
     return {
-        label: {"name": label, "run": i, "color": RUNS[i % len(RUNS)], "dash": DASHES[i % len(DASHES)]}
+        label: {"name": label, "run": i, "color": styles[label][0], "dash": styles[label][1]}
         for i, label in enumerate(labels)
     }
 
@@ -76,7 +84,7 @@ def plot_comparison(comparison: Comparison, runs: Sequence[Run]) -> dict[str, li
 
 
 def _looks(comparison: Comparison) -> dict[str, Look]:
-    return choose_looks(run["label"] for run in comparison["runs"])
+    return choose_looks((run["label"] for run in comparison["runs"]), comparison["reference"])
 
 
 def _numbers(values: Iterable[float | None]) -> Float[np.ndarray, "values"]:
@@ -87,6 +95,7 @@ def _numbers(values: Iterable[float | None]) -> Float[np.ndarray, "values"]:
 def _plot_parameters(comparison: Comparison, runs: Sequence[Run]) -> Iterator[Figure]:
     """Figure 3, a figure for each run with parameters and each joint: these over the iterations of the fit.
 
+    As parameters have different units, they are drawn by where they are between the bounds of the fit.
     Of a grid search, the combinations that were better than all before are drawn as points.
     """
     joints, looks = comparison["joints"], _looks(comparison)
@@ -95,16 +104,14 @@ def _plot_parameters(comparison: Comparison, runs: Sequence[Run]) -> Iterator[Fi
             where = f", {name}" if len(joints) > 1 else ""
             network = f" ({run.result['network']['weights']} weights not shown)" if run.result["network"] else ""
             grid = run.result["fit"]["method"] == "grid"
-            marks = _draw_parameters(run, joint, looks[run.label]["color"])
-            values = np.concatenate([mark.y for mark in marks if isinstance(mark, Curve)])
+            marks = _draw_parameters(run, name, joint, looks[run.label]["color"])
             first, last = (float(end) for end in run.curves.history["iteration"][[0, -1]])
             room = 0.02 * (last - first) + 0.5
             x = Axis("combination" if grid else "iteration", limits=(first - room, last + room))
-            y = scale_values("value", "unit as named", values, apart=1.0)
-            yield Figure(f"{run.label}{where}{network}", "", (Panel(marks, x, y),))
+            yield Figure(f"{run.label}{where}{network}", "", (Panel(marks, x, Axis("between the bounds", "%")),))
 
 
-def _draw_parameters(run: Run, joint: int, color: str) -> list[Mark]:
+def _draw_parameters(run: Run, name: str, joint: int, color: str) -> list[Mark]:
     """The parameters of one joint, a line each, and what the fit reports."""
     history, fit = run.curves.history, run.result["fit"]
     grid, best = fit["method"] == "grid", float(fit["best_iteration"])
@@ -113,16 +120,16 @@ def _draw_parameters(run: Run, joint: int, color: str) -> list[Mark]:
     shown = better if grid else slice(None)
     iteration = history["iteration"][shown].astype(np.float64)
     marks: list[Mark] = [Stripe(low=best, high=best, color=BEST, dash=(4.0, 3.0))]
-    for i, (name, parameter) in enumerate(_identified(run).items()):
-        value = float(read_values(parameter)[joint])
-        if np.isnan(value):
+    for i, (key, parameter) in enumerate(_identified(run).items()):
+        if (row := pick_value(parameter, name)) is None:
             continue
-        curve = np.reshape(history[name], (len(history["iteration"]), -1))[shown, joint]
+        curve = np.reshape(history[key], (len(history["iteration"]), -1))[shown, joint].astype(np.float64)
+        curve, reached = (100 * place_between_bounds(row, values) for values in (curve, np.array([row["value"]])))
         points = {"width": 0.0, "marker": MARKERS[i % len(MARKERS)], "size": 5.0}
         look: dict[str, Any] = points if grid else {"dash": DASHES[i % len(DASHES)]}
-        said = f"{parameter['name']} = {value:.4g} {format_unit(parameter['unit'])}".rstrip()
+        said = f"{parameter['name']} = {row['value']:.4g} {format_unit(parameter['unit'])}".rstrip()
         marks.append(Curve(x=iteration, y=curve, name=said, color=color, **look))
-        marks.append(Curve(x=np.array([best]), y=np.array([value]), **REPORTED))
+        marks.append(Curve(x=np.array([best]), y=reached, **REPORTED))
     return marks
 
 
@@ -138,7 +145,8 @@ def _plot_trajectories(comparison: Comparison, runs: Sequence[Run]) -> Iterator[
     duration = timestep * (runs[0].curves.measured_qpos.shape[1] - 1)
     for joint, name in enumerate(comparison["joints"]):
         panels = draw_motion(drives, joint, timestep, (comparison["unit"], comparison["velocity_unit"]))
-        text = f"Measured and simulated position and velocity of joint {name} over {duration:g} s of test data, all "
+        place = say_where(comparison["data"], runs[0].curves, 0) or "test data"
+        text = f"Measured and simulated position and velocity of joint {name} over {duration:g} s of {place}, all "
         text += f"{len(runs)} runs under the same command."
         yield Figure(f"Trajectory of {name}", text, panels, time=True)
 
@@ -222,7 +230,7 @@ def _plot_differences(comparison: Comparison) -> Figure:
     low, high = (np.array([0.0, *_numbers(pair[end] for pair in pairs.values())]) for end in ("low", "high"))
     limit = _limit(np.maximum(-low, high), FRAME)
     limits = 1.1 * max(-limit, min(np.nanmin(low), -0.1 * limit)), 1.1 * limit
-    above = Axis("position MAE above that of the best", unit, limits=limits)
+    above = Axis("MAE above the best", unit, limits=limits)
     return _arrange_rows("How sure is the order?", text, marks, above, labels)
 
 

@@ -3,7 +3,6 @@
 import base64
 import gzip
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from frictionzoo.core.templates import open_template
-from frictionzoo.result.names import merge_known, read_values
+from frictionzoo.result.names import merge_known, place_between_bounds, read_values
 from frictionzoo.result.types import ParameterRow, ValueRow
 from frictionzoo.show import with_plotly
 from frictionzoo.show.colors import DARK
@@ -114,11 +113,8 @@ def _say_whose(row: ValueRow) -> str:
 
 
 def _place(row: ValueRow, value: float) -> float:
-    """Where a value lies between the bounds of a row, from 0 to 100; in decades where the bounds are positive."""
-    low, high = row["low"], row["high"]
-    if low > 0:
-        low, high, value = math.log(low), math.log(high), math.log(max(value, low))
-    return round(100 * min(1.0, max(0.0, (value - low) / (high - low))), 1)
+    """Where a value lies between the bounds of a row, from 0 to 100, as `place_between_bounds` has it."""
+    return round(100 * place_between_bounds(row, np.array([float(value)])).item(), 1)
 
 
 _FILTERS = {

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from frictionzoo.result.curves import Curves
 from frictionzoo.result.evaluate import moving_mean_and_std
+from frictionzoo.result.types import DataRow
 from frictionzoo.show.figure import Axis, Band, Curve, Mark, Panel, frame, scale_errors
 
 LARGEST = 1e100  # rad or m, of what is drawn
@@ -51,6 +52,14 @@ class Drive:
     def errors(self) -> Float[np.ndarray, "states"]:
         """Absolute position error, mean over joints; NaN from where it has diverged."""
         return np.abs(self.follow("qpos") - self.measured("qpos")).mean(axis=1)
+
+
+def say_where(data: DataRow, curves: Curves, rollout: int) -> str:
+    """Which recording a long test rollout is of, and when it begins there; empty where the run did not keep that."""
+    if not len(curves.begins):
+        return ""
+    names = [log["name"] for log in data["logs"] if log["part"] == "test"]
+    return f"{names[int(curves.recording[rollout])]} from {curves.begins[rollout]:.4g} s on"
 
 
 def draw_motion(drives: Sequence[Drive], joint: int, timestep: float, units: Sequence[str]) -> tuple[Panel, Panel]:

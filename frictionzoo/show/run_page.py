@@ -13,6 +13,7 @@ from frictionzoo.result.curves import Curves
 from frictionzoo.result.types import DataRow, FitRow, ParameterRow, PartsRow, Result, TimingRow, ValueRow
 from frictionzoo.result.verdict import doubt_reference, judge, list_rollouts, say_finding
 from frictionzoo.show.page import Check, render_page
+from frictionzoo.show.rollouts import say_where
 from frictionzoo.show.run_plots import choose_rollouts, plot_run
 from frictionzoo.show.terminal import ERRORS
 from frictionzoo.show.text import format_change, format_number, format_share
@@ -91,7 +92,7 @@ def write_report(path: Path, result: Result, curves: Curves) -> None:
         joints=joints,
         links=[(key, text) for key, text in LINKS.items() if key not in (_OF_ONE if joints else _OF_SEVERAL)],
         place=place,
-        uses=_list_uses(place),
+        uses=list_uses(place),
         ranks=_say_ranks(curves),
         shown=_say_shown(result, curves),
         portrayed=PORTRAYED,
@@ -106,7 +107,7 @@ def write_report(path: Path, result: Result, curves: Curves) -> None:
     write_atomically(path, page)
 
 
-def _list_uses(place: str) -> list[str]:
+def list_uses(place: str) -> list[str]:
     """How the result in this folder is used: in a shell, and line by line in Python."""
     return [
         f"python -m frictionzoo.export {shlex.quote(place)} target=mjcf",
@@ -134,20 +135,21 @@ def _say_ranks(curves: Curves) -> str:
 
 def _say_shown(result: Result, curves: Curves) -> str:
     """Which rollouts are drawn, and how their errors compare with what the headline has."""
-    test, error = result["metrics"]["test"], {}
+    test, said = result["metrics"]["test"], []
     for name, rollout in choose_rollouts(curves).items():
         measured = curves.measured_qpos[rollout, 1:]
-        of = (np.abs(qpos[rollout] - measured).mean() for qpos in (curves.qpos, curves.baseline_qpos))
-        error[name] = [float(each) if np.isfinite(each) else None for each in of]
-    said = ", ".join(
-        f"{name} {format_number(own)} {test['unit']}" + (f" ({change} to no friction)" if change else "")
-        for name, (own, without) in error.items()
-        for change in [format_change(own, without)]
-    )
+        of = (float(np.abs(qpos[rollout] - measured).mean()) for qpos in (curves.qpos, curves.baseline_qpos))
+        own, without = (each if np.isfinite(each) else None for each in of)
+        change = format_change(own, without)
+        about = "; ".join(
+            filter(None, (change and f"{change} to no friction", say_where(result["data"], curves, rollout)))
+        )
+        said.append(f"{name} {format_number(own)} {test['unit']}" + (f" ({about})" if about else ""))
     duration = result["data"]["timestep"] * curves.qpos.shape[1]
     return (
         f"Of {len(curves.qpos)} rollouts of {duration:g} s at places of the test recordings, mean position error over "
-        f"joints: {said}. The headline's error is the mean over {test['rollouts']} rollouts of {test['horizon']:g} s."
+        f"joints: {', '.join(said)}. The headline's error is the mean over {test['rollouts']} rollouts of "
+        f"{test['horizon']:g} s."
     )
 
 

@@ -14,7 +14,7 @@ from frictionzoo.show import with_matplotlib
 from frictionzoo.show.colors import BASELINE, BEST, JOINTS, MODEL, TRAIN
 from frictionzoo.show.figure import Axis, Bars, Curve, Figure, Mark, Panel, Sheet, Stripe, scale_values
 from frictionzoo.show.friction_plots import find_units, plot_left, plot_portraits
-from frictionzoo.show.rollouts import Drive, draw_errors, draw_motion
+from frictionzoo.show.rollouts import Drive, draw_errors, draw_motion, say_where
 from frictionzoo.show.text import format_number, format_unit
 
 COLUMNS = 4  # joints beside each other on a sheet
@@ -35,7 +35,7 @@ def plot_run(result: Result, curves: Curves) -> dict[str, list[Figure]]:
         "error": list(_plot_errors(result, curves, shown)),
         "phase": list(_plot_phases(result, curves, shown)),
         "left": list(plot_left(result, curves)),
-        "history": list(_plot_history(result, curves)),
+        "history": list(plot_history(result, curves)),
         "horizons": [_plot_horizons(result)] if len(result["by_horizon"]) > 1 else [],
     }
 
@@ -59,7 +59,7 @@ def write_figures(folder: Path, result: Result, curves: Curves) -> None:
     fitted = f"{_describe(result, 'fit to the training part')}\nmarked: iteration {result['fit']['best_iteration']}, "
     window = f"moving mean and standard deviation over {result['evaluation']['window']:g} s"
     tested = _describe(result, "one rollout of the test part")
-    history, error = list(_plot_history(result, curves)), list(_plot_errors(result, curves, _FIRST))
+    history, error = list(plot_history(result, curves)), list(_plot_errors(result, curves, _FIRST))
     sheets = {
         "figure3_parameters": Sheet(f"{fitted}as reported", history, 1.9, columns=2, headings=True),
         "figure4_trajectory": _arrange(result, curves),
@@ -87,10 +87,11 @@ def _describe(result: Result, what: str) -> str:
     return f"{result['model']}, {what} of {result['data']['name']} ({kind} data)"
 
 
-def _plot_history(result: Result, curves: Curves) -> Iterator[Figure]:
+def plot_history(result: Result, curves: Curves, color: str = MODEL) -> Iterator[Figure]:
     """Figure 3: loss and identified parameters over the iterations, a figure each, the reported iteration marked.
 
-    A law without parameters of its own to show (a network) has its gradient norm shown instead.
+    A law without parameters of its own to show (a network) has its gradient norm shown instead. `color` is that of a
+    line which is alone; of several joints each has its own.
     """
     history = curves.history
     units = {f"{p['owner']}.{p['name']}": format_unit(p["unit"]) for p in result["parameters"] if p["identified"]}
@@ -105,7 +106,7 @@ def _plot_history(result: Result, curves: Curves) -> Iterator[Figure]:
         label, unit = name.partition(".")[2] or name, units.get(name, "")
         reached = _say_reached(columns[:, at])
         y = Axis(unit=unit) if name in units else scale_values("", "", columns.ravel(), apart=10.0)
-        marks = list(_draw_courses(iteration, dict(zip(lines, columns, strict=True)), at, result))
+        marks = list(_draw_courses(iteration, dict(zip(lines, columns, strict=True)), at, result, color))
         panel = Panel(marks, Axis("iteration"), y, note=reached if len(columns) == 1 else "")
         text = f"{label} over {len(iteration)} iterations; {reached} {unit}".rstrip()
         yield Figure(label, f"{text} at iteration {best}, which is reported and marked.", (panel,), small=True)
@@ -124,14 +125,17 @@ def _say_reached(values: np.ndarray) -> str:
     return f"{format_number(values.min())} to {format_number(values.max())}, a line a joint,"
 
 
-def _draw_courses(iteration: np.ndarray, columns: Mapping[str, np.ndarray], at: int, result: Result) -> Iterator[Mark]:
+def _draw_courses(
+    iteration: np.ndarray, columns: Mapping[str, np.ndarray], at: int, result: Result, color: str
+) -> Iterator[Mark]:
     """A line a joint, or joints that share a value; points of a grid search; and the reported values."""
     best, several = float(iteration[at]), 1 < len(columns) <= len(JOINTS)
     points: dict[str, Any] = {"width": 0.0, "marker": "circle", "size": 4.0}
     look = points if result["fit"]["method"] == "grid" else {}
+    colors = JOINTS if len(columns) > 1 else (color,)
     yield Stripe(low=best, high=best, color=BEST, dash=(4.0, 3.0))
     for i, (name, column) in enumerate(columns.items()):
-        yield Curve(x=iteration, y=column, name=name, legend=several, color=JOINTS[i % len(JOINTS)], **look)
+        yield Curve(x=iteration, y=column, name=name, legend=several, color=colors[i % len(colors)], **look)
     reached = np.array([column[at] for column in columns.values()])
     yield Curve(x=np.full(len(columns), best), y=reached, name="reported", legend=several, **REPORTED)
 
@@ -146,7 +150,9 @@ def _plot_trajectories(result: Result, curves: Curves, shown: Mapping[str, int])
             panels = draw_motion(drives, joint, timestep, (test["unit"], test["velocity_unit"]))
             errors = [drive.follow("qpos")[:, joint] - drive.measured("qpos")[:, joint] for drive in drives]
             model, baseline = (_say_error(error, test["unit"]) for error in errors)
-            text = f"Measured and simulated position and velocity of joint {name} over {duration:g} s; "
+            place = say_where(result["data"], curves, rollout)
+            text = f"Measured and simulated position and velocity of joint {name} over {duration:g} s"
+            text += f", {place}; " if place else "; "
             text += f"the mean position error is {model} with the model and {baseline} without friction."
             title = f"{_say_rank(rank, curves)}{name}" if rank else f"Trajectory of {name}"
             yield Figure(title, text, panels, time=True)
@@ -196,7 +202,8 @@ def _plot_errors(result: Result, curves: Curves, shown: Mapping[str, int]) -> It
         drives = _list_drives(curves, rollout)
         model, baseline = (format_number(float(np.nanmax(drive.errors()))) for drive in drives)
         text = (
-            f"Moving mean and standard deviation over {window:g} s of the absolute position error; the largest error "
+            f"Moving mean and standard deviation over {window:g} s of the absolute position error"
+            f"{f', {place}' if (place := say_where(result['data'], curves, rollout)) else ''}; the largest error "
         )
         text += f"is {model} {unit} with the model and {baseline} {unit} without friction."
         panel = draw_errors(drives, result["data"]["timestep"], window, unit)
