@@ -113,7 +113,7 @@ class Identified:
         """
         # Imported here, so that what reads a run does not wait for what draws one.
         from frictionzoo.export.bench import write_identified
-        from frictionzoo.show.replay import record
+        from frictionzoo.show.replay import record_replay
         from frictionzoo.show.run_page import write_report
         from frictionzoo.show.run_plots import write_figures
 
@@ -134,7 +134,7 @@ class Identified:
             write_atomically(folder / name, content)
         result = copy.deepcopy(self.result)
         result["timing"]["total"] += time.perf_counter() - began
-        replay = record(self.bench, self.values["bench"], self.curves, self.segments.timestep)
+        replay = record_replay(self.bench, self.values["bench"], self.curves, self.segments.timestep)
         write_report(folder / "report.html", result, self.curves, replay)
         write_result(folder / RESULT, result)
 

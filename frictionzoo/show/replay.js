@@ -1,18 +1,24 @@
   // Rollouts in space, as frictionzoo.show.replay records them; drawn when something changes, and not otherwise.
   const { replay } = state;
-  const [stage, play, seek, clock, which, speed, apart] = ["stage", "play", "seek", "clock", "which", "speed", "apart"]
-    .map(id => document.getElementById(id));
+  const [stage, play, seek, clock, which, speed, gain, apart] =
+    ["stage", "play", "seek", "clock", "which", "speed", "gain", "apart"].map(id => document.getElementById(id));
   const boxes = [...document.querySelectorAll("[data-motion]")];
+  const MEASURED = replay.motions.findIndex(({ name }) => name === "measured");
   let time = 0, playing = false, view = null;
   const rollout = () => replay.rollouts[which.value];
 
   // Joint positions of a motion at this time, on a straight line between frames; null once it has diverged.
-  const positionsAt = motion => {
+  const between = motion => {
     const joints = rollout().positions[motion], last = joints[0].length - 1, end = (replay.duration / replay.step) | 0;
     const at = Math.min(time / replay.step, end), frame = Math.min(Math.floor(at), Math.max(0, last - 1));
     if (last < 0 || (at > last && last < end)) return null;
     const share = last ? at - frame : 0;
     return joints.map(own => replay.finest * (own[frame] + share * ((own[frame + 1] ?? own[frame]) - own[frame])));
+  };
+  // The same with its errors as large as they are wanted.
+  const positionsAt = motion => {
+    const own = between(motion), measured = between(MEASURED);
+    return own?.map((position, joint) => measured[joint] + gain.value * (position - measured[joint])) ?? null;
   };
 
   // A line through the figures of this rollout.
@@ -58,7 +64,7 @@
   play.addEventListener("click", () => run(!playing));
   seek.addEventListener("input", () => { run(false); go(Number(seek.value)); });
   which.addEventListener("change", () => { view?.frame(); show(); });
-  [apart, ...boxes].forEach(box => box.addEventListener("change", show));
+  [apart, gain, ...boxes].forEach(box => box.addEventListener("change", show));
   attend = canvas => {
     if (!("rollout" in canvas.dataset)) return;
     canvas.on("plotly_afterplot", () => mark(canvas));

@@ -40,7 +40,7 @@ Shape = dict[str, Any]
 """What is drawn of a body: `body`, `shape`, `size` as MuJoCo has it, `pos` and `quat` in the body's frame."""
 
 
-def record(bench: Bench, values: Mapping[str, np.ndarray], curves: Curves, timestep: float) -> dict[str, Any]:
+def record_replay(bench: Bench, values: Mapping[str, np.ndarray], curves: Curves, timestep: float) -> dict[str, Any]:
     """All that a page needs to show a run's long test rollouts in space; without names.
 
     Quaternions are (x, y, z, w), lengths in m, angles in rad.
@@ -180,9 +180,9 @@ def _list_links(
             moved = curves.measured_qpos[:, :, at] - model.qpos0[model.jnt_qposadr[joint]]
             ends = (anchor + end * data.xaxis[joint] for end in (moved.min(), moved.max()))
             lines.append((above, *ends))
-    reach = [np.linalg.norm(end - start) for _, start, end in lines]
-    boxes = [box["size"] for body in np.flatnonzero(moving) for box in _box_inertia(model, int(body))]
-    largest = max([*reach, *np.ravel(boxes)], default=float(model.stat.meansize))
+    reach = [float(np.linalg.norm(end - start)) for _, start, end in lines]
+    boxes = [max(box["size"]) for body in np.flatnonzero(moving) for box in _box_inertia(model, int(body))]
+    largest = max([*reach, *boxes], default=float(model.stat.meansize))
     thickness = _THIN / 2 * largest
     for body, start, end in lines:
         yield from _line(data, body, start, end, thickness)

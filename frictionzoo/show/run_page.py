@@ -78,7 +78,7 @@ def write_report(path: Path, result: Result, curves: Curves, replay: Mapping[str
         path: Of the page.
         result: What `result.json` holds.
         curves: What figures are drawn from.
-        replay: What `frictionzoo.show.replay.record` gives; None for a page without a view in space.
+        replay: What `frictionzoo.show.replay.record_replay` gives; None for a page without a view in space.
 
     Raises:
         OutputError: It cannot be written.
@@ -94,7 +94,7 @@ def write_report(path: Path, result: Result, curves: Curves, replay: Mapping[str
         plot_run(result, curves),
         list(check_result(result)),
         points=max(LEAST, MOST // len(result["joints"])),
-        state={"replay": replay} if replay else {},
+        state={"replay": replay},
         three=pack_library("three/three.min.js") if replay else "",
         result=result,
         verdict=result["verdict"],
