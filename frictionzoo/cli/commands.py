@@ -1,6 +1,8 @@
 """The commands of the program and its pages of help, for which neither Hydra nor any of the science is imported."""
 
+import contextlib
 import importlib
+import os
 import re
 import signal
 import sys
@@ -9,6 +11,7 @@ from collections.abc import Sequence
 from frictionzoo import __version__
 from frictionzoo.cli.mistakes import fail
 from frictionzoo.core.errors import closest
+from frictionzoo.core.telling import tell
 
 COMMANDS = {
     "run": "identify a drive; done where no command is named",
@@ -92,6 +95,8 @@ examples:
 Options are those of data in a run, and hydra.run.dir=FOLDER, where to write.
 """
 _FLAGS = {"-h", "--help"}
+_SWEEP = {"-m", "--multirun"}
+_COMPOSING = ("run", "inspect")  # they wait for Hydra before they say anything
 
 
 def main(*command: str) -> None:
@@ -99,7 +104,20 @@ def main(*command: str) -> None:
     # While modules are imported, before a command answers it: Ctrl-C ends the program without a traceback.
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    dispatch([*command, *sys.argv[1:]])
+    try:
+        with contextlib.suppress(BrokenPipeError):
+            dispatch([*command, *sys.argv[1:]])
+    finally:
+        _let_go_of_output()
+
+
+def _let_go_of_output() -> None:
+    """Hand the output over; in silence where nobody reads it any more, as behind `| head`."""
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # What Python flushes at its end goes nowhere too.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def dispatch(arguments: Sequence[str]) -> None:
@@ -116,4 +134,6 @@ def dispatch(arguments: Sequence[str]) -> None:
     elif "--version" in rest:
         print(f"frictionzoo {__version__}")
     else:
+        if name in _COMPOSING and not any(each.startswith("-") for each in {*rest} - _SWEEP):
+            tell(f"frictionzoo {name}: reading the options")
         importlib.import_module(f"frictionzoo.cli.{name}").main(rest)
