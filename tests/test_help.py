@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import ROOT
+from conftest import ROOT, slow_but
 from test_readme import assert_composes
 
 from frictionzoo.cli import run
@@ -147,6 +147,26 @@ def test_a_command_gets_its_arguments(
     monkeypatch.setattr(f"frictionzoo.cli.{name}.main", given.extend)
     assert dispatch(arguments) is None
     assert given == rest
+
+
+COMPLETIONS = {
+    "frictionzoo in": {"inspect"},
+    "frictionzoo model=coul": {"model=coulomb_smooth", "model=coulomb_stribeck"},
+    "frictionzoo run model=lug": {"model=lugre", "model=lugre_load_dependent"},
+    "frictionzoo inspect data=em": {"data=emps"},
+    "frictionzoo fit=lm fit.it": {"fit.iterations="},
+    "frictionzoo export RU": set(),
+}
+
+
+@pytest.mark.parametrize(
+    "line", slow_but(["frictionzoo in", "frictionzoo run model=lug", "frictionzoo export RU"], COMPLETIONS)
+)
+def test_a_line_is_completed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture, line: str) -> None:
+    monkeypatch.setenv("COMP_LINE", line)
+    dispatch(["-sc", "query=bash"])
+    captured = capsys.readouterr()
+    assert {*captured.out.split()} == COMPLETIONS[line] and captured.err == ""
 
 
 @pytest.mark.parametrize("name", ["comapre", "a.csv", "logs/a"])

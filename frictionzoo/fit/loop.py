@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import lightning.pytorch as pl
 import torch
+from lightning.pytorch.loggers import Logger
 from lightning.pytorch.plugins import TorchCheckpointIO
 from lightning.pytorch.plugins.environments import LightningEnvironment
 from tqdm import tqdm
@@ -168,7 +169,7 @@ def _train(module: FitModule, record: Record | None, checkpoint: Path | None, pr
                 accelerator="cpu",
                 devices=1,
                 max_epochs=-1,
-                logger=record.logger.start(record.folder, record.hyperparameters) if record else False,
+                logger=_begin_record(record, module) if record else False,
                 callbacks=[*callbacks, *([_ProgressBar()] if progress else [])],
                 plugins=[LightningEnvironment(), _AtomicFiles()],
                 enable_checkpointing=False,
@@ -181,6 +182,10 @@ def _train(module: FitModule, record: Record | None, checkpoint: Path | None, pr
             raise OutputError(
                 f"{place}: {error.strerror or error} while writing the fit's progress; free space or set hydra.run.dir"
             ) from None
+
+
+def _begin_record(record: Record, module: FitModule) -> Logger:
+    return record.logger.start(record.folder, record.hyperparameters, module.objective.space.limits())
 
 
 def _checked_checkpoint(folder: Path, identity: Mapping[str, str]) -> Path | None:

@@ -155,11 +155,14 @@ def build_result(found: Findings) -> types.Result:
 
 
 def pick_metrics(result: types.Result) -> dict[str, float]:
-    """The numbers by which runs are compared, without those that have no value because rollouts diverged."""
+    """The numbers by which runs are compared, without those that have no value because rollouts diverged.
+
+    Errors come first: TensorBoard shows the first few of them, in the order of the alphabet with capitals first.
+    """
     picked = {
-        "test/position_mae": result["metrics"]["test"]["position_mae"],
-        "test/position_rmse": result["metrics"]["test"]["position_rmse"],
-        "train/position_mae": result["metrics"]["train"]["position_mae"],
+        "MAE/test_position": result["metrics"]["test"]["position_mae"],
+        "RMSE/test_position": result["metrics"]["test"]["position_rmse"],
+        "MAE/train_position": result["metrics"]["train"]["position_mae"],
         "fit/loss": result["fit"]["loss"],
         "fit/seconds": result["timing"]["fit"],
     }
