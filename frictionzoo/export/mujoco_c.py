@@ -59,7 +59,7 @@ def _write_native(fitted: Identified, folder: Path) -> Export:
         "`act` of the dcmotor is the bend of the bristles: 0 is a joint without load, not one that holds it; the "
         "difference begins with the drive's own.",
     ]
-    exact = Nearest(fitted.values["bench"], np.zeros(fitted.bench.nv), np.zeros(fitted.bench.nv))
+    exact = Nearest(dict(fitted.values["bench"]), np.zeros(fitted.bench.nv), np.zeros(fitted.bench.nv))
     return Export((BENCH,), (difference,), (*limits, *say_limits(fitted, exact)))
 
 
