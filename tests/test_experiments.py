@@ -103,7 +103,6 @@ def test_a_measured_drive_gets_a_card(finished_run, tmp_path, monkeypatch, capsy
         shutil.copytree(finished_run("mujoco_default")[0], runs / "1" / "0")
     words = ["cards.py", "--licence", "cc0-1.0", "--runs", str(tmp_path / "runs"), "--output", str(tmp_path / "cards")]
     monkeypatch.setattr(sys, "argv", words)
-    monkeypatch.setattr("frictionzoo.card.law.DRAWS", 3)
     assert cards.main() == 0
     assert capsys.readouterr().out == f"{name}: {tmp_path / 'cards' / name}\n"
     recommended = json.loads((sweep / "comparison" / "comparison.json").read_text())["recommendation"]["run"]

@@ -154,7 +154,7 @@ def record(path: Path, pace: float, samples: int = 4100) -> None:
             friction = np.tanh(qvel / 0.01) * (0.15 + 0.1 * np.exp(-((qvel / 0.1) ** 2))) + 0.05 * qvel
             data.qfrc_applied[0] = 15 * (command - qpos) - 0.5 * qvel - friction
             mujoco.mj_step(model, data)
-    noise = np.random.default_rng(int(pace)).normal(size=(samples, 4)) * (0, 2e-4, 1e-2, 0)
+    noise = np.random.default_rng(int(pace)).normal(size=(samples, 4)) * (0, 1e-3, 3e-2, 0)
     np.savetxt(path, rows + noise, fmt="%.9g", delimiter=",", header="time,qpos,qvel,ctrl", comments="")
 
 
@@ -188,8 +188,11 @@ def hold(folder: Path, run: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("in_haste")
 def test_the_block_runs_as_a_program(stand: Path, tmp_path: Path, start: Callable, finished_run: Callable) -> None:
+    """All but the comparison, which takes as long as all else and is in the notebook's."""
     shutil.copytree(stand, tmp_path, dirs_exist_ok=True)
-    (tmp_path / "program.py").write_text("\n".join([*cells(), OWN, HOLDS]))
+    lines = [text for text in cells() if not text.startswith("fz.compare(")]
+    assert len(lines) == len(cells()) - 1
+    (tmp_path / "program.py").write_text("\n".join([*lines, OWN, HOLDS]))
     program = start(program=["program.py"])
     out, err = program.communicate(timeout=900)
     assert program.returncode == 0, err

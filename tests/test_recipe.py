@@ -20,7 +20,7 @@ from frictionzoo.identification.stages import Choice, divide, imply
 from frictionzoo.logs.signals import find_noise
 
 TIMESTEP, DELAY = 0.005, 0.012
-OPTIONS = ("data=twin", f"data.timestep={TIMESTEP}", "data.substeps=20", "data.samples=4000", "data.cache_dir=null")
+OPTIONS = ("data=twin", f"data.timestep={TIMESTEP}", "data.substeps=20", "data.samples=2400", "data.cache_dir=null")
 DRIVE = {"command_delay": DELAY, "load_share": 0.0, "ripple_torque": 0.0, "static_torque": 0.11}
 QUICK: dict[str, Any] = {"evaluation": {"horizons": [0.5], "rollouts": 2, "places": 2, "trajectory": 1.0}}
 
@@ -207,7 +207,7 @@ def test_a_recipe_that_does_not_exist_is_refused(recorded: Dataset) -> None:
         fz.identify(knee(), "coulomb_smooth", list(recorded.train), recipe="best")
 
 
-def test_what_is_open_is_nothing_without_a_recipe(call: Callable) -> None:
+def test_what_is_open_is_nothing_without_a_recipe(call: Callable, tiny: tuple[str, ...]) -> None:
     for option in ("segments.length=auto", "bench.timestep=auto", "dtype=auto", "loss.robust=auto"):
-        finished = call("recipe=given", option)
+        finished = call(*tiny, "recipe=given", option)
         assert finished.status == 2 and finished.err.startswith(f"frictionzoo: {option}"), finished.err

@@ -75,6 +75,7 @@ def assert_found(drive: fz.Identified, truth: dict[str, Any], tolerance: float) 
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("in_haste")
 @pytest.mark.parametrize(
     ("page", "drive", "truth", "tolerance"),
     [("leg", "leg", LEG, 0.05), ("arm", "arm", TRUTH, 0.05), ("servo", "servo", SERVO, 0.15)],
@@ -90,6 +91,7 @@ def test_a_tutorial_finds_its_drive(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("in_haste")
 def test_the_tutorial_of_a_law_ranks_it(follow: Callable, tmp_path: Path) -> None:
     found = follow("tutorials/law.md")["found"]
     assert {*found.ranking} == {"baseline", "coulomb_smooth", "mujoco_default", "pushed_coulomb"}
@@ -98,6 +100,7 @@ def test_the_tutorial_of_a_law_ranks_it(follow: Callable, tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("in_haste")
 def test_the_tutorial_of_ranges_holds_the_drive(follow: Callable, finished_run: Callable, tmp_path: Path) -> None:
     (tmp_path / "drive").symlink_to(finished_run("mujoco_default")[0])
     names = follow("tutorials/randomisation.md")
@@ -114,6 +117,7 @@ def test_the_tutorial_of_ranges_holds_the_drive(follow: Callable, finished_run: 
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("in_haste")
 def test_the_page_on_python_identifies_compares_and_defines_a_law(follow: Callable, tmp_path: Path) -> None:
     before = torch.get_default_dtype()
     names = follow("python.md", first=2)

@@ -4,13 +4,11 @@ import hashlib
 import json
 import re
 from collections.abc import Iterator, Mapping
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 import safetensors.torch
 import torch
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from frictionzoo import __version__
 from frictionzoo.card.portable import TEMPLATE, write_template
@@ -20,6 +18,7 @@ from frictionzoo.core.anonymous import find_paths
 from frictionzoo.core.errors import ConfigError, OutputError, RunError, closest
 from frictionzoo.core.output import RESULT, take_place, to_json, write_atomically
 from frictionzoo.core.params import UNITS
+from frictionzoo.core.templates import open_template
 from frictionzoo.result.identified import Identified
 from frictionzoo.result.record import refuse_invalid
 from frictionzoo.show.friction_plots import save_portraits
@@ -121,20 +120,8 @@ def render_page(card: Card) -> str:
     units = UNITS["slide" if result["metrics"]["test"]["unit"] == "m" else "hinge"]
     tables = {"values": tabulate_values(result), "errors": tabulate_errors(result)}  # pyright: ignore[reportArgumentType]
     content = {"card": card, "result": result, "units": units, "picture": PICTURE, "files": FILES, **tables}
-    return _environment().get_template("card/card.md.jinja").render(content)
-
-
-@cache
-def _environment() -> Environment:
-    environment = Environment(
-        loader=PackageLoader("frictionzoo", ""),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    environment.filters |= {"number": format_number, "plain": _escape, "quoted": json.dumps}
-    return environment
+    filters = {"number": format_number, "plain": _escape, "quoted": json.dumps}
+    return open_template("card/card.md.jinja", filters).render(content)
 
 
 def _escape(text: str) -> str:

@@ -6,12 +6,12 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import jinja2
 import numpy as np
 
 from frictionzoo import __version__
 from frictionzoo.core.errors import ExportError
 from frictionzoo.core.params import UNITS
+from frictionzoo.core.templates import open_template
 from frictionzoo.export.graph import signals
 from frictionzoo.export.source import merge, read_source, write_values
 from frictionzoo.models import TorchFriction
@@ -48,14 +48,7 @@ def write_module(fitted: Identified, folder: Path, template: str, name: str, **m
 
 def render(template: str, **context: Any) -> str:
     """A file of a template of this package."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("frictionzoo.export", "."),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    return environment.get_template(template).render(**context).lstrip()
+    return open_template(f"export/{template}").render(**context).lstrip()
 
 
 def _describe(fitted: Identified, values: str, weights: bool) -> Mapping[str, Any]:

@@ -155,21 +155,19 @@ class Stages:
     def _weigh(self) -> Iterator[Choice]:
         """Precision and weights."""
         least_squares = "least squares are solved to the last digit: rounding must stay far below the noise"
-        network = "many steps of a gradient, each of which rounds far below what it changes"
-        yield from self._set("dtype", *(("float64", least_squares) if self._small else ("float32", network)))
+        other = "rounding is far below what a fit that is no least squares of few parameters tells apart"
+        yield from self._set("dtype", *(("float64", least_squares) if self._small else ("float32", other)))
         noise, several = self._noise, self._bench.nv > 1
         position = " ".join(f"{each:.2g}" for each in noise.position)
         yield from self._set("loss.position", 1.0, f"noise of the measured position: {position} {self._unit}")
         if not self._small:
-            yield from self._set(
-                "loss.velocity", 1.0, "a network's fit begins at measured states, whose noise is in both"
-            )
+            yield from self._set("loss.velocity", 1.0, "this fit begins at measured states, whose noise is in both")
         else:
             yield from self._set("loss.velocity", noise.velocity_weight, self._say_velocity(noise))
         why = "each joint's errors count over what is left of them" if several else "there is one joint"
         yield from self._set("loss.by_joint", several, why)
         if not self._small:
-            yield from self._set("loss.refine", False, "estimating initial states takes too long for a network's fit")
+            yield from self._set("loss.refine", False, "initial states are estimated in fits of few parameters")
 
     def _say_velocity(self, noise: Noise) -> str:
         if noise.velocity is None:
@@ -415,11 +413,11 @@ class Stages:
         """What a fit without a pilot does not look for."""
         for name in [name for name, free in self._free.items() if free]:
             self._identify(name, False)
-            why = "not looked for beside a network; fit a law of few parameters first, and set it as that finds it"
+            why = "not looked for in this fit; fit a law of few parameters with fit=lm first, then set it"
             yield Choice(f"bench.params.{name}.identify", False, why)
         yield from self._set("loss.robust", "none", "the errors' tails are looked at in fits of few parameters")
         yield from self._set("loss.robust_scale", 1.0, "not used")
-        yield from self._set("loss.encoder_step", 0.0, "least squares, for a network averages over what it rounds")
+        yield from self._set("loss.encoder_step", 0.0, "least squares average over what the encoder rounds")
         if self._step_is_open:
             yield Choice("bench.timestep", self._step, f"at most {1e3 * _COARSEST:g} ms, a whole part of the interval")
 

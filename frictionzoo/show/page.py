@@ -10,9 +10,9 @@ from importlib import resources
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from frictionzoo.result.names import merge_known, place_between_bounds, read_values
+from frictionzoo.core.templates import open_template
+from frictionzoo.result.names import label_values, merge_known, place_between_bounds, read_values
 from frictionzoo.result.types import ParameterRow, ValueRow
 from frictionzoo.show import with_plotly
 from frictionzoo.show.colors import DARK
@@ -64,8 +64,7 @@ def render_page(
     names, figures = list(sections), [figure for figures in drawn.values() for figure in figures]
     data = {"figures": figures, "dark": DARK, "state": state or {}}
     return (
-        _environment()
-        .get_template(template)
+        open_template(template, _FILTERS, html=True)
         .render(
             sections=sections,
             # Number of the first figure of each section.
@@ -92,20 +91,6 @@ def _pack_plotly() -> str:
     return pack(library.read_text(encoding="utf-8"))
 
 
-@cache
-def _environment() -> Environment:
-    environment = Environment(
-        loader=PackageLoader("frictionzoo", ""),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {"number": format_number, "unit": format_unit, "place": _place, "change": format_change}
-    environment.filters |= {"merge_known": merge_known, "overview": _overview, "share": format_share}
-    return environment
-
-
 def _overview(parameter: ParameterRow) -> dict[str, Any]:
     """A parameter of several joints in one line: the mean or the range, and what is doubtful."""
     rows, first = [row for row in parameter["by_joint"] if row["identified"]], parameter["by_joint"][0]
@@ -130,3 +115,24 @@ def _say_whose(row: ValueRow) -> str:
 def _place(row: ValueRow, value: float) -> float:
     """Where a value lies between the bounds of a row, from 0 to 100, as `place_between_bounds` has it."""
     return round(100 * place_between_bounds(row, np.array([float(value)])).item(), 1)
+
+
+def _say_certainty(parameters: Sequence[ParameterRow]) -> str:
+    """Which identified values have the widest and the narrowest interval for their size; empty where none has one."""
+    rows = {label: row for p in parameters for label, row in label_values(p).items() if row["identified"]}
+    width = {
+        label: (row["interval"][1] - row["interval"][0]) / abs(2 * row["value"])
+        for label, row in rows.items()
+        if row["interval"] is not None and row["value"]
+    }
+    if not width:
+        return ""
+    least, most = max(width, key=width.__getitem__), min(width, key=width.__getitem__)
+    said = f"Least certain: {least}, ± {100 * width[least]:.2g} %"
+    return f"{said}; most: {most}, ± {100 * width[most]:.2g} %." if most != least else f"{said}."
+
+
+_FILTERS = {
+    **{"number": format_number, "unit": format_unit, "place": _place, "change": format_change},
+    **{"merge_known": merge_known, "overview": _overview, "share": format_share, "certainty": _say_certainty},
+}
