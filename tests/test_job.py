@@ -1,6 +1,7 @@
 """One job from a recording to an identified drive, for every model: what it leaves behind holds together."""
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -69,6 +70,7 @@ def check_record(run: Path, finished: Finished, name: str, module: FrictionModel
     assert checkpoint["identity"]["model"] == name
     page = (run / "report.html").read_text(encoding="utf-8")
     assert f"<title>{name} on files" in page and 'href="friction.safetensors"' in page
+    assert re.search(r"\[test\] from 1\.\d+ s on", page)  # of 1.5 s, the last part is the test's
     assert not [path for path in run.rglob("*") if path.suffix == ".part"]
 
     assert f"{name} on files. The data are real" in finished.out

@@ -55,7 +55,7 @@ def choose_looks(labels: Iterable[str], reference: str | None = None) -> dict[st
     colors = [color for color in RUNS if color != BASELINE] if reference in labels else RUNS
     places = {label: i for i, label in enumerate(each for each in labels if each != reference)}
     styles = {label: (colors[i % len(colors)], DASHES[i % len(DASHES)]) for label, i in places.items()}
-    styles[reference or ""] = BASELINE, DASHES[1]
+    styles[reference or ""] = BASELINE, DASHES[-1]
     return {
         label: {"name": label, "run": i, "color": styles[label][0], "dash": styles[label][1]}
         for i, label in enumerate(labels)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from frictionzoo.core.templates import open_template
-from frictionzoo.result.names import merge_known, place_between_bounds, read_values
+from frictionzoo.result.names import label_values, merge_known, place_between_bounds, read_values
 from frictionzoo.result.types import ParameterRow, ValueRow
 from frictionzoo.show import with_plotly
 from frictionzoo.show.colors import DARK
@@ -117,7 +117,22 @@ def _place(row: ValueRow, value: float) -> float:
     return round(100 * place_between_bounds(row, np.array([float(value)])).item(), 1)
 
 
+def _say_certainty(parameters: Sequence[ParameterRow]) -> str:
+    """Which identified values have the widest and the narrowest interval for their size; empty where none has one."""
+    rows = {label: row for p in parameters for label, row in label_values(p).items() if row["identified"]}
+    width = {
+        label: (row["interval"][1] - row["interval"][0]) / abs(2 * row["value"])
+        for label, row in rows.items()
+        if row["interval"] is not None and row["value"]
+    }
+    if not width:
+        return ""
+    least, most = max(width, key=width.__getitem__), min(width, key=width.__getitem__)
+    said = f"Least certain: {least}, ± {100 * width[least]:.2g} %"
+    return f"{said}; most: {most}, ± {100 * width[most]:.2g} %." if most != least else f"{said}."
+
+
 _FILTERS = {
     **{"number": format_number, "unit": format_unit, "place": _place, "change": format_change},
-    **{"merge_known": merge_known, "overview": _overview, "share": format_share},
+    **{"merge_known": merge_known, "overview": _overview, "share": format_share, "certainty": _say_certainty},
 }
