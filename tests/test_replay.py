@@ -121,7 +121,8 @@ def test_each_rollout_shows_its_payload(make):
     load = np.stack([own.load(weight) for weight in weights])
     recorded = record_replay(own, values_of(own), replace(curves, load=load), 0.001)
     for rollout in recorded["rollouts"]:
-        *_, carried = rollout["shapes"]
+        carried, *lines = rollout["shapes"]
+        assert [line["moves"] for line in lines] == [True, False]  # the arm, and the shaft that holds it
         np.testing.assert_allclose(carried["pos"], weights[rollout["rollout"]].position, atol=1e-6)
 
 
