@@ -1,6 +1,5 @@
 """The view of rollouts in space: places against MuJoCo C, what is drawn, and how a real browser shows it."""
 
-import copy
 import json
 from dataclasses import replace
 
@@ -31,6 +30,18 @@ ARM = f"""<mujoco><compiler angle="radian"/><option timestep="0.001"><flag conta
 <geom type="ellipsoid" size="0.01 0.02 0.1" group="4"/>{INERTIAL}</body></body></body></worldbody></mujoco>"""
 
 
+FIRST = "const stage = document.getElementById('stage'); await until(() => stage.bodies); await allDrawn();"
+PIXELS = """const seen = () => {
+  stage.bodies(0);
+  const copy = document.createElement("canvas"), own = stage.querySelector("canvas");
+  Object.assign(copy, { width: own.width, height: own.height });
+  copy.getContext("2d").drawImage(own, 0, 0);
+  return copy.getContext("2d").getImageData(0, 0, copy.width, copy.height).data;
+};
+const count = () => seen().reduce((sum, each, at) => sum + (at % 4 === 3 && each > 0), 0);"""
+CURSORS = """const cursors = () => [...document.querySelectorAll(".cursor")].filter(line => !line.hidden);"""
+
+
 def stand(tmp_path, text, joints, of=Bench, **more):
     (tmp_path / "stand.xml").write_text(text)
     options = {"actuator": PositionPD(kp=20, kd=1), "timestep": 0.001, **more}
@@ -54,6 +65,16 @@ def values_of(own, **values):
     return own.initial_values() | values
 
 
+def show(tmp_path, result, own, values, rollout):  # noqa: F811
+    """The page of a run with this replay, in a browser."""
+    courses = {name: np.ones((3, own.nv)) for name in ("bench.armature", "friction.static_torque")}
+    finished = result | {"fit": FIT | {"stopped": "finished", "moving": []}}
+    curves = curves_of(rollout, **courses)
+    recorded = record_replay(own, values, curves, 0.001)
+    write_report(tmp_path / "report.html", of_joints(finished, *own.joints), curves, recorded)
+    return open_page(tmp_path / "report.html"), recorded
+
+
 @needs_browser
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["hinge", "slide"])
@@ -61,11 +82,7 @@ def test_bodies_are_where_mujoco_has_them(tmp_path, result, kind):  # noqa: F811
     """Also with an encoder's offset, with several joints of one body, and joints away from the body's origin."""
     own, rollout = three_joints(tmp_path, kind), move()
     values = values_of(own, position_offset=OFFSET)
-    curves = curves_of(rollout, **{"bench.armature": np.ones((3, 3)), "friction.static_torque": np.ones((3, 3))})
-    record_of_run = of_joints(copy.deepcopy(result) | {"fit": FIT | {"stopped": "finished", "moving": []}}, *own.joints)
-    recorded = record_replay(own, values, curves, 0.001)
-    write_report(tmp_path / "report.html", record_of_run, curves, recorded)
-    browser = open_page(tmp_path / "report.html")
+    browser, recorded = show(tmp_path, result, own, values, rollout)
     frame, tolerance = 7, 10 * FINEST[kind]  # errors are drawn up to ten times as large
     places = browser.run(
         f"""await until(() => document.getElementById("stage").bodies);
@@ -121,7 +138,8 @@ def test_each_rollout_shows_its_payload(make):
     load = np.stack([own.load(weight) for weight in weights])
     recorded = record_replay(own, values_of(own), replace(curves, load=load), 0.001)
     for rollout in recorded["rollouts"]:
-        *_, carried = rollout["shapes"]
+        carried, *lines = rollout["shapes"]
+        assert [line["moves"] for line in lines] == [True, False]  # the arm, and the shaft that holds it
         np.testing.assert_allclose(carried["pos"], weights[rollout["rollout"]].position, atol=1e-6)
 
 
@@ -149,9 +167,9 @@ MESH = """<mujoco><asset><mesh name="link" file="link.obj"/><mesh name="gone" fi
 </body></body></worldbody></mujoco>"""
 
 
-def test_a_robot_is_drawn_with_the_shapes_of_its_file(tmp_path):
-    """Its meshes too, of those that are there; the bench that is simulated has none of them."""
-    corners = [f"v {x} {y} {z}" for x in (0, 1) for y in (0, 1) for z in (0, 1)]
+def write_mesh(folder):
+    """A cube of 0.2 m that hangs by the middle of a face."""
+    corners = [f"v {x} {y} {z}" for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.2, 0)]
     faces = [
         "f 1 2 3",
         "f 2 4 3",
@@ -164,7 +182,12 @@ def test_a_robot_is_drawn_with_the_shapes_of_its_file(tmp_path):
         "f 1 3 5",
         "f 3 7 5",
     ]
-    (tmp_path / "link.obj").write_text("\n".join([*corners, *faces, "f 2 6 4", "f 4 6 8"]))
+    (folder / "link.obj").write_text("\n".join([*corners, *faces, "f 2 6 4", "f 4 6 8"]))
+
+
+def test_a_robot_is_drawn_with_the_shapes_of_its_file(tmp_path):
+    """Its meshes too, of those that are there; the bench that is simulated has none of them."""
+    write_mesh(tmp_path)
     own = stand(tmp_path, MESH, "knee", Robot)
     recorded = record_replay(own, values_of(own), curves_of(move(1)), 0.001)
     assert own.compile(constraint=False).ngeom == 0
@@ -173,6 +196,20 @@ def test_a_robot_is_drawn_with_the_shapes_of_its_file(tmp_path):
     assert len(mesh["faces"]) == 3 * 12 and "link" not in json.dumps(recorded)
     (tmp_path / "stand.xml").unlink()  # who draws it later has what was simulated
     assert record_replay(own, values_of(own), curves_of(move(1)), 0.001)["inertia"]
+
+
+@needs_browser
+@pytest.mark.slow
+def test_a_mesh_is_seen(tmp_path, result):  # noqa: F811
+    write_mesh(tmp_path)
+    own = stand(tmp_path, MESH.replace('type="box" size="0.1 0.1 0.1"', 'type="sphere" size="0.001"'), "knee", Robot)
+    browser, _ = show(tmp_path, result, own, values_of(own), move(1))
+    whole, without = browser.run(
+        f"""{FIRST}{PIXELS} const whole = count();
+        for (const box of document.querySelectorAll("[data-motion]")) box.click();
+        return [whole, count()];"""
+    )
+    assert whole > 10_000 and without < 100
 
 
 def test_positions_are_those_of_the_rollouts(tmp_path):
@@ -208,18 +245,6 @@ def test_a_page_has_room_for_so_many_positions(tmp_path, monkeypatch):
         numbers = sum(len(joint) for r in recorded["rollouts"] for own in r["positions"] for joint in own)
         assert len(recorded["rollouts"]) == rollouts and numbers <= room
         assert len(recorded["rollouts"][0]["positions"][0][0]) <= frames
-
-
-FIRST = "const stage = document.getElementById('stage'); await until(() => stage.bodies); await allDrawn();"
-PIXELS = """const seen = () => {
-  stage.bodies(0);
-  const copy = document.createElement("canvas"), own = stage.querySelector("canvas");
-  Object.assign(copy, { width: own.width, height: own.height });
-  copy.getContext("2d").drawImage(own, 0, 0);
-  return copy.getContext("2d").getImageData(0, 0, copy.width, copy.height).data;
-};
-const count = () => seen().reduce((sum, each, at) => sum + (at % 4 === 3 && each > 0), 0);"""
-CURSORS = """const cursors = () => [...document.querySelectorAll(".cursor")].filter(line => !line.hidden);"""
 
 
 @needs_browser

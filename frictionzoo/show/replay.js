@@ -63,8 +63,8 @@
   };
   play.addEventListener("click", () => run(!playing));
   seek.addEventListener("input", () => { run(false); go(Number(seek.value)); });
-  which.addEventListener("change", () => { view?.frame(); show(); });
-  [apart, gain, ...boxes].forEach(box => box.addEventListener("change", show));
+  [which, gain].forEach(choice => choice.addEventListener("change", () => { view?.frame(); show(); }));
+  [apart, ...boxes].forEach(box => box.addEventListener("change", show));
   attend = canvas => {
     if (!("rollout" in canvas.dataset)) return;
     canvas.on("plotly_afterplot", () => mark(canvas));
@@ -98,8 +98,9 @@
   const assemble = (shapes, material) => {
     const bodies = replay.bodies.map(() => new THREE.Group());
     bodies.slice(1).forEach((body, at) => bodies[replay.bodies[at + 1].parent].add(body));
-    for (const { body, shape, size, mesh, pos, quat } of shapes) {
+    for (const { body, shape, size, mesh, pos, quat, backdrop } of shapes) {
       const solid = new THREE.Mesh(shapeOf[shape](size, mesh), material);
+      solid.userData.backdrop = backdrop;
       solid.position.fromArray(pos);
       solid.quaternion.fromArray(quat).normalize();
       bodies[body].add(solid);
@@ -135,8 +136,7 @@
         color: paint(color, scheme.matches), opacity, transparent: opacity < 1, depthWrite: opacity === 1,
         polygonOffset: opacity < 1, polygonOffsetFactor: 1, polygonOffsetUnits: 4, // seen where it sticks out of what is solid
       });
-    const [moving, still] = [true, false].map(moves => replay.shapes.filter(shape => shape.moves === moves));
-    let motions = [], corners = [], centre = new THREE.Vector3(), distances = new Map(), zoom = 1;
+    let motions = [], scenery = [], corners = [], centre = new THREE.Vector3(), distances = new Map(), zoom = 1;
     let [azimuth, elevation] = replay.view;
 
     const clear = () => {
@@ -145,30 +145,35 @@
     };
     const build = () => {
       clear();
-      const scenery = assemble(still, paintIn(replay.scenery));
+      const shapes = [...replay.shapes, ...rollout().shapes];
+      scenery = assemble(shapes.filter(({ moves }) => !moves), paintIn(replay.scenery));
       pose(scenery, replay.bodies.flatMap(body => body.joints).reduce((at, joint) => ({ ...at, [joint.at]: joint.reference }), {}));
-      motions = replay.motions.map(motion => assemble([...moving, ...rollout().shapes], paintIn(motion)));
+      motions = replay.motions.map(motion => assemble(shapes.filter(({ moves }) => moves), paintIn(motion)));
       scene.add(scenery[0], ...motions.map(([world]) => world));
+    };
+    const reach = world => {
+      world.updateMatrixWorld(true);
+      world.traverse(({ geometry, matrixWorld, userData }) => {
+        if (!geometry || userData.backdrop) return;
+        geometry.computeBoundingBox();
+        const { min, max } = geometry.boundingBox;
+        for (const x of [min.x, max.x]) for (const y of [min.y, max.y]) for (const z of [min.z, max.z])
+          corners.push(new THREE.Vector3(x, y, z).applyMatrix4(matrixWorld));
+      });
     };
     // All that the measured and the modelled motion pass through; what has no friction may leave the stage.
     const measure = () => {
       const now = time;
       corners = [];
       distances = new Map();
+      reach(scenery[0]);
       for (let i = 0; i <= 24; i++) {
         time = replay.duration * i / 24;
         motions.slice(0, 2).forEach((bodies, motion) => {
           const positions = positionsAt(motion);
           if (!positions) return;
           pose(bodies, positions);
-          bodies[0].updateMatrixWorld(true);
-          bodies[0].traverse(({ geometry, matrixWorld }) => {
-            if (!geometry) return;
-            geometry.computeBoundingBox();
-            const { min, max } = geometry.boundingBox;
-            for (const x of [min.x, max.x]) for (const y of [min.y, max.y]) for (const z of [min.z, max.z])
-              corners.push(new THREE.Vector3(x, y, z).applyMatrix4(matrixWorld));
-          });
+          reach(bodies[0]);
         });
       }
       time = now;
@@ -185,7 +190,7 @@
     const fitTo = aspect => {
       if (!distances.has(aspect)) {
         stand(1);
-        const high = Math.tan(camera.fov * Math.PI / 360) / 1.1;
+        const high = Math.tan(camera.fov * Math.PI / 360) / 1.03;
         const away = corners.map(corner => corner.clone().applyMatrix4(camera.matrixWorldInverse))
           .map(({ x, y, z }) => z + 1 + Math.max(Math.abs(x) / aspect, Math.abs(y)) / high);
         distances.set(aspect, away.reduce((most, each) => Math.max(most, each), 1e-3));

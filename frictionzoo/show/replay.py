@@ -62,10 +62,10 @@ def record_replay(bench: Bench, values: Mapping[str, np.ndarray], curves: Curves
     moving = _find_moving(model, joints)
     shapes, meshes = list(_list_geoms(model)), list[dict[str, Any]]()
     inertia = not any(moving[shape["body"]] for shape in shapes)
-    if inertia:
-        shapes += _list_inertia(model, moving, bench.payload) + list(_list_links(model, joints, moving, curves))
-    else:
+    if not inertia:
         meshes = _list_meshes(model, shapes)
+    elif bench.payload is None:
+        shapes += _list_inertia(model, joints, curves)
     for shape in shapes:
         shape["moves"] = bool(moving[shape["body"]])
     offset = values.get("position_offset", np.zeros(bench.nv))
@@ -137,12 +137,17 @@ def _list_geoms(model: mujoco.MjModel) -> Iterator[Shape]:
                 size[:2] = np.where(size[:2] > 0, size[:2], 2 * model.stat.extent)
                 size[2] = _THIN * model.stat.extent / 4
             shape = _shape(int(body), _SHAPES[int(kinds[geom])], size, model.geom_pos[geom], model.geom_quat[geom])
+            shape["backdrop"] = bool(kinds[geom] == mujoco.mjtGeom.mjGEOM_PLANE)
             yield shape | ({"mesh": int(model.geom_dataid[geom])} if shape["shape"] == "mesh" else {})
 
 
-def _list_inertia(model: mujoco.MjModel, moving: Bool[np.ndarray, "nbody"], payload: int | None) -> list[Shape]:
-    """A box of each moving body's inertia; of the one that carries payloads, each rollout has its own."""
-    return [box for body in np.flatnonzero(moving) if body != payload for box in _box_inertia(model, int(body))]
+def _list_inertia(model: mujoco.MjModel, joints: Sequence[int], curves: Curves) -> list[Shape]:
+    """A box of each moving body's inertia, and lines by which they hang together."""
+    moving = _find_moving(model, joints)
+    boxes = [box for body in np.flatnonzero(moving) for box in _box_inertia(model, int(body))]
+    largest = max((max(box["size"]) for box in boxes), default=float(model.stat.meansize))
+    shapes = [*boxes, *_list_links(model, joints, curves, largest)]
+    return [shape | {"moves": bool(moving[shape["body"]])} for shape in shapes]
 
 
 def _box_inertia(model: mujoco.MjModel, body: int) -> list[Shape]:
@@ -157,9 +162,7 @@ def _box_inertia(model: mujoco.MjModel, body: int) -> list[Shape]:
     return [_shape(body, "box", size, model.body_ipos[body], model.body_iquat[body])]
 
 
-def _list_links(
-    model: mujoco.MjModel, joints: Sequence[int], moving: Bool[np.ndarray, "nbody"], curves: Curves
-) -> Iterator[Shape]:
+def _list_links(model: mujoco.MjModel, joints: Sequence[int], curves: Curves, largest: float) -> Iterator[Shape]:
     """Lines from a joint's anchor to those of the next joints, from the last to its link's centre, and a rail."""
     # Places at the reference position; between joints of one body and the next they stay as they are.
     data = mujoco.MjData(model)
@@ -181,9 +184,7 @@ def _list_links(
             ends = (anchor + end * data.xaxis[joint] for end in (moved.min(), moved.max()))
             lines.append((above, *ends))
     reach = [float(np.linalg.norm(end - start)) for _, start, end in lines]
-    boxes = [max(box["size"]) for body in np.flatnonzero(moving) for box in _box_inertia(model, int(body))]
-    largest = max([*reach, *boxes], default=float(model.stat.meansize))
-    thickness = _THIN / 2 * largest
+    thickness = _THIN / 2 * max([largest, *reach])
     for body, start, end in lines:
         yield from _line(data, body, start, end, thickness)
     for joint in joints:  # the shaft of a hinge, on the side that holds it
@@ -215,11 +216,12 @@ def _list_meshes(model: mujoco.MjModel, shapes: Sequence[Shape]) -> list[dict[st
         if "mesh" in shape:
             shape["mesh"] = used.index(shape["mesh"])
     cells = CELLS
-    meshes = [_coarsen(*_read_mesh(model, mesh), cells) for mesh in used]
-    while sum(len(mesh["faces"]) for mesh in meshes) > 3 * FACES and cells > 2:
-        cells = int(cells / 1.4)
+    while True:
         meshes = [_coarsen(*_read_mesh(model, mesh), cells) for mesh in used]
-    return meshes
+        excess = sum(len(mesh["faces"]) for mesh in meshes) / (3 * FACES)
+        if excess <= 1 or cells <= 2:
+            return meshes
+        cells = max(2, int(cells / max(1.1, excess**0.5)))  # triangles fall at most by the square of it
 
 
 def _read_mesh(model: mujoco.MjModel, mesh: int) -> tuple[Float[np.ndarray, "vertices 3"], Int[np.ndarray, "faces 3"]]:
@@ -239,13 +241,20 @@ def _coarsen(
     """
     low = vertices.min(axis=0)
     cell = float(np.ptp(vertices, axis=0).max()) / cells or 1.0
-    grid, kept = np.unique(np.rint((vertices - low) / cell).astype(np.int64), axis=0, return_inverse=True)
-    merged = kept.reshape(-1)[faces]
+    grid, kept = _unite(np.rint((vertices - low) / cell).astype(np.int64))
+    merged = kept[faces]
     flat = (merged == np.roll(merged, 1, axis=1)).any(axis=1)
     # One of several triangles that fell together, whichever corner each begins with.
     first = np.argmin(merged, axis=1)[:, None]
-    turned = np.unique(np.take_along_axis(merged, (first + np.arange(3)) % 3, axis=1)[~flat], axis=0)
+    turned, _ = _unite(np.take_along_axis(merged, (first + np.arange(3)) % 3, axis=1)[~flat])
     return {"low": _round(low), "cell": cell, "vertices": grid.ravel().tolist(), "faces": turned.ravel().tolist()}
+
+
+def _unite(rows: Int[np.ndarray, "rows 3"]) -> tuple[Int[np.ndarray, "different 3"], Int[np.ndarray, "rows"]]:
+    """The rows that differ, of numbers from 0, and which of them each row is."""
+    base = int(rows.max(initial=0)) + 1
+    keys, kept = np.unique(rows @ [base * base, base, 1], return_inverse=True)  # as one number a row, ten times as fast
+    return np.stack([keys // base**2, keys // base % base, keys % base], axis=1), kept
 
 
 def _space_frames(curves: Curves, timestep: float) -> int:
@@ -267,17 +276,17 @@ def _list_rollouts(bench: Bench, curves: Curves, every: int, inertia: bool) -> I
         model, baseline = simulated
         positions = [_round_positions(each[::every], bench) for each in (model, measured, baseline)]
         label = f"{names.get(rollout, '')}rollout {rollout + 1} of {len(curves.qpos)}"
-        shapes = _list_carried(bench, curves.load[rollout]) if inertia else []
+        shapes = _list_carried(bench, curves, rollout) if inertia else []
         yield {"rollout": rollout, "label": label, "positions": positions, "shapes": shapes}
 
 
-def _list_carried(bench: Bench, load: Float[np.ndarray, "load"]) -> list[Shape]:
-    """The inertia of the body that carries a rollout's payload."""
+def _list_carried(bench: Bench, curves: Curves, rollout: int) -> list[Shape]:
+    """Inertia with the payload of a rollout, of a bench that carries any."""
     if bench.payload is None:
         return []
     model = bench.compile(constraint=False)
-    bench.put_load(model, load)
-    return [box | {"moves": True} for box in _box_inertia(model, bench.payload)]
+    bench.put_load(model, curves.load[rollout])
+    return _list_inertia(model, [model.joint(name).id for name in bench.joints], curves)
 
 
 def _round_positions(qpos: Float[np.ndarray, "frames nv"], bench: Bench) -> list[list[int]]:
