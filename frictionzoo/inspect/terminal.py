@@ -30,14 +30,15 @@ def summarise(survey: Mapping[str, Any], folder: Path) -> str:
 
 def list_quantities(survey: Mapping[str, Any]) -> Iterator[Row]:
     """Rows of the table of quantities: name, lowest, median and highest over the recordings, unit."""
-    timing = survey["timing"]
+    timing, units = survey["timing"], survey["units"]
+    small = " or ".join(f"m{unit}" for unit in units["position"].split(" or "))
     yield from _row("sample interval", timing["interval"], "ms", 1e3)
     yield from _row("intervals off by over 5 %", timing["jitter"], "%", 100.0)
     for i, joint in enumerate(survey["joints"]):
         which = f" {i + 1}" if len(survey["joints"]) > 1 else ""
-        yield _bounds(f"position{which}", joint["position"], "rad or m")
-        yield _bounds(f"velocity{which}", joint["velocity"], "rad/s or m/s")
-        yield from _row(f"position quantum{which}", joint["position_quantum"], "mrad or mm", 1e3)
+        yield _bounds(f"position{which}", joint["position"], units["position"])
+        yield _bounds(f"velocity{which}", joint["velocity"], units["velocity"])
+        yield from _row(f"position quantum{which}", joint["position_quantum"], small, 1e3)
         yield from _row(f"velocity lag{which}", joint["velocity_lag"], "ms", 1e3)
         yield from _row(f"at rest{which}", joint["rest"], "%", 100.0)
         if delay := joint["delay"]:
