@@ -1,5 +1,6 @@
 """The summary of a data set in plain text."""
 
+import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from textwrap import fill
@@ -7,7 +8,7 @@ from typing import Any
 
 from frictionzoo.show.terminal import align
 
-WIDTH = 110  # characters of a line
+WIDTH = 110  # characters of a line, at most, and where there is no terminal
 MARKS = {"good": "ok", "note": "note", "caution": "caution", "bad": "problem"}
 
 Row = tuple[str, str, str, str, str]
@@ -64,7 +65,7 @@ def _bounds(name: str, bounds: Sequence[float], unit: str) -> Row:
 
 def _tell(findings: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     """The findings that ask for something first."""
-    order = list(MARKS)[::-1]
+    order, width = list(MARKS)[::-1], min(WIDTH, shutil.get_terminal_size((WIDTH, 24)).columns)
     for finding in sorted(findings, key=lambda finding: order.index(finding["state"])):
         text = f"{finding['title']}: {finding['text']}"
-        yield fill(text, WIDTH, initial_indent=f"{MARKS[finding['state']]:<9}", subsequent_indent=" " * 9)
+        yield fill(text, width, initial_indent=f"{MARKS[finding['state']]:<9}", subsequent_indent=" " * 9)
