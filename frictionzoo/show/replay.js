@@ -178,6 +178,7 @@
       }
       time = now;
       centre = new THREE.Box3().setFromPoints(corners).getCenter(new THREE.Vector3());
+      for (let i = 0; i < 3 && corners.length; i++) centreOn();
     };
     const stand = distance => {
       const flat = Math.cos(elevation);
@@ -186,15 +187,27 @@
       camera.lookAt(centre);
       camera.updateMatrixWorld();
     };
+    // Corners as one sees them from the centre, and how far away they are all in sight.
+    const seen = () => {
+      stand(1);
+      return corners.map(corner => corner.clone().applyMatrix4(camera.matrixWorldInverse));
+    };
+    const standBack = (places, aspect) => {
+      const high = Math.tan(camera.fov * Math.PI / 360) / 1.05;
+      return places.reduce((most, { x, y, z }) => Math.max(most, z + 1 + Math.max(Math.abs(x) / aspect, Math.abs(y)) / high), 1e-3);
+    };
+    // What is nearer looks larger: the middle of the picture is not that of the places.
+    const centreOn = () => {
+      const places = seen(), distance = standBack(places, 1);
+      const middle = ["x", "y"].map(axis => {
+        const drawn = places.map(place => place[axis] * distance / (distance - 1 - place.z));
+        return (drawn.reduce((a, b) => Math.min(a, b)) + drawn.reduce((a, b) => Math.max(a, b))) / 2;
+      });
+      centre.add(new THREE.Vector3(...middle, 0).applyQuaternion(camera.quaternion));
+    };
     // How far away all corners are in sight, from where one looks at first; turning does not move one to and fro.
     const fitTo = aspect => {
-      if (!distances.has(aspect)) {
-        stand(1);
-        const high = Math.tan(camera.fov * Math.PI / 360) / 1.03;
-        const away = corners.map(corner => corner.clone().applyMatrix4(camera.matrixWorldInverse))
-          .map(({ x, y, z }) => z + 1 + Math.max(Math.abs(x) / aspect, Math.abs(y)) / high);
-        distances.set(aspect, away.reduce((most, each) => Math.max(most, each), 1e-3));
-      }
+      if (!distances.has(aspect)) distances.set(aspect, standBack(seen(), aspect));
       return distances.get(aspect) / zoom;
     };
     const look = aspect => {
