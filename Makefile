@@ -1,6 +1,6 @@
 # Every target works in the active environment; `make install` fills it.
 .DEFAULT_GOAL := help
-.PHONY: help install test slow reproduce cards lint format docs
+.PHONY: help install test slow reproduce cards targets lint format docs
 
 help: ## list the targets
 	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -19,6 +19,9 @@ reproduce: ## the experiments at full size, about an hour on two cores: checks t
 
 cards: ## a card of each drive that the experiments measured, after `make reproduce`; LICENCE=ID says under which
 	python experiments/cards.py --licence "$(LICENCE)"
+
+targets: ## exported drives in the programs that they are for: RUNS="FOLDER ..."; ENVIRONMENTS=FOLDER keeps the environments that it makes
+	python benchmarks/targets.py $(RUNS) $(if $(ENVIRONMENTS),--environments $(ENVIRONMENTS))
 
 lint: ## what CI checks besides tests
 	ruff format --check

@@ -34,6 +34,8 @@ WIDTHS = """await allDrawn();
     ...shown().flatMap(canvas => [...canvas.querySelectorAll(".main-svg")])
       .map(svg => Math.ceil(svg.getBoundingClientRect().right))];"""
 
+_SLOW = "GPU stall due to ReadPixels"  # what a browser without a GPU says of every picture in space
+
 
 def read_data(source: str) -> dict[str, Any]:
     """What a page hands to its script: `figures`, `dark` and `state`."""
@@ -52,10 +54,12 @@ class Browser:
     def __init__(self) -> None:
         driver = sync_playwright().start()
         atexit.register(driver.stop)
-        chromium = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        chromium = driver.chromium.launch(
+            executable_path=CHROMIUM, args=["--no-sandbox", "--enable-unsafe-swiftshader"]
+        )
         self._page = chromium.new_page()
         self.console: list[str] = []
-        self._page.on("console", lambda message: self.console.append(message.text))
+        self._page.on("console", lambda message: _SLOW in message.text or self.console.append(message.text))
         self._page.on("pageerror", lambda error: self.console.append(str(error)))
 
     def show(self, path: Path, fragment: str = "", width: int = 1280, scheme: str = "light") -> None:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +15,7 @@ BENCHMARKS = ROOT / "benchmarks"
 ON_RECORDINGS = ("robot", "branches")
 QUICKEST = {  # script: its arguments, and the rows that it has to give
     "gradient": ("--quick --joints 1 --ways mjx.step-unfused", 6),
+    "start": ("--repeats 1 --commands help 'no such recording'", 2),
     "sysid": ("--samples 2000 --repeats 1", 4),
     "end_to_end": ("--models baseline --iterations 2 -- data.samples=30000", 1),
     "grid": ("--points 2 --sample 1 --models mujoco_default -- data.samples=30000", 4),
@@ -34,7 +36,7 @@ QUICKEST = {  # script: its arguments, and the rows that it has to give
     "growth": ("--samples 1e4 --lengths 50 --widths 16 --segments 200", 3),
 }
 # Errors, shares, and what needs no compiling; everything else is a time, a size or a count.
-MAY_BE_ZERO = {"difference", "armature_error", "compile", "errors", "warnings", "curve"}
+MAY_BE_ZERO = {"difference", "status", "armature_error", "compile", "errors", "warnings", "curve"}
 
 
 @pytest.mark.slow
@@ -43,7 +45,7 @@ MAY_BE_ZERO = {"difference", "armature_error", "compile", "errors", "warnings", 
 def test_a_benchmark_measures(script: str, tmp_path: Path) -> None:
     arguments, rows = QUICKEST[script]
     out = tmp_path / "results" / "measured.json"
-    command = [sys.executable, BENCHMARKS / f"{script}.py", "--out", out, *arguments.split()]
+    command = [sys.executable, BENCHMARKS / f"{script}.py", "--out", out, *shlex.split(arguments)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     finished = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert finished.returncode == 0, finished.stderr

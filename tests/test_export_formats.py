@@ -3,7 +3,9 @@
 import io
 import itertools
 import json
+import warnings
 import zipfile
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import cache, cached_property, partial
 from importlib.resources import files
@@ -16,6 +18,7 @@ import torch
 from conftest import slow_but, trace_nothing
 from omegaconf import OmegaConf
 
+from frictionzoo import __version__
 from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config
 from frictionzoo.core.errors import ConfigError, ExportError
@@ -34,6 +37,7 @@ from frictionzoo.models.by_name import complete_laws
 from frictionzoo.result.identified import Identified
 
 SIGNALS = ["qpos", "qvel", "ctrl", "motor_torque", "external_torque"]
+ROOT = Path(__file__).parent.parent
 PAYLOAD = Payload(0.5, (0.0, 0.0, -0.1), (1e-4, 1e-4, 1e-4))
 OPTIONAL = ("history_network", "maxwell_slip")  # their memory is as long as an option says
 MODELS = [name for name in model_names() if not get_model(name).memory and name not in OPTIONAL]
@@ -111,6 +115,46 @@ def test_a_graph_gives_the_laws_torque(tmp_path: Path, target: str, model: str) 
     assert difference.largest < (1e-11 if model in ("directional", "harmonic_drive") else 1e-12)
     if model == "neural_friction" and target == "onnx":
         judge_onnx((tmp_path / "friction.onnx").read_bytes())
+    if model == "temperature_arrhenius":
+        judge_facts(*READ_FACTS[target](tmp_path), (path.read_bytes() for path in tmp_path.iterdir()))
+
+
+def read_onnx(folder: Path) -> tuple[dict[str, str], dict[str, str]]:
+    import onnx
+
+    model = onnx.load(folder / "friction.onnx")
+    assert (model.producer_name, model.producer_version) == ("frictionzoo", __version__)
+    assert "temperature_arrhenius" in model.doc_string
+    signals = [*model.graph.input, *model.graph.output]
+    return {fact.key: fact.value for fact in model.metadata_props}, {one.name: one.doc_string for one in signals}
+
+
+def read_torchscript(folder: Path) -> tuple[dict[str, str], dict[str, str]]:
+    extra = {"frictionzoo.json": ""}
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", r"`torch\.jit", DeprecationWarning)
+        torch.jit.load(folder / "friction.pt", _extra_files=extra)
+    facts = json.loads(extra["frictionzoo.json"])
+    return facts, json.loads(facts["inputs"]) | json.loads(facts["outputs"])
+
+
+READ_FACTS = {"onnx": read_onnx, "torchscript": read_torchscript}
+
+
+def judge_facts(facts: dict[str, str], units: dict[str, str], contents: Iterable[bytes]) -> None:
+    """A file says what it is, and nothing of the machine that wrote it."""
+    assert facts["producer"] == f"frictionzoo {__version__}" and facts["law"] == "temperature_arrhenius"
+    assert json.loads(facts["joints"]) == ["knee"] and "steps of 0.001 s" in facts["sampling"]
+    states = dict(zip(SIGNALS, ("rad", "rad/s", "as it was recorded", "N m", "N m"), strict=True))
+    assert units == {
+        **{**states, "temperature": "degC"},
+        **{"torque": "N m", "frictionloss": "N m", "damping": "N m s/rad"},
+    }
+    assert json.loads(facts["inputs"]) == {name: units[name] for name in (*SIGNALS, "temperature")}
+    for content in contents:
+        names = zipfile.ZipFile(io.BytesIO(content)).namelist() if zipfile.is_zipfile(io.BytesIO(content)) else []
+        assert not any(name.endswith(".debug_pkl") for name in names)
+        assert str(ROOT).encode() not in content and b"site-packages" not in content
 
 
 def judge_onnx(content: bytes) -> None:

@@ -255,11 +255,32 @@ def test_another_law_is_refitted_and_says_what_that_costs(tmp_path):
     assert "no lugre" in limit
     assert 0 < after < before  # the refit is no worse than truncation
     written = Written("mjcf", tmp_path, Mjcf().write(fitted, tmp_path, {}), error=after)
-    assert "far from the drive" in summarise_exports([written])
+    (row,) = [line for line in summarise_exports([written]).splitlines() if "far from the drive" in line]
+    assert row.startswith("mjcf") and row.endswith("of its own error: frictionloss and damping are no lugre")
     assert "far from the drive" not in summarise_exports([replace(written, error=100 * before)])
     came = run_bench(mujoco.MjModel.from_xml_path(str(tmp_path / "bench.xml")), fitted)
     rms = np.sqrt(np.mean(np.square(came - fitted.rollout()[0])))
     assert rms == pytest.approx(after, rel=1e-2)  # three digits are printed
+
+
+def test_bristles_are_mujocos_own_as_steps_get_short(tmp_path):
+    """The equations are one, so that half the step halves the difference; the numbers are all in the file."""
+    fitted, largest = make_fitted("lugre"), []
+    for drive in (fitted, fitted.at(0.0005)):
+        (difference,) = MujocoC().write(drive, tmp_path, {"law": "native"}).differences
+        assert "step's beginning" in difference.reason
+        largest.append(difference.largest)
+    assert 1e-6 < largest[1] < 0.6 * largest[0] < 1e-3
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "bench.xml"))
+    friction = {name: float(value[0]) for name, value in fitted.values["friction"].items()}
+    bias, bristles = model.actuator("knee_friction").biasprm, model.actuator("knee_friction").dynprm
+    assert bias[3:6].tolist() == [friction[n] for n in ("kinetic_torque", "static_torque", "stribeck_velocity")]
+    assert bristles[5:7].tolist() == [friction["stiffness"], friction["micro_damping"]]
+    assert model.dof_damping == friction["viscous_coefficient"] and model.na == 1
+    with pytest.raises(ExportError, match="law=native: MuJoCo has no coulomb_stribeck, expected lugre or dahl"):
+        MujocoC().write(make_fitted("coulomb_stribeck"), tmp_path, {"law": "native"})
+    with pytest.raises(ConfigError, match="law=own; expected module or native"):
+        MujocoC().write(fitted, tmp_path, {"law": "own"})
 
 
 @pytest.mark.parametrize("target", ["onnx", "torchscript"])
@@ -416,7 +437,8 @@ def test_the_command_writes_a_run_and_a_note(run_folder, tmp_path, capsys):
     assert note["target"] == "mjcf" and note["files"] == ["bench.xml"] and note["timestep"] == 0.001
     assert note["versions"]["mujoco"] == mujoco.__version__
     (difference,) = note["differences"]
-    assert difference["largest"] < EXACT
+    assert difference["largest"] < EXACT and difference["mark"] == difference["reason"] == ""
+    assert note["error"] == Identified.load(run_folder).result["metrics"]["test"]["position_mae"]
     # A run keeps what was exported, to its last digit.
     values, model = Identified.load(run_folder).values, mujoco.MjModel.from_xml_path(str(place / "bench.xml"))
     assert model.dof_frictionloss == values["friction"]["frictionloss"]

@@ -1,7 +1,9 @@
 """The commands of the console script, and what `--help` tells of them: at once, and true."""
 
+import contextlib
 import importlib
 import os
+import pty
 import re
 import shlex
 import signal
@@ -11,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import ROOT
+from conftest import ROOT, slow_but
 from test_readme import assert_composes
 
 from frictionzoo.cli import run
-from frictionzoo.cli.commands import _INSPECT, COMMANDS, HELP, dispatch
+from frictionzoo.cli.commands import _INSPECT, COMMANDS, HELP, dispatch, main
 from frictionzoo.cli.inspect import _name_files
 from frictionzoo.core.config import CONF_DIR
 from frictionzoo.core.options import read_options
@@ -42,14 +44,58 @@ def test_help_does_not_wait_for_imports(name: str) -> None:
     assert "frictionzoo" in imported and not HEAVY & imported
 
 
-def test_a_missing_recording_is_told_before_slow_imports(tmp_path: Path) -> None:
-    code = "import atexit, sys; atexit.register(lambda: print(*{'torch', 'jax', 'mujoco'} & {*sys.modules}))"
-    code += "; from frictionzoo.cli.commands import main; main('run')"
-    words = [sys.executable, "-c", code, "data=files", "data.train=[nothing.csv]", "bench.mjcf=knee_rod.xml"]
+MISTAKES = {
+    "data.train=[nothing.csv] bench.mjcf=knee_rod.xml": "nothing.csv: no such file (looked from ",
+    "data.train=[knee.csv] data.columns.qpos=angle": "knee.csv: no column angle; expected one of ",
+    "data.train=[text.csv]": "text.csv, line 3: qpos is 'abc', expected a number",
+    "data.train=[knee.csv] bench.joint=elbow": "knee_rod.xml: no joint elbow; ",
+}
+TELL = """
+import sys
+from frictionzoo.cli.commands import main
+for options in sys.argv[1:]:
+    sys.argv = ["frictionzoo", "data=files", *options.split()]
+    try:
+        main()
+    except SystemExit as ended:
+        print(ended.code)
+print(*{"torch", "jax"} & {*sys.modules})
+"""
+
+
+def test_a_mistake_is_told_at_a_terminal_before_slow_imports(tmp_path: Path, recording: Path) -> None:
+    (tmp_path / "knee.csv").symlink_to(recording)
+    (tmp_path / "text.csv").write_text("time,qpos,qvel,ctrl\n0,0,0,0\n0.001,abc,0,0\n")
+    terminal, end = pty.openpty()
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    finished = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True)
-    assert finished.returncode == 2 and finished.stderr.startswith("frictionzoo: nothing.csv: no such file")
-    assert finished.stdout == "\n"
+    out = subprocess.check_output([sys.executable, "-c", TELL, *MISTAKES], cwd=tmp_path, env=environment, stderr=end)
+    assert out.decode().split() == ["2"] * len(MISTAKES)
+    told = read_terminal(terminal, end).split("frictionzoo run: reading the options ...\n")[1:]
+    for lines, line in zip(told, MISTAKES.values(), strict=True):
+        *doing, refused = lines.splitlines()
+        assert refused.startswith(f"frictionzoo: {line}")
+        assert all(each.startswith("reading bench and recordings ") and each.endswith(" ...") for each in doing)
+
+
+def read_terminal(terminal: int, end: int) -> str:
+    """What was written to a terminal, no more than it keeps for a reader that comes late."""
+    os.close(end)
+    with contextlib.suppress(OSError):  # how a terminal ends whose programs have
+        return os.read(terminal, 1 << 16).decode().replace("\r\n", "\n")
+    raise AssertionError("nothing was written")
+
+
+@pytest.mark.parametrize("arguments", [["--cfg", "job"], ["list"], ["--help"]], ids=" ".join)
+def test_a_reader_that_goes_away_ends_a_command_in_silence(
+    capfd: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch, arguments: list[str]
+) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    monkeypatch.setattr(sys, "argv", ["frictionzoo", *arguments])
+    with open(writing, "w", buffering=1) as gone:
+        monkeypatch.setattr(sys, "stdout", gone)
+        main()
+    assert capfd.readouterr() == ("", "")
 
 
 def test_the_page_names_every_command_wherever_a_run_is_asked_for_help(
@@ -101,6 +147,26 @@ def test_a_command_gets_its_arguments(
     monkeypatch.setattr(f"frictionzoo.cli.{name}.main", given.extend)
     assert dispatch(arguments) is None
     assert given == rest
+
+
+COMPLETIONS = {
+    "frictionzoo in": {"inspect"},
+    "frictionzoo model=coul": {"model=coulomb_smooth", "model=coulomb_stribeck"},
+    "frictionzoo run model=lug": {"model=lugre", "model=lugre_load_dependent"},
+    "frictionzoo inspect data=em": {"data=emps"},
+    "frictionzoo fit=lm fit.it": {"fit.iterations="},
+    "frictionzoo export RU": set(),
+}
+
+
+@pytest.mark.parametrize(
+    "line", slow_but(["frictionzoo in", "frictionzoo run model=lug", "frictionzoo export RU"], COMPLETIONS)
+)
+def test_a_line_is_completed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture, line: str) -> None:
+    monkeypatch.setenv("COMP_LINE", line)
+    dispatch(["-sc", "query=bash"])
+    captured = capsys.readouterr()
+    assert {*captured.out.split()} == COMPLETIONS[line] and captured.err == ""
 
 
 @pytest.mark.parametrize("name", ["comapre", "a.csv", "logs/a"])

@@ -20,7 +20,7 @@ from frictionzoo.cli.inspect import main
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.inspect.page import write_page
 from frictionzoo.inspect.survey import list_recordings, rank_by_faults, read_schema, survey_recordings
-from frictionzoo.inspect.terminal import summarise
+from frictionzoo.inspect.terminal import list_quantities, summarise
 from frictionzoo.logs.recording import Recording
 
 TIME = 0.01 * np.arange(1000)
@@ -119,7 +119,10 @@ def test_several_joints_are_told_apart():
     time, one = TIME, swing()
     signals = {name: np.hstack([values, values]) for name, values in one.signals.items()}
     signals["qpos"] = spiked(Recording("a", time, signals), 300).signals["qpos"] * [1, 0] + signals["qpos"] * [0, 1]
-    survey = validate(survey_recordings("arm", [Recording("arm.csv", time, signals)]))
+    survey = validate(survey_recordings("arm", [Recording("arm.csv", time, signals)], "slide"))
+    units = {row[0]: row[-1] for row in list_quantities(survey)}
+    assert (units["position 1"], units["velocity 1"]) == ("m", "m/s")
+    assert not any("rad" in finding["text"] for finding in survey["findings"])
     assert [joint["spikes"] for joint in survey["joints"]] == [1, 0]
     assert {"Spikes, joint 1", "Spikes, joint 2"} <= {finding["title"] for finding in survey["findings"]}
 

@@ -16,10 +16,20 @@ LEVELS = {
     **dict.fromkeys(("models/contained", "models/contract", "models/formula", "simulate/bridge"), 4),
     **dict.fromkeys(("simulate/differentiable", "simulate/drive", "simulate/proof", "simulate/torch_rollout"), 4),
     **dict.fromkeys(("fit",), 5),
-    **dict.fromkeys(("result", "show", "comparison", "export", "inspect", "distill", "excite", "card"), 6),
+    **dict.fromkeys(("result", "show", "comparison", "export", "inspect", "distill", "excite", "card", "watch"), 6),
     **dict.fromkeys(("identification",), 7),
     **dict.fromkeys(("library", "cli", "run", "compare", "list", "distill/distillation"), 8),
-    **dict.fromkeys(("export/__main__", "inspect/__main__", "distill/__main__", "excite/__main__", "card/__main__"), 8),
+    **dict.fromkeys(
+        (
+            "export/__main__",
+            "inspect/__main__",
+            "distill/__main__",
+            "excite/__main__",
+            "card/__main__",
+            "watch/__main__",
+        ),
+        8,
+    ),
 }
 FORBIDDEN = {0: {"torch", "jax", "mujoco"}, 1: {"torch", "jax"}, 2: {"jax"}, 3: {"torch"}}
 FILES = [path for path in sorted(PACKAGE.rglob("*.py")) if path != PACKAGE / "__init__.py"]

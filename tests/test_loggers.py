@@ -4,6 +4,7 @@ import csv
 import errno
 import importlib.util
 import json
+import re
 import sqlite3
 import struct
 from collections.abc import Callable, Iterator
@@ -19,6 +20,8 @@ import yaml
 from conftest import RUNS, Finished, slow_but
 from matplotlib.image import imread, imsave
 from tensorboard.backend.event_processing.plugin_event_multiplexer import EventMultiplexer
+from tensorboard.plugins.custom_scalar.layout_pb2 import Layout
+from tensorboard.plugins.custom_scalar.metadata import CONFIG_SUMMARY_TAG
 from tensorboard.plugins.hparams import metadata
 from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 from tensorboard.util import tensor_util
@@ -177,9 +180,9 @@ def unique(pairs: Iterator[tuple[int, float]]) -> dict[int, float]:
 
 READERS = {"tensorboard": read_tensorboard, "csv": read_csv, "wandb": read_wandb, "mlflow": read_mlflow}
 FINAL = {
-    "test/position_mae": ("metrics", "test", "position_mae"),
-    "test/position_rmse": ("metrics", "test", "position_rmse"),
-    "train/position_mae": ("metrics", "train", "position_mae"),
+    "MAE/test_position": ("metrics", "test", "position_mae"),
+    "RMSE/test_position": ("metrics", "test", "position_rmse"),
+    "MAE/train_position": ("metrics", "train", "position_mae"),
     "fit/loss": ("fit", "loss"),
     "fit/seconds": ("timing", "fit"),
 }
@@ -229,6 +232,23 @@ def check(run: Path, finished: Finished, logger: str) -> None:
 
 def test_a_job_is_recorded(finished_run: Callable) -> None:
     check(*finished_run("coulomb_smooth"), "tensorboard")
+
+
+def test_tensorboard_has_a_chart_for_each_parameter(finished_run: Callable) -> None:
+    run = finished_run("coulomb_smooth")[0]
+    events = EventMultiplexer(size_guidance={"tensors": 0}).AddRunsFromDirectory(str(run)).Reload()
+    log = events.GetAccumulator(*events.Runs())
+    (layout,) = log.Tensors(CONFIG_SUMMARY_TAG)
+    charts = [each for part in Layout.FromString(layout.tensor_proto.string_val[0]).category for each in part.chart]
+    drawn = {
+        tag: chart.title for chart in charts for tag in log.Tags()["tensors"] if re.match(*chart.multiline.tag, tag)
+    }
+    result = json.loads((run / "result.json").read_text())
+    parameters = {f"{p['owner']}.{p['name']}": p for p in result["parameters"] if p["identified"]}
+    assert drawn.keys() == {"loss", "grad_norm", *parameters} >= SCALARS and len({*drawn.values()}) == len(charts)
+    for name in parameters:
+        row = parameters[name]["by_joint"][0]
+        assert drawn[name] == f"{name} [{parameters[name]['unit']}, {row['low']:g} to {row['high']:g}]"
 
 
 @pytest.mark.parametrize("logger", slow_but(["csv"], READERS))

@@ -17,6 +17,7 @@ from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, OmegaConf
 
 from frictionzoo import __version__
+from frictionzoo.bench.given import Given
 from frictionzoo.cli.job import run_job as run_real_job
 from frictionzoo.cli.sweep import _complaint, conclude_sweep, run_in_sweep
 from frictionzoo.core.config import CONF_DIR, forget_plugin_schemas, register_resolvers
@@ -57,10 +58,12 @@ def test_a_failing_job_does_not_end_the_others(
     jobs = ["0_baseline", "1_neural_friction", "2_coulomb_smooth"]
     done = dict(zip(("baseline", "coulomb_smooth"), sorted(finished_run("sweep")[0].glob("?_*")), strict=True))
 
-    def run_job(config: DictConfig, name: str, folder: Path, options: Sequence[str]) -> tuple[dict, str | None]:
+    def run_job(
+        config: DictConfig, name: str, folder: Path, options: Sequence[str], given: Given
+    ) -> tuple[dict, str | None]:
         """The job itself where it fails, and otherwise the results of one that was done before."""
         if name not in done:
-            return run_real_job(config, name, folder, options=options)
+            return run_real_job(config, name, folder, options=options, given=given)
         shutil.copytree(done[name], folder, dirs_exist_ok=True)
         return json.loads((folder / "result.json").read_text()), None
 
@@ -153,7 +156,7 @@ def test_a_stopped_sweep_goes_on_with_what_is_missing(
     (tmp_path / "sweep" / "1_coulomb_smooth" / "result.json").unlink()
     done = []
 
-    def run_job(config: DictConfig, name: str, folder: Path, options: Sequence[str]) -> tuple[dict, None]:
+    def run_job(config: DictConfig, name: str, folder: Path, options: Sequence[str], given: Given) -> tuple[dict, None]:
         done.append(name)
         shutil.copy(whole / folder.name / "result.json", folder)
         return json.loads((folder / "result.json").read_text()), None

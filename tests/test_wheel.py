@@ -25,7 +25,7 @@ def run(*command: str | Path, **options: Path) -> str:
 def check_content(wheel: Path) -> None:
     """It holds what a job needs, and nothing else."""
     names = set(zipfile.ZipFile(wheel).namelist())
-    kinds = (".py", ".xml", ".json", ".jinja")
+    kinds = (".py", ".xml", ".json", ".jinja", ".css", ".js")
     here = {str(path.relative_to(ROOT)) for path in ROOT.glob("frictionzoo/**/*") if path.suffix in kinds}
     conf = {f"frictionzoo/{path.relative_to(ROOT)}" for path in ROOT.glob("conf/**/*.yaml")}
     assert here | conf <= names

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from frictionzoo.cli.mistakes import mistakes_in_one_line
 from frictionzoo.core.options import read_options
+from frictionzoo.core.telling import tell
 
 _OPTIONS = """options: licence=ID, required, under which others may use the card, as model hubs name it: cc-by-4.0,
 apache-2.0; name=TEXT, its title; supply=TEXT, temperature=TEXT, payload=TEXT, under which the drive was recorded, not
@@ -17,7 +18,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parsed = _parse(arguments)
     with mistakes_in_one_line():
         options = read_options(parsed.options, "licence=cc-by-4.0")
-        # Imported here, so that --help does not wait for it.
+        # Imported here and below, so that --help waits for neither, and a mistake not for torch and JAX.
+        from frictionzoo.core.jobs import refuse_unfinished
+
+        refuse_unfinished(parsed.folder)
+        tell("loading torch and JAX")
         from frictionzoo.card.write import write_card
 
         place, left = write_card(parsed.folder, options)

@@ -1,6 +1,8 @@
 """The commands of the program and its pages of help, for which neither Hydra nor any of the science is imported."""
 
+import contextlib
 import importlib
+import os
 import re
 import signal
 import sys
@@ -9,10 +11,12 @@ from collections.abc import Sequence
 from frictionzoo import __version__
 from frictionzoo.cli.mistakes import fail
 from frictionzoo.core.errors import closest
+from frictionzoo.core.telling import tell
 
 COMMANDS = {
     "run": "identify a drive; done where no command is named",
     "compare": "compare runs on the same data: table, figures, a page",
+    "watch": "follow a run or a sweep while it runs",
     "inspect": "look at recordings before any fit",
     "export": "write an identified drive for another program",
     "card": "write an identified drive for those without its run",
@@ -54,6 +58,8 @@ examples (RUN stands for a run's folder, outputs/DATE/TIME_DATA_MODEL):
     frictionzoo -m hydra/launcher=submitit_slurm 'model=glob(*)' seed=0,1,2
   Runs that exist, compared
     frictionzoo compare RUN OTHER_RUN --output comparison
+  Jobs that run, followed until they have ended
+    frictionzoo watch RUN
   Go on with a run that was stopped
     frictionzoo resume=RUN
   The identified drive as MJCF; a card of it for others; a simpler law for it
@@ -71,6 +77,7 @@ options of a run:
                 --resolve, also those that follow from others
   --hydra-help  flags and settings of Hydra, which composes the options
   --version     print the version
+  -sc           install=bash: what makes a shell complete all this, see docs/
   Brackets, blanks and $ are quoted for the shell: 'data.train=[a.csv]'.
   Comments in conf/ say what each option means; docs/ tell the rest.
 
@@ -92,6 +99,9 @@ examples:
 Options are those of data in a run, and hydra.run.dir=FOLDER, where to write.
 """
 _FLAGS = {"-h", "--help"}
+_COMPLETED = "COMP_LINE"  # the variable in which a shell hands over the line that it wants completed
+_SWEEP = {"-m", "--multirun"}
+_COMPOSING = ("run", "inspect")  # they wait for Hydra before they say anything
 
 
 def main(*command: str) -> None:
@@ -99,7 +109,20 @@ def main(*command: str) -> None:
     # While modules are imported, before a command answers it: Ctrl-C ends the program without a traceback.
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    dispatch([*command, *sys.argv[1:]])
+    try:
+        with contextlib.suppress(BrokenPipeError):
+            dispatch([*command, *sys.argv[1:]])
+    finally:
+        _let_go_of_output()
+
+
+def _let_go_of_output() -> None:
+    """Hand the output over; in silence where nobody reads it any more, as behind `| head`."""
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # What Python flushes at its end goes nowhere too.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def dispatch(arguments: Sequence[str]) -> None:
@@ -113,7 +136,23 @@ def dispatch(arguments: Sequence[str]) -> None:
         print(HELP.format(commands="\n".join(f"  {name:<8} {does}" for name, does in COMMANDS.items())), end="")
     elif name == "inspect" and _FLAGS & {*rest}:
         print(_INSPECT, end="")
+    elif "query=bash" in rest or "query=fish" in rest:
+        _complete(rest)
     elif "--version" in rest:
         print(f"frictionzoo {__version__}")
     else:
+        if name in _COMPOSING and not any(each.startswith("-") for each in {*rest} - _SWEEP):
+            tell(f"frictionzoo {name}: reading the options")
         importlib.import_module(f"frictionzoo.cli.{name}").main(rest)
+
+
+def _complete(asked: Sequence[str]) -> None:
+    """Answer a shell: names of commands, and of a run or of recordings the options, which Hydra knows."""
+    program, *words = os.environ.get(_COMPLETED, "").split(" ")
+    if len(words) == 1:
+        print(*(name for name in COMMANDS if name.startswith(words[0])))
+    elif words and words[0] in COMMANDS:
+        if words[0] not in _COMPOSING:
+            return  # the shell completes names of files
+        os.environ[_COMPLETED] = " ".join([program, *words[1:]])
+    importlib.import_module("frictionzoo.cli.run").main(asked)

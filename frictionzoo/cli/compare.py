@@ -4,22 +4,25 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from frictionzoo.cli.mistakes import fail
-from frictionzoo.core.errors import FrictionzooError
+from frictionzoo.cli.mistakes import mistakes_in_one_line
+from frictionzoo.core.telling import tell
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point; without arguments, for those of the command line. A user's mistake is one line and exit status 2."""
     options = _parse(arguments)
     output = options.output or (options.folders[0] if len(options.folders) == 1 else Path()) / "comparison"
-    # Imported here, so that --help does not wait for it.
-    from frictionzoo.comparison.files import write_comparison
-    from frictionzoo.show.terminal import summarise_comparison
+    with mistakes_in_one_line():
+        # Imported here and below, so that --help waits for neither, and a mistake not for torch and JAX.
+        from frictionzoo.core.jobs import find_runs
 
-    try:
+        for folder in options.folders:
+            find_runs(folder)
+        tell("loading torch and JAX")
+        from frictionzoo.comparison.files import write_comparison
+        from frictionzoo.show.terminal import summarise_comparison
+
         print(summarise_comparison(write_comparison(options.folders, output), output))
-    except FrictionzooError as error:
-        fail(str(error))
 
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:

@@ -8,6 +8,7 @@ from pathlib import Path
 from frictionzoo.cli.mistakes import NOT_IDENTIFIED, mistakes_in_one_line
 from frictionzoo.core.errors import FitError
 from frictionzoo.core.options import read_options
+from frictionzoo.core.telling import tell
 
 _OPTIONS = """options: model=NAME; output=FOLDER, distilled/NAME in the run's where it is left out; and those of a run
 that tell how to fit, such as fit, model.*, fit.*, segments.*, loop.*, seed. What is left out is as in the run, but for
@@ -19,7 +20,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parsed = _parse(arguments)
     with mistakes_in_one_line():
         options = read_options(parsed.options, "model=stribeck")
-        # Imported here, so that --help does not wait for it.
+        # Imported here and below, so that --help waits for neither, and a mistake not for torch and JAX.
+        from frictionzoo.core.jobs import refuse_unfinished
+
+        refuse_unfinished(parsed.folder)
+        tell("loading torch and JAX")
         from frictionzoo.distill.distillation import distill
         from frictionzoo.show.terminal import summarise_distillation
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from frictionzoo.cli.mistakes import fail, mistakes_in_one_line
 from frictionzoo.core.options import read_options
+from frictionzoo.core.telling import tell
 
 _OPTIONS = """options: position=REACH or [LOW,HIGH], velocity=, torque=, what the drive may do, in rad, rad/s and N m,
 or m, m/s and N; home, where it rests; seconds, rate, ramp, period, bandwidth, margin; quantum, position_noise and
@@ -21,7 +22,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         fail(f"{runs[1]}: expected KEY=VALUE, or the folder of one run")
     with mistakes_in_one_line():
         options = read_options(parsed.options, "velocity=4")
-        # Imported here, so that --help does not wait for it.
+        # Imported here and below, so that --help waits for neither, and a mistake not for torch and JAX.
+        from frictionzoo.core.jobs import refuse_unfinished
+
+        for run in runs:
+            refuse_unfinished(Path(run))
+        tell("loading torch and JAX")
         from frictionzoo.excite.excitation import excite, refuse_existing
         from frictionzoo.excite.summary import summarise_excitation
         from frictionzoo.result.identified import Identified

@@ -4,9 +4,9 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from frictionzoo.cli.mistakes import fail
-from frictionzoo.core.errors import FrictionzooError
+from frictionzoo.cli.mistakes import mistakes_in_one_line
 from frictionzoo.core.options import read_options
+from frictionzoo.core.telling import tell
 
 _OPTIONS = """options: target=NAME or target=all; timestep=SECONDS of the simulation, that of the run where it is left
 out; output=FOLDER, export/NAME in the run's where it is left out; and those of the target."""
@@ -15,13 +15,16 @@ out; output=FOLDER, export/NAME in the run's where it is left out; and those of 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point; without arguments, for those of the command line. A user's mistake is one line and exit status 2."""
     parsed = _parse(arguments)
-    # Imported here, so that --help does not wait for it.
-    from frictionzoo.export.write import summarise_exports, write_exports
+    with mistakes_in_one_line():
+        options = read_options(parsed.options, "target=mjcf")
+        # Imported here and below, so that --help waits for neither, and a mistake not for torch and JAX.
+        from frictionzoo.core.jobs import refuse_unfinished
 
-    try:
-        print(summarise_exports(write_exports(parsed.folder, read_options(parsed.options, "target=mjcf"))))
-    except FrictionzooError as error:
-        fail(str(error))
+        refuse_unfinished(parsed.folder)
+        tell("loading torch and JAX")
+        from frictionzoo.export.write import summarise_exports, write_exports
+
+        print(summarise_exports(write_exports(parsed.folder, options)))
 
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:

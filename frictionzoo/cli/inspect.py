@@ -1,5 +1,6 @@
 """Command line: `python -m frictionzoo.inspect FILE` or `data=...` tells what is in a data set before any fit."""
 
+import contextlib
 import json
 import sys
 from collections.abc import Sequence
@@ -15,7 +16,7 @@ from frictionzoo.cli.mistakes import mistakes_in_one_line
 from frictionzoo.cli.overrides import choices_of, given_to_hydra, refuse_no_choice
 from frictionzoo.core.build import build
 from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, forget_plugin_schemas, register_resolvers
-from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.errors import ConfigError, FrictionzooError
 from frictionzoo.core.output import write_atomically
 
 FOLDER = "outputs/${now:%Y-%m-%d}/${now:%H-%M-%S}_inspect_${hydra:runtime.choices.data}"
@@ -29,11 +30,18 @@ def _inspect(config: DictConfig) -> None:
         if hydra_config.mode == RunMode.MULTIRUN:
             raise ConfigError("--multirun: one data set at a time; leave it out")
         check_overrides(config, compose_config(*choices_of(hydra_config.runtime.choices)))
-        print(inspect_data(config, Path(hydra_config.runtime.output_dir)))
+        choices = hydra_config.runtime.choices
+        said = choices["data"] != "files" or any(each.startswith("bench") for each in hydra_config.overrides.task)
+        print(inspect_data(config, Path(hydra_config.runtime.output_dir), _joint_type(config) if said else None))
 
 
-def inspect_data(config: DictConfig, folder: Path) -> str:
+def inspect_data(config: DictConfig, folder: Path, joint_type: str | None = None) -> str:
     """Look at the data set of a configuration, write `inspect.html` and `inspect.json`, and return words on it.
+
+    Args:
+        config: Of a job.
+        folder: Where to write.
+        joint_type: `hinge` or `slide`; None where nobody said on what bench the data were recorded.
 
     Raises:
         FrictionzooError: The input is at fault, or a file cannot be written.
@@ -45,10 +53,17 @@ def inspect_data(config: DictConfig, folder: Path) -> str:
 
     data = cast(dict[str, Any], OmegaConf.to_container(config.data, resolve=True))
     recordings = list_recordings(build(data))
-    survey = survey_recordings(str(data.get("name", "data")), recordings)
+    survey = survey_recordings(str(data.get("name", "data")), recordings, joint_type)
     write_page(folder / "inspect.html", survey, recordings)
     write_atomically(folder / "inspect.json", (json.dumps(survey, indent=2, allow_nan=False) + "\n").encode())
     return summarise(survey, folder)
+
+
+def _joint_type(config: DictConfig) -> str | None:
+    """Whether the bench's joints turn or slide; None where its model is not there, which recordings do not need."""
+    with contextlib.suppress(FrictionzooError):
+        return build(cast(dict[str, Any], OmegaConf.to_container(config.bench, resolve=True))).joint_type
+    return None
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

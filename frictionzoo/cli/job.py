@@ -8,8 +8,10 @@ from typing import Any, cast
 from omegaconf import DictConfig, OmegaConf
 
 from frictionzoo import __version__
+from frictionzoo.bench.given import Given
 from frictionzoo.core.build import build
 from frictionzoo.core.config import list_options
+from frictionzoo.core.telling import tell
 from frictionzoo.fit.loop import Record
 from frictionzoo.identification import Parts, Problem, solve
 from frictionzoo.identification.commands import Origin
@@ -21,7 +23,12 @@ from frictionzoo.show.terminal import summarise_in_markdown
 
 
 def run_job(
-    config: DictConfig, name: str, folder: Path, teacher: Identified | None = None, options: Sequence[str] = ()
+    config: DictConfig,
+    name: str,
+    folder: Path,
+    teacher: Identified | None = None,
+    options: Sequence[str] = (),
+    given: Given | None = None,
 ) -> tuple[Result, str | None]:
     """Identify a drive and write what a run leaves behind.
 
@@ -31,6 +38,7 @@ def run_job(
         folder: The run's folder.
         teacher: The fitted drive that this one is to follow instead of the measured training segments; None for none.
         options: `KEY=VALUE` each, with which the job was asked for, so that it can tell the command to run next.
+        given: Bench and recordings of the configuration, if they have been read already.
 
     Returns:
         What `result.json` holds, and one line of complaint if the fit diverged.
@@ -40,7 +48,8 @@ def run_job(
     """
     settings = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
     logger = build(settings["logger"])
-    parts = Parts.from_settings(settings)
+    parts = Parts.from_settings(settings, given)
+    tell("looking at the input, compiling")
     with parts.computing() as device:
         measured = Problem.pose(parts)
         problem = measured if teacher is None else measured.following(teacher)
@@ -48,6 +57,7 @@ def run_job(
         origin = Origin.of_run(options, folder, None if teacher is None else teacher.place)
         found = solve(problem, name, device, record=record, measured=measured, origin=origin)
     result = found.result
+    tell(f"writing {folder}")
     found.save(folder)
     figures = sorted((folder / "figures").glob("*.png"))
     logger.finish(result["fit"]["iterations"], pick_metrics(result), figures, summarise_in_markdown(result, folder))

@@ -41,6 +41,8 @@ def mistakes_in_one_line(
             yield
         except Stopped as stop:
             fail(f"stopped by {signal.Signals(stop.number).name}; {go_on()}", status=128 + stop.number)
+        except BrokenPipeError:  # nobody reads what is printed: whoever began the command ends it
+            raise
         except Exception as error:
             # Imported here, so that --help does not wait for Hydra.
             from frictionzoo.cli.explain import explain

@@ -22,6 +22,7 @@ from frictionzoo.cli.sweep import SweepFolder, conclude_sweep, describe, objecti
 from frictionzoo.core.build import build
 from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, forget_plugin_schemas, register_resolvers
 from frictionzoo.core.output import occupy
+from frictionzoo.core.telling import tell
 from frictionzoo.core.threads import limit_threads, threads_each
 from frictionzoo.result.types import Result
 
@@ -54,13 +55,19 @@ def _identify(config: DictConfig, model: str, folder: Path) -> tuple[Result, str
     check_overrides(config, compose_config(*choices_of(hydra_config.runtime.choices)))
     alone = hydra_config.mode == RunMode.RUN or hydra_config.runtime.choices["hydra/launcher"] == "basic"
     limit_threads(config.threads if alone else threads_each(config.threads))
-    build(cast(dict[str, Any], OmegaConf.to_container(config.data, resolve=True))).find()
-    # Imported here, so that --help and a typing error do not wait for torch and JAX, and that these meet the limit.
+    settings = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
+    tell(f"reading bench and recordings of {model} on {settings['data'].get('name', 'data')}")
+    build(settings["data"]).find()
+    # Imported here, so that --help and a mistake in the input do not wait, and that torch and JAX meet the limit.
+    from frictionzoo.bench.given import Given
+
+    given = Given.read(settings)
+    tell("loading torch and JAX")
     from frictionzoo.cli.job import run_job
     from frictionzoo.show.terminal import summarise
 
     with _quiet_writers():
-        result, complaint = run_job(config, model, folder, options=hydra_config.overrides.task)
+        result, complaint = run_job(config, model, folder, options=hydra_config.overrides.task, given=given)
     print(summarise(result, folder))
     return result, complaint
 

@@ -16,6 +16,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from frictionzoo import __version__
 from frictionzoo.core.errors import OutputError, RunError
+from frictionzoo.core.jobs import find_runs, read_failure
 from frictionzoo.core.output import FAILURE, RESULT, RUNNING, occupy, to_json, write_atomically
 from frictionzoo.result.types import Result
 
@@ -131,7 +132,6 @@ def conclude_sweep(folder: Path) -> tuple[Mapping[str, Any] | None, str, list[st
             pass
     # Imported here, so that --help and a typing error do not wait for it.
     from frictionzoo.comparison.files import write_comparison
-    from frictionzoo.comparison.runs import find_runs
     from frictionzoo.show.terminal import summarise_comparison
 
     complaints: list[str] = []
@@ -145,8 +145,6 @@ def conclude_sweep(folder: Path) -> tuple[Mapping[str, Any] | None, str, list[st
 
 def _complaint(folder: Path) -> str | None:
     """What is wrong with the job in a folder; None if it did its work."""
-    from frictionzoo.comparison.runs import read_failure
-
     if failure := read_failure(folder):
         return failure.reason
     fit = json.loads((folder / RESULT).read_text())["fit"]

@@ -1,21 +1,17 @@
 """Run folders to runs that can be compared."""
 
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-import yaml
-from omegaconf import OmegaConf
-from omegaconf.errors import OmegaConfBaseException
-
 from frictionzoo.core.anonymous import list_paths, without_paths
 from frictionzoo.core.config import list_options
 from frictionzoo.core.errors import RunError
-from frictionzoo.core.output import FAILURE, RESULT, RUNNING
+from frictionzoo.core.jobs import Failure, find_runs, read_failure
+from frictionzoo.core.output import RESULT
 from frictionzoo.result.curves import OWN, Curves
-from frictionzoo.result.record import read_json, read_run
+from frictionzoo.result.record import read_run
 from frictionzoo.result.types import Result
 
 MOST_NAMED = 2  # options in a label
@@ -39,21 +35,6 @@ class Run:
     folder: Path
     result: Result
     curves: Curves
-
-
-@dataclass(frozen=True)
-class Failure:
-    """A job of a sweep that has no result.
-
-    Attributes:
-        run: Name of its folder.
-        model: The model, or empty where that is not known.
-        reason: One line.
-    """
-
-    run: str
-    model: str
-    reason: str
 
 
 def read_runs(folders: Sequence[Path]) -> tuple[list[Run], list[Failure]]:
@@ -80,38 +61,6 @@ def gather(runs: Sequence[Run]) -> list[Run]:
     for run in runs[1:]:
         _refuse_incomparable(run, runs[0])
     return [replace(run, label=_label_among(run, [r for r in runs if r.label == run.label])) for run in runs]
-
-
-def find_runs(folder: Path) -> list[Path]:
-    """Folders of the jobs in a folder, in their order, or that folder itself if it is a job's; RunError for none."""
-    names = (RESULT, FAILURE, RUNNING, ".hydra")
-    if any((folder / name).exists() for name in names):
-        return [folder]
-    found = {path.parent for name in names for path in folder.rglob(name)}
-    if not found:
-        raise RunError(f"{folder}: no run in it, expected the folder of a run or of a sweep; name one")
-    # In the order of the numbers in them: 2_coulomb before 10_neural.
-    return sorted(found, key=lambda path: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", str(path))])
-
-
-def read_failure(folder: Path) -> Failure | None:
-    """Why the job in a folder has no result, None if it has one; RunError where what it left cannot be read."""
-    if (folder / RESULT).exists():
-        return None
-    if not (folder / FAILURE).exists():
-        return Failure(folder.name, _read_model(folder), "no result: its process ended before it was done")
-    saved = read_json(folder / FAILURE)
-    model, reason = (" ".join(str(saved.get(key, "")).split()) for key in ("model", "reason"))
-    return Failure(folder.name, model, reason)
-
-
-def _read_model(folder: Path) -> str:
-    """The model of a job, from what Hydra wrote before it began; empty where that was cut short."""
-    try:
-        saved = OmegaConf.load(folder / ".hydra" / "hydra.yaml")
-        return str(OmegaConf.select(saved, "hydra.runtime.choices.model") or "")
-    except (OSError, yaml.YAMLError, OmegaConfBaseException):
-        return ""
 
 
 def _refuse_incomparable(run: Run, first: Run) -> None:

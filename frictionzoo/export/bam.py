@@ -56,7 +56,7 @@ class Bam(Target):
             parameters = {**_motor(fitted, joint, actuator), **law, "actuator": actuator}
             (folder / file).write_text(json.dumps(parameters, indent=4) + "\n")
         limits = (*remarks, *remark, _KT, _INPUTS)
-        return Export(files, _compare(fitted, [folder / file for file in files]), limits)
+        return Export(files, _compare(fitted, [folder / file for file in files], _lack(fitted, actuator)), limits)
 
 
 def friction_budget(parameters: Mapping[str, Any], state: DriveState) -> FrictionTerms:
@@ -165,8 +165,24 @@ def _choose_actuator(fitted: Identified, options: Mapping[str, str]) -> tuple[st
     return chosen, said
 
 
-def _compare(fitted: Identified, paths: list[Path]) -> tuple[Difference, ...]:
-    """The files against the drive: friction at the recorded states, and the rollouts in MuJoCo C."""
+def _lack(fitted: Identified, actuator: str) -> str:
+    """In a few words, why BAM moves otherwise than the drive."""
+    own = [_rename(fitted, joint) for joint in range(fitted.bench.nv)]
+    other = dict.fromkeys(fitted.model.of_joint(j)[0].name for j, law in enumerate(own) if law is None)
+    smooth = any(fitted.model.of_joint(j)[0].name in _SMOOTH for j, law in enumerate(own) if law)
+    said = ["friction follows the torques of the step before", *(f"m3 is no {name}" for name in other)]
+    said += ["it sticks at rest"] if smooth else []
+    limit = DUTY[actuator][1]
+    return ", ".join(
+        said + ([f"duty cycles end at {limit:g}"] if fitted.values["bench"]["duty_limit"][0] != limit else [])
+    )
+
+
+def _compare(fitted: Identified, paths: list[Path], reason: str) -> tuple[Difference, ...]:
+    """The files against the drive: friction at the recorded states, and the rollouts in MuJoCo C.
+
+    The `reason` says what BAM lacks of the drive.
+    """
     files = [load_parameters(path) for path in paths]
     bench = [read_bench(path, data) for path, data in zip(paths, files, strict=True)]
     stacked = {name: np.array([values[name] for values in bench]) for name in bench[0]}
@@ -177,7 +193,7 @@ def _compare(fitted: Identified, paths: list[Path]) -> tuple[Difference, ...]:
     terms = _budgets(files, fitted.samples)
     return (
         compare(fitted, terms._replace(damping=terms.damping - fitted.bench.own_damping), "BAM's formula"),
-        measure("qpos", fitted, came, fitted.rollout()[0]),
+        measure("qpos", fitted, came, fitted.rollout()[0], reason=reason),
     )
 
 

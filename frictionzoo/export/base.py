@@ -62,14 +62,16 @@ def measure(
     came: Float[np.ndarray, "*shape"],
     expected: Float[np.ndarray, "*shape"],
     over: str | None = None,
+    reason: str = "",
 ) -> Difference:
     """The difference between what came from the written files and what was expected from the fitted drive.
 
-    The quantity is `qpos` or `torque`; `over` says in words what was compared, None the run's long test rollouts.
+    The quantity is `qpos` or `torque`; `over` says in words what was compared, None the run's long test rollouts; the
+    `reason`, what the target lacks of the drive.
     """
     distance = np.abs(came - expected)
     unit = UNITS[fitted.bench.joint_type]["position" if quantity == "qpos" else quantity]
-    return Difference(quantity, unit, float(distance.max()), float(distance.mean()), over or fitted.over)
+    return Difference(quantity, unit, float(distance.max()), float(distance.mean()), over or fitted.over, reason)
 
 
 def list_values(values: Float[np.ndarray, "nv"]) -> str:

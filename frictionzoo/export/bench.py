@@ -1,7 +1,7 @@
 """The target `mjcf`: the bench as a model that MuJoCo loads as it is."""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import ClassVar
 
@@ -45,7 +45,7 @@ class Mjcf(Target):
         text = write_bench(fitted, nearest)
         (folder / FILE).write_text(text)
         model = mujoco.MjModel.from_xml_path(str(folder / FILE))
-        difference = measure("qpos", fitted, run_bench(model, fitted), fitted.rollout()[0])
+        difference = measure("qpos", fitted, run_bench(model, fitted), fitted.rollout()[0], reason=nearest.lacks)
         limits = say_limits(fitted, nearest)
         if "into" not in options and not own:
             return Export((FILE,), (difference,), limits)
@@ -120,14 +120,18 @@ def write_bench(fitted: Identified, nearest: Nearest) -> str:
     return fitted.bench.mjcf(nearest.bench, loss, nearest.damping, (remark,))
 
 
-def run_bench(model: mujoco.MjModel, fitted: Identified) -> Float[np.ndarray, "batch time nv"]:
+def run_bench(
+    model: mujoco.MjModel, fitted: Identified, begin: Callable[[mujoco.MjData, int], None] = lambda *_: None
+) -> Float[np.ndarray, "batch time nv"]:
     """Positions of the long test rollouts in MuJoCo C, the actuator law's controller computed by the caller.
 
-    Where the compiled bench delays the commands itself, it gets them as recorded.
+    Where the compiled bench delays the commands itself, it gets them as recorded. `begin` is called with a rollout's
+    number before it begins.
     """
 
     def fill_history(model: mujoco.MjModel, data: mujoco.MjData, rollout: int) -> None:
         """Put the commands before the first state where MuJoCo's late actuators look for them."""
+        begin(data, rollout)
         held = commands_before(fitted, rollout).ctrl
         for actuator in range(model.nu):
             if count := int(model.actuator_history[actuator, 0]):

@@ -11,7 +11,7 @@ import numpy as np
 
 from frictionzoo.core.params import UNITS
 from frictionzoo.export.base import Target, measure
-from frictionzoo.export.motor import INPUTS, Joint, Motor, lag, motors, read_inputs, run_joints, say_common
+from frictionzoo.export.motor import INPUTS, Joint, Motor, lag, list_lacks, motors, read_inputs, run_joints, say_common
 from frictionzoo.export.nearest import Nearest, find_nearest
 from frictionzoo.export.written import Export
 from frictionzoo.result.identified import Identified
@@ -69,7 +69,10 @@ class ConfigFile(Target):
         (folder / self.file).write_text(text)
         # What has no delay in the file gets it from its caller.
         joints = [joint._replace(lag=joint.lag or lag(fitted, i)) for i, joint in enumerate(self.read(text))]
-        difference = measure("qpos", fitted, run_joints(fitted, nearest, joints), fitted.rollout()[0])
+        difference = measure(
+            *("qpos", fitted, run_joints(fitted, nearest, joints), fitted.rollout()[0]),
+            reason=", ".join(list_lacks(fitted, nearest)),
+        )
         said = (*say_common(fitted, nearest, inputs, self.program), *self.say_more(fitted, drives))
         return Export((self.file,), (difference,), said)
 

@@ -1,6 +1,7 @@
 """A friction law as a function of plain tensors, which runtimes without frictionzoo can hold."""
 
 import copy
+import json
 from abc import abstractmethod
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,8 +10,10 @@ from typing import ClassVar
 import numpy as np
 import torch
 
+from frictionzoo import __version__
 from frictionzoo.core.errors import ConfigError, closest
 from frictionzoo.core.output import write_atomically
+from frictionzoo.core.params import UNITS
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.export.base import Target, measure
 from frictionzoo.export.nearest import evaluate_law
@@ -59,6 +62,30 @@ def signals(model: FrictionModel) -> tuple[str, ...]:
     return tuple(name for name in DriveState._fields if name in model.inputs or name not in DriveState._field_defaults)
 
 
+def list_units(fitted: Identified) -> dict[str, str]:
+    """Unit of each input and output of a law's file, by name."""
+    units = UNITS[fitted.bench.joint_type]
+    outputs = {"torque": units["torque"], "frictionloss": units["torque"], "damping": units["damping"]}
+    torques = dict.fromkeys(("motor_torque", "external_torque"), units["torque"])
+    states = {"qpos": units["position"], "qvel": units["velocity"], "ctrl": "as it was recorded", **torques}
+    return {**{name: states.get(name, "degC") for name in signals(fitted.model)}, **outputs}
+
+
+def list_facts(fitted: Identified) -> dict[str, str]:
+    """What a law's file says of itself, as text: law, joints, units and how it is evaluated."""
+    inputs, units = signals(fitted.model), list_units(fitted)
+    return {
+        "producer": f"frictionzoo {__version__}",
+        "law": fitted.model.name,
+        "joints": json.dumps(fitted.bench.joints),
+        "inputs": json.dumps({name: units[name] for name in inputs}),
+        "outputs": json.dumps({name: unit for name, unit in units.items() if name not in inputs}),
+        "sampling": "a function of one instant, to be evaluated in each step of the simulation; identified in steps "
+        f"of {fitted.timestep:g} s, from samples each {fitted.segments.timestep:g} s",
+        "use": LIMITS[1],
+    }
+
+
 def compare(fitted: Identified, came: FrictionTerms, how: str) -> Difference:
     """How far the friction torque of terms of shape (samples, nv), computed by `how`, is from the law in float64."""
     samples = fitted.samples
@@ -83,8 +110,8 @@ class GraphFile(Target):
     remarks: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
-    def serialise(self, graph: Graph, inputs: tuple[torch.Tensor, ...], names: tuple[str, ...]) -> bytes:
-        """The file's content, recorded with these inputs of these names."""
+    def serialise(self, graph: Graph, inputs: Mapping[str, torch.Tensor], fitted: Identified) -> bytes:
+        """The file's content, recorded with these inputs by name; what it says of the drive is in its metadata."""
 
     @abstractmethod
     def run(self, path: Path, inputs: Mapping[str, torch.Tensor]) -> tuple[np.ndarray, ...]:
@@ -97,8 +124,8 @@ class GraphFile(Target):
             raise ConfigError(f"dtype={name}: unknown; {closest(name, DTYPES)}")
         dtype, seen = DTYPES[name], signals(model)
         # Two rows, since one would be taken for a constant.
-        rows = tuple(torch.ones(2, model.nv, dtype=dtype) for _ in seen)
-        write_atomically(path, self.serialise(Graph(model, dtype), rows, seen))
+        rows = {name: torch.ones(2, model.nv, dtype=dtype) for name in seen}
+        write_atomically(path, self.serialise(Graph(model, dtype), rows, fitted))
         inputs = samples.map(lambda signal: torch.tensor(np.asarray(signal, np.float64), dtype=dtype)).given()
         came = FrictionTerms(*(np.asarray(term, np.float64) for term in self.run(path, inputs)))
         observed = (_OBSERVED.format(names=", ".join(model.inputs)),) if model.inputs else ()

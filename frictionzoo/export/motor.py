@@ -1,6 +1,6 @@
 """A position-controlled drive as robot simulators configure it: gains, torque limits, friction, a whole-step delay."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -157,21 +157,40 @@ def _compile(fitted: Identified, nearest: Nearest, joints: Sequence[Joint]) -> m
     return model
 
 
-def _step(fitted: Identified, joints: Sequence[Joint]) -> Step:
+def aim(fitted: Identified, drives: Sequence[Motor]) -> Callable[[Signals], Float[np.ndarray, "... nv"]]:
+    """Of a drive's signals, the desired positions [rad or m] with which these motors do what all commands ask for."""
     law = fitted.bench.actuator
     told = isinstance(law, JointPD | RecordedPD)
     gains = _constant_gains(fitted) if isinstance(law, RecordedPD) else fitted.values["bench"]
     pull = fitted.values["bench"].get("torque_offset", 0.0) if told else 0.0  # of OFFSET in joint_pd
-    moved = pull / np.array([joint.motor.stiffness for joint in joints])
+    moved = pull / np.array([drive.stiffness for drive in drives])
+    return lambda signals: (aim_at(gains, signals.ctrl, signals.inputs) if told else signals.ctrl) + moved
+
+
+def _step(fitted: Identified, joints: Sequence[Joint]) -> Step:
+    aims_of = aim(fitted, [joint.motor for joint in joints])
 
     def step(model: mujoco.MjModel, data: mujoco.MjData, signals: Signals) -> None:
-        aims = (aim_at(gains, signals.ctrl, signals.inputs) if told else signals.ctrl) + moved
+        aims = aims_of(signals)
         for index, joint in enumerate(joints):
             state = float(aims[index]), float(data.qpos[index]), float(data.qvel[index])
             data.ctrl[index] = joint.motor.torque(*state)
         mujoco.mj_step(model, data)
 
     return step
+
+
+def list_lacks(fitted: Identified, nearest: Nearest) -> list[str]:
+    """In a few words each, why a configuration moves otherwise than the drive."""
+    acting, values = fitted.segments.acting.inputs, fitted.values["bench"]
+    varied = [name for name in INPUTS if name in acting and np.ptp(acting[name]) > 0]
+    said = [nearest.lacks] if nearest.lacks else []
+    if any(lag(fitted, joint) * fitted.timestep != late for joint, late in enumerate(values.get("delay", ()))):
+        said.append("delays are whole steps")
+    said += [f"one {' and one '.join(varied)} of several"] if varied else []
+    if "enable" in acting and (acting["enable"] != 1).any():
+        said.append("the servo is always enabled")
+    return said + (["a hard limit in place of the saturation"] if "torque_saturation" in values else [])
 
 
 def say_common(fitted: Identified, nearest: Nearest, inputs: Mapping[str, float], program: str) -> list[str]:

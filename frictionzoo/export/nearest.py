@@ -45,12 +45,14 @@ class Nearest:
         frictionloss: [N m or N].
         damping: [N m s/rad or N s/m].
         remark: In words, what was done and what that costs; empty where the law is MuJoCo's own.
+        lacks: In a few words, what it is not.
     """
 
     bench: dict[str, Float[np.ndarray, "nv"]]
     frictionloss: Float[np.ndarray, "nv"]
     damping: Float[np.ndarray, "nv"]
     remark: str = ""
+    lacks: str = ""
 
 
 def find_nearest(fitted: Identified) -> Nearest:
@@ -64,7 +66,7 @@ def find_nearest(fitted: Identified) -> Nearest:
     velocity, terms = samples.qvel, evaluate_law(model, samples)
     exact, loss, viscous = _find_exact(terms, velocity)
     if exact.all():
-        return Nearest(bench, loss[0], viscous[0], say_exact(model) if model.inputs else "")
+        return _take_exact(model, bench, loss[0], viscous[0])
     torque = sliding_torque(np, terms, velocity)
     dry, damping = nearest_frictionloss_and_damping(torque, velocity)
     start = np.where(exact, loss[0], dry), np.where(exact, viscous[0], damping)
@@ -78,6 +80,7 @@ def find_nearest(fitted: Identified) -> Nearest:
             f"A frictionloss and a damping are no {_name(fitted, exact)}, and the fitted drive diverges in its own "
             f"{fitted.over}, so that they could not be refitted to those: they are the nearest to the law's torque at "
             f"the measured states, from which they differ by {rms} {unit} RMS.{_say_others(model, exact)}",
+            _lack(fitted, exact),
         )
     return _refit(fitted, followed, *start, exact)
 
@@ -97,7 +100,7 @@ def find_nearest_each(fitted: Identified, draws: Sequence[Values]) -> list[Neare
     found = []
     for values in draws:
         _, loss, viscous = (np.zeros(once.qvel.shape) if t is None else t for t in evaluate_law(model, once, values))
-        found.append(Nearest(dict(values["bench"]), loss[0], viscous[0], say_exact(model) if model.inputs else ""))
+        found.append(_take_exact(model, dict(values["bench"]), loss[0], viscous[0]))
     return found if exact.all() else _refit_each(fitted, found, draws, exact)
 
 
@@ -133,7 +136,8 @@ def _refit_each(
             armature, loss, damping = _read(objective, vector)
             kept = ((own.bench["armature"], armature), (own.frictionloss, loss), (own.damping, damping))
             armature, loss, damping = (np.where(exact, drawn, refitted) for drawn, refitted in kept)
-            found.append(Nearest({**own.bench, "armature": armature}, loss, damping, _say_drawn(fitted, rms, exact)))
+            said = _say_drawn(fitted, rms, exact), _lack(fitted, exact)
+            found.append(Nearest({**own.bench, "armature": armature}, loss, damping, *said))
     return found
 
 
@@ -220,7 +224,7 @@ def _refit(
     bench, friction = dict(found["bench"]), found["friction"]
     before, after = (float(np.sqrt(loss)) for loss in (progress.method.loss[0], progress.best_loss))
     remark = _say(fitted, bench["armature"], before, after, exact)
-    return Nearest(bench, friction["frictionloss"], friction["damping"], remark)
+    return Nearest(bench, friction["frictionloss"], friction["damping"], remark, _lack(fitted, exact))
 
 
 def _pose(
@@ -262,6 +266,19 @@ def _say(
         f"{unit} with the friction nearest to the law's torque); armature {_list(armature[~exact])} instead of "
         f"{_list(identified[~exact])} {inertia}.{_say_others(fitted.model, exact)}"
     )
+
+
+def _take_exact(
+    model: FrictionModel, bench: dict[str, Float[np.ndarray, "nv"]], loss: np.ndarray, damping: np.ndarray
+) -> Nearest:
+    """A drive whose law is MuJoCo's own, for one value of what it looks at besides the state."""
+    if not model.inputs:
+        return Nearest(bench, loss, damping)
+    return Nearest(bench, loss, damping, say_exact(model), f"friction of one {', '.join(model.inputs)}")
+
+
+def _lack(fitted: Identified, exact: Bool[np.ndarray, "nv"]) -> str:
+    return f"frictionloss and damping are no {_name(fitted, exact)}"
 
 
 def _say_drawn(fitted: Identified, rms: float, exact: Bool[np.ndarray, "nv"]) -> str:

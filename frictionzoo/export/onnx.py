@@ -9,9 +9,11 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 
+from frictionzoo import __version__
 from frictionzoo.core.state import FrictionTerms
 from frictionzoo.export.base import register_target
-from frictionzoo.export.graph import Graph, GraphFile
+from frictionzoo.export.graph import Graph, GraphFile, list_facts, list_units
+from frictionzoo.result.identified import Identified
 
 
 @register_target("onnx")
@@ -21,7 +23,7 @@ class Onnx(GraphFile):
     packages: ClassVar[tuple[str, ...]] = ("onnx", "onnxscript", "onnxruntime")
     file, runtime = "friction.onnx", "ONNX Runtime"
 
-    def serialise(self, graph: Graph, inputs: tuple[torch.Tensor, ...], names: tuple[str, ...]) -> bytes:
+    def serialise(self, graph: Graph, inputs: Mapping[str, torch.Tensor], fitted: Identified) -> bytes:
         """See `GraphFile.serialise`."""
         batch = torch.export.Dim("batch")
         logger = logging.getLogger("torch.onnx")
@@ -32,16 +34,16 @@ class Onnx(GraphFile):
             logger.setLevel(logging.ERROR)
             try:
                 program: Any = torch.onnx.export(
-                    *(graph, inputs),
-                    input_names=names,
+                    *(graph, tuple(inputs.values())),
+                    input_names=tuple(inputs),
                     output_names=FrictionTerms._fields,
-                    dynamic_shapes=tuple({0: batch} for _ in names),
+                    dynamic_shapes=tuple({0: batch} for _ in inputs),
                     dynamo=True,
                     verbose=False,
                 )
             finally:
                 logger.setLevel(level)
-        return _without_traces(program.model_proto).SerializeToString()
+        return _describe(_without_traces(program.model_proto), fitted).SerializeToString()
 
     def run(self, path: Path, inputs: Mapping[str, torch.Tensor]) -> tuple[np.ndarray, ...]:
         """See `GraphFile.run`."""
@@ -55,4 +57,17 @@ def _without_traces(proto: Any) -> Any:
     """The model without where in the source each node came from: paths of this machine, and most of the file."""
     for holder in (proto.graph, *proto.graph.node, *proto.graph.value_info, *proto.graph.input, *proto.graph.output):
         del holder.metadata_props[:]
+    return proto
+
+
+def _describe(proto: Any, fitted: Identified) -> Any:
+    """The model with what it says of itself, and the unit of each input and output."""
+    facts, units = list_facts(fitted), list_units(fitted)
+    proto.producer_name, proto.producer_version = "frictionzoo", __version__
+    proto.doc_string = f"Friction law {facts['law']}: {facts['sampling']}. {facts['use']}"
+    for signal in (*proto.graph.input, *proto.graph.output):
+        signal.doc_string = units[signal.name]
+    del proto.metadata_props[:]
+    for key, value in facts.items():
+        proto.metadata_props.add(key=key, value=value)
     return proto

@@ -157,7 +157,10 @@ def _run_benches(drives: Sequence[Drive]) -> tuple[tuple[Difference, ...], str]:
     laws = [fitted.rollout(values=drive.values)[0] for drive, _ in drives]
     drawn, of_laws = np.array(came[1:]), np.array(laws[1:])
     over = f"{len(drawn)} draws of them, each against itself"
-    differences = measure("qpos", fitted, came[0], laws[0]), measure("qpos", fitted, drawn, of_laws, over)
+    differences = (
+        measure("qpos", fitted, came[0], laws[0], reason=drives[0][1].lacks),
+        measure("qpos", fitted, drawn, of_laws, over, drives[0][1].lacks),
+    )
     unit, error = UNITS[fitted.bench.joint_type]["position"], fitted.result["metrics"]["test"]["position_mae"]
     own = "" if error is None else f"; the fitted drive's test error is {error:.2g} {unit} in the mean"
     return differences, (

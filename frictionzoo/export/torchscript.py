@@ -1,6 +1,7 @@
 """The friction law as TorchScript, which `torch.jit.load` and libtorch run without frictionzoo."""
 
 import io
+import json
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,7 +11,13 @@ import numpy as np
 import torch
 
 from frictionzoo.export.base import register_target
-from frictionzoo.export.graph import Graph, GraphFile
+from frictionzoo.export.graph import Graph, GraphFile, list_facts
+from frictionzoo.result.identified import Identified
+
+FACTS = "frictionzoo.json"
+"""File inside, `torch.jit.load(path, _extra_files={"frictionzoo.json": ""})`, with what it says of itself."""
+
+_OWN = ("version", ".data/serialization_id")  # written by the writer itself
 
 
 @register_target("torchscript")
@@ -24,16 +31,29 @@ class TorchScript(GraphFile):
         "inputs are a history of position errors and velocities and whose output is the motor's torque.",
     )
 
-    def serialise(self, graph: Graph, inputs: tuple[torch.Tensor, ...], names: tuple[str, ...]) -> bytes:
+    def serialise(self, graph: Graph, inputs: Mapping[str, torch.Tensor], fitted: Identified) -> bytes:
         """See `GraphFile.serialise`."""
         buffer = io.BytesIO()
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", r"`torch\.jit", DeprecationWarning)
-            torch.jit.save(torch.jit.trace(graph, inputs), buffer)
-        return buffer.getvalue()
+            traced = torch.jit.trace(graph, tuple(inputs.values()))
+            torch.jit.save(traced, buffer, _extra_files={FACTS: json.dumps(list_facts(fitted), indent=2)})
+        return _without_traces(buffer.getvalue())
 
     def run(self, path: Path, inputs: Mapping[str, torch.Tensor]) -> tuple[np.ndarray, ...]:
         """See `GraphFile.run`."""
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", r"`torch\.jit", DeprecationWarning)
             return tuple(map(np.asarray, torch.jit.load(path)(**inputs)))
+
+
+def _without_traces(content: bytes) -> bytes:
+    """The file without where in the source each operation came from: paths of this machine."""
+    buffer, reader = io.BytesIO(), torch._C.PyTorchFileReader(io.BytesIO(content))
+    writer = torch._C.PyTorchFileWriter(buffer)
+    for name in reader.get_all_records():
+        if not name.endswith(".debug_pkl") and name not in _OWN:
+            record = reader.get_record(name)
+            writer.write_record(name, record, len(record))
+    writer.write_end_of_file()
+    return buffer.getvalue()

@@ -74,8 +74,7 @@ def _list_rows(one: Written) -> Iterator[tuple[str, ...]]:
     limits = str(len(one.export.limits) or "none")
     for difference in one.export.differences:
         compared, sizes = f"{difference.quantity} [{difference.unit}]", (difference.largest, difference.mean)
-        far = "far from the drive: by over a tenth of its own error" if one.is_far(difference) else ""
-        yield one.target, compared, difference.over, *(f"{size:.2g}" for size in sizes), limits, far
+        yield one.target, compared, difference.over, *(f"{s:.2g}" for s in sizes), limits, one.mark(difference)
 
 
 def export_to(drive: Identified, target: str, path: Path, options: Mapping[str, str]) -> Written:
@@ -147,9 +146,10 @@ def _write(fitted: Identified, name: str, place: Path, timestep: float | None, o
     with take_place(place) as fresh:
         export = target.write(moved, fresh, own)
         export = Export(export.files, export.differences, (*export.limits, *_say_timestep(fitted, moved)))
-        note = _note(moved, name, target.packages, export)
+        written = Written(name, place, export, error=fitted.result["metrics"]["test"]["position_mae"])
+        note = _note(moved, written, target.packages, export)
         write_atomically(fresh / NOTE, (json.dumps(to_json(note), indent=2, allow_nan=False) + "\n").encode())
-    return Written(name, place, export, error=fitted.result["metrics"]["test"]["position_mae"])
+    return written
 
 
 def _say_timestep(fitted: Identified, moved: Identified) -> list[str]:
@@ -167,16 +167,17 @@ def _say_timestep(fitted: Identified, moved: Identified) -> list[str]:
     ]
 
 
-def _note(fitted: Identified, name: str, packages: Sequence[str], export: Export) -> dict[str, object]:
+def _note(fitted: Identified, written: Written, packages: Sequence[str], export: Export) -> dict[str, object]:
     versions = {"python": platform.python_version(), "frictionzoo": __version__}
     return {
-        "target": name,
+        "target": written.target,
         "run": str(fitted.folder.resolve()) if fitted.folder else None,
         "model": fitted.result["model"],
         "joints": list(fitted.bench.joints),
         "timestep": fitted.timestep,
         "files": list(export.files),
-        "differences": [asdict(difference) for difference in export.differences],
+        "error": written.error,
+        "differences": [asdict(one) | {"mark": written.mark(one)} for one in export.differences],
         "limits": list(export.limits),
         "versions": versions | {package: _version(package) for package in packages},
     }

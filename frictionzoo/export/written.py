@@ -16,6 +16,7 @@ class Difference:
         largest: Largest absolute difference.
         mean: Mean absolute difference.
         over: Of what, in words: `10 rollouts of 3 s`.
+        reason: In a few words, what the target lacks of the drive; empty where it should move as that.
     """
 
     quantity: str
@@ -23,6 +24,7 @@ class Difference:
     largest: float
     mean: float
     over: str
+    reason: str = ""
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,18 @@ class Written:
     reason: str = ""
     error: float | None = None
 
+    def share(self, difference: Difference) -> float | None:
+        """The mean difference of positions over the drive's own error; None where there is no such."""
+        return difference.mean / self.error if difference.quantity == "qpos" and self.error else None
+
     def is_far(self, difference: Difference) -> bool:
         """Whether what was written moves otherwise than the drive by more than a tenth of the drive's own error."""
-        compared = difference.quantity == "qpos" and self.error is not None
-        return compared and not difference.mean <= FAR * (self.error or 0.0)
+        share = self.share(difference)
+        return share is not None and not share <= FAR
+
+    def mark(self, difference: Difference) -> str:
+        """What a row of the difference says at its end: empty, or that it is far, by how much and why."""
+        if not self.is_far(difference):
+            return ""
+        reason = difference.reason or "for no known reason: do not use it"
+        return f"far from the drive, {self.share(difference):.0%} of its own error: {reason}"

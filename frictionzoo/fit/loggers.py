@@ -4,6 +4,7 @@ import importlib.util
 import json
 import logging
 import os
+import re
 import shutil
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -25,12 +26,16 @@ class RunLogger(ABC):
     the checkpoint holds, and nothing of an interrupted run is there twice or missing.
     """
 
-    def start(self, folder: Path, hyperparameters: Mapping[str, Any]) -> Logger:
+    def start(
+        self, folder: Path, hyperparameters: Mapping[str, Any], parameters: Mapping[str, str] | None = None
+    ) -> Logger:
         """Begin the record, in place of one that an interrupted run left.
 
         Args:
             folder: The run's folder.
             hyperparameters: What tells this run from others; numbers, text, booleans, None and lists of these.
+            parameters: What will be logged of parameters: the full name of each, of whose joints each has its scalar
+                `NAME/JOINT`, and its unit and limits in words.
 
         Returns:
             What Lightning logs to.
@@ -70,9 +75,15 @@ class RunLogger(ABC):
 class TensorBoard(RunLogger):
     """Event files in `tensorboard/`, for `tensorboard --logdir FOLDER` on a run, on outputs or on a whole sweep."""
 
-    def start(self, folder: Path, hyperparameters: Mapping[str, Any]) -> Logger:
-        """As for every logger; hyperparameters are a row of the HParams tab from the first iteration on."""
-        logger = super().start(folder, hyperparameters)
+    def start(
+        self, folder: Path, hyperparameters: Mapping[str, Any], parameters: Mapping[str, str] | None = None
+    ) -> Logger:
+        """As for every logger; hyperparameters are a row of the HParams tab from the first iteration on.
+
+        The Custom Scalars tab has the loss and a chart a parameter, with its unit and its limits.
+        """
+        logger = super().start(folder, hyperparameters, parameters)
+        self._logger.experiment.add_custom_scalars(_lay_out(parameters or {}))
         # Lightning's and torch's own way also fixes the tab's columns to those of one run. Without, TensorBoard
         # gathers them from all runs, which in a sweep over models or fits differ.
         plain = {k: v if type(v) in (int, float, str) else json.dumps(v) for k, v in hyperparameters.items()}
@@ -91,6 +102,13 @@ class TensorBoard(RunLogger):
             writer.add_image(f"figures/{path.stem}", imread(path), step, dataformats="HWC")
         writer.add_text("summary", text, step)
         writer.file_writer.add_summary(self._ended)
+
+
+def _lay_out(parameters: Mapping[str, str]) -> dict[str, dict[str, list[Any]]]:
+    """Categories of charts, each with the patterns of its scalars' names, as torch's writer takes them."""
+    charts = {f"{name} [{said}]": ["Multiline", [rf"^{re.escape(name)}(/.*)?$"]] for name, said in parameters.items()}
+    fit = {"loss": ["Multiline", ["^loss$"]], "gradient norm": ["Multiline", ["^grad_norm$"]]}
+    return {"fit": fit, "parameters": charts}
 
 
 class Csv(RunLogger):

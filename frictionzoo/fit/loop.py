@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import lightning.pytorch as pl
 import torch
+from lightning.pytorch.loggers import Logger
 from lightning.pytorch.plugins import TorchCheckpointIO
 from lightning.pytorch.plugins.environments import LightningEnvironment
 from tqdm import tqdm
@@ -20,6 +21,7 @@ from tqdm import tqdm
 from frictionzoo.core.errors import CheckpointError, ConfigError, OutputError, refuse_outside
 from frictionzoo.core.output import write_atomically
 from frictionzoo.fit.base import Fit
+from frictionzoo.fit.chunk import Trace
 from frictionzoo.fit.loggers import RunLogger
 from frictionzoo.fit.module import FitModule, Outcome
 from frictionzoo.fit.objective import Objective
@@ -27,6 +29,7 @@ from frictionzoo.models import FrictionModel
 from frictionzoo.simulate.bridge import load_from_jax
 
 CHECKPOINT = "last.ckpt"
+BESIDE = 60  # columns of a terminal for the bar, its numbers and its times
 MOST_CHUNK = 1_000_000  # iterations in one call, which returns a row for each
 _log = logging.getLogger(__name__)
 
@@ -116,7 +119,7 @@ class _Saver(pl.Callback):
 
 
 class _ProgressBar(pl.Callback):
-    """Iterations with the loss and the parameters of the last one."""
+    """Iterations with the loss of the last one, and as many of its parameters as leave room for the bar."""
 
     _bar: tqdm | None = None
 
@@ -129,11 +132,8 @@ class _ProgressBar(pl.Callback):
         assert isinstance(pl_module, FitModule) and self._bar is not None
         self._bar.update(pl_module.iteration - self._bar.n)
         trace = pl_module.history[-1]
-        if len(trace.loss):
-            last = {
-                name.partition(".")[2]: " ".join(f"{v:.4g}" for v in rows[-1]) for name, rows in trace.params.items()
-            }
-            self._bar.set_postfix({"loss": f"{trace.loss[-1]:.3e}", **last})
+        if len(trace.loss) and not self._bar.disable:
+            self._bar.set_postfix_str(_say_last(trace, (self._bar.ncols or 80) - BESIDE))
 
     def on_train_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         self._close()
@@ -144,6 +144,17 @@ class _ProgressBar(pl.Callback):
     def _close(self) -> None:
         if self._bar is not None:
             self._bar.close()
+
+
+def _say_last(trace: Trace, room: int) -> str:
+    """The loss of the last iteration, and as many of its parameters as fit into so many columns."""
+    told = f"loss={trace.loss[-1]:.3e}"
+    for name, rows in trace.params.items():
+        more = f", {name.partition('.')[2]}={' '.join(f'{v:.4g}' for v in rows[-1])}"
+        if len(told + more) > room:
+            break
+        told += more
+    return told
 
 
 def _train(module: FitModule, record: Record | None, checkpoint: Path | None, progress: bool) -> None:
@@ -158,7 +169,7 @@ def _train(module: FitModule, record: Record | None, checkpoint: Path | None, pr
                 accelerator="cpu",
                 devices=1,
                 max_epochs=-1,
-                logger=record.logger.start(record.folder, record.hyperparameters) if record else False,
+                logger=_begin_record(record, module) if record else False,
                 callbacks=[*callbacks, *([_ProgressBar()] if progress else [])],
                 plugins=[LightningEnvironment(), _AtomicFiles()],
                 enable_checkpointing=False,
@@ -171,6 +182,10 @@ def _train(module: FitModule, record: Record | None, checkpoint: Path | None, pr
             raise OutputError(
                 f"{place}: {error.strerror or error} while writing the fit's progress; free space or set hydra.run.dir"
             ) from None
+
+
+def _begin_record(record: Record, module: FitModule) -> Logger:
+    return record.logger.start(record.folder, record.hyperparameters, module.objective.space.limits())
 
 
 def _checked_checkpoint(folder: Path, identity: Mapping[str, str]) -> Path | None:

@@ -82,7 +82,7 @@ class FitModule(pl.LightningModule):
         self.progress: Progress = begin(fit, objective)
         self.history: list[Trace] = []
         self._fit = fit
-        self._objective = objective
+        self.objective: Objective = objective
         self._identity = dict(identity)
         self._patience = patience
         self._run: Chunk = make_chunk(fit, objective, self.chunk)
@@ -117,7 +117,7 @@ class FitModule(pl.LightningModule):
         self.progress, trace = self._run(self.progress, min(self.chunk, self.total - before))
         trace = jax.tree.map(lambda rows: np.asarray(rows)[: self.iteration - before], trace)
         self.history.append(trace)
-        load_from_jax(self.friction, self._objective.space.values(self.progress.vector)["friction"])
+        load_from_jax(self.friction, self.objective.space.values(self.progress.vector)["friction"])
         self._log_rows(before, trace)
         self.trainer.should_stop = self.stopped is not None
 
@@ -155,7 +155,7 @@ class FitModule(pl.LightningModule):
         return Outcome(
             method=self._fit.name,
             vector=np.asarray(self.progress.best),
-            values=jax.tree.map(np.asarray, self._objective.space.values(self.progress.best)),
+            values=jax.tree.map(np.asarray, self.objective.space.values(self.progress.best)),
             iterations=self.iteration,
             best_iteration=int(self.progress.best_iteration),
             loss=float(np.asarray(self.progress.best_loss, self.progress.vector.dtype)),
@@ -183,7 +183,7 @@ class FitModule(pl.LightningModule):
         )
 
     def _name_divergence(self) -> str:
-        space, gradient = self._objective.space, np.asarray(self.progress.gradient)
+        space, gradient = self.objective.space, np.asarray(self.progress.gradient)
         if np.isfinite(gradient).any():
             return f"the gradient of {space.first_nonfinite(gradient)} is not finite"
         # A loss that is not finite has no finite gradient at all: that tells nothing about where it comes from.
@@ -196,15 +196,17 @@ class FitModule(pl.LightningModule):
         if self.history:
             return jax.tree.map(lambda *parts: np.concatenate(parts), *self.history)
         empty = np.zeros(0, self.progress.vector.dtype)
-        params = self._objective.space.identified(self.progress.vector)
+        params = self.objective.space.identified(self.progress.vector)
         return Trace(empty, empty, {name: np.zeros((0, *value.shape), value.dtype) for name, value in params.items()})
 
     def _log_rows(self, before: int, trace: Trace) -> None:
         columns = {"loss": trace.loss, "grad_norm": trace.grad_norm}
-        columns |= self._objective.space.pick({name: values.T for name, values in trace.params.items()})
+        columns |= self.objective.space.pick({name: values.T for name, values in trace.params.items()})
         for row in range(len(trace.loss)):
             for logger in self.loggers:
                 logger.log_metrics({name: float(column[row]) for name, column in columns.items()}, step=before + row)
+        for logger in self.loggers:
+            logger.save()  # so that whoever watches the run sees it
 
 
 def _to_tensors(tree: Any) -> list[torch.Tensor]:

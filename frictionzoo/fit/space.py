@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from frictionzoo.bench import Bench
 from frictionzoo.core.errors import ConfigError
-from frictionzoo.core.params import Param
+from frictionzoo.core.params import UNITS, Param
 from frictionzoo.models import FrictionModel
 from frictionzoo.simulate import Values
 from frictionzoo.simulate.bridge import to_jax
@@ -151,6 +151,16 @@ class Space:
             beside = (slice(None), *[None] * (values.ndim - 1))
             found[name] = np.clip(values, low[beside], high[beside])
         return found
+
+    def limits(self) -> dict[str, str]:
+        """Unit and bounds of each physical parameter in words, of joints with others the widest, by its full name."""
+        said = {}
+        for name, param in self.params.items():
+            joints = self.places[name].joints
+            low, high = (param.each(side, self._nv)[joints] for side in ("low", "high"))
+            unit = UNITS[self.bench.joint_type][param.dimension]
+            said[name] = f"{'' if unit == '1' else f'{unit}, '}{low.min():g} to {high.max():g}"
+        return said
 
     def at_bound(self, vector: Float[np.ndarray, "coordinates"]) -> Bool[np.ndarray, "own"]:
         """Whether the value of each coordinate of a physical parameter has reached a bound."""

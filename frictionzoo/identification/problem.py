@@ -11,6 +11,7 @@ import jax
 import numpy as np
 
 from frictionzoo.bench import Bench
+from frictionzoo.bench.given import Given
 from frictionzoo.checkup import check_up
 from frictionzoo.core.build import build
 from frictionzoo.core.described import describe
@@ -60,20 +61,24 @@ class Parts(NamedTuple):
     seconds: float
 
     @classmethod
-    def from_settings(cls, settings: Mapping[str, Any]) -> "Parts":
+    def from_settings(cls, settings: Mapping[str, Any], given: Given | None = None) -> "Parts":
         """The parts that the settings describe.
+
+        Args:
+            settings: All options.
+            given: Bench and recordings, if they have been read already.
 
         Raises:
             FrictionzooError: The input is at fault.
         """
         began = time.perf_counter()
         settings = {**settings, "model": complete_laws(settings["model"], settings)}
-        bench, dataset = build(settings["bench"]), build(settings["data"]).load()
+        bench, dataset, earlier = given or Given.read(settings)._replace(seconds=0.0)
         model = build(settings["model"], nv=bench.nv)
         model.bind(bench.joints)
         model.begin(bench.initial_friction(model.params))
         parts = cls.settle(settings, bench, dataset, model, build(settings["fit"]))
-        return parts._replace(seconds=time.perf_counter() - began)
+        return parts._replace(seconds=earlier + time.perf_counter() - began)
 
     @classmethod
     def settle(

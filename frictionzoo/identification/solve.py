@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from frictionzoo.core.segments import Segments
+from frictionzoo.core.telling import tell
 from frictionzoo.fit import Outcome, Space, estimate_uncertainty, fit_reference, run_fit
 from frictionzoo.fit.loop import Record
 from frictionzoo.fit.posterior import Fitted
@@ -65,6 +66,8 @@ def solve(
     _log_engine(problem)
     outcome = run_fit(problem.fit, problem.objective, problem.drive.model, record, **problem.settings["loop"])
 
+    if problem.settings["loop"].get("progress", True):
+        tell("finding intervals, judging on rollouts beside the drive without friction")
     asked = time.perf_counter()
     uncertainty = estimate_uncertainty(problem.objective, outcome.vector, problem.fit, steps)
 

@@ -44,11 +44,11 @@ def list_findings(survey: Mapping[str, Any]) -> Iterator[Check]:
 
 def _find_in_joint(joint: Mapping[str, Any], survey: Mapping[str, Any]) -> Iterator[Check]:
     yield _find_spikes(joint, survey["data"]["recordings"])
-    yield _find_resolution(joint, survey["timing"]["interval"]["median"])
+    yield _find_resolution(joint, survey["timing"]["interval"]["median"], survey["units"]["position"])
     yield from _find_degrees(joint)
     yield _find_lag(joint, survey["timing"]["interval"]["median"])
     yield _find_delay(joint)
-    yield from _find_slowness(joint)
+    yield from _find_slowness(joint, survey["units"]["velocity"])
     yield from _find_direction(joint)
 
 
@@ -91,13 +91,13 @@ def _find_spikes(joint: Mapping[str, Any], recordings: int) -> Check:
     return Check("caution", "Spikes", text, "data.clean.spikes=repair")
 
 
-def _find_resolution(joint: Mapping[str, Any], interval: float) -> Check:
+def _find_resolution(joint: Mapping[str, Any], interval: float, unit: str) -> Check:
     quantum = joint["position_quantum"]
     if quantum is None:
         return Check("good", "Resolution", "No step of an encoder shows in the position.")
     speed = quantum["median"] / interval
     top = max(map(abs, joint["velocity"]))
-    text = f"The position moves in steps of {quantum['median']:.3g} rad or m: one step in a sample is {speed:.2g} a "
+    text = f"The position moves in steps of {quantum['median']:.3g} {unit}: one step in a sample is {speed:.2g} a "
     text += f"second, {100 * speed / max(top, 1e-12):.2g} % of the top speed."
     if speed > 0.1 * top:
         return Check("note", "Resolution", f"{text} Fit segments of many samples.")
@@ -143,14 +143,14 @@ def _find_delay(joint: Mapping[str, Any]) -> Check:
     return Check("caution", "Command", text, "bench.params.delay=...")
 
 
-def _find_slowness(joint: Mapping[str, Any]) -> Iterator[Check]:
+def _find_slowness(joint: Mapping[str, Any], unit: str) -> Iterator[Check]:
     slow, rest = joint["slow"], joint["rest"]
     if slow["share"] > SLOW:
-        text = f"{100 * slow['share']:.0f} % of the samples lie under {slow['speed']:.2g} rad/s or m/s, 5 % of the top "
+        text = f"{100 * slow['share']:.0f} % of the samples lie under {slow['speed']:.2g} {unit}, 5 % of the top "
         text += "speed: Stribeck and viscous friction cannot be told apart well. Record faster motion, or more of it."
         yield Check("caution", "Excitation", text)
     else:
-        text = f"{100 * (1 - slow['share']):.0f} % of the samples lie above {slow['speed']:.2g} rad/s or m/s, 5 % of "
+        text = f"{100 * (1 - slow['share']):.0f} % of the samples lie above {slow['speed']:.2g} {unit}, 5 % of "
         yield Check("good", "Excitation", f"{text}the top speed.")
     if rest is not None and rest["median"] > RESTING:
         text = f"The joint stands still for {100 * rest['median']:.0f} % of a recording (median): dry friction is then "

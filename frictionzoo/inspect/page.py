@@ -32,7 +32,7 @@ def write_page(path: Path, survey: Mapping[str, Any], recordings: Sequence[Recor
     joints = range(len(survey["joints"]))
     sections = {
         "velocity": [_plot_velocities(recordings, joint, survey) for joint in joints],
-        "worst": [_plot_recording(worst, joint) for joint in joints],
+        "worst": [_plot_recording(worst, joint, survey["units"]) for joint in joints],
         "spread": list(_plot_spreads(survey)) if len(recordings) > 1 else [],
     }
     page = render_page(
@@ -52,13 +52,13 @@ def _plot_velocities(recordings: Sequence[Recording], joint: int, survey: Mappin
     low, high = survey["joints"][joint]["velocity"]
     bars = _count(velocity, low, high, "share of the samples")
     band = Stripe(low=-slow["speed"], high=slow["speed"], color=BASELINE, opacity=0.18)
-    panel = Panel((band, bars), Axis("velocity", "rad/s or m/s"), Axis("share of the samples", "%"))
+    panel = Panel((band, bars), Axis("velocity", survey["units"]["velocity"]), Axis("share of the samples", "%"))
     text = f"Velocities of all samples, estimated from the position. {100 * slow['share']:.0f} % lie in the band, "
-    text += f"under {slow['speed']:.2g} rad/s or m/s."
+    text += f"under {slow['speed']:.2g} {survey['units']['velocity']}."
     return Figure(_name("Velocities", joint, survey), text, (panel,))
 
 
-def _plot_recording(recording: Recording, joint: int) -> Figure:
+def _plot_recording(recording: Recording, joint: int, units: Mapping[str, str]) -> Figure:
     """Position and command above velocity, over time, with the spikes marked."""
     time = recording.time - recording.time[0]
     position, spikes = recording.signals["qpos"][:, joint], find_spikes(recording.signals["qpos"][:, joint])
@@ -79,9 +79,11 @@ def _plot_recording(recording: Recording, joint: int) -> Figure:
         below.append(Curve(x=grid, y=velocity, name="velocity, from the position", color=MODEL))
     axis = Axis("time", "s")
     upper = Panel(above, axis, Axis("position, command"), share=3.0)
-    lower = Panel(below, axis, Axis("velocity", "rad/s or m/s"), share=2.0)
-    text = f"{recording.name}: position [rad or m] and command above the velocity, estimated over the longest stretch "
-    return Figure(recording.name, f"{text}without a gap.", (upper, lower))
+    lower = Panel(below, axis, Axis("velocity", units["velocity"]), share=2.0)
+    text = (
+        f"{recording.name}: position [{units['position']}] and command above the velocity, estimated over the longest "
+    )
+    return Figure(recording.name, f"{text}stretch without a gap.", (upper, lower))
 
 
 def _plot_spreads(survey: Mapping[str, Any]) -> Iterator[Figure]:
@@ -94,7 +96,7 @@ def _plot_spreads(survey: Mapping[str, Any]) -> Iterator[Figure]:
         lags = [1e3 * entry["velocity_lag"] for entry in entries if entry["velocity_lag"] is not None]
         yield from _plot_spread(_name("Velocity lag", joint, survey), "ms", lags)
         tops = [entry["top_speed"] for entry in entries]
-        yield from _plot_spread(_name("Top speed", joint, survey), "rad/s or m/s", tops)
+        yield from _plot_spread(_name("Top speed", joint, survey), survey["units"]["velocity"], tops)
         yield from _plot_spread(_name("Slow samples", joint, survey), "%", [100 * entry["slow"] for entry in entries])
     supplies = [entry["supply"]["median"] for entry in recordings if entry["supply"]]
     yield from _plot_spread("Supply", "V", supplies)

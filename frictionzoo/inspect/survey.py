@@ -12,13 +12,14 @@ from jaxtyping import Float
 from frictionzoo import __version__
 from frictionzoo.core.log import Log
 from frictionzoo.core.output import to_json
+from frictionzoo.core.params import UNITS
 from frictionzoo.inspect.findings import list_findings
 from frictionzoo.logs.delay import estimate_delay
 from frictionzoo.logs.diagnose import SLOWEST, Diagnosis, diagnose
 from frictionzoo.logs.recording import Recording
 from frictionzoo.logs.signals import TOP, derive_velocity, repair_spikes
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 Survey = dict[str, Any]
 """What `inspect.json` holds."""
@@ -38,8 +39,13 @@ def list_recordings(source: Any) -> list[Recording]:
     return source.recordings() if hasattr(source, "recordings") else [_as_recording(log) for log in source.load().logs]
 
 
-def survey_recordings(name: str, recordings: Sequence[Recording]) -> Survey:
+def survey_recordings(name: str, recordings: Sequence[Recording], joint_type: str | None = None) -> Survey:
     """What is in the recordings of a data set, at least one and all of one drive, and what should be looked at.
+
+    Args:
+        name: The data set's.
+        recordings: As they come.
+        joint_type: `hinge` or `slide`, which tells the units; None where nobody said it.
 
     Raises:
         LogError: A recording holds next to nothing, or another number of joints than the first.
@@ -50,6 +56,7 @@ def survey_recordings(name: str, recordings: Sequence[Recording]) -> Survey:
         "schema_version": SCHEMA_VERSION,
         "version": __version__,
         "data": _describe_data(name, recordings),
+        "units": {name: _say_unit(name, joint_type) for name in ("position", "velocity")},
         "timing": _pool_timing(diagnoses),
         "joints": [_pool_joint(recordings, diagnoses, joint) for joint in range(joints)],
         "commands": _pool_commands(diagnoses),
@@ -67,6 +74,10 @@ def survey_recordings(name: str, recordings: Sequence[Recording]) -> Survey:
 def pool_velocities(recordings: Sequence[Recording], joint: int) -> Float[np.ndarray, "samples"]:
     """The velocities of a joint in all recordings, estimated from the position [rad/s or m/s]."""
     return np.concatenate([derive_velocity(r.time, repair_spikes(r.signals["qpos"][:, joint])) for r in recordings])
+
+
+def _say_unit(dimension: str, joint_type: str | None) -> str:
+    return " or ".join(units[dimension] for kind, units in UNITS.items() if joint_type in (None, kind))
 
 
 def _as_recording(log: Log) -> Recording:

@@ -1,5 +1,6 @@
 """The summary of a data set in plain text."""
 
+import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from textwrap import fill
@@ -7,7 +8,7 @@ from typing import Any
 
 from frictionzoo.show.terminal import align
 
-WIDTH = 110  # characters of a line
+WIDTH = 110  # characters of a line, at most, and where there is no terminal
 MARKS = {"good": "ok", "note": "note", "caution": "caution", "bad": "problem"}
 
 Row = tuple[str, str, str, str, str]
@@ -30,14 +31,15 @@ def summarise(survey: Mapping[str, Any], folder: Path) -> str:
 
 def list_quantities(survey: Mapping[str, Any]) -> Iterator[Row]:
     """Rows of the table of quantities: name, lowest, median and highest over the recordings, unit."""
-    timing = survey["timing"]
+    timing, units = survey["timing"], survey["units"]
+    small = " or ".join(f"m{unit}" for unit in units["position"].split(" or "))
     yield from _row("sample interval", timing["interval"], "ms", 1e3)
     yield from _row("intervals off by over 5 %", timing["jitter"], "%", 100.0)
     for i, joint in enumerate(survey["joints"]):
         which = f" {i + 1}" if len(survey["joints"]) > 1 else ""
-        yield _bounds(f"position{which}", joint["position"], "rad or m")
-        yield _bounds(f"velocity{which}", joint["velocity"], "rad/s or m/s")
-        yield from _row(f"position quantum{which}", joint["position_quantum"], "mrad or mm", 1e3)
+        yield _bounds(f"position{which}", joint["position"], units["position"])
+        yield _bounds(f"velocity{which}", joint["velocity"], units["velocity"])
+        yield from _row(f"position quantum{which}", joint["position_quantum"], small, 1e3)
         yield from _row(f"velocity lag{which}", joint["velocity_lag"], "ms", 1e3)
         yield from _row(f"at rest{which}", joint["rest"], "%", 100.0)
         if delay := joint["delay"]:
@@ -63,7 +65,7 @@ def _bounds(name: str, bounds: Sequence[float], unit: str) -> Row:
 
 def _tell(findings: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     """The findings that ask for something first."""
-    order = list(MARKS)[::-1]
+    order, width = list(MARKS)[::-1], min(WIDTH, shutil.get_terminal_size((WIDTH, 24)).columns)
     for finding in sorted(findings, key=lambda finding: order.index(finding["state"])):
         text = f"{finding['title']}: {finding['text']}"
-        yield fill(text, WIDTH, initial_indent=f"{MARKS[finding['state']]:<9}", subsequent_indent=" " * 9)
+        yield fill(text, width, initial_indent=f"{MARKS[finding['state']]:<9}", subsequent_indent=" " * 9)

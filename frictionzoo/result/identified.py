@@ -113,6 +113,7 @@ class Identified:
         """
         # Imported here, so that what reads a run does not wait for what draws one.
         from frictionzoo.export.bench import write_identified
+        from frictionzoo.show.replay import record_replay
         from frictionzoo.show.run_page import write_report
         from frictionzoo.show.run_plots import write_figures
 
@@ -133,7 +134,8 @@ class Identified:
             write_atomically(folder / name, content)
         result = copy.deepcopy(self.result)
         result["timing"]["total"] += time.perf_counter() - began
-        write_report(folder / "report.html", result, self.curves)
+        replay = record_replay(self.bench, self.values["bench"], self.curves, self.segments.timestep)
+        write_report(folder / "report.html", result, self.curves, replay)
         write_result(folder / RESULT, result)
 
     @property

@@ -15,6 +15,7 @@ import numpy as np
 
 from frictionzoo.bench.base import Bench
 from frictionzoo.core.errors import RunError
+from frictionzoo.core.jobs import read_json, refuse_unfinished
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.output import RESULT, to_json, write_atomically
 from frictionzoo.core.params import Param
@@ -154,11 +155,14 @@ def build_result(found: Findings) -> types.Result:
 
 
 def pick_metrics(result: types.Result) -> dict[str, float]:
-    """The numbers by which runs are compared, without those that have no value because rollouts diverged."""
+    """The numbers by which runs are compared, without those that have no value because rollouts diverged.
+
+    Errors come first: TensorBoard shows the first few of them, in the order of the alphabet with capitals first.
+    """
     picked = {
-        "test/position_mae": result["metrics"]["test"]["position_mae"],
-        "test/position_rmse": result["metrics"]["test"]["position_rmse"],
-        "train/position_mae": result["metrics"]["train"]["position_mae"],
+        "MAE/test_position": result["metrics"]["test"]["position_mae"],
+        "RMSE/test_position": result["metrics"]["test"]["position_rmse"],
+        "MAE/train_position": result["metrics"]["train"]["position_mae"],
         "fit/loss": result["fit"]["loss"],
         "fit/seconds": result["timing"]["fit"],
     }
@@ -179,10 +183,8 @@ def read_run(folder: Path) -> tuple[types.Result, Curves]:
     Raises:
         RunError: It is not the folder of a finished run of this version, or one of the two is damaged.
     """
-    path = folder / RESULT
-    if not path.exists():
-        raise RunError(f"{folder}: no {RESULT} in it, expected the folder of a finished run; name one")
-    return cast(types.Result, read_valid(path, SCHEMA_VERSION, read_schema())), read_curves(folder)
+    refuse_unfinished(folder)
+    return cast(types.Result, read_valid(folder / RESULT, SCHEMA_VERSION, read_schema())), read_curves(folder)
 
 
 def read_valid(path: Path, version: int, schema: Mapping[str, Any]) -> dict[str, Any]:
@@ -209,23 +211,6 @@ def refuse_invalid(path: Path, content: Mapping[str, Any], schema: Mapping[str, 
     error = jsonschema.Draft202012Validator(schema).iter_errors(content)
     if first := next(iter(error), None):
         raise RunError(f"{path}: {first.json_path}: {first.message[:200]}; expected the file that this version writes")
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """The object that a JSON file holds.
-
-    Raises:
-        RunError: It cannot be read, or holds something else.
-    """
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise RunError(f"{path}: {error.strerror}; expected a file that can be read") from None
-    except (ValueError, RecursionError) as error:
-        raise RunError(f"{path}: not JSON ({error}); expected the file that this version writes") from None
-    if not isinstance(content, dict):
-        raise RunError(f"{path}: {type(content).__name__}, expected an object; name a folder that this program made")
-    return content
 
 
 def describe_data(dataset: Dataset) -> types.DataRow:

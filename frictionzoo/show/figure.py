@@ -161,6 +161,7 @@ class Figure:
         text: Its content in a few sentences, also for those who do not see it.
         panels: From the top down.
         time: Whether the horizontal axis is the time of a rollout, which all such figures of a page share.
+        rollout: Which of the run's long test rollouts it is over; None for none of them alone.
         height: On a page [px], where it is not that of the others.
         small: Whether it is one of many small ones on a page.
     """
@@ -169,6 +170,7 @@ class Figure:
     text: str
     panels: tuple[Panel, ...]
     time: bool = False
+    rollout: int | None = None
     height: int | None = None
     small: bool = False
 

@@ -70,7 +70,7 @@ def render_page(
             # Number of the first figure of each section.
             first={name: sum(len(drawn[before]) for before in names[:i]) for i, name in enumerate(names)},
             data=pack(json.dumps(data, separators=(",", ":"))),
-            plotly=_pack_plotly(),
+            plotly=pack_library("plotly/plotly-basic.min.js"),
             checks=checks,
             doubts=sum(check.doubtful for check in checks),
             state=state or {},
@@ -86,9 +86,9 @@ def pack(text: str) -> str:
 
 
 @cache
-def _pack_plotly() -> str:
-    library = resources.files("frictionzoo.show").joinpath("plotly", "plotly-basic.min.js")
-    return pack(library.read_text(encoding="utf-8"))
+def pack_library(path: str) -> str:
+    """A library that pages carry, by its path beside this file, packed."""
+    return pack(resources.files("frictionzoo.show").joinpath(*path.split("/")).read_text(encoding="utf-8"))
 
 
 def _overview(parameter: ParameterRow) -> dict[str, Any]:

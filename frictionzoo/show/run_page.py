@@ -1,7 +1,7 @@
 """`report.html`: one run on one page that opens without a network, from the answer down to the curves behind it."""
 
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from frictionzoo.core.output import write_atomically
 from frictionzoo.result.curves import Curves
 from frictionzoo.result.types import DataRow, FitRow, ParameterRow, PartsRow, Result, TimingRow, ValueRow
 from frictionzoo.result.verdict import doubt_reference, judge, list_rollouts, say_finding
-from frictionzoo.show.page import Check, render_page
+from frictionzoo.show.page import Check, pack_library, render_page
 from frictionzoo.show.rollouts import say_where
 from frictionzoo.show.run_plots import choose_rollouts, plot_run
 from frictionzoo.show.terminal import ERRORS
@@ -35,6 +35,7 @@ TITLES = {
 LINKS = {
     "verdict": "Verdict",
     "rollout": "Rollouts",
+    "replay": "Replay",
     "friction": "Friction",
     "left": "What is left",
     "parameters": "Parameters",
@@ -71,8 +72,14 @@ FILES = {  # what else a run leaves behind, by path beside the page
 }
 
 
-def write_report(path: Path, result: Result, curves: Curves) -> None:
+def write_report(path: Path, result: Result, curves: Curves, replay: Mapping[str, Any] | None = None) -> None:
     """Write the page of a run into this file in the run's folder, to whose other files the page links.
+
+    Args:
+        path: Of the page.
+        result: What `result.json` holds.
+        curves: What figures are drawn from.
+        replay: What `frictionzoo.show.replay.record_replay` gives; None for a page without a view in space.
 
     Raises:
         OutputError: It cannot be written.
@@ -82,15 +89,18 @@ def write_report(path: Path, result: Result, curves: Curves) -> None:
     place, result = without_paths([str(path.parent.absolute()), result], known, Path.cwd())
     result["parameters"] = _add_starts(result["parameters"], result, curves)
     joints = list_joints(result) if len(result["joints"]) > 1 else []
+    absent = {*(_OF_ONE if joints else _OF_SEVERAL), *([] if replay else ["replay"])}
     page = render_page(
         "show/run.html.jinja",
         plot_run(result, curves),
         list(check_result(result)),
         points=max(LEAST, MOST // len(result["joints"])),
+        state={"replay": replay},
+        three=pack_library("three/three.min.js") if replay else "",
         result=result,
         verdict=result["verdict"],
         joints=joints,
-        links=[(key, text) for key, text in LINKS.items() if key not in (_OF_ONE if joints else _OF_SEVERAL)],
+        links=[(key, text) for key, text in LINKS.items() if key not in absent],
         place=place,
         uses=list_uses(place),
         ranks=_say_ranks(curves),

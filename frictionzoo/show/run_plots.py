@@ -155,7 +155,7 @@ def _plot_trajectories(result: Result, curves: Curves, shown: Mapping[str, int])
             text += f", {place}; " if place else "; "
             text += f"the mean position error is {model} with the model and {baseline} without friction."
             title = f"{_say_rank(rank, curves)}{name}" if rank else f"Trajectory of {name}"
-            yield Figure(title, text, panels, time=True)
+            yield Figure(title, text, panels, time=True, rollout=rollout)
 
 
 def _say_rank(rank: str, curves: Curves) -> str:
@@ -207,7 +207,8 @@ def _plot_errors(result: Result, curves: Curves, shown: Mapping[str, int]) -> It
         )
         text += f"is {model} {unit} with the model and {baseline} {unit} without friction."
         panel = draw_errors(drives, result["data"]["timestep"], window, unit)
-        yield Figure(f"Error of the {rank} rollout" if rank else "Its error", text, (panel,), time=True)
+        title = f"Error of the {rank} rollout" if rank else "Its error"
+        yield Figure(title, text, (panel,), time=True, rollout=rollout)
 
 
 def _plot_horizons(result: Result) -> Figure:

@@ -3,5 +3,6 @@
 from frictionzoo.bench.robot_file.actuators import ReadActuator
 from frictionzoo.bench.robot_file.links import Link
 from frictionzoo.bench.robot_file.read import RobotFile, read_robot
+from frictionzoo.bench.robot_file.source import look_at
 
-__all__ = ["Link", "ReadActuator", "RobotFile", "read_robot"]
+__all__ = ["Link", "ReadActuator", "RobotFile", "look_at", "read_robot"]

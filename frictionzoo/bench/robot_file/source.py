@@ -95,6 +95,26 @@ def load(path: str, content: bytes | None = None) -> Source:
     return source
 
 
+def look_at(path: str) -> mujoco.MjModel:
+    """A robot's file with the shapes that it shows, of meshes those that are there: for pictures, not for motion.
+
+    Raises:
+        BenchError: The file cannot be read, or MuJoCo refuses it.
+    """
+    notes: list[str] = []
+    # A body may have no inertia without a mesh that is not there; the file is then read as for a simulation.
+    with _collecting_warnings(notes), contextlib.suppress(ValueError, RuntimeError):
+        spec, _ = _parse(path, None, notes)
+        notes += _leave_out(spec)
+        meshes = {mesh.name: mesh for mesh in spec.meshes}
+        for geom in [geom for geom in spec.geoms if _needs_asset(geom)]:
+            if not _is_there(spec, meshes.get(geom.meshname), Path(path).parent):
+                spec.delete(geom)
+        _delete_unused(spec)
+        return spec.compile()
+    return load(path).model
+
+
 @contextlib.contextmanager
 def _collecting_warnings(notes: list[str]) -> Iterator[None]:
     """MuJoCo's warnings as lines, which it would print and write to a file in the working directory."""

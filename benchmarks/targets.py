@@ -1,0 +1,207 @@
+"""Exported drives in the programs that they are for: `python benchmarks/targets.py RUN ... --environments FOLDER`.
+
+Each run's drive is exported for each program, which then simulates the run's long test rollouts on the CPU, in a
+process and where versions clash in an environment of its own, without frictionzoo. The table has how far positions are
+from the drive as frictionzoo simulates it, beside the drive's own error against the recordings.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import venv
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from measure import make_parser, report
+
+from frictionzoo.bench.compiled import INERTIAL
+from frictionzoo.core.errors import ExportError, FrictionzooError
+from frictionzoo.core.params import UNITS
+from frictionzoo.export.base import measure
+from frictionzoo.export.motor import aim, motors, read_inputs
+from frictionzoo.export.simulate import commands_before
+from frictionzoo.export.write import write_exports
+from frictionzoo.export.written import Written
+from frictionzoo.result.identified import Identified
+
+ROLLED = Path(__file__).parent / "rolled"
+COLUMNS = {
+    "run": "drive",
+    "program": "program",
+    "files": "files of",
+    "unit": "unit",
+    "largest": "largest difference",
+    "mean": "mean",
+    "error": "drive's own error",
+    "share": "mean / error",
+    "note": "",
+}
+LONGEST = 3600.0  # s that a program may take
+
+
+@dataclass(frozen=True)
+class Program:
+    """What an exported drive is tried in.
+
+    Attributes:
+        name: As the table has it, where the program does not say its version.
+        targets: Exports that its script needs, the one that is tried first.
+        script: In `benchmarks/rolled`, with its options.
+        environment: Requirements, a file in `benchmarks/rolled`; empty for the environment of this process.
+    """
+
+    name: str
+    targets: tuple[str, ...]
+    script: tuple[str, ...]
+    environment: str = ""
+
+
+PROGRAMS = {
+    "mujoco": Program("MuJoCo", ("mujoco",), ("roll_mujoco.py", "--kind=drive")),
+    "mjcf": Program("MuJoCo", ("mjcf", "mujoco"), ("roll_mujoco.py", "--kind=bench")),
+    "mujoco4": Program("MuJoCo 4", ("mujoco",), ("roll_mujoco.py", "--kind=drive"), "mujoco4.txt"),
+    "mjcf4": Program("MuJoCo 4", ("mjcf", "mujoco"), ("roll_mujoco.py", "--kind=bench"), "mujoco4.txt"),
+    "mjx": Program("MJX", ("mjx",), ("roll_mjx.py",)),
+    "warp": Program("MuJoCo Warp", ("mjcf", "mujoco"), ("roll_warp.py",), "warp.txt"),
+    "newton": Program("Newton", ("mjcf", "mujoco"), ("roll_newton.py",), "newton.txt"),
+    "mjlab": Program("mjlab", ("mjlab", "mjcf"), ("roll_mjlab.py",), "mjlab.txt"),
+    "onnx": Program("ONNX Runtime", ("onnx", "mujoco"), ("roll_mujoco.py", "--kind=onnx")),
+    "torchscript": Program("torch.jit", ("torchscript", "mujoco"), ("roll_mujoco.py", "--kind=torchscript")),
+}
+
+
+def main() -> None:
+    """Try each drive in each program, print and write the table."""
+    parser = make_parser("targets", __doc__)
+    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="folder of a finished run")
+    parser.add_argument("--programs", nargs="+", choices=PROGRAMS, default=list(PROGRAMS), help="all by default")
+    parser.add_argument("--environments", type=Path, metavar="FOLDER", help="which keeps environments; a temporary one")
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as scratch:
+        environments = (arguments.environments or Path(scratch, "environments")).resolve()
+        rows = []
+        for run in arguments.runs:
+            rows += try_drive(run, arguments.programs, environments, Path(scratch, f"run{len(rows)}"))
+    report(arguments.out, rows, COLUMNS)
+
+
+def try_drive(run: Path, programs: Sequence[str], environments: Path, folder: Path) -> list[dict[str, Any]]:
+    """A row for each program.
+
+    Args:
+        run: Folder of the run.
+        programs: Names of `PROGRAMS`.
+        environments: Where environments are, or are made.
+        folder: For the exported files and what was simulated with them.
+    """
+    fitted = Identified.load(run)
+    folder.mkdir(parents=True)
+    write_given(fitted, folder / "given.npz")
+    exports = export(run, {target for name in programs for target in PROGRAMS[name].targets}, folder)
+    label, unit = f"{run.name}: {fitted.result['model']}", UNITS[fitted.bench.joint_type]["position"]
+    rows = []
+    for name in programs:
+        print(f"{label} in {PROGRAMS[name].name}", file=sys.stderr, flush=True)
+        program, out = PROGRAMS[name], folder / f"{name}.npz"
+        needed = [exports[target] for target in program.targets]
+        missing = next((one.reason for one in needed if one.export is None), "")
+        reason = missing or simulate(program, environments, folder, out)
+        row = {"run": label, "program": program.name, "files": needed[0].target, "unit": unit, "note": reason}
+        rows.append(row if reason else row | compare(fitted, out, needed[0]))
+    return rows
+
+
+def export(run: Path, targets: set[str], folder: Path) -> dict[str, Written]:
+    """These targets in folders of their names; what cannot be written says why."""
+    written = {}
+    for target in sorted(targets):
+        try:
+            (written[target],) = write_exports(run, {"target": target, "output": str(folder / target)})
+        except FrictionzooError as error:
+            written[target] = Written(target, reason=str(error))
+    return written
+
+
+def write_given(fitted: Identified, path: Path) -> None:
+    """Initial states, commands and payloads of the long test rollouts, for `benchmarks/rolled/given.py`."""
+    segments, bench, sampling = fitted.segments, fitted.bench, fitted.sampling
+    arrays = {"qpos": segments.qpos[:, 0], "qvel": segments.qvel[:, 0]}
+    for kind, late in (("recorded", False), ("acting", True)):
+        signals = fitted.acting(late=late).map(lambda signal: signal.reshape(segments.count, -1, bench.nv))
+        named = {"ctrl": signals.ctrl, **signals.inputs, **signals.observed}
+        arrays |= {f"{kind}.{name}": signal for name, signal in named.items()}
+    held = [commands_before(fitted, rollout) for rollout in range(segments.count)]
+    for name in ("ctrl", *held[0].inputs):
+        of = [one.ctrl if name == "ctrl" else one.inputs[name] for one in held]
+        arrays[f"before.{name}"] = np.stack(of)
+    try:
+        aims = aim(fitted, motors(fitted, read_inputs(fitted, {})))
+        arrays["targets"] = aims(fitted.acting(late=False)).reshape(segments.count, -1, bench.nv)
+        arrays["targets_before"] = np.stack([aims(one) for one in held])
+    except ExportError:
+        none = np.empty((segments.count, 0, bench.nv))  # no position-controlled motor
+        arrays |= {"targets": none, "targets_before": none}
+    arrays["load"] = np.empty((segments.count, 0)) if segments.load is None else segments.load[:, :INERTIAL]
+    settings = {"joints": list(bench.joints), "timestep": fitted.timestep, "substeps": sampling.substeps}
+    settings["body"] = -1 if bench.payload is None else bench.payload
+    np.savez(path, settings=json.dumps(settings), **arrays)
+
+
+def simulate(program: Program, environments: Path, folder: Path, out: Path) -> str:
+    """Let a program simulate what lies in a folder; why it did not, in a line, or an empty one."""
+    python = Path(sys.executable)
+    if program.environment:
+        python, reason = make_environment(ROLLED / program.environment, environments)
+        if reason:
+            return reason
+    script, *options = program.script
+    command = [str(python), str(ROLLED / script), str(folder / "given.npz"), str(folder), str(out), *options]
+    # What stands in PYTHONPATH is of this environment.
+    variables = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    try:
+        ended = subprocess.run(command, env=variables, capture_output=True, text=True, timeout=LONGEST, cwd=folder)
+    except subprocess.TimeoutExpired:
+        return f"not finished after {LONGEST:g} s"
+    if ended.returncode:
+        (folder / f"{out.stem}.log").write_text(ended.stderr)
+        return next(iter(reversed(ended.stderr.strip().splitlines())), f"exit status {ended.returncode}")
+    return ""
+
+
+def make_environment(requirements: Path, environments: Path) -> tuple[Path, str]:
+    """Python of an environment with these requirements, made where it is not there; and why it is not, in a line."""
+    place = environments / requirements.stem
+    python, made = place / "bin" / "python", place / "made_of.txt"
+    if made.exists() and made.read_bytes() == requirements.read_bytes():
+        return python, ""
+    venv.create(place, with_pip=True, clear=True)
+    command = [str(python), "-m", "pip", "install", "--quiet", "--no-deps", "-r", str(requirements)]
+    ended = subprocess.run(command, capture_output=True, text=True)
+    if ended.returncode:
+        return python, f"no environment: {next(iter(reversed(ended.stderr.strip().splitlines())), 'pip failed')}"
+    made.write_bytes(requirements.read_bytes())
+    return python, ""
+
+
+def compare(fitted: Identified, path: Path, written: Written) -> dict[str, Any]:
+    """What a program simulated with these files, against the drive as frictionzoo simulates it."""
+    assert written.export is not None
+    with np.load(path, allow_pickle=False) as file:
+        came, program = file["qpos"], str(file["program"])
+    promised = written.export.differences[0]
+    found = measure("qpos", fitted, came, fitted.rollout()[0], reason=promised.reason)
+    if promised.quantity == "qpos" and not found.mean <= 2 * promised.mean:
+        found = replace(found, reason=f"the export's own difference is {promised.mean:.2g}: the program does otherwise")
+    return {
+        **{"program": program, "largest": found.largest, "mean": found.mean, "error": written.error},
+        **{"share": written.share(found), "note": written.mark(found) or None},
+    }
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,39 @@
+"""Command line: `python -m frictionzoo.watch FOLDER` follows a run or a sweep until its jobs have ended."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from frictionzoo.cli.mistakes import REFUSED, mistakes_in_one_line
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Entry point; without arguments, for those of the command line.
+
+    A user's mistake is one line and exit status 2, which is also that of a job that failed or was stopped. Ctrl-C ends
+    it with status 130, and what it watched goes on.
+    """
+    parsed = _parse(arguments)
+    with mistakes_in_one_line(lambda: "what was watched goes on"):
+        # Imported here, so that --help does not wait for it.
+        from frictionzoo.watch.follow import follow, show
+        from frictionzoo.watch.jobs import Watched
+
+        watched = Watched(parsed.folder)
+        if parsed.once:
+            show(watched)
+        elif any(job.state != "finished" for job in follow(watched)):
+            sys.exit(REFUSED)
+
+
+def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="python -m frictionzoo.watch",
+        description="Follow a run, or the jobs of a sweep, from the files that they leave: state, iteration, loss and "
+        "parameters, on a terminal in place, else a line for each change. It ends when all jobs have ended.",
+        epilog="The course of a fit is read where logger=tensorboard or logger=csv writes it. TensorBoard shows more.",
+    )
+    parser.add_argument("folder", metavar="FOLDER", type=Path, help="a run's folder, a sweep's, or one they lie in")
+    parser.add_argument("--once", action="store_true", help="show how it stands now, and end")
+    return parser.parse_args(arguments)

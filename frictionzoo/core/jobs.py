@@ -1,0 +1,89 @@
+"""Folders of runs and of sweeps, as jobs leave them: where each one is, and how it stands."""
+
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from frictionzoo.core.errors import RunError
+from frictionzoo.core.output import FAILURE, RESULT, RUNNING
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A job of a sweep that has no result.
+
+    Attributes:
+        run: Name of its folder.
+        model: The model, or empty where that is not known.
+        reason: One line.
+    """
+
+    run: str
+    model: str
+    reason: str
+
+
+def find_runs(folder: Path) -> list[Path]:
+    """Folders of the jobs in a folder, in their order, or that folder itself if it is a job's; RunError for none."""
+    names = (RESULT, FAILURE, RUNNING, ".hydra")
+    if any((folder / name).exists() for name in names):
+        return [folder]
+    found = {path.parent for name in names for path in folder.rglob(name)}
+    if not found:
+        raise RunError(f"{folder}: no run in it, expected the folder of a run or of a sweep; name one")
+    # In the order of the numbers in them: 2_coulomb before 10_neural.
+    return sorted(found, key=lambda path: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", str(path))])
+
+
+def read_failure(folder: Path) -> Failure | None:
+    """Why the job in a folder has no result, None if it has one; RunError where what it left cannot be read."""
+    if (folder / RESULT).exists():
+        return None
+    if not (folder / FAILURE).exists():
+        return Failure(folder.name, read_model(folder), "no result: its process ended before it was done")
+    saved = read_json(folder / FAILURE)
+    model, reason = (" ".join(str(saved.get(key, "")).split()) for key in ("model", "reason"))
+    return Failure(folder.name, model, reason)
+
+
+def refuse_unfinished(folder: Path) -> None:
+    """RunError for what is not the folder of a finished run; quick, so that nobody waits for an import to be told."""
+    if not (folder / RESULT).exists():
+        raise RunError(f"{folder}: no {RESULT} in it, expected the folder of a finished run; name one")
+
+
+def read_model(folder: Path) -> str:
+    """The model of a job; empty where what Hydra wrote before it began was cut short."""
+    return str(read_begun(folder, "hydra", "hydra", "runtime", "choices", "model") or "")
+
+
+def read_begun(folder: Path, file: str, *keys: str) -> Any:
+    """A value of what Hydra wrote before a job began, `config` or `hydra`; None where it is not there."""
+    try:
+        value = yaml.safe_load((folder / ".hydra" / f"{file}.yaml").read_text(encoding="utf-8"))
+        for key in keys:
+            value = value[key]
+        return value
+    except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError, IndexError):
+        return None
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """The object that a JSON file holds.
+
+    Raises:
+        RunError: It cannot be read, or holds something else.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise RunError(f"{path}: {error.strerror}; expected a file that can be read") from None
+    except (ValueError, RecursionError) as error:
+        raise RunError(f"{path}: not JSON ({error}); expected the file that this version writes") from None
+    if not isinstance(content, dict):
+        raise RunError(f"{path}: {type(content).__name__}, expected an object; name a folder that this program made")
+    return content

@@ -1,0 +1,61 @@
+"""Friction laws that MuJoCo C has itself: bristles, as the friction of a DC motor that has no winding to speak of."""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from frictionzoo.bench.template import in_full
+from frictionzoo.core.errors import ExportError
+from frictionzoo.export.bench import run_bench
+from frictionzoo.result.identified import Identified
+
+LAWS = ("lugre", "dahl")
+REASON = "MuJoCo takes the bristles' torque at a step's beginning, the drive at its end"
+_NO_WINDING = {"motorconst": "1e-9", "resistance": "1", "input": "none"}  # back-EMF of 1e-18 N m s/rad, and no command
+
+
+def write_native(fitted: Identified) -> str:
+    """The bench's MJCF with a `dcmotor` beside each joint's actuator, whose `lugre` is the law, and MuJoCo's damping.
+
+    Source: the law's; MuJoCo documentation, XML reference, `actuator/dcmotor`. The equations are the same, and both
+    advance the bend exactly for a velocity that is constant in a step.
+
+    Raises:
+        ExportError: MuJoCo has no such law.
+    """
+    model, bench = fitted.model, fitted.bench
+    if model.name not in LAWS:
+        raise ExportError(f"law=native: MuJoCo has no {model.name}, expected {' or '.join(LAWS)}; leave law out")
+    values = fitted.values["friction"]
+    spread = {name: values[name][param.members(bench.nv)] for name, param in model.params.items()}
+    remark = f"{model.name}: by MuJoCo's dcmotor, whose act is the bend of the bristles, and damping. {REASON}."
+    root = ET.fromstring(bench.mjcf(fitted.values["bench"], None, spread["viscous_coefficient"], (remark,)))
+    section = root.find("actuator")
+    assert section is not None
+    for joint, name in enumerate(bench.joints):
+        numbers = " ".join(map(in_full, _lugre(spread, joint)))
+        ET.SubElement(section, "dcmotor", {"name": f"{name}_friction", "joint": name, **_NO_WINDING, "lugre": numbers})
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _lugre(values: Mapping[str, Float[np.ndarray, "nv"]], joint: int) -> list[float]:
+    """Stiffness, damping of the bristles, kinetic and static torque, Stribeck velocity; of `dahl`, one torque."""
+    both = [name if name in values else "coulomb_torque" for name in ("kinetic_torque", "static_torque")]
+    said = [values[name][joint] if name in values else 0.0 for name in ("stiffness", "micro_damping", *both)]
+    return [*map(float, said), float(values["stribeck_velocity"][joint]) if "stribeck_velocity" in values else 1.0]
+
+
+def run_native(text: str, fitted: Identified) -> Float[np.ndarray, "batch time nv"]:
+    """Positions of the long test rollouts in MuJoCo C, which begin with the law's own bend."""
+    segments, bench = fitted.segments, fitted.bench
+    first = fitted.samples.map(lambda signal: signal.reshape(segments.count, segments.length, bench.nv)[:, 0])
+    bend = fitted.model.settle(np, fitted.values["friction"], first)[..., 0]
+
+    def begin(data: mujoco.MjData, rollout: int) -> None:
+        data.act[:] = bend[rollout]
+
+    return run_bench(mujoco.MjModel.from_xml_string(text), fitted, begin)

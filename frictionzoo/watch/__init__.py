@@ -1,0 +1,1 @@
+"""Runs and sweeps while they run, from the files that they leave: `python -m frictionzoo.watch FOLDER`."""

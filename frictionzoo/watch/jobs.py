@@ -1,0 +1,151 @@
+"""How the jobs in a folder stand."""
+
+import contextlib
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from filelock import FileLock, Timeout
+
+from frictionzoo.core.errors import RunError
+from frictionzoo.core.jobs import find_runs, read_begun, read_failure, read_json, read_model
+from frictionzoo.core.output import FAILURE, RESULT, RUNNING
+from frictionzoo.watch.course import Course, Point
+
+AT_WORK = ("starting", "running")
+QUIET = 10.0  # s without a change of its files, after which a run is asked whether its process is still there
+ABANDONED = 60.0  # s without a change, after which a sweep of which nothing runs is over, compared or not
+
+
+@dataclass(frozen=True)
+class Job:
+    """A job at one moment.
+
+    Attributes:
+        name: Of its folder, as seen from the folder that is watched.
+        model: Its law; empty where that is not known.
+        state: `starting`, `running`, `finished`, `failed` or `stopped`, which left neither a result nor a reason.
+        total: Iterations that it makes at most; None where its options do not say.
+        point: How far it has come; of a finished one, empty.
+        reason: Why it failed, or how it can go on.
+        result: What its `result.json` holds; empty before that.
+    """
+
+    name: str
+    model: str
+    state: str
+    total: int | None = None
+    point: Point = field(default_factory=Point)
+    reason: str = ""
+    result: Any = field(default_factory=dict)
+
+
+class Watched:
+    """A folder that is looked at again and again.
+
+    Args:
+        folder: Of a run, of a sweep, or one in which runs lie.
+
+    Raises:
+        RunError: There is no such folder.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        if not folder.is_dir():
+            raise RunError(f"{folder}: no such folder, expected that of a run or of a sweep; name one")
+        self.folder = folder
+        self._courses: dict[Path, Course] = {}
+        self._begun: dict[Path, tuple[str, int | None]] = {}
+        self._ended: dict[Path, Job] = {}
+
+    def look(self) -> list[Job]:
+        """All jobs as they stand now, in their order; none where no run has begun."""
+        try:
+            return [self._see(run) for run in find_runs(self.folder)]
+        except RunError:
+            return []
+
+    def is_over(self, jobs: Sequence[Job]) -> bool:
+        """Whether nothing runs, and of a sweep nothing is to come: it has compared its jobs, or rests for long."""
+        if not jobs or any(job.state in AT_WORK for job in jobs):
+            return False
+        sweeps = [path.parent for path in self.folder.rglob("multirun.yaml")]
+        return all(map(_has_ended, sweeps))
+
+    def _see(self, run: Path) -> Job:
+        if job := self._ended.get(run):
+            if job.state != "finished" or (run / RESULT).exists():  # else it is made again
+                return job
+            del self._ended[run]
+        job = self._read(run)
+        if job.state in ("finished", "failed"):
+            self._ended[run] = job
+        return job
+
+    def _read(self, run: Path) -> Job:
+        name = str(run.relative_to(self.folder)) if run != self.folder else run.resolve().name
+        try:
+            if (run / RESULT).exists():
+                return _finished(name, read_json(run / RESULT))
+            if (run / FAILURE).exists() and (failure := read_failure(run)):
+                return Job(name, failure.model, "failed", reason=failure.reason, point=self._course(run).look())
+        except (RunError, KeyError, TypeError) as error:
+            return Job(name, "", "failed", reason=f"{RESULT} or {FAILURE} cannot be read: {error}")
+        if run not in self._begun:
+            total = read_begun(run, "config", "fit", "iterations")
+            self._begun[run] = read_model(run), total if isinstance(total, int) else None
+        model, total = self._begun[run]
+        point, kept = self._course(run).look(), (run / "checkpoints" / "last.ckpt").exists()
+        if _is_alive(run):
+            return Job(name, model, "running" if point.iterations else "starting", total, point)
+        return Job(
+            name,
+            model,
+            "stopped",
+            total,
+            point,
+            f"no result; go on with resume={run}" if kept else "no result; nothing is kept",
+        )
+
+    def _course(self, run: Path) -> Course:
+        return self._courses.setdefault(run, Course(run))
+
+
+def _finished(name: str, result: Mapping[str, Any]) -> Job:
+    diverged = result["fit"]["stopped"] == "diverged"
+    reason = f"the fit diverged; {RESULT} holds the best before that" if diverged else ""
+    return Job(name, result["model"], "failed" if diverged else "finished", reason=reason, result=result)
+
+
+def _is_alive(run: Path) -> bool:
+    """Whether a process works in it: its files change, or it holds the lock of the folder."""
+    if _rests(run) < QUIET:
+        return True
+    if not (run / RUNNING).exists():
+        return False
+    # Only of a run whose files have been quiet: for an instant, nobody else could begin in it.
+    try:
+        with FileLock(run / RUNNING, timeout=0):
+            return False
+    except Timeout:
+        return True
+    except OSError:  # a folder that one may only read
+        return True
+
+
+def _has_ended(sweep: Path) -> bool:
+    """Whether a sweep has compared what its jobs left, after the last of them, or nothing happens in it any more."""
+    compared = sweep / "comparison" / "comparison.json"
+    ended = compared.stat().st_mtime if compared.exists() else 0.0
+    return all(path.stat().st_mtime <= ended for path in sweep.rglob(RESULT)) or _rests(sweep) > ABANDONED
+
+
+def _rests(folder: Path) -> float:
+    """For how long nothing has changed in a folder, down to the files of its folders' folders [s]."""
+    latest = 0.0
+    for path in (folder, *folder.glob("*"), *folder.glob("*/*")):
+        with contextlib.suppress(OSError):  # it is gone
+            latest = max(latest, path.stat().st_mtime)
+    return time.time() - latest

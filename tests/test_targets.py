@@ -1,0 +1,35 @@
+"""Exported drives in programs of environments of their own, which pip makes."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from conftest import Finished
+
+ROOT = Path(__file__).parent.parent
+EXACT = 1e-9  # rad; rounding of 3000 steps stays far below
+
+
+@pytest.mark.slow
+def test_exports_move_in_mujoco_4_as_in_this_one(
+    finished_run: Callable[[str], tuple[Path, Finished]], tmp_path: Path
+) -> None:
+    """MuJoCo's own friction in the MJCF, the law in the module, and what the MJCF has in place of another law."""
+    runs, out = [str(finished_run(name)[0]) for name in ("mujoco_default", "coulomb_stribeck")], tmp_path / "rows.json"
+    command = [sys.executable, ROOT / "benchmarks" / "targets.py", *runs, "--out", out]
+    command += ["--programs", "mujoco", "mjcf", "mujoco4", "mjcf4", "--environments", tmp_path / "environments"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    finished = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True)
+    assert finished.returncode == 0, finished.stderr
+    rows = json.loads(out.read_text())["rows"]
+    if missing := [row["note"] for row in rows if (row["note"] or "").startswith("no environment")]:
+        pytest.skip(missing[0])
+    assert [row["program"].split(".")[0] for row in rows] == 2 * (2 * ["mujoco 3"] + 2 * ["mujoco 4"])
+    law, mjcf, law4, mjcf4, law_s, mjcf_s, law4_s, mjcf4_s = [row["largest"] for row in rows]
+    assert max(law, mjcf, law4, mjcf4, law_s, law4_s) < EXACT
+    assert mjcf4_s == pytest.approx(mjcf_s, abs=EXACT)
+    assert {row["note"] for row in rows[5::2]} == {rows[5]["note"]}
