@@ -28,6 +28,8 @@ def without_paths(value: Any, known: tuple[str, ...] = (), below: Path | None = 
         known: Paths, as `list_paths` gives them, by which those with blanks are found in the midst of a sentence.
         below: A folder; of what lies in it, the path from there is left.
     """
+    if value is None or isinstance(value, float | int):  # of which there are by far the most
+        return value
     if isinstance(value, Mapping):
         return {without_paths(key, known, below): without_paths(part, known, below) for key, part in value.items()}
     if isinstance(value, list):
