@@ -345,6 +345,10 @@ RULES: list[tuple[str, How, *tuple[pytest.MarkDecorator, ...]]] = [
     (rf"{JOB}.*\b(makkar|layer_norm_network)\b.*", leave_to_the_packages_test),
     (r"make help", list_targets),
     (r"make cards LICENCE=cc-by-4\.0", left_to("test_experiments::test_a_measured_drive_gets_a_card")),
+    (
+        r"make targets RUNS=.*|python benchmarks/targets\.py .*",
+        left_to("test_targets::test_exports_move_in_mujoco_4_as_in_this_one"),
+    ),
     (r"make \w+", leave_target_to_ci),
     (r"mkdocs serve", serve_documentation, SLOW),
     (r"tensorboard --logdir outputs", serve_tensorboard, SLOW),

@@ -26,7 +26,7 @@ def jobs_of(page):
         part for text in [*blocks_of(page), *inline_of(page)] for line in text.splitlines() for part in line.split("&&")
     ]
     starts = ("python -m frictionzoo.run ", "frictionzoo ")
-    others = tuple(f"frictionzoo {name}" for name in COMMANDS)
+    others = (*(f"frictionzoo {name}" for name in COMMANDS), "frictionzoo -sc ")  # the last completes lines of shells
     for command in map(str.strip, commands):
         start = next((start for start in starts if command.startswith(start)), None)
         if start and not command.startswith(others):
