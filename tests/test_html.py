@@ -215,7 +215,7 @@ def test_intervals_stand_beside_the_values(record, tmp_path):
     record["parameters"][3]["by_joint"][0] |= {"interval": [0.25, 0.35], "identifiable": True}
     page = Page(report(tmp_path / "report.html", record))
     assert page.text.count("0.25 to 0.35") == page.text.count("not identifiable on these data") == 1
-    assert "Least certain: friction.static_torque, ± 17 %." in page.text
+    assert "Least certain of what is identifiable: friction.static_torque, ± 17 %." in page.text
 
 
 def test_every_figure_has_a_heading_and_a_text(record, tmp_path):

@@ -118,17 +118,18 @@ def _place(row: ValueRow, value: float) -> float:
 
 
 def _say_certainty(parameters: Sequence[ParameterRow]) -> str:
-    """Which identified values have the widest and the narrowest interval for their size; empty where none has one."""
+    """Which identifiable values have the widest and the narrowest interval for their size; empty where none has one."""
     rows = {label: row for p in parameters for label, row in label_values(p).items() if row["identified"]}
     width = {
         label: (row["interval"][1] - row["interval"][0]) / abs(2 * row["value"])
         for label, row in rows.items()
-        if row["interval"] is not None and row["value"]
+        if row["interval"] is not None and row["value"] and row["identifiable"] is not False
     }
     if not width:
         return ""
     least, most = max(width, key=width.__getitem__), min(width, key=width.__getitem__)
-    said = f"Least certain: {least}, ± {100 * width[least]:.2g} %"
+    whose = " of what is identifiable" if any(row["identifiable"] is False for row in rows.values()) else ""
+    said = f"Least certain{whose}: {least}, ± {100 * width[least]:.2g} %"
     return f"{said}; most: {most}, ± {100 * width[most]:.2g} %." if most != least else f"{said}."
 
 
