@@ -28,7 +28,7 @@ from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config
 from frictionzoo.core.errors import ConfigError, LogError, RunError
 from frictionzoo.fit import Adam
-from frictionzoo.identification.stages import OPTIONAL, is_open
+from frictionzoo.identification.choices import OPTIONAL, is_open
 from frictionzoo.logs.logs import Logs
 
 ARMATURE = 0.02  # kg m^2, of the recorded drive

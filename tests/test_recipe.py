@@ -14,9 +14,10 @@ from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.params import AUTO
 from frictionzoo.fit.loss import Loss
+from frictionzoo.identification.choices import Choice, imply
 from frictionzoo.identification.noise import Noise, find_step
 from frictionzoo.identification.problem import Parts
-from frictionzoo.identification.stages import Choice, divide, imply
+from frictionzoo.identification.stages import divide
 from frictionzoo.logs.signals import find_noise
 
 TIMESTEP, DELAY = 0.005, 0.012

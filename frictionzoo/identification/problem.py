@@ -24,8 +24,8 @@ from frictionzoo.fit import Fit, Objective, Space
 from frictionzoo.fit.link_inertia import LinkInertia
 from frictionzoo.fit.recordings import Recordings
 from frictionzoo.fit.start import begin_where
+from frictionzoo.identification.choices import Choice
 from frictionzoo.identification.recipe import Settled, settle
-from frictionzoo.identification.stages import Choice
 from frictionzoo.models import FrictionModel
 from frictionzoo.models.by_name import complete_laws
 from frictionzoo.result.evaluate import Evaluation

@@ -13,7 +13,8 @@ from frictionzoo.core.errors import ConfigError, closest
 from frictionzoo.core.log import Dataset
 from frictionzoo.core.params import AUTO
 from frictionzoo.fit import Fit
-from frictionzoo.identification.stages import OPTIONAL, Choice, Stages
+from frictionzoo.identification.choices import OPTIONAL, Choice
+from frictionzoo.identification.stages import Stages
 from frictionzoo.models import FrictionModel
 
 _log = logging.getLogger(__name__)

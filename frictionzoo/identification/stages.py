@@ -3,7 +3,7 @@
 import copy
 import math
 from collections.abc import Generator, Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -17,12 +17,11 @@ from frictionzoo.fit import Fit, Space
 from frictionzoo.fit.auto import Auto
 from frictionzoo.fit.lm import MOST_COORDINATES, LevenbergMarquardt
 from frictionzoo.fit.loss import soft_width
+from frictionzoo.identification.choices import OPTIONAL, Choice, imply, is_open
 from frictionzoo.identification.noise import Noise
 from frictionzoo.identification.pilot import Found, Pilot
 from frictionzoo.models import FrictionModel, TorchFriction
 
-OPTIONAL = {"delay": "commands act late", "position_offset": "the encoder's zero is another"}
-"""Parameters of a bench that are identified where recordings show them, and what they stand for."""
 _LONGEST, _SHORT = 1.0, 0.1  # s, of segments: with initial states that are estimated along, and for other fits
 _FEWEST = 10  # samples of a segment
 _MANY = 10  # segments that there are at the least, for the spread between them says how sure a value is
@@ -39,42 +38,6 @@ _BETTER = 0.02  # share by which a robust loss has to predict a validation block
 _HELPFUL = 0.005  # share by which a parameter that is not shown has to
 _WIDE = 0.3  # times the median absolute error, from which on one counts less than its square
 _VALIDATION = 0.2  # share of the training recordings
-
-
-class Choice(NamedTuple):
-    """What was chosen for an option that was left open, and why."""
-
-    option: str
-    value: Any
-    reason: str
-
-    def __str__(self) -> str:
-        value = "null" if self.value is None else self.value
-        return f"{self.option}={str(value).lower() if isinstance(value, bool) else value}: {self.reason}"
-
-
-def imply(loss: Mapping[str, Any]) -> Iterator[Choice]:
-    """What the options of a loss that are given leave no choice for.
-
-    Args:
-        loss: All of them; an open one is `auto`.
-    """
-    given = {name: value for name, value in loss.items() if value != AUTO}
-    if given.get("impulse"):
-        yield Choice("loss.position", 0.0, "impulses are between measured velocities")
-        yield Choice("loss.refine", False, "impulses are between measured velocities")
-    if given.get("robust", "none") != "none":
-        yield Choice("loss.refine", False, "a robust loss begins at measured states")
-    if 0 in (given.get("position"), given.get("velocity")):
-        yield Choice("loss.refine", False, "initial states are estimated by position and velocity, or not at all")
-    if given.get("continuity"):
-        yield Choice("loss.refine", True, "segments hold together where initial states are estimated along")
-        yield Choice("segments.count", None, "segments hold together that follow one another")
-
-
-def is_open(params: Mapping[str, Any], name: str) -> bool:
-    """Whether the section of a bench's parameters leaves open if this one is identified."""
-    return isinstance(params.get(name), Mapping) and params[name].get("identify") == AUTO
 
 
 class Stages:
