@@ -199,6 +199,8 @@ def test_what_rounding_explains_left_out_values_are_far_closer() -> None:
     assert np.std(counted) < 0.3 * np.std(plain)
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("in_haste")
 def test_both_engines_find_the_same(tmp_path: Path) -> None:
     for model in ("mujoco_default", "coulomb_stribeck"):
         ours, stock = (

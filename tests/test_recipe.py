@@ -155,6 +155,7 @@ def test_a_loss_that_is_given_in_part_is_made_whole(given: dict[str, Any]) -> No
     assert implied.get("segments.count", 0) is None or not given.get("continuity")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("in_haste")
 def test_what_a_user_says_stays(recorded: Dataset) -> None:
     bench = fz.Bench(

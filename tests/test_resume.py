@@ -70,6 +70,8 @@ def assert_same(run: Path, other: Path) -> None:
         assert all(torch.equal(one, two) for one, two in zip(first[section], second[section], strict=True))
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("in_haste")
 def test_killed_and_resumed_is_as_if_nothing_had_happened(
     start: Callable, call: Callable, tiny: tuple[str, ...], tmp_path: Path
 ) -> None:
