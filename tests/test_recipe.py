@@ -13,9 +13,11 @@ from frictionzoo.core.config import compose_config, compose_settings
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.params import AUTO
+from frictionzoo.fit import Space
 from frictionzoo.fit.loss import Loss
 from frictionzoo.identification.choices import Choice, imply
 from frictionzoo.identification.noise import Noise, find_step
+from frictionzoo.identification.pilot import exact_enough
 from frictionzoo.identification.problem import Parts
 from frictionzoo.identification.stages import divide
 from frictionzoo.logs.signals import find_noise
@@ -103,6 +105,17 @@ def test_a_drive_is_found_with_nothing_said(found: fz.Identified) -> None:
             part = part[key]
         assert part == value, option
     assert all(row["reason"] for row in found.result["recipe"])
+
+
+def test_a_late_command_need_not_be_known_better_than_an_armature() -> None:
+    """Both to a share of their values, the one moved as a logarithm and the other over its scale of 10 ms."""
+    params = {"delay": {"init": 0.035, "low": 0.0, "high": 0.04, "scale": 0.01, "identify": True}}
+    bench = fz.Bench("knee_rod.xml", "knee", actuator=fz.PositionPD(kp=20, kd=1.0), params=params)
+    space = Space(bench, fz.law("baseline"), "float32")
+    enough = dict(zip(space.labels, exact_enough(space, np.asarray(space.start, np.float64)), strict=True))
+    assert enough["bench.delay"] == pytest.approx(3.5 * enough["bench.armature"], rel=1e-5)
+    none = dict(zip(space.labels, exact_enough(space, np.zeros(2)), strict=True))
+    assert none["bench.delay"] == enough["bench.armature"]  # near 0 a share of the scale
 
 
 @pytest.mark.slow

@@ -197,9 +197,8 @@ def _compile(run: Callable[..., tuple[Progress, Trace]], fit: Fit, objective: Ob
 def _try_from_python(fit: Fit, objective: Objective, size: int) -> Chunk:
     """One vector after the other, in a loop of Python, until the method is done or lost."""
     fit.prepare(objective)
-    identified = jax.jit(jax.vmap(objective.space.identified))
+    identified = jax.vmap(objective.space.identified)  # not compiled: its few operations serve every other fit too
     rows = np.zeros((size, *objective.space.start.shape), objective.space.start.dtype)
-    identified(jnp.asarray(rows))  # compiles it
 
     def chunk(progress: Progress, count: int) -> tuple[Progress, Trace]:
         vectors, losses, norms = rows.copy(), np.zeros(size), np.zeros(size)

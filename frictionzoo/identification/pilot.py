@@ -23,8 +23,7 @@ from frictionzoo.models import FrictionModel
 from frictionzoo.simulate import Values
 from frictionzoo.simulate.drive import Drive
 
-EXACT = 3e-3
-"""Half an interval in the optimiser's coordinate, a share of the value or of its scale, that need not be narrower."""
+_EXACT = 3e-3  # of a value, or of its scale where that is more: half an interval that need not be narrower
 _TRIES, _TOLERANCE = 40, 1e-6
 _ROLLOUTS = 64  # by which errors are told
 _DISTURBED = 1e-3  # share of a joint's speed by which initial velocities are disturbed
@@ -37,6 +36,7 @@ class Found(NamedTuple):
         labels: Name of each coordinate, as `Space.labels` has it.
         vector: The coordinates.
         half: Half of the 95 % interval of each; NaN where there is none.
+        enough: Half an interval that need not be narrower, a small share of the value, or of its scale if that is more.
         at_bound: Whether its value ended at a bound.
         loss: The objective there.
     """
@@ -44,6 +44,7 @@ class Found(NamedTuple):
     labels: list[str]
     vector: Float[np.ndarray, "coordinates"]
     half: Float[np.ndarray, "coordinates"]
+    enough: Float[np.ndarray, "coordinates"]
     at_bound: Bool[np.ndarray, "coordinates"]
     loss: float
 
@@ -53,8 +54,8 @@ class Found(NamedTuple):
         return np.array([known.get(label, value) for label, value in zip(labels, otherwise, strict=True)])
 
     def in_halves(self, step: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "coordinates"]:
-        """A step's size in half intervals, of which one that is narrower than `EXACT`, or none, counts as that."""
-        return np.abs(step) / np.fmax(self.half, EXACT)
+        """A step's size in half intervals, of which one that is narrower than `enough`, or none, counts as that."""
+        return np.abs(step) / np.fmax(self.half, self.enough)
 
 
 class Pilot:
@@ -114,14 +115,15 @@ class Pilot:
         vector = np.asarray(progress.best, np.float64)
         if bool(progress.broken) or not np.isfinite(vector).all():
             raise FitError("the loss is not finite where the fit begins")
-        at_bound = self.space.at_bound(vector)
+        at_bound, enough = self.space.at_bound(vector), exact_enough(self.space, vector)
         if self.objective.stretches < 2:  # no spread between segments
-            return Found(self.space.labels, vector, np.full(len(vector), np.nan), at_bound, float(progress.best_loss))
+            half = np.full(len(vector), np.nan)
+            return Found(self.space.labels, vector, half, enough, at_bound, float(progress.best_loss))
         equations, scores = self.objective.compile_scores()(vector)
         found = assess(self.space, vector, equations, scores)
         ends = self.space.pick({name: found.intervals[name] for name in self.space.places})
         half = np.array([self._half(label, np.asarray(ends[label])) for label in self.space.labels])
-        return Found(self.space.labels, vector, half, at_bound, float(progress.best_loss))
+        return Found(self.space.labels, vector, half, enough, at_bound, float(progress.best_loss))
 
     def step_from(self, found: Found) -> Float[np.ndarray, "coordinates"]:
         """How each coordinate would move from where another pilot of the same ended.
@@ -172,6 +174,12 @@ class Pilot:
         param = self.space.params[label.partition("/")[0]]
         low, high = param.to_coordinate(ends, np)
         return float(high - low) / 2
+
+
+def exact_enough(space: Space, vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "coordinates"]:
+    """See `Found.enough`; a step of a logarithm is a share of the value by itself."""
+    logarithms = [space.params[label.partition("/")[0]].scale == "log" for label in space.labels]
+    return _EXACT * np.where(logarithms, 1.0, np.fmax(1.0, np.abs(vector)))
 
 
 def _solve(equations: NormalEquations, free: Any) -> Float[np.ndarray, "free"]:

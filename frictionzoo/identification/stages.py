@@ -65,6 +65,7 @@ class Stages:
         self._lacking = False  # whether the law leaves more than noise
         self._rounded = False  # whether it leaves what rounding does
         self._kept: dict[str, bool] = {}  # whether what was free is identified
+        self._validated: dict[str, float] = {}  # errors on the validation block, by the pilot's settings
         self._shown: list[str] = []  # of it, what recordings show, and not what is of use alone
 
     def _is_small(self) -> bool:
@@ -178,12 +179,17 @@ class Stages:
             given: `logs`, in place of all that train, and options of segments and loss in place of the settings'.
         """
         logs = given.pop("logs", self._train)
+        how = self._how(most_steps, **given)
+        return Pilot(self.bench(free=True), self._model, logs, *how, self.settings["engine"])
+
+    def _how(self, most_steps: float, **given: Any) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Segments and loss of a pilot; arguments as in `_pilot`."""
         usual = {"robust": "none", "robust_scale": 1.0, "encoder_step": 0.0, "refine": True}
         loss = {name: usual[name] if value == AUTO else value for name, value in self.settings["loss"].items()}
         segments = {**self.settings["segments"], "length": given.pop("length", self.settings["segments"]["length"])}
         if segments["count"] == AUTO:
             segments["count"] = self._count(most_steps)[0]
-        return Pilot(self.bench(free=True), self._model, logs, segments, {**loss, **given}, self.settings["engine"])
+        return segments, {**loss, **given}
 
     def _choose_loss(self) -> Iterator[Choice]:
         """Least squares, unless the law lacks something and a robust loss predicts a validation block better."""
@@ -228,11 +234,15 @@ class Stages:
         Args:
             given: As `_pilot` takes it.
         """
-        fitted, block = divide(self._train)
-        horizon = self._samples_in(float(self._given["evaluation"]["horizons"][0]))
-        horizon = min(horizon, min(log.samples for log in block) - 1)
-        pilot = self._pilot(logs=fitted, **given)
-        return float(np.abs(pilot.errors(self._go_on(pilot).vector, block, horizon * self._interval)).mean())
+        same = repr((self.settings["bench"], *self._how(_FIRST_STEPS, **given)))
+        if same not in self._validated:  # a stage asks again what the one before has asked, with what that chose
+            fitted, block = divide(self._train)
+            horizon = self._samples_in(float(self._given["evaluation"]["horizons"][0]))
+            horizon = min(horizon, min(log.samples for log in block) - 1)
+            pilot = self._pilot(logs=fitted, **given)
+            errors = pilot.errors(self._go_on(pilot).vector, block, horizon * self._interval)
+            self._validated[same] = float(np.abs(errors).mean())
+        return self._validated[same]
 
     def _go_on(self, pilot: Pilot, found: Found | None = None) -> Found:
         """Where a pilot ends that begins where another ended, or else the first of all.
