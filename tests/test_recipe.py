@@ -16,6 +16,7 @@ from frictionzoo.core.params import AUTO
 from frictionzoo.fit import Space
 from frictionzoo.fit.loss import Loss
 from frictionzoo.identification.choices import Choice, imply
+from frictionzoo.identification.misfit import Misfit
 from frictionzoo.identification.noise import Noise, find_step
 from frictionzoo.identification.pilot import exact_enough
 from frictionzoo.identification.problem import Parts
@@ -105,6 +106,18 @@ def test_a_drive_is_found_with_nothing_said(found: fz.Identified) -> None:
             part = part[key]
         assert part == value, option
     assert all(row["reason"] for row in found.result["recipe"])
+
+
+def test_joints_with_larger_errors_have_no_longer_tails() -> None:
+    """Noise of two sizes is noise; and where each counts over its size, a robust loss begins at the same for both."""
+    errors, noise = np.random.default_rng(0).normal(size=(50, 100, 2)), np.array([0.25, 0.25])
+    alike, unlike = (Misfit.of(errors * by, noise * by, by_joint=True) for by in (np.ones(2), np.array([1.0, 30.0])))
+    assert unlike == pytest.approx(alike) and alike.kurtosis == pytest.approx(3, rel=0.1)
+    assert alike.beyond == pytest.approx(4, rel=0.1) and alike.scale == pytest.approx(0.75, rel=0.1)
+    assert Misfit.of(errors, noise, by_joint=False).scale == pytest.approx(0.75)  # three times the noise, in rad
+    assert alike.is_more_than_noise and not Misfit.of(errors, np.ones(2), True).is_more_than_noise
+    even = np.random.default_rng(1).uniform(-0.5, 0.5, (50, 100, 2))
+    assert Misfit.of(even, np.full(2, 0.29), True).is_rounding and not Misfit.of(errors, np.ones(2), True).is_rounding
 
 
 def test_a_late_command_need_not_be_known_better_than_an_armature() -> None:

@@ -68,6 +68,8 @@ class Pilot:
         segments: Arguments of `cut_segments`.
         loss: Of `Objective`.
         engine: Name of the engine.
+        sized: Where each joint's errors have the size over which they count, with `loss.by_joint`, as the fit's own
+            have where it begins; None: at the initial values.
 
     Raises:
         FrictionzooError: The input is at fault.
@@ -81,6 +83,7 @@ class Pilot:
         segments: Mapping[str, Any],
         loss: Mapping[str, Any],
         engine: str,
+        sized: Found | None = None,
     ) -> None:
         self.bench: Bench = bench.observing(model.inputs)
         accepted = tuple(map(self.bench.accept, logs))
@@ -91,7 +94,9 @@ class Pilot:
         space = Space(self.bench, self._drive.model, "float64")
         objective = Objective(space, self._drive.rollout, self.segments, **loss)
         objective.recordings = Recordings(self.bench, self._drive.model, accepted)
-        self.objective: Objective = objective.balanced()
+        initial = np.asarray(space.start, np.float64)
+        where = initial if sized is None else sized.among(space.labels, initial)
+        self.objective: Objective = objective.starting(where).balanced().starting(initial)
 
     @property
     def space(self) -> Space:

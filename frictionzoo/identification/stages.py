@@ -18,6 +18,7 @@ from frictionzoo.fit.auto import Auto
 from frictionzoo.fit.lm import MOST_COORDINATES, LevenbergMarquardt
 from frictionzoo.fit.loss import soft_width
 from frictionzoo.identification.choices import OPTIONAL, Choice, imply, is_open
+from frictionzoo.identification.misfit import Misfit
 from frictionzoo.identification.noise import Noise
 from frictionzoo.identification.pilot import Found, Pilot
 from frictionzoo.models import FrictionModel, TorchFriction
@@ -31,12 +32,8 @@ _FIRST_STEPS, _MOST_STEPS = 1e6, 3e6  # simulation steps times joints, of first 
 _LEAST = 0.1  # share of the segments that is left where they are too many steps
 _MOVES = 1 / 3  # of half an interval, that a parameter may move by when the simulation step is halved
 _ROUNDS = 4  # of shorter steps
-_TAILS = 10.0  # fourth over squared second moment of errors from which on a law lacks something; of noise 3
-_BEYOND = 3.0  # times the noise of positions, that errors are then
-_EVEN, _NO_MORE = 2.4, 1.2  # kurtosis, and times the noise, up to which errors are those of rounding, 1.8 and 1
 _BETTER = 0.02  # share by which a robust loss has to predict a validation block better than least squares
 _HELPFUL = 0.005  # share by which a parameter that is not shown has to
-_WIDE = 0.3  # times the median absolute error, from which on one counts less than its square
 _VALIDATION = 0.2  # share of the training recordings
 
 
@@ -180,7 +177,7 @@ class Stages:
         """
         logs = given.pop("logs", self._train)
         how = self._how(most_steps, **given)
-        return Pilot(self.bench(free=True), self._model, logs, *how, self.settings["engine"])
+        return Pilot(self.bench(free=True), self._model, logs, *how, self.settings["engine"], self._first)
 
     def _how(self, most_steps: float, **given: Any) -> tuple[dict[str, Any], dict[str, Any]]:
         """Segments and loss of a pilot; arguments as in `_pilot`."""
@@ -197,15 +194,10 @@ class Stages:
         self._first = found = pilot.fit()
         horizon = self._samples_in(float(self._given["evaluation"]["horizons"][0]))
         errors = pilot.errors(found.vector, self._train, horizon * self._interval)
-        squares = np.square(errors[np.isfinite(errors).all(axis=(1, 2))])
-        kurtosis = float(np.square(squares).mean() / np.square(squares.mean()))
-        beyond = float((np.sqrt(squares.mean(axis=(0, 1))) / self._noise.position).max())
-        self._lacking = kurtosis > _TAILS or beyond > _BEYOND
-        self._rounded = kurtosis < _EVEN and beyond < _NO_MORE
-        told = f"errors are {beyond:.2g} times the noise, and their kurtosis is {kurtosis:.2g}, of noise 3"
-        least = max(_BEYOND * float(self._noise.position.max()), _WIDE * float(np.median(np.sqrt(squares))))
+        misfit = Misfit.of(errors, self._noise.position, bool(self.settings["loss"]["by_joint"]))
+        self._lacking, self._rounded, told = misfit.is_more_than_noise, misfit.is_rounding, str(misfit)
         longer = max(horizon, self.settings["segments"]["length"])
-        robust = {"robust": "soft_l1", "robust_scale": float(f"{least:.2g}"), "refine": False, "length": longer}
+        robust = {"robust": "soft_l1", "robust_scale": misfit.scale, "refine": False, "length": longer}
         beyond_it = "beyond, errors count by their size"
         if self.settings["loss"]["robust"] not in (AUTO, "none"):  # of these errors; the pilot knew no scale
             yield from self._set("loss.robust_scale", robust["robust_scale"], beyond_it)
