@@ -65,7 +65,7 @@ def read_bristles(source: Source, motors: Mapping[int, Sequence[int]]) -> dict[s
         if len(having) > 1:
             source.notes.append(f"joint {name} has bristles of {len(having)} DC motors, of which those of one are read")
         rows.append(_bristles(model, having[0]) if having else [np.nan] * len(BRISTLES))
-    values = dict(zip(BRISTLES, np.array(rows).T, strict=True))
+    values: dict[str, np.ndarray] = dict(zip(BRISTLES, np.array(rows).T, strict=True))
     yields = (values["micro_damping"] == 0) & (values["static_torque"] == values["kinetic_torque"])
     for law, like in {"dahl": yields, "lugre": ~yields & ~np.isnan(values["stiffness"])}.items():
         if like.any():
