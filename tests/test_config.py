@@ -255,6 +255,12 @@ def test_options_that_take_more_than_conf_shows_exist_and_no_other_is_null() -> 
         ("evaluation.horizons=1", "evaluation.horizons=1; expected a list such as [1.0]"),
         ("evaluation.horizons=[long]", "evaluation.horizons=['long']; expected a list such as [1.0]"),
         ("evaluation.horizons=[true]", "evaluation.horizons=[True]; expected a list such as"),
+        ("dtype=auto", "dtype=auto: recipe=given leaves nothing open, expected a value such as float"),
+        (
+            "loss.robust=auto",
+            "loss.robust=auto: recipe=given leaves nothing open, expected a value such as none; or add",
+        ),
+        ("bench.timestep=auto", "expected a value; or add recipe=auto"),
         ("dtype=64", "dtype=64; expected text such as float"),
         ("bench.joint=3", "bench.joint=3; expected text such as knee or a list"),
         ("seed=null", "seed=null; expected a whole number from 0 on"),

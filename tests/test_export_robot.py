@@ -129,6 +129,22 @@ def test_limits_of_actuators_stay_in_the_unit_of_the_new_command(tmp_path: Path)
     assert (hip["gainprm"], hip["ctrlrange"], hip["forcerange"]) == ("6.0", "-2.0 2.0", "-9.0 6.0")  # still a motor
 
 
+def test_bristles_of_the_robots_own_do_not_add_to_what_was_identified(tmp_path: Path) -> None:
+    rubbing = (
+        '<dcmotor name="rub" joint="hip" motorconst="1e-9" resistance="1" input="none" lugre="80 1 0.1 0.2 0.05"/>'
+    )
+    path = save(tmp_path, changed(ROBOT, ("</actuator>", f"\n  {rubbing}\n</actuator>")))
+    fitted = fit(path, "hip")
+    robot = put(fitted)
+    assert b"dcmotor" not in robot.content and b"\n\n" not in robot.content and robot.model.na == 0
+    assert any("<dcmotor> of joint hip" in note for note in robot.notes)
+    nearest = Nearest(
+        dict(fitted.values["bench"]), *(fitted.values["friction"][n] for n in ("frictionloss", "damping"))
+    )
+    with pytest.raises(ExportError, match="a <dcmotor> keeps its bristles, which would add to the friction"):
+        put_into(Path(path), ["hip"], "keep", fitted, nearest, write_bench(fitted, nearest))
+
+
 def test_a_urdf_has_dynamics_and_the_armature_as_a_comment(tmp_path: Path) -> None:
     text = changed(ARM, ('<transmission name="t1"/>', '<transmission name="t1"><joint name="elbow"/></transmission>'))
     source = save(tmp_path, text)

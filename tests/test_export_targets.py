@@ -16,7 +16,7 @@ from conftest import trace_nothing
 from omegaconf import OmegaConf
 from test_levels import imports
 
-from frictionzoo.bench import Bench
+from frictionzoo.bench import Bench, Robot
 from frictionzoo.cli.export import main
 from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config
@@ -29,6 +29,7 @@ from frictionzoo.export.bench import Mjcf, run_bench
 from frictionzoo.export.mjx_module import Mjx
 from frictionzoo.export.module import load_module, write_module
 from frictionzoo.export.mujoco_c import MujocoC
+from frictionzoo.export.native import run_native, write_native
 from frictionzoo.export.nearest import find_nearest
 from frictionzoo.export.write import summarise_exports, write_exports
 from frictionzoo.export.written import Written
@@ -281,6 +282,30 @@ def test_bristles_are_mujocos_own_as_steps_get_short(tmp_path):
         MujocoC().write(make_fitted("coulomb_stribeck"), tmp_path, {"law": "native"})
     with pytest.raises(ConfigError, match="law=own; expected module or native"):
         MujocoC().write(fitted, tmp_path, {"law": "own"})
+
+
+@pytest.mark.parametrize("law", ["lugre", "dahl"])
+def test_a_drive_of_bristles_comes_back_from_mujocos_own(law, tmp_path):
+    """Written, read as a robot's file, and written again, it is the same drive: in MuJoCo C, and in this simulator."""
+    made = make_fitted(law)
+    friction = {n: v if n == "rest_velocity" else 1.07 * v for n, v in made.values["friction"].items()}
+    fitted = replace(
+        made, values={"bench": made.values["bench"] | {"armature": np.array([0.0123])}, "friction": friction}
+    )
+    text = write_native(fitted)
+    (tmp_path / "robot.xml").write_text(text)
+    robot = Robot(str(tmp_path / "robot.xml"))
+    read = robot.initial_friction(fitted.model.params)
+    assert read.keys() == friction.keys() - {"rest_velocity"}
+    for name, value in read.items():
+        np.testing.assert_allclose(value, friction[name], rtol=1e-15)
+    signals = fitted.segments.signals
+    signals = signals._replace(inputs={name: np.zeros_like(signals.ctrl) for name in robot.inputs})
+    values = {"bench": robot.initial_values(), "friction": friction | read}
+    back = replace(fitted, bench=robot, values=values, segments=replace(fitted.segments, signals=signals))
+    again = write_native(back)
+    np.testing.assert_allclose(run_native(again, back), run_native(text, fitted), rtol=0, atol=1e-13)
+    np.testing.assert_allclose(back.rollout()[0], fitted.rollout()[0], rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("target", ["onnx", "torchscript"])

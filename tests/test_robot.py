@@ -80,6 +80,29 @@ def test_what_the_user_says_comes_before_the_file(dog: Callable[..., fz.Robot]) 
     assert torque.initial_values()["force_gain"].tolist() == [2.0] * 4
 
 
+def test_bristles_of_dc_motors_are_where_laws_of_bristles_begin(dog: Callable[..., fz.Robot]) -> None:
+    rubbing = '<dcmotor joint="{}" motorconst="1e-9" resistance="1" input="none" lugre="80 0.7 0.1 0.2 0.05"/>'
+    robot = dog(lambda name: position(name) + (rubbing.format(name) if "calf" in name else ""))
+    assert robot.initial_values()["kp"].tolist() == [20, 40] * 2
+    law = fz.law("lugre", 4)
+    own = {name: param.each("init", 4)[0] for name, param in law.params.items()}
+    begun = robot.initial_friction(law.params)
+    told = {
+        "stiffness": 80,
+        "micro_damping": 0.7,
+        "kinetic_torque": 0.1,
+        "static_torque": 0.2,
+        "stribeck_velocity": 0.05,
+    }
+    for name, value in (told | {"viscous_coefficient": 0.1}).items():  # that of the joint
+        np.testing.assert_allclose(begun[name], [own[name], value] * 2, rtol=1e-15)
+    assert robot.initial_friction(fz.law("dahl", 4).params)["coulomb_torque"][1] == 0.1
+    assert set(robot.initial_friction(fz.law("coulomb_stribeck", 4).params)) == set()
+    by_joint = fz.law("by_joint", 4, laws={".*_calf_joint": "lugre", ".*": "mujoco_default"})
+    by_joint.bind(robot.joints)
+    assert len(robot.initial_friction(by_joint.params)) == 8
+
+
 @pytest.mark.parametrize(
     ("more", "kind", "message"),
     [

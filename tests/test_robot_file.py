@@ -87,6 +87,68 @@ def test_what_a_file_says_of_a_joint_is_read_at_the_joint(tmp_path: Path) -> Non
     np.testing.assert_array_equal(robot.forceranges, [[-9, 6], [np.nan, np.nan], [np.nan, np.nan]])
 
 
+MOTOR = '<dcmotor name="{}" joint="hinge" motorconst="0.5" resistance="2" gear="{}" {}/>'
+BRISTLES = 'lugre="80 0.7 0.1 0.2 0.05"'
+
+
+def torque_of(model: mujoco.MjModel, ctrl: float, qvel: float, bend: float) -> float:
+    """What the actuators of one joint give, in MuJoCo C."""
+    data = mujoco.MjData(model)
+    data.ctrl[:], data.act[:], data.qvel[:] = ctrl, bend, qvel
+    mujoco.mj_forward(model, data)
+    return float(data.qfrc_actuator[0])
+
+
+@pytest.mark.parametrize("gear", [1, -3])
+def test_a_dc_motor_is_bristles_and_a_torque_less_back_emf(gear: int, tmp_path: Path) -> None:
+    text = body("", f"<actuator>{MOTOR.format('m', gear, BRISTLES)}</actuator>")
+    makers, robot = mujoco.MjModel.from_xml_string(text), read(tmp_path, text)
+    (motor,) = robot.actuators
+    assert motor is not None and (motor.kind, motor.bias2) == ("motor", 0)
+    own = " ".join(str(robot.bristles[name][0]) for name in robot.bristles)
+    alone = f'<dcmotor joint="hinge" motorconst="1e-9" resistance="1" input="none" lugre="{own}"/>'
+    bristles = mujoco.MjModel.from_xml_string(body("", f"<actuator>{alone}</actuator>"))
+    for ctrl, qvel, bend in ((0.0, 0.03, 0.001), (2.0, -0.2, 0.002), (-1.0, 0.0, -0.001)):
+        expected = torque_of(makers, ctrl, qvel, gear * bend)
+        torque = motor.gain * ctrl - robot.values["damping"][0] * qvel + torque_of(bristles, 0.0, qvel, bend)
+        assert torque == pytest.approx(expected, rel=1e-12)
+    told = " ".join(robot.notes)
+    assert "bristles of <dcmotor> at joint hinge: left out, model=lugre begins with them" in told
+    assert "actuator m is a DC motor: its command is a voltage" in told
+
+
+def test_a_dc_motor_without_a_command_is_friction_beside_an_actuator(tmp_path: Path) -> None:
+    """Whatever the order: an actuator's number is not that of its command."""
+    without = MOTOR.format("rub", 1, 'input="none" lugre="80 0 0.1 0.1 0.05"')
+    text = body("", f'<actuator>{without}<position joint="hinge" name="p" kp="9" ctrlrange="-2 1"/></actuator>')
+    robot = read(tmp_path, text)
+    (position,) = robot.actuators
+    assert position is not None and (position.name, position.kind, position.ctrlrange) == ("p", "position", (-2, 1))
+    assert robot.values["damping"][0] == 0.5**2 / 2 and compiled(robot).na == 0
+    assert "bristles of <dcmotor> at joint hinge: left out, model=dahl begins with them" in robot.notes
+    none = read(tmp_path, text.replace('"80 0 0.1 0.1 0.05"', '"80 0 0.1 0.2 0"'))  # MuJoCo then has no Stribeck effect
+    assert none.bristles["static_torque"][0] == none.bristles["kinetic_torque"][0] == 0.1
+
+
+@pytest.mark.parametrize(
+    ("more", "reason"),
+    [
+        ('controller="5" input="pos"', "a controller of its own"),
+        ('inductance="0.01"', "a winding with inductance, heat or a limit of voltage"),
+        ('thermal="1 2 0.1"', "a winding with inductance, heat or a limit of voltage"),
+        ('cogging="0.1 6 0"', "cogging"),
+    ],
+)
+def test_a_dc_motor_that_is_no_line_is_left_out_and_its_bristles_are_not(
+    more: str, reason: str, tmp_path: Path
+) -> None:
+    robot = read(tmp_path, body("", f"<actuator>{MOTOR.format('m', 1, f'{BRISTLES} {more}')}</actuator>"))
+    assert robot.actuators == (None,) and robot.values["damping"][0] == 0
+    assert any(note.startswith("actuator m of joint hinge is left out: its DC motor has") for note in robot.notes)
+    assert reason in " ".join(robot.notes)
+    assert [robot.bristles[name][0] for name in robot.bristles] == [80, 0.7, 0.1, 0.2, 0.05]
+
+
 def test_a_template_has_none_of_what_is_identified(tmp_path: Path) -> None:
     model = compiled(read(tmp_path, LEG))
     assert not model.dof_armature.any() and not model.dof_frictionloss.any() and not model.dof_damping.any()

@@ -22,9 +22,9 @@ from omegaconf.errors import OmegaConfBaseException
 from frictionzoo import __version__
 from frictionzoo.cli.explain import explain
 from frictionzoo.cli.overrides import refuse_no_choice
-from frictionzoo.cli.resume import restore_overrides
+from frictionzoo.cli.resume import nothing_of_a_refused_run, restore_overrides
 from frictionzoo.core.config import check_overrides, compose_config
-from frictionzoo.core.errors import CheckpointError, ConfigError, FrictionzooError
+from frictionzoo.core.errors import CheckpointError, ConfigError, FrictionzooError, OutputError
 from frictionzoo.fit.loop import CHECKPOINT, _checked_checkpoint
 from frictionzoo.identification import Problem
 
@@ -324,3 +324,28 @@ def test_typing_errors_do_not_wait_for_heavy_imports(tmp_path: Path, argument: s
     finished = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert finished.returncode == 2 and finished.stdout == "imported\n"
     assert finished.stderr == error_line(finished.stderr) + "\n" and line in finished.stderr
+    assert not [*tmp_path.iterdir()]
+
+
+@pytest.mark.parametrize(
+    ("more", "error", "left"),
+    [
+        (None, ConfigError, False),
+        (None, OutputError, True),  # the run goes on with its record
+        (None, KeyboardInterrupt, True),
+        ("checkpoints/last.ckpt", ConfigError, True),
+        (".hydra/mine.txt", ConfigError, True),
+    ],
+)
+def test_a_refused_run_leaves_no_folder_and_takes_nothing_along(
+    tmp_path: Path, more: str | None, error: type[BaseException], left: bool
+) -> None:
+    names = [".hydra/config.yaml", ".hydra/hydra.yaml", ".hydra/overrides.yaml", *([more] if more else [])]
+    paths = [tmp_path / "outputs" / "today" / "run" / name for name in names]
+    for path in paths:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    with pytest.raises(error), nothing_of_a_refused_run(tmp_path / "outputs" / "today" / "run"):
+        raise error
+    assert [path.exists() for path in paths] == len(paths) * [left]
+    assert (tmp_path / "outputs").exists() == left

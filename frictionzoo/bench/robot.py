@@ -16,6 +16,7 @@ from frictionzoo.bench.template import Template
 from frictionzoo.core.errors import BenchError, ConfigError
 from frictionzoo.core.params import AUTO, Param
 
+_OF_BRISTLES = {"stiffness", "rest_velocity"}  # parameters by which a law of bristles is told from others
 _INSIDE = 1e-3  # share of the bounds' distance, in the optimiser's coordinate, by which a fit starts inside
 
 
@@ -115,14 +116,24 @@ class Robot(Bench):
         return replace(limits, init=tuple(np.where(free, np.clip(shared, *nearest), shared).tolist()))
 
     def initial_friction(self, params: Mapping[str, Param]) -> dict[str, Float[np.ndarray, "nv"]]:
-        """See `Bench.initial_friction`: frictionloss and damping that the file has."""
+        """See `Bench.initial_friction`: frictionloss and damping that the file has, and bristles of its DC motors."""
         begun = {}
         for name, param in params.items():
-            what = name.rpartition(".")[2]  # of several laws, each has its own
-            values = self.file.values[what] if what in ("frictionloss", "damping") else np.zeros(self.nv)
-            if param.is_identified and values[param.members(self.nv)].any():
+            own, values = param.members(self.nv), self._say_friction(name, params)
+            if param.is_identified and np.nan_to_num(values[own]).any():
+                values = np.where(np.isnan(values), param.each("init", self.nv), values)
                 begun[name] = self._begin(param, values).each("init", self.nv)
         return begun
+
+    def _say_friction(self, name: str, params: Mapping[str, Param]) -> Float[np.ndarray, "nv"]:
+        """What the file says of a law's parameter; NaN where it says nothing."""
+        law, _, what = name.rpartition(".")  # of several laws, each has its own
+        said = {one: self.file.values[one] for one in ("frictionloss", "damping")}
+        if {f"{law}.{other}".lstrip(".") for other in _OF_BRISTLES} <= params.keys():
+            bristles = self.file.bristles
+            damping = np.where(np.isnan(bristles["stiffness"]), np.nan, self.file.values["damping"])
+            said = {**bristles, "coulomb_torque": bristles["kinetic_torque"], "viscous_coefficient": damping}
+        return said.get(what, np.full(self.nv, np.nan))
 
 
 def _section(given: Any) -> dict[str, Any]:

@@ -260,7 +260,7 @@ class Template:
             if element.get("joint") in self.joints:
                 self._fail(
                     f"joint {element.get('joint')} has an actuator in the MJCF, expected none because bench.actuator "
-                    "describes it; remove it from the MJCF"
+                    "describes it; remove it from the MJCF, or take bench=robot, which reads it"
                 )
             actuator = _describe(element)
             self._fail(f"an actuator {actuator} in the MJCF, whose commands no recording has; remove it from the MJCF")

@@ -11,7 +11,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from frictionzoo.cli.mistakes import NOTHING_KEPT, REFUSED
 from frictionzoo.cli.overrides import last_value
-from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.errors import ConfigError, FrictionzooError, OutputError
 from frictionzoo.core.output import RESULT, write_atomically
 
 # What a resumed run takes over from its folder: an option of the job, not a flag or a way into Hydra's own settings.
@@ -82,6 +82,33 @@ def keep_record(folder: str | None) -> Iterator[None]:
             for path, content in record.items():
                 write_atomically(path, content)
         raise
+
+
+@contextlib.contextmanager
+def nothing_of_a_refused_run(folder: Path) -> Iterator[None]:
+    """Remove the folder that Hydra made for a run whose input is at fault, if its record is all that is in it."""
+    try:
+        yield
+    except FrictionzooError as error:
+        if not isinstance(error, OutputError):  # of a disk that is full, a run goes on with its record
+            _remove_record(folder)
+        raise
+
+
+def _remove_record(folder: Path) -> None:
+    record = folder / ".hydra"
+    found = {path.relative_to(folder).as_posix() for path in folder.rglob("*")}
+    if found - {".hydra", *(f".hydra/{name}.yaml" for name in ("config", "hydra", "overrides"))}:
+        return
+    with contextlib.suppress(OSError):  # what is not removed does no harm
+        for path in record.glob("*.yaml"):
+            path.unlink()
+        for place in (
+            record,
+            folder,
+            *folder.parents[:2],
+        ):  # those of the day and of all runs, if there is nothing else
+            place.rmdir()
 
 
 def say_how_a_run_goes_on(folder: Path) -> str:

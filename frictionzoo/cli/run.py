@@ -17,7 +17,13 @@ from omegaconf.errors import OmegaConfBaseException
 from frictionzoo.cli.explain import explain, missing_plugin
 from frictionzoo.cli.mistakes import NOT_IDENTIFIED, fail, mistakes_in_one_line, stoppable
 from frictionzoo.cli.overrides import choices_of, given_to_hydra, last_value, refuse_no_choice
-from frictionzoo.cli.resume import keep_record, restore_overrides, say_how_a_run_goes_on, say_how_a_sweep_goes_on
+from frictionzoo.cli.resume import (
+    keep_record,
+    nothing_of_a_refused_run,
+    restore_overrides,
+    say_how_a_run_goes_on,
+    say_how_a_sweep_goes_on,
+)
 from frictionzoo.cli.sweep import SweepFolder, conclude_sweep, describe, objective_of, run_in_sweep
 from frictionzoo.core.build import build
 from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, forget_plugin_schemas, register_resolvers
@@ -40,8 +46,13 @@ def _job(config: DictConfig) -> float:
         # In processes of a launcher, nobody else answers.
         with stoppable():
             return run_in_sweep(lambda: _identify(config, model, folder), folder, model, options, explain, finished)
+    named = resumed is not None or any("hydra.run.dir=" in option for option in hydra_config.overrides.hydra)
     # Ended inside, because Hydra adds a line of its own to an error that passes through it.
-    with mistakes_in_one_line(lambda: say_how_a_run_goes_on(folder)), occupy(folder, wait=False):
+    with (
+        mistakes_in_one_line(lambda: say_how_a_run_goes_on(folder)),
+        contextlib.nullcontext() if named else nothing_of_a_refused_run(folder),
+        occupy(folder, wait=False),
+    ):
         result, complaint = _identify(config, model, folder)
     if complaint:
         fail(complaint)

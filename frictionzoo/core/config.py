@@ -2,6 +2,7 @@
 
 import contextlib
 import copy
+import functools
 import math
 from collections.abc import Iterator, Mapping
 from fnmatch import fnmatchcase
@@ -200,6 +201,7 @@ def _check_value(key: str, value: Any, default: Any) -> None:
     """ConfigError for a value of another kind than this option takes, or with a number that is none."""
     if any(isinstance(text, str) and "${" in text for text in (value, default)) or value == default == AUTO:
         return
+    _refuse_open(key, value, default)
     examples = next((taken for name, taken in _TAKES.items() if fnmatchcase(key, name)), (default,))
     if default is None or key.endswith(".torque_limit.init"):  # a robot's file may say it
         examples = (*examples, None) if None not in examples else examples
@@ -219,6 +221,20 @@ def _check_value(key: str, value: Any, default: Any) -> None:
     _check_numbers(key, value, _LARGEST if counts else _LARGEST_SEED)
     if key.startswith("scale.") and not value > 0:
         raise ConfigError(f"{key}={_text(value)}; expected a number above 0{such}")
+
+
+def _refuse_open(key: str, value: Any, default: Any) -> None:
+    """ConfigError for an option that only a recipe may find, where there is none."""
+    if value == AUTO and key in _list_left_open():
+        such = "" if default is None else f" such as {default}"
+        raise ConfigError(f"{key}={AUTO}: recipe=given leaves nothing open, expected a value{such}; or add recipe=auto")
+
+
+@functools.cache
+def _list_left_open() -> frozenset[str]:
+    """Options that a recipe may find."""
+    options = OmegaConf.to_container(OmegaConf.load(CONF_DIR / "open" / "auto.yaml"))
+    return frozenset(key for key, value in list_options(options) if value == AUTO)
 
 
 def _check_numbers(key: str, value: Any, largest: int) -> None:

@@ -90,10 +90,19 @@ class InPlace:
 
     def replace(self, tag: Tag, element: "ET.Element[Any]") -> None:
         """Put another element in the place of an element, with all that is in it."""
-        end = tag.opened
+        self.changes.append((tag.start, self._end(tag), _write(element)))
+
+    def remove(self, tag: Tag) -> None:
+        """Take an element out, with all that is in it, and the line that it leaves empty."""
+        end = self._end(tag)
+        line = re.search(rb"\r?\n[ \t]*\Z", self.content[: tag.start])
+        alone = line and re.match(rb"[ \t]*\r?\n", self.content[end:])
+        self.changes.append((line.start() if line and alone else tag.start, end, b""))
+
+    def _end(self, tag: Tag) -> int:
         if tag.closing > tag.opened or not self.content[: tag.opened].endswith(b"/>"):
-            end = self.content.index(b">", tag.closing) + 1
-        self.changes.append((tag.start, end, _write(element)))
+            return self.content.index(b">", tag.closing) + 1
+        return tag.opened
 
     def append(self, tag: Tag, element: "ET.Element[Any]") -> None:
         """Put an element at the end of another one, on a line of its own where the end is on one."""

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from frictionzoo.bench import Affine
-from frictionzoo.bench.robot_file.actuators import read_actuators, read_armature, read_damping
+from frictionzoo.bench.robot_file.actuators import read_actuators, read_armature, read_damping, read_friction
 from frictionzoo.bench.robot_file.source import Source, load
 from frictionzoo.bench.template import in_full
 from frictionzoo.core.errors import ConfigError, ExportError, closest
@@ -198,7 +198,7 @@ def _torque_in(robot: Equipped, data: mujoco.MjData, state: DriveState, actuator
     for joint, ctrl in zip(ids, state.ctrl, strict=True):
         of_joint = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_trnid[:, 0] == joint)
         for actuator in np.flatnonzero(of_joint) if actuators else ():
-            data.ctrl[actuator] = ctrl
+            data.ctrl[model.actuator_ctrladr[actuator]] = ctrl
             if count := int(model.actuator_history[actuator, 0]):
                 times = model.opt.timestep * np.arange(-count, 0)
                 mujoco.mj_initCtrlHistory(model, data, actuator, times, np.full(count, ctrl))
@@ -276,6 +276,10 @@ def _write_actuator(file: InPlace, path: Path, joint: str, general: ET.Element, 
     sections = [tag for tag in file.tags if tag.path == ("mujoco",) and tag.name == "actuator"]
     inside = [tag for tag in file.tags if any(tag.owner is section for section in sections)]
     old = [tag for tag in inside if joint in (tag.attributes.get("joint"), tag.attributes.get("jointinparent"))]
+    rubbing = [tag for tag in old if tag.name == "dcmotor" and tag.attributes.get("input") == "none"]
+    for tag in rubbing:  # its friction is in what was identified
+        file.remove(tag)
+    old = [tag for tag in old if tag not in rubbing]
     if len(old) > 1:
         raise ConfigError(f"joint={joint}: {len(old)} actuators, expected one at most; set actuator=keep")
     law = {key: value for key, value in general.attrib.items() if key not in ("name", "joint")}
@@ -283,6 +287,10 @@ def _write_actuator(file: InPlace, path: Path, joint: str, general: ET.Element, 
         law["nsample"] = str(int(np.ceil(float(law["delay"]) / before.model.opt.timestep)) + 2)
     kept = {key: old[0].attributes[key] for key in ("name",) if key in old[0].attributes} if old else {"name": joint}
     limits, notes = list_limits(before, joint, law)
+    if rubbing:
+        notes.append(
+            f"The <dcmotor> of joint {joint} without a command is left out: what was identified is its friction."
+        )
     new = ET.Element("general", {**kept, "joint": joint, **limits, **_PLAIN, **law})
     if old:
         file.replace(old[0], new)
@@ -309,6 +317,11 @@ def _refuse_keys(file: InPlace, path: Path, before: mujoco.MjModel, after: mujoc
 def _refuse_unlike(after: Source, robot: Equipped, fitted: Identified, nearest: Nearest, actuators: bool) -> None:
     """What was written, read back, is to be what was meant, whatever the file's defaults are."""
     ids = [after.model.joint(name).id for name in robot.joints]
+    if not np.isnan(read_friction(after, ids)["stiffness"]).all():
+        raise ExportError(
+            f"into={after.path}: a <dcmotor> keeps its bristles, which would add to the friction that was identified; "
+            "remove its lugre, or leave actuator out"
+        )
     loss = after.model.dof_frictionloss[[after.dof(joint) for joint in ids]]
     pairs = {
         "frictionloss": (nearest.frictionloss, loss),

@@ -2,11 +2,20 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from frictionzoo.bench.robot_file.dc_motors import (
+    has_input,
+    is_dc_motor,
+    read_back_emf,
+    read_bristles,
+    torque_per_volt,
+    why_not_linear,
+)
 from frictionzoo.bench.robot_file.source import Source, listed
 
 _AT_JOINT = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)}
@@ -50,12 +59,28 @@ class ReadActuator:
 
 def read_actuators(source: Source, joints: Sequence[int]) -> tuple[ReadActuator | None, ...]:
     """The actuator of each of these joints, None where it has none that can be read; what cannot is noted."""
-    model, found = source.model, dict[int, list[int]]()
-    for index in range(model.nu):
-        if int(model.actuator_trntype[index]) in _AT_JOINT:
-            found.setdefault(int(model.actuator_trnid[index, 0]), []).append(index)
     source.notes += _say_others(source, joints)
-    return tuple(_read_first(source, joint, found.get(joint, [])) for joint in joints)
+    return tuple(_read_first(source, joint, _list_at(source.model, joint)) for joint in joints)
+
+
+def read_friction(source: Source, joints: Sequence[int]) -> dict[str, Float[np.ndarray, "nv"]]:
+    """Bristles of each joint, by the names of parameters of `lugre`; NaN where the file has none."""
+    model, motors = source.model, dict[int, list[int]]()
+    for joint in joints:
+        found = [index for index in _list_at(model, joint) if is_dc_motor(model, index)]
+        motors[joint] = [index for index in found if model.actuator_gear[index, 0] and not _is_disabled(model, index)]
+    return read_bristles(source, motors)
+
+
+def _list_at(model: mujoco.MjModel, joint: int) -> list[int]:
+    """Indices of the actuators that act at a joint."""
+    at_joint = np.isin(model.actuator_trntype, list(_AT_JOINT)) & (model.actuator_trnid[:, 0] == joint)
+    return [int(index) for index in np.flatnonzero(at_joint)]
+
+
+def _is_disabled(model: mujoco.MjModel, index: int) -> bool:
+    group = int(model.actuator_group[index])
+    return 0 <= group < 31 and bool((model.opt.disableactuator >> group) & 1)
 
 
 def read_armature(source: Source, joints: Sequence[int]) -> Float[np.ndarray, "nv"]:
@@ -74,7 +99,14 @@ def read_damping(source: Source, joints: Sequence[int]) -> Float[np.ndarray, "nv
     if bent:
         names = listed([model.joint(joint).name for joint in bent])
         source.notes.append(f"damping that is no straight line: of joint {names} only the coefficient of qvel is kept")
-    return np.array([model.dof_damping[source.dof(j)] + _reflected(model, j, model.actuator_damping) for j in joints])
+    own = [model.dof_damping[source.dof(j)] + _reflected(model, j, model.actuator_damping) for j in joints]
+    return np.array(own) + [sum(map(partial(read_back_emf, model), _list_windings(model, joint))) for joint in joints]
+
+
+def _list_windings(model: mujoco.MjModel, joint: int) -> list[int]:
+    """DC motors of a joint whose back-EMF is nothing but a damping."""
+    motors = [index for index in _list_at(model, joint) if is_dc_motor(model, index)]
+    return [index for index in motors if _why_not(model, index) is None]
 
 
 def _reflected(model: mujoco.MjModel, joint: int, ofactuators: np.ndarray) -> float:
@@ -86,12 +118,12 @@ def _reflected(model: mujoco.MjModel, joint: int, ofactuators: np.ndarray) -> fl
 def _say_others(source: Source, joints: Sequence[int]) -> Iterator[str]:
     model = source.model
     for kind, words in _ACTING.items():
-        names = [_name(model, index) for index in range(model.nu) if int(model.actuator_trntype[index]) == kind]
+        names = [_name(model, index) for index in range(model.nactuator) if int(model.actuator_trntype[index]) == kind]
         if names:
             yield f"left out: {len(names)} actuators that act by {words}, {listed(names)}"
     elsewhere = [
         _name(model, index)
-        for index in range(model.nu)
+        for index in range(model.nactuator)
         if int(model.actuator_trntype[index]) in _AT_JOINT and int(model.actuator_trnid[index, 0]) not in joints
     ]
     if elsewhere:
@@ -106,6 +138,13 @@ def _read_first(source: Source, joint: int, actuators: Sequence[int]) -> ReadAct
             name = model.joint(joint).name
             source.notes.append(f"actuator {_name(model, index)} of joint {name} is left out: {reason}")
             continue
+        if not has_input(model, index):
+            continue  # of a DC motor, whose bristles and back-EMF are friction of the joint
+        if is_dc_motor(model, index):
+            source.notes.append(
+                f"actuator {_name(model, index)} is a DC motor: its command is a voltage, and its back-EMF is taken as "
+                "damping of the joint"
+            )
         if int(model.actuator_dyntype[index]) in _FILTERS:
             constant = model.actuator_dynprm[index, 0]
             source.notes.append(
@@ -126,8 +165,10 @@ def _why_not(model: mujoco.MjModel, index: int) -> str | None:
     dynamics = int(model.actuator_dyntype[index])
     if model.actuator_plugin[index] >= 0:
         return "it is a plugin"
-    if (model.opt.disableactuator >> int(model.actuator_group[index])) & 1 and 0 <= model.actuator_group[index] < 31:
+    if _is_disabled(model, index):
         return "actuatorgroupdisable"
+    if is_dc_motor(model, index):
+        return why_not_linear(model, index)
     if dynamics != mujoco.mjtDyn.mjDYN_NONE and dynamics not in _FILTERS:
         return f"its activation ({_said(mujoco.mjtDyn(dynamics))}) is none that commands give at once"
     gain, bias = mujoco.mjtGain(model.actuator_gaintype[index]), mujoco.mjtBias(model.actuator_biastype[index])
@@ -141,7 +182,7 @@ def _why_not(model: mujoco.MjModel, index: int) -> str | None:
 
 def _read(model: mujoco.MjModel, index: int) -> ReadActuator:
     gear = float(model.actuator_gear[index, 0])
-    gain = float(model.actuator_gainprm[index, 0])
+    gain = torque_per_volt(model, index) if is_dc_motor(model, index) else float(model.actuator_gainprm[index, 0])
     affine = model.actuator_biastype[index] == mujoco.mjtBias.mjBIAS_AFFINE
     bias0, bias1, bias2 = map(float, model.actuator_biasprm[index, :3] if affine else np.zeros(3))
     kind = "general"
@@ -149,7 +190,8 @@ def _read(model: mujoco.MjModel, index: int) -> ReadActuator:
         kind = {(0.0, 0.0): "motor", (-gain, 0.0): "position", (0.0, -gain): "velocity"}.get((bias1, bias2), kind)
         kind = "position" if bias1 == -gain else kind  # with kv
     clamps = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
-    ctrlrange = _range(model.actuator_ctrlrange[index], bool(model.actuator_ctrllimited[index]) and clamps)
+    ctrl = int(model.actuator_ctrladr[index])  # an actuator may have several commands, or none
+    ctrlrange = _range(model.actuator_ctrlrange[ctrl], bool(model.actuator_ctrllimited[ctrl]) and clamps)
     low, high = _range(model.actuator_forcerange[index], bool(model.actuator_forcelimited[index]))
     forcerange = (low * gear, high * gear) if gear >= 0 else (high * gear, low * gear)
     return ReadActuator(

@@ -9,7 +9,13 @@ import numpy as np
 from jaxtyping import Float
 
 from frictionzoo.bench.compiled import can_collide
-from frictionzoo.bench.robot_file.actuators import ReadActuator, read_actuators, read_armature, read_damping
+from frictionzoo.bench.robot_file.actuators import (
+    ReadActuator,
+    read_actuators,
+    read_armature,
+    read_damping,
+    read_friction,
+)
 from frictionzoo.bench.robot_file.choose import choose_joints, say_fixed
 from frictionzoo.bench.robot_file.couplings import add_equalities, add_tendons
 from frictionzoo.bench.robot_file.geoms import add_contacts
@@ -32,6 +38,8 @@ class RobotFile:
         joints: Names of the chosen joints, in MuJoCo's order.
         values: `armature` [kg m^2 or kg], `frictionloss` [N m or N] and `damping` [N m s/rad or N s/m] of each joint as
             the file has them, that of its actuator included, of shape (nv,).
+        bristles: Friction of its `<dcmotor>`s, by the names of parameters of `lugre`, of shape (nv,); NaN where a joint
+            has none.
         actuators: Of each joint; None where the file has none that can be read.
         ranges: Limits of each joint's position [rad or m], of shape (nv, 2); NaN where it has none.
         forceranges: Limits of each joint's drive [N m or N], the closer ones of joint and actuator, of shape (nv, 2);
@@ -43,6 +51,7 @@ class RobotFile:
     root: ET.Element
     joints: tuple[str, ...]
     values: Mapping[str, Float[np.ndarray, "nv"]]
+    bristles: Mapping[str, Float[np.ndarray, "nv"]]
     actuators: tuple[ReadActuator | None, ...]
     ranges: Float[np.ndarray, "nv 2"]
     forceranges: Float[np.ndarray, "nv 2"]
@@ -95,13 +104,14 @@ def read_robot(
     apart = contacts == "keep" or is_fluid(file)
     tree = Tree(file, joints, keep, apart)
     _refuse_plugins(file, tree)
-    values = _values(file, joints)
+    values, bristles = _values(file, joints), read_friction(file, joints)
     actuators = read_actuators(file, joints)
     root = _write(file, tree, joints, contacts == "keep", limits == "keep", timestep)
     return RobotFile(
         root,
         tuple(file.model.joint(joint).name for joint in joints),
         values,
+        bristles,
         actuators,
         np.array([_limit(file.model, joint) for joint in joints]),
         np.array([_force_limit(file.model, joint, read) for joint, read in zip(joints, actuators, strict=True)]),

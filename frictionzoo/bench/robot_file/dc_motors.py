@@ -1,0 +1,83 @@
+"""What a robot's file says by `<dcmotor>`: friction of bristles, a voltage that is a torque, and back-EMF.
+
+Source: MuJoCo documentation, XML reference, `actuator/dcmotor`, and how its compiler puts that into `actuator_dynprm`,
+`actuator_gainprm` and `actuator_biasprm`.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from frictionzoo.bench.robot_file.source import Source, listed
+
+_UNCONTROLLED = int(mujoco.mjtCtrlInput.mjINPUT_VOLTAGE) | int(mujoco.mjtCtrlInput.mjINPUT_NONE)
+_STIFFNESS, _MICRO_DAMPING = 5, 6  # in dynprm
+_KINETIC, _STATIC, _STRIBECK = 3, 4, 5  # in biasprm
+BRISTLES = ("stiffness", "micro_damping", "kinetic_torque", "static_torque", "stribeck_velocity")
+
+
+def is_dc_motor(model: mujoco.MjModel, index: int) -> bool:
+    """Whether an actuator is a `<dcmotor>`, or what that stands for."""
+    return int(model.actuator_dyntype[index]) == mujoco.mjtDyn.mjDYN_DCMOTOR
+
+
+def has_input(model: mujoco.MjModel, index: int) -> bool:
+    """Whether an actuator has a command."""
+    return int(model.actuator_ctrlnum[index]) > 0
+
+
+def why_not_linear(model: mujoco.MjModel, index: int) -> str | None:
+    """Why the torque of a DC motor, bristles aside, is not one linear in voltage and velocity."""
+    if int(model.actuator_ctrlspec[index]) & ~_UNCONTROLLED:
+        return "its DC motor has a controller of its own"
+    winding = np.delete(model.actuator_dynprm[index], (_STIFFNESS, _MICRO_DAMPING))
+    if winding.any() or model.actuator_gainprm[index, 2:].any():
+        return "its DC motor has a winding with inductance, heat or a limit of voltage"
+    if model.actuator_biasprm[index, 0]:
+        return "its DC motor has cogging"
+    return None
+
+
+def torque_per_volt(model: mujoco.MjModel, index: int) -> float:
+    """Of a DC motor, before its gear [N m/V or N/V]."""
+    resistance, constant = model.actuator_gainprm[index, :2]
+    return float(constant / resistance)
+
+
+def read_back_emf(model: mujoco.MjModel, index: int) -> float:
+    """What a DC motor's winding takes of its joint's velocity [N m s/rad or N s/m]."""
+    return float(model.actuator_gear[index, 0] ** 2 * model.actuator_gainprm[index, 1]) * torque_per_volt(model, index)
+
+
+def read_bristles(source: Source, motors: Mapping[int, Sequence[int]]) -> dict[str, Float[np.ndarray, "nv"]]:
+    """Parameters of `lugre` that DC motors give their joints, NaN where none does; noted.
+
+    Args:
+        source: The robot's file.
+        motors: Indices of the DC motors of each joint that is identified.
+    """
+    model, rows = source.model, list[list[float]]()
+    names = [model.joint(joint).name for joint in motors]
+    for name, found in zip(names, motors.values(), strict=True):
+        having = [index for index in found if model.actuator_dynprm[index, _STIFFNESS] > 0]
+        if len(having) > 1:
+            source.notes.append(f"joint {name} has bristles of {len(having)} DC motors, of which those of one are read")
+        rows.append(_bristles(model, having[0]) if having else [np.nan] * len(BRISTLES))
+    values: dict[str, np.ndarray] = dict(zip(BRISTLES, np.array(rows).T, strict=True))
+    yields = (values["micro_damping"] == 0) & (values["static_torque"] == values["kinetic_torque"])
+    for law, like in {"dahl": yields, "lugre": ~yields & ~np.isnan(values["stiffness"])}.items():
+        if like.any():
+            joints = listed([name for name, one in zip(names, like, strict=True) if one])
+            source.notes.append(f"bristles of <dcmotor> at joint {joints}: left out, model={law} begins with them")
+    return values
+
+
+def _bristles(model: mujoco.MjModel, index: int) -> list[float]:
+    """As the joint feels them through the gear, in the order of `BRISTLES`."""
+    gear = abs(float(model.actuator_gear[index, 0]))
+    dynamics, bias = model.actuator_dynprm[index], model.actuator_biasprm[index]
+    static = bias[_STATIC] if bias[_STRIBECK] > 0 else bias[_KINETIC]  # at a velocity of 0 MuJoCo has no such effect
+    springs = gear**2 * dynamics[[_STIFFNESS, _MICRO_DAMPING]]
+    return [float(number) for number in (*springs, gear * bias[_KINETIC], gear * static, bias[_STRIBECK] / gear)]
