@@ -103,11 +103,7 @@ def _remove_record(folder: Path) -> None:
     with contextlib.suppress(OSError):  # what is not removed does no harm
         for path in record.glob("*.yaml"):
             path.unlink()
-        for place in (
-            record,
-            folder,
-            *folder.parents[:2],
-        ):  # those of the day and of all runs, if there is nothing else
+        for place in (record, folder, *folder.parents[:2]):  # the last two of the day and of all runs, if now empty
             place.rmdir()
 
 
