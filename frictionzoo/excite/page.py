@@ -159,20 +159,22 @@ def _plot_motion(note: Mapping[str, Any], interval: float, motion: Motion, joint
     limits, time = _find_limits(note, joint), interval * np.arange(len(motion.ctrl))
     commanded = {"position": motion.ctrl, "velocity": motion.speed}
     expected = {"position": motion.qpos, "velocity": motion.qvel, "torque": motion.torque}
-    panels = []
+    panels, outside = [], []
     for quantity in _QUANTITIES:
         curves = {"expected": expected[quantity][:, joint]}
         if quantity in commanded:
             curves = {"command": commanded[quantity][:, joint], **curves}
-        axis, note_above = _scale(limits[quantity], quantity, list(curves.values()))
+        axis, shown = _scale(limits[quantity], quantity, list(curves.values()))
+        outside += [] if shown else [quantity]
         colors = {"command": BASELINE, "expected": MODEL}
         marks: list[Mark] = [*_draw_limits(limits[quantity], level=True)]
         marks += [Curve(x=time, y=curve, name=name, color=colors[name]) for name, curve in curves.items()]
-        panels.append(Panel(marks, Axis("time", "s", limits=(0.0, float(time[-1]))), axis, note_above))
+        panels.append(Panel(marks, Axis("time", "s", limits=(0.0, float(time[-1]))), axis))
     said = ", ".join(_say_reached(limits[quantity]) for quantity in _QUANTITIES)
     text = (
         f"Command of {note['joints'][joint]}, and what MuJoCo C expects of it; dashed: the limits. It reaches {said}."
     )
+    text += f" Outside the frame: the limits of {' and '.join(outside)}." if outside else ""
     return Figure(f"Motion of {note['joints'][joint]}", text, tuple(panels), height=620)
 
 
@@ -186,12 +188,11 @@ def _draw_limits(row: Mapping[str, Any], level: bool) -> Iterator[Mark]:
         yield Stripe(low=end, high=end, level=level, color=BEST, dash=_DASH)
 
 
-def _scale(row: Mapping[str, Any], quantity: str, curves: Sequence[Float[np.ndarray, "samples"]]) -> tuple[Axis, str]:
-    """An axis that has the limits in it, unless they would flatten the motion, which is then said."""
+def _scale(row: Mapping[str, Any], quantity: str, curves: Sequence[Float[np.ndarray, "samples"]]) -> tuple[Axis, bool]:
+    """An axis that has the limits in it, unless they would flatten the motion; and whether it has."""
     moved, ends = np.concatenate(curves), np.array(row["allowed"])
-    near = np.ptp(ends) <= ROOM * np.ptp(moved)
-    axis = Axis(quantity, row["unit"], limits=frame([np.concatenate([moved, ends]) if near else moved]))
-    return axis, "" if near else f"limits of {ends[0]:.4g} and {ends[1]:.4g} {row['unit']} are outside"
+    near = bool(np.ptp(ends) <= ROOM * np.ptp(moved))
+    return Axis(quantity, row["unit"], limits=frame([np.concatenate([moved, ends]) if near else moved])), near
 
 
 def _plot_phase(note: Mapping[str, Any], motion: Motion, joint: int) -> Figure:
@@ -199,11 +200,11 @@ def _plot_phase(note: Mapping[str, Any], motion: Motion, joint: int) -> Figure:
     limits, name = _find_limits(note, joint), note["joints"][joint]
     position, velocity = motion.qpos[:, joint], motion.qvel[:, joint]
     x, _ = _scale(limits["position"], "position", [position])
-    y, above = _scale(limits["velocity"], "velocity", [velocity])
+    y, _ = _scale(limits["velocity"], "velocity", [velocity])
     marks: list[Mark] = [*_draw_limits(limits["position"], level=False), *_draw_limits(limits["velocity"], level=True)]
     marks.append(Curve(x=position, y=velocity, name="expected", color=MODEL, width=1.2, legend=False))
-    text = f"Expected velocity over position of {name}; dashed: the limits. What the motion does not visit, the "
-    return Figure(f"Phase plot of {name}", f"{text}recording does not tell of.", (Panel(marks, x, y, above),))
+    text = f"Expected velocity over position of {name}; dashed: the limits, where they are near. What the motion does "
+    return Figure(f"Phase plot of {name}", f"{text}not visit, the recording does not tell of.", (Panel(marks, x, y),))
 
 
 def _plot_spectrum(note: Mapping[str, Any], interval: float, motion: Motion, joint: int) -> Figure:
