@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 import safetensors.torch
 import torch
+from browser import read_data
 from conftest import Finished, finish, job_settings
+from test_html import Page
 
 from frictionzoo.cli.distill import main
 from frictionzoo.cli.export import main as export
@@ -20,6 +22,7 @@ from frictionzoo.comparison.record import compare_runs
 from frictionzoo.comparison.runs import read_runs
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.distill.distillation import _note, _rms
+from frictionzoo.distill.page import _grade
 from frictionzoo.fit import Objective
 from frictionzoo.fit.adam import Adam
 from frictionzoo.fit.lm import MOST_COORDINATES, LevenbergMarquardt
@@ -67,7 +70,14 @@ def test_a_law_of_the_same_family_is_found_again(teacher: Path, distill: Callabl
         assert found[name] == pytest.approx(value, rel=1e-4), name
     note = json.loads((tmp_path / "student" / "distillation.json").read_text())
     assert all(difference["rms"] < 1e-4 for difference in note["differences"])
-    assert note["notes"] == []
+    assert note["notes"] == [] and note["error"]["verdict"] == "noise"
+    shown = Page(source := (tmp_path / "student" / "report.html").read_text(encoding="utf-8"))
+    assert shown.text.index("Good enough? Yes, as good as its teacher within noise") < shown.text.index(
+        "How it is used"
+    )
+    assert "3 identified values in place of 3." in shown.text and str(tmp_path) not in source
+    named = {trace["name"] for figure in read_data(source)["figures"] for trace in figure["data"]}
+    assert {"student", "teacher", "no friction"} <= named and len(source) < 1.5e6
     assert student["fit"]["method"] == "lm"
     assert "so large" in summarise_distillation(student, read(teacher), note | {"notes": ["so large"]}, teacher)
 
@@ -144,6 +154,16 @@ def test_a_student_may_be_the_larger_law(make: Callable[..., Any]) -> None:
     assert [type(auto.choose(objective)) for objective in objectives] == [LevenbergMarquardt, Adam, Adam]
     with pytest.raises(ConfigError, match="use fit=adam"):
         lm.total(objectives[1])
+
+
+@pytest.mark.parametrize(
+    ("error", "verdict", "said"),
+    [(0.1, "better", "Yes, better"), (0.1, "worse", "Worse than"), (0.3, "noise", "No,"), (None, "worse", "No,")],
+)
+def test_a_student_is_good_enough_or_not(error: float | None, verdict: str, said: str) -> None:
+    """Beside no friction first, then beside its teacher."""
+    student: Any = {"metrics": {"test": {"position_mae": error}, "baseline": {"position_mae": 0.2}}}
+    assert _grade(student, {"error": {"verdict": verdict}}).startswith(said)
 
 
 MISTAKES = {

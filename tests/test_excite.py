@@ -222,6 +222,9 @@ def test_a_runs_drive_gets_its_next_command(
     assert max(row["share"] for row in note["limits"]) > 0.5
     assert np.less(note["search"]["ended"], note["search"]["began"]).all()
 
+    assert "output=excitation_test" in note["next"][0]["command"] and note["model"] == "mujoco_default"
+    assert (folder / "report.html").stat().st_size < 1.5e6
+
     log = next(iter(fz.read(str(folder / "expected.csv"))))
     assert log.samples == 1501 and log.timestep == pytest.approx(1e-3)
     assert log.qpos.min() > -0.8 and log.qpos.max() < 1.2 and np.abs(log.qvel).max() < 4

@@ -24,6 +24,7 @@ from frictionzoo.comparison.statistics import (
 )
 from frictionzoo.core.output import to_json
 from frictionzoo.result.names import label_values, name_unidentifiable
+from frictionzoo.result.types import Result
 from frictionzoo.result.verdict import doubt_reference
 
 SCHEMA_VERSION: Final = 5
@@ -80,13 +81,13 @@ def _residual(run: Run) -> Float[np.ndarray, "rollouts steps nv"]:
 def _rank(run: Run) -> tuple[int, float, int]:
     test = run.result["metrics"]["test"]
     error = np.inf if test["position_mae"] is None else test["position_mae"]
-    return test["diverged"], error, _count_identified(run)
+    return test["diverged"], error, count_identified(run.result)
 
 
-def _count_identified(run: Run) -> int:
+def count_identified(result: Result) -> int:
     """Numbers that the fit chose."""
-    values = [value["identified"] for p in run.result["parameters"] for value in p["by_joint"]]
-    network = run.result["network"]
+    values = [value["identified"] for p in result["parameters"] for value in p["by_joint"]]
+    network = result["network"]
     return sum(values) + (network["weights"] if network else 0)
 
 
@@ -105,7 +106,7 @@ def _recommend(ranked: Sequence[Run], pairs: Mapping[tuple[str, str], Difference
     if best.result["metrics"]["test"]["position_mae"] is None:
         return None
     close = [best, *(run for run in ranked[1:] if pairs[run.label, best.label].verdict == "noise")]
-    chosen = min(close, key=lambda run: (_count_identified(run), _rank(run)))
+    chosen = min(close, key=lambda run: (count_identified(run.result), _rank(run)))
     return {
         "run": chosen.label,
         "best": best.label,
@@ -124,13 +125,13 @@ def _list_unidentifiable(run: Run) -> list[str]:
 def _explain(chosen: Run, best: Run, close: Sequence[Run], pairs: Mapping[tuple[str, str], Difference]) -> str:
     test = chosen.result["metrics"]["test"]
     unit, rollouts = test["unit"], test["rollouts"]
-    values = _count_identified(chosen)
+    values = count_identified(chosen.result)
     error = f"Its mean position error on test data is {test['position_mae']:.3g} {unit} with {values} identified values"
     if chosen is not best:
         pair = pairs[chosen.label, best.label]
-        lowest = best.result["metrics"]["test"]["position_mae"]
+        lowest, most = best.result["metrics"]["test"]["position_mae"], count_identified(best.result)
         text = (
-            f"{error}. The lowest error, {lowest:.3g} {unit} of {best.label} with {_count_identified(best)}, is within "
+            f"{error}. The lowest error, {lowest:.3g} {unit} of {best.label} with {most}, is within "
             f"noise of it (difference {pair.mean:.2g} {unit}, 95 % interval {pair.low:.2g} to {pair.high:.2g} over "
             f"{rollouts} paired rollouts; {100 * MATTERS:g} % of the error would matter), and no simpler one is"
         )
@@ -170,7 +171,7 @@ def _describe(run: Run, reference: Run | None) -> rows.RunRow:
         "label": run.label,
         "run": run.folder.name,
         "model": result["model"],
-        "identified": _count_identified(run),
+        "identified": count_identified(run.result),
         "train": result["metrics"]["train"],
         "test": result["metrics"]["test"],
         "by_joint": result["by_joint"],

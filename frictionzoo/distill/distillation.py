@@ -2,8 +2,8 @@
 
 import json
 import shutil
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +12,13 @@ from omegaconf import DictConfig, OmegaConf
 
 from frictionzoo.cli.job import run_job
 from frictionzoo.cli.overrides import refuse_no_choice
-from frictionzoo.comparison.runs import read_runs
+from frictionzoo.comparison.runs import Run, read_runs
+from frictionzoo.comparison.statistics import difference, resample
 from frictionzoo.core.config import check_overrides, compose_config, list_choices, read_value
 from frictionzoo.core.errors import ConfigError, OutputError, closest
 from frictionzoo.core.output import to_json, write_atomically
 from frictionzoo.core.params import UNITS
+from frictionzoo.distill.page import write_page
 from frictionzoo.export.nearest import evaluate_law
 from frictionzoo.models import FrictionModel
 from frictionzoo.models.base import sliding_torque
@@ -51,7 +53,7 @@ class Distillation:
 def distill(folder: Path, options: Mapping[str, str]) -> Distillation:
     """Fit a law to a drive's rollouts under the recorded training commands, and judge both on the test recordings.
 
-    The student's folder is that of a run, with `distillation.json` besides.
+    The student's folder is that of a run, with `distillation.json` besides, and the teacher on its page.
 
     Args:
         folder: Of the teacher's run.
@@ -69,8 +71,10 @@ def distill(folder: Path, options: Mapping[str, str]) -> Distillation:
         raise OutputError(f"{place}: it exists already, expected a new folder; remove it or set output to another")
     try:
         student, complaint = run_job(config, name, place, teacher, [f"{key}={value}" for key, value in options.items()])
-        note = to_json(_compare(teacher, place))
+        found, runs = Identified.load(place), read_runs([Path(teacher.place), place])[0]
+        note = to_json(_compare(teacher, found, runs))
         write_atomically(place / NOTE, (json.dumps(note, indent=2, allow_nan=False) + "\n").encode())
+        write_page(place / "report.html", found, runs[0], note)
     except BaseException:
         shutil.rmtree(place, ignore_errors=True)
         raise
@@ -131,10 +135,10 @@ def _replace_choices(teacher: Identified, choices: Mapping[str, str]) -> DictCon
     return OmegaConf.create({**settings, **sections, **own})
 
 
-def _compare(teacher: Identified, folder: Path) -> dict[str, Any]:
-    """What `distillation.json` says: who followed whom, and how far apart they are."""
-    student = Identified.load(folder)
-    qpos, own = (run.curves.qpos for run in read_runs([Path(teacher.place), folder])[0])
+def _compare(teacher: Identified, student: Identified, runs: Sequence[Run]) -> dict[str, Any]:
+    """What `distillation.json` says: who followed whom, and how far apart they are, by both runs."""
+    qpos, own = (run.curves.qpos for run in runs)
+    taught, errors = (run.curves.test_mae for run in runs)
     kept = np.isfinite(qpos).all(axis=(1, 2)) & np.isfinite(own).all(axis=(1, 2))
     states, units = teacher.samples, UNITS[teacher.bench.joint_type]
     own_inputs = {name: getattr(student.samples, name) for name in student.model.inputs}
@@ -148,6 +152,7 @@ def _compare(teacher: Identified, folder: Path) -> dict[str, Any]:
     return {
         "teacher": str(Path(teacher.place).resolve()),
         "differences": [dict(zip(("quantity", "unit", "over", "rms"), d, strict=True)) for d in differences],
+        "error": asdict(difference(errors, taught, resample(len(errors)))),
         "notes": _note(teacher.model, student.model),
     }
 

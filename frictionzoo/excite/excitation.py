@@ -19,13 +19,16 @@ from frictionzoo.core.params import UNITS
 from frictionzoo.excite.design import design, scale_within
 from frictionzoo.excite.information import Sensitivity, relative
 from frictionzoo.excite.limits import KINDS, Limits, refuse_unholdable
+from frictionzoo.excite.page import write_page
 from frictionzoo.excite.plan import Request, segment_length
+from frictionzoo.excite.steps import list_steps
 from frictionzoo.excite.task import Motion, Task
 from frictionzoo.excite.write import files_of
 from frictionzoo.fit import Space
 from frictionzoo.fit.uncertainty import WIDEST
 from frictionzoo.models import FrictionModel, TorchFriction
 from frictionzoo.result.identified import Identified
+from frictionzoo.result.names import label_values
 from frictionzoo.simulate.context import computing
 from frictionzoo.simulate.drive import Drive
 
@@ -55,7 +58,7 @@ class Excitation:
     fps: float
 
     def save(self, folder: str | Path) -> None:
-        """Write the command and what is expected of it, `excitation.json` last.
+        """Write the command, what is expected of it and the page that shows it, `excitation.json` last.
 
         Raises:
             OutputError: The folder exists, or cannot be written; nothing is left behind then.
@@ -66,8 +69,9 @@ class Excitation:
         try:
             for name, content in parts.items():
                 write_atomically(folder / name, content)
-            text = json.dumps(to_json({**self.note, "files": list(parts)}), indent=2, allow_nan=False)
-            write_atomically(folder / NOTE, (text + "\n").encode())
+            note = to_json({**self.note, "files": list(parts)})
+            write_page(folder / "report.html", note, self.interval, self.motion)
+            write_atomically(folder / NOTE, (json.dumps(note, indent=2, allow_nan=False) + "\n").encode())
         except BaseException:
             shutil.rmtree(folder, ignore_errors=True)
             raise
@@ -113,13 +117,17 @@ def excite(options: Mapping[str, str], run: Identified | None = None) -> Excitat
     _refuse_beyond(used, task.bench)
     note = {
         "run": None if run is None else str(Path(run.place).resolve()),
+        "model": task.model.name,
         "joints": list(task.bench.joints),
-        "parameters": _list_parameters(task, half),
+        "parameters": _list_parameters(task, half, run),
         "limits": _list_limits(task.bench, limits, whole, used),
         "command": {**asdict(plan), "rate": 1 / series.interval, "home": limits.home.tolist()},
         "noise": asdict(request.noise),
         "search": {**asdict(request.search), "began": found.first.tolist(), "ended": found.values.tolist()},
         "fit": {"length": sensitivity.length, "weights": list(sensitivity.weights)},
+        "next": list_steps(
+            options, None if run is None else run.place, settings, task.bench, task.model, sensitivity.length
+        ),
     }
     given = {"ctrl_velocity": speed} | {name: np.tile(own, (len(ctrl), 1)) for name, own in task.constants.items()}
     commands = {name: given[name] for name in task.bench.actuator.commands}
@@ -218,10 +226,12 @@ def _refuse_beyond(used: Float[np.ndarray, "kinds nv"], bench: Bench) -> None:
         )
 
 
-def _list_parameters(task: Task, half: Float[np.ndarray, "coordinates"]) -> list[dict[str, Any]]:
-    """A row a coordinate: its value, and how well it will be known."""
+def _list_parameters(
+    task: Task, half: Float[np.ndarray, "coordinates"], run: Identified | None
+) -> list[dict[str, Any]]:
+    """A row a coordinate: its value, how well it will be known, and how well it is now."""
     space = task.sensitivity.space
-    rows = relative(space, task.vector, half)
+    rows, now = relative(space, task.vector, half), {} if run is None else _share_now(run)
     units = {name: param.unit(task.bench.joint_type) for name, param in space.params.items()}
     return [
         {
@@ -230,10 +240,21 @@ def _list_parameters(task: Task, half: Float[np.ndarray, "coordinates"]) -> list
             "value": value,
             "half_width": width,
             "share": share,
+            "share_now": now.get(label),
             "identifiable": bool(own < WIDEST),
         }
         for (label, (value, width, share)), own in zip(rows.items(), half.tolist(), strict=True)
     ]
+
+
+def _share_now(run: Identified) -> dict[str, float]:
+    """Half of each interval that a run found, of its value, by the parameter's label."""
+    rows = {label: row for p in run.result["parameters"] for label, row in label_values(p).items()}
+    return {
+        label: (row["interval"][1] - row["interval"][0]) / abs(2 * row["value"])
+        for label, row in rows.items()
+        if row["interval"] is not None and row["value"]
+    }
 
 
 def _list_limits(

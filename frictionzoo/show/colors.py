@@ -2,6 +2,7 @@
 
 MEASURED, TEXT, SOFT, GRID = "#000000", "#3d4450", "#7d8794", "#dfe3e8"
 MODEL, BASELINE, BEST, TRAIN = "#0072B2", "#E69F00", "#D00000", "#009E73"
+TEACHER = "#CC79A7"  # of a drive that another one follows
 # Okabe and Ito (2008), legible to the colour-blind: without black, which is measured, and yellow, faint on paper.
 RUNS = (MODEL, "#D55E00", TRAIN, "#CC79A7", "#56B4E9", BASELINE)
 JOINTS = (MODEL, TRAIN, "#CC79A7", "#56B4E9", BASELINE, MEASURED, "#F0E442")

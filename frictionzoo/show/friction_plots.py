@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from frictionzoo.comparison.runs import Run
 from frictionzoo.core.params import UNITS
 from frictionzoo.result.curves import Curves
 from frictionzoo.result.portrait import Portrait
 from frictionzoo.result.types import Result
 from frictionzoo.show import with_matplotlib
-from frictionzoo.show.colors import MODEL
+from frictionzoo.show.colors import MODEL, TEACHER
 from frictionzoo.show.figure import Axis, Band, Curve, Figure, Mark, Panel, Sheet, Stripe
 from frictionzoo.show.text import format_number
 
@@ -25,11 +26,11 @@ _OVER = {  # names of axes, and their units or what UNITS has them by
 }
 
 
-def plot_portraits(result: Result, curves: Curves) -> Iterator[Figure]:
-    """Of each joint, the law with its band, and what recordings imply, over all that the law sees."""
+def plot_portraits(result: Result, curves: Curves, teacher: Run | None = None) -> Iterator[Figure]:
+    """Of each joint, the law with its band, its teacher's, and what recordings imply, over all that the law sees."""
     for joint in range(len(result["joints"])):
         for over in curves.portraits:
-            yield _plot_portrait(result, curves, joint, over)
+            yield _plot_portrait(result, curves, joint, over, teacher)
 
 
 def save_portraits(path: Path, title: str, result: Result, curves: Curves) -> None:
@@ -44,29 +45,43 @@ def save_portraits(path: Path, title: str, result: Result, curves: Curves) -> No
     with_matplotlib.save_figure(with_matplotlib.draw(sheet), path)
 
 
-def _plot_portrait(result: Result, curves: Curves, joint: int, over: str) -> Figure:
+def _plot_portrait(result: Result, curves: Curves, joint: int, over: str, teacher: Run | None = None) -> Figure:
     units, name, (label, unit) = find_units(result), result["joints"][joint], _OVER[over]
-    alone = Portrait(*(part[:, joint] for part in curves.portraits[over]))
+    before = teacher.curves.portraits if teacher else {}
+    alone, taught = _pick(curves.portraits[over], joint), _pick(before[over], joint) if over in before else None
     x = Axis(label, units.get(unit, unit))
     y = Axis("friction" if over == "velocity" else "friction against the motion", units["torque"])
     text = f"Friction of {name} over the {label}: {_say_portrait(alone, units['torque'])}"
-    panel = Panel(list(_draw_portrait(alone, over == "velocity")), x, y)
+    if taught:
+        text += f" Its teacher's is {_say_apart(alone, taught, units['torque'])}"
+    panel = Panel(list(_draw_portrait(alone, taught, over == "velocity")), x, y)
     return Figure(f"Friction of {name} over the {label}", text, (panel,))
 
 
-def _draw_portrait(portrait: Portrait, crosses: bool) -> Iterator[Mark]:
+def _pick(portrait: Portrait, joint: int) -> Portrait:
+    return Portrait(*(part[:, joint] for part in portrait))
+
+
+def _draw_portrait(portrait: Portrait, taught: Portrait | None, crosses: bool) -> Iterator[Mark]:
     if crosses:
         yield Stripe(low=0.0, high=0.0, level=True)
         yield Stripe(low=0.0, high=0.0)
-    sure = np.isfinite(portrait.low)
-    name = "law, with its 95 % interval" if sure.any() else "law"
-    if sure.any():
-        yield Band(x=portrait.at[sure], low=portrait.low[sure], high=portrait.high[sure], name=name, color=MODEL)
-    yield Curve(x=portrait.at, y=portrait.law, width=2.2, name=name, color=MODEL)
+    if taught:
+        yield from _draw_law(taught, "teacher", {"color": TEACHER, "dash": (5.0, 2.0)})
+    yield from _draw_law(portrait, "student" if taught else "law", {"color": MODEL})
     if (seen := np.isfinite(portrait.where)).any():
         where, implied, *ends = (part[seen] for part in portrait[4:])
         look: Mapping[str, Any] = {"width": 0.0, "marker": "circle", "reach": np.stack(ends)}
         yield Curve(x=where, y=implied, name="implied by the recorded torque", **look)
+
+
+def _draw_law(portrait: Portrait, name: str, look: Mapping[str, Any]) -> Iterator[Mark]:
+    """A law's curve over its band, where it has one."""
+    if (sure := np.isfinite(portrait.low)).any():
+        name = f"{name}, with its 95 % interval"
+        at, low, high = (part[sure] for part in (portrait.at, portrait.low, portrait.high))
+        yield Band(x=at, low=low, high=high, name=name, color=look["color"])
+    yield Curve(x=portrait.at, y=portrait.law, width=2.2, name=name, **look)
 
 
 def _say_portrait(portrait: Portrait, unit: str) -> str:
@@ -80,6 +95,13 @@ def _say_portrait(portrait: Portrait, unit: str) -> str:
         f"{seen.sum()} bins. The medians are {format_number(float(np.abs(off).mean()))} {unit} from the curve on "
         f"average, {100 * np.abs(off).mean() / size:.2g} % of the friction."
     )
+
+
+def _say_apart(portrait: Portrait, taught: Portrait, unit: str) -> str:
+    """How far two laws are from each other, where both are drawn."""
+    kept = np.isfinite(portrait.at) & np.isfinite(portrait.law)
+    apart = np.abs(np.interp(portrait.at[kept], taught.at, taught.law) - portrait.law[kept])
+    return f"{format_number(float(apart.max()))} {unit} from it at the most."
 
 
 def plot_left(result: Result, curves: Curves) -> Iterator[Figure]:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from frictionzoo.comparison.runs import Run
 from frictionzoo.core.anonymous import list_paths, without_paths
 from frictionzoo.core.output import write_atomically
 from frictionzoo.result.curves import Curves
@@ -39,6 +40,7 @@ LINKS = {
     "friction": "Friction",
     "left": "What is left",
     "parameters": "Parameters",
+    "trust": "What speaks for it",
     "errors": "Errors",
     "joints": "Joint by joint",
     "history": "The fit",
@@ -84,37 +86,65 @@ def write_report(path: Path, result: Result, curves: Curves, replay: Mapping[str
     Raises:
         OutputError: It cannot be written.
     """
+    write_atomically(path, render_run(path.parent, result, curves, replay))
+
+
+def render_run(
+    folder: Path,
+    result: Result,
+    curves: Curves,
+    replay: Mapping[str, Any] | None,
+    teacher: Run | None = None,
+    template: str = "show/run.html.jinja",
+    links: Mapping[str, str] = LINKS,
+    **content: Any,
+) -> bytes:
+    """The page of a run.
+
+    Args:
+        folder: The run's.
+        result: What `result.json` holds.
+        curves: What figures are drawn from.
+        replay: As `write_report` takes it.
+        teacher: The run whose drive this one follows, shown beside it; None for none.
+        template: The page's, which extends that of a run.
+        links: Sections by their id.
+        content: What else the template names, in place of a run's where both have it.
+    """
     # A page that is handed on tells nobody where somebody's home is; what lies in this folder, its commands reach.
     known = tuple(list_paths(result["settings"]))
-    place, result = without_paths([str(path.parent.absolute()), result], known, Path.cwd())
+    place, result = without_paths([str(folder.absolute()), result], known, Path.cwd())
     result["parameters"] = _add_starts(result["parameters"], result, curves)
-    joints = list_joints(result) if len(result["joints"]) > 1 else []
+    joints = list_joints(result, teacher) if len(result["joints"]) > 1 else []
     absent = {*(_OF_ONE if joints else _OF_SEVERAL), *([] if replay else ["replay"])}
-    page = render_page(
-        "show/run.html.jinja",
-        plot_run(result, curves),
+    own = {
+        "result": result,
+        "verdict": result["verdict"],
+        "joints": joints,
+        "links": [(key, text) for key, text in links.items() if key not in absent],
+        "teacher": teacher.result if teacher else None,
+        "place": place,
+        "uses": list_uses(place),
+        "ranks": _say_ranks(curves),
+        "shown": _say_shown(result, curves),
+        "portrayed": PORTRAYED,
+        "correlations": [correlate(result, joint) for joint in result["joints"]],
+        "headline": _say_headline(result),
+        "errors": list(list_errors(result, teacher)),
+        "evaluations": list(_list_evaluations(result)),
+        "timing": list_timing(result["timing"]),
+        "files": {name: text for name, text in FILES.items() if name == "result.json" or (folder / name).exists()},
+        "version": result["versions"]["frictionzoo"],
+    }
+    return render_page(
+        template,
+        plot_run(result, curves, teacher),
         list(check_result(result)),
         points=max(LEAST, MOST // len(result["joints"])),
         state={"replay": replay},
         three=pack_library("three/three.min.js") if replay else "",
-        result=result,
-        verdict=result["verdict"],
-        joints=joints,
-        links=[(key, text) for key, text in LINKS.items() if key not in absent],
-        place=place,
-        uses=list_uses(place),
-        ranks=_say_ranks(curves),
-        shown=_say_shown(result, curves),
-        portrayed=PORTRAYED,
-        correlations=[correlate(result, joint) for joint in result["joints"]],
-        headline=_say_headline(result),
-        errors=list(_list_errors(result["metrics"])),
-        evaluations=list(_list_evaluations(result)),
-        timing=list_timing(result["timing"]),
-        files={name: text for name, text in FILES.items() if name == "result.json" or (path.parent / name).exists()},
-        version=result["versions"]["frictionzoo"],
+        **{**own, **content},
     )
-    write_atomically(path, page)
 
 
 def list_uses(place: str) -> list[str]:
@@ -309,24 +339,29 @@ def _say_headline(result: Result) -> str:
     return f"{text}; {format_number(baseline['position_mae'])} {test['unit']} without friction{doubt} ({change})."
 
 
-def _list_errors(metrics: PartsRow) -> Iterator[dict[str, Any]]:
-    """Rows of the main table: each error of the model beside that without friction."""
-    test, baseline = metrics["test"], metrics["baseline"]
+def list_errors(result: Result, teacher: Run | None = None) -> Iterator[dict[str, Any]]:
+    """Rows of the main table: each error of the model beside its teacher's, where it has one, and without friction."""
+    test, baseline = result["metrics"]["test"], result["metrics"]["baseline"]
+    taught = teacher.result["metrics"]["test"] if teacher else None
+    return _compare_errors(test, baseline, taught, test)
+
+
+def _compare_errors(
+    own: Mapping[str, Any], baseline: Mapping[str, Any], taught: Mapping[str, Any] | None, units: Mapping[str, Any]
+) -> Iterator[dict[str, Any]]:
     for name, (key, unit) in ERRORS.items():
-        yield {"name": name, "unit": test[unit], "model": test[key], "baseline": baseline[key]}
+        if key in own:
+            row = {"name": name, "unit": units[unit], "model": own[key], "baseline": baseline[key]}
+            yield row | ({"teacher": taught[key]} if taught else {})
 
 
-def list_joints(result: Result) -> list[dict[str, Any]]:
+def list_joints(result: Result, teacher: Run | None = None) -> list[dict[str, Any]]:
     """Each of several joints: its errors beside those without friction, its parameters, and what is doubtful."""
     test = result["metrics"]["test"]
     largest = max(result["by_joint"], key=lambda row: row["test"]["position_mae"] or 0.0)
     found = []
-    for row in result["by_joint"]:
-        errors = [
-            {"name": name, "unit": test[unit], "model": row["test"][key], "baseline": row["baseline"][key]}
-            for name, (key, unit) in ERRORS.items()
-            if key in row["test"]
-        ]
+    for place, row in enumerate(result["by_joint"]):
+        taught = teacher.result["by_joint"][place]["test"] if teacher else None
         values = [
             (p, value) for p in result["parameters"] for value in p["by_joint"] if row["joint"] in value["joints"]
         ]
@@ -337,7 +372,7 @@ def list_joints(result: Result) -> list[dict[str, Any]]:
         shown = {
             "name": row["joint"],
             "residual": residual,
-            "errors": errors,
+            "errors": list(_compare_errors(row["test"], row["baseline"], taught, test)),
             "parameters": values,
             "open": row is largest,
         }

@@ -1,6 +1,6 @@
 """What is drawn of one run: its friction, rollouts, what they leave, the fit's course, errors at each horizon."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -8,10 +8,11 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure as Drawing
 
+from frictionzoo.comparison.runs import Run
 from frictionzoo.result.curves import Curves
-from frictionzoo.result.types import Result
+from frictionzoo.result.types import HorizonRow, Result
 from frictionzoo.show import with_matplotlib
-from frictionzoo.show.colors import BASELINE, BEST, JOINTS, MODEL, TRAIN
+from frictionzoo.show.colors import BASELINE, BEST, JOINTS, MODEL, TEACHER, TRAIN
 from frictionzoo.show.figure import Axis, Bars, Curve, Figure, Mark, Panel, Sheet, Stripe, scale_values
 from frictionzoo.show.friction_plots import find_units, plot_left, plot_portraits
 from frictionzoo.show.rollouts import Drive, draw_errors, draw_motion, say_where
@@ -20,23 +21,29 @@ from frictionzoo.show.text import format_number, format_unit
 COLUMNS = 4  # joints beside each other on a sheet
 PHASE = 5.0  # s of a rollout; of more, curves hide each other
 _FIRST = {"": 0}  # of the long test rollouts, that of the paper's evaluation (a)
+TAUGHT: Mapping[str, Any] = {"name": "teacher", "color": TEACHER, "dash": (5.0, 2.0)}
 REPORTED: Mapping[str, Any] = {"width": 0.0, "marker": "diamond", "size": 8.0, "color": BEST}  # what a fit reports
 
 
-def plot_run(result: Result, curves: Curves) -> dict[str, list[Figure]]:
+def plot_run(result: Result, curves: Curves, teacher: Run | None = None) -> dict[str, list[Figure]]:
     """All that is drawn of one run, by name; nothing under one where there is nothing to show.
 
     Under `portraits`, `phase`, `left` and `trajectories` each joint has as many, those of the first joint first.
+
+    Args:
+        result: What `result.json` holds.
+        curves: What figures are drawn from.
+        teacher: The run whose drive this one follows, drawn beside it; None for none.
     """
     shown = choose_rollouts(curves)
     return {
-        "portraits": list(plot_portraits(result, curves)),
-        "trajectories": list(_plot_trajectories(result, curves, shown)),
-        "error": list(_plot_errors(result, curves, shown)),
-        "phase": list(_plot_phases(result, curves, shown)),
+        "portraits": list(plot_portraits(result, curves, teacher)),
+        "trajectories": list(_plot_trajectories(result, curves, shown, teacher)),
+        "error": list(_plot_errors(result, curves, shown, teacher)),
+        "phase": list(_plot_phases(result, curves, shown, teacher)),
         "left": list(plot_left(result, curves)),
         "history": list(plot_history(result, curves)),
-        "horizons": [_plot_horizons(result)] if len(result["by_horizon"]) > 1 else [],
+        "horizons": [_plot_horizons(result, teacher)] if len(result["by_horizon"]) > 1 else [],
     }
 
 
@@ -140,20 +147,22 @@ def _draw_courses(
     yield Curve(x=np.full(len(columns), best), y=reached, name="reported", legend=several, **REPORTED)
 
 
-def _plot_trajectories(result: Result, curves: Curves, shown: Mapping[str, int]) -> Iterator[Figure]:
+def _plot_trajectories(
+    result: Result, curves: Curves, shown: Mapping[str, int], teacher: Run | None = None
+) -> Iterator[Figure]:
     """Figure 4, of each joint a figure a rollout: measured and simulated position above velocity."""
     test, timestep = result["metrics"]["test"], result["data"]["timestep"]
     duration = timestep * (curves.measured_qpos.shape[1] - 1)
     for joint, name in enumerate(result["joints"]):
         for rank, rollout in shown.items():
-            drives = _list_drives(curves, rollout)
+            drives = _list_drives(curves, rollout, teacher)
             panels = draw_motion(drives, joint, timestep, (test["unit"], test["velocity_unit"]))
             errors = [drive.follow("qpos")[:, joint] - drive.measured("qpos")[:, joint] for drive in drives]
-            model, baseline = (_say_error(error, test["unit"]) for error in errors)
+            said = _say_each(drives, [_say_error(error, test["unit"]) for error in errors])
             place = say_where(result["data"], curves, rollout)
             text = f"Measured and simulated position and velocity of joint {name} over {duration:g} s"
             text += f", {place}; " if place else "; "
-            text += f"the mean position error is {model} with the model and {baseline} without friction."
+            text += f"the mean position error is {said}."
             title = f"{_say_rank(rank, curves)}{name}" if rank else f"Trajectory of {name}"
             yield Figure(title, text, panels, time=True, rollout=rollout)
 
@@ -163,10 +172,10 @@ def _say_rank(rank: str, curves: Curves) -> str:
     return f"The {rank} of {count} long test rollouts: " if count > 1 else "The only long test rollout: "
 
 
-def _plot_phases(result: Result, curves: Curves, shown: Mapping[str, int]) -> Iterator[Figure]:
+def _plot_phases(result: Result, curves: Curves, shown: Mapping[str, int], teacher: Run | None) -> Iterator[Figure]:
     """Of each joint, velocity over position in the middle one of the rollouts."""
     rank, rollout = list(shown.items())[(len(shown) - 1) // 2]
-    model, _ = _list_drives(curves, rollout)
+    model, *_ = _list_drives(curves, rollout, teacher)
     units, kept = find_units(result), slice(1 + round(PHASE / result["data"]["timestep"]))
     for joint, name in enumerate(result["joints"]):
         (x, y), (at, speed) = (
@@ -181,12 +190,25 @@ def _plot_phases(result: Result, curves: Curves, shown: Mapping[str, int]) -> It
         yield Figure(f"Phase plot of {name}", text, (panel,))
 
 
-def _list_drives(curves: Curves, rollout: int) -> tuple[Drive, Drive]:
-    model, baseline = {"name": "this model", "color": MODEL}, {"name": "no friction", "color": BASELINE}
-    return (
-        Drive(curves, model, rollout=rollout),
+def _list_drives(curves: Curves, rollout: int, teacher: Run | None) -> list[Drive]:
+    """The model, its teacher where it has one, and the drive without friction."""
+    own = Drive(curves, {"name": "student" if teacher else "this model", "color": MODEL}, rollout=rollout)
+    baseline = {"name": "no friction", "color": BASELINE}
+    return [
+        own,
+        *([Drive(teacher.curves, TAUGHT, rollout=rollout)] if teacher else []),
         Drive(curves, baseline, "baseline_", reference=True, rollout=rollout),
-    )
+    ]
+
+
+def _say_each(drives: Sequence[Drive], values: Sequence[str]) -> str:
+    """A value of each drive in a sentence."""
+    with_whom = {"this model": "with the model", "no friction": "without friction"}
+    said = [
+        f"{value} {with_whom.get(name := drive.look['name'], f'with the {name}')}"
+        for drive, value in zip(drives, values, strict=True)
+    ]
+    return f"{', '.join(said[:-1])} and {said[-1]}"
 
 
 def _say_error(error: Float[np.ndarray, "samples"], unit: str) -> str:
@@ -195,32 +217,36 @@ def _say_error(error: Float[np.ndarray, "samples"], unit: str) -> str:
     return f"{steps.mean():.4g} {unit}" if np.isfinite(steps).all() else "without a value (the rollout diverged)"
 
 
-def _plot_errors(result: Result, curves: Curves, shown: Mapping[str, int]) -> Iterator[Figure]:
+def _plot_errors(
+    result: Result, curves: Curves, shown: Mapping[str, int], teacher: Run | None = None
+) -> Iterator[Figure]:
     """Figure 5, a figure a rollout: absolute position error, mean over joints: moving mean +- standard deviation."""
     window, unit = result["evaluation"]["window"], result["metrics"]["test"]["unit"]
     for rank, rollout in shown.items():
-        drives = _list_drives(curves, rollout)
-        model, baseline = (format_number(float(np.nanmax(drive.errors()))) for drive in drives)
+        drives = _list_drives(curves, rollout, teacher)
+        largest = [f"{format_number(float(np.nanmax(drive.errors())))} {unit}" for drive in drives]
         text = (
             f"Moving mean and standard deviation over {window:g} s of the absolute position error"
             f"{f', {place}' if (place := say_where(result['data'], curves, rollout)) else ''}; the largest error "
         )
-        text += f"is {model} {unit} with the model and {baseline} {unit} without friction."
+        text += f"is {_say_each(drives, largest)}."
         panel = draw_errors(drives, result["data"]["timestep"], window, unit)
         title = f"Error of the {rank} rollout" if rank else "Its error"
         yield Figure(title, text, (panel,), time=True, rollout=rollout)
 
 
-def _plot_horizons(result: Result) -> Figure:
-    """Position error at every horizon: train, test and without friction."""
-    entries = sorted(result["by_horizon"], key=lambda entry: entry["horizon"])
+def _plot_horizons(result: Result, teacher: Run | None) -> Figure:
+    """Position error at every horizon: train, test, the teacher's and without friction."""
+    entries = _sort_horizons(result)
     unit, places = entries[0]["test"]["unit"], np.arange(len(entries), dtype=np.float64)
-    parts = (("test", "test", MODEL), ("train", "train", TRAIN), ("baseline", "test, no friction", BASELINE))
-    marks = []
-    for i, (part, name, color) in enumerate(parts):
-        errors = [(entry[part]["position_mae"], entry[part]["position_mae_std"]) for entry in entries]
+    parts: list[tuple[Any, str, str, Any]] = [("test", "test", MODEL, entries), ("train", "train", TRAIN, entries)]
+    parts += [("test", "test, teacher", TEACHER, _sort_horizons(teacher.result))] if teacher else []
+    parts += [("baseline", "test, no friction", BASELINE, entries)]
+    marks, width, middle = [], 0.81 / len(parts), (len(parts) - 1) / 2
+    for i, (part, name, color, rows) in enumerate(parts):
+        errors = [(entry[part]["position_mae"], entry[part]["position_mae_std"]) for entry in rows]
         length, spread = np.array(errors, np.float64).T
-        bars = {"at": places + 0.27 * (i - 1), "length": length, "spread": spread, "width": 0.27}
+        bars = {"at": places + width * (i - middle), "length": length, "spread": spread, "width": width}
         marks.append(Bars(name=name, color=color, upright=True, **bars))
     lengths = tuple(f"{entry['horizon']:g} s" for entry in entries)
     said = []
@@ -229,3 +255,7 @@ def _plot_horizons(result: Result) -> Figure:
         said.append(f"at {length} {test} {unit} on test data, {baseline} {unit} without friction")
     panel = Panel(marks, Axis("length of the rollouts", ticks=lengths), Axis("position MAE", unit))
     return Figure("Position error by horizon", f"Mean position error {'; '.join(said)}.", (panel,))
+
+
+def _sort_horizons(result: Result) -> list[HorizonRow]:
+    return sorted(result["by_horizon"], key=lambda entry: entry["horizon"])

@@ -1,0 +1,221 @@
+"""`report.html`: a designed command on one page that opens without a network, from what will be known on."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from frictionzoo import __version__
+from frictionzoo.core.anonymous import list_paths, without_paths
+from frictionzoo.core.output import write_atomically
+from frictionzoo.excite.task import Motion
+from frictionzoo.show.colors import BASELINE, BEST, MODEL
+from frictionzoo.show.figure import Axis, Bars, Curve, Figure, Mark, Panel, Stripe, frame
+from frictionzoo.show.page import Check, render_page
+from frictionzoo.show.run_page import LEAST, MOST
+
+LINKS = {
+    "known": "What will be known",
+    "limits": "Limits",
+    "motion": "Motion",
+    "record": "How to record",
+    "search": "How it was found",
+    "files": "Files",
+}
+"""Sections by their id."""
+FILES = {  # by name beside the page
+    "excitation.json": "every number of this page, for programs",
+    "command.csv": "the command at each sample",
+    "expected.csv": "the same with the motion that is expected: a log",
+    "trajectory.yaml": "the command for ROS 2",
+    "actions.json": "the command for LeRobot",
+}
+PUBLISH = (  # as docs/excite.md has it
+    "ros2 topic pub --once /joint_trajectory_controller/joint_trajectory trajectory_msgs/msg/JointTrajectory "
+    '"$(cat trajectory.yaml)"'
+)
+WIDE = 0.5  # share of a value, half of the interval of the widest one that counts as known
+ROOM = 4.0  # times the motion's span, from which on limits are outside the frame
+_DASH = (4.0, 3.0)
+_QUANTITIES = ("position", "velocity", "torque")
+
+
+def write_page(path: Path, note: Mapping[str, Any], interval: float, motion: Motion) -> None:
+    """Write the page of a command into this file, beside the command's other files.
+
+    Args:
+        path: Of the page.
+        note: What `excitation.json` holds.
+        interval: Between samples [s].
+        motion: The command, and what it is expected to lead to.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    # A page that is handed on tells nobody where somebody's home is.
+    note = without_paths(dict(note), tuple(list_paths(dict(note))), Path.cwd())
+    joints = list(range(len(note["joints"])))
+    sections = {
+        "motion": [_plot_motion(note, interval, motion, joint) for joint in joints],
+        "phase": [_plot_phase(note, motion, joint) for joint in joints],
+        "spectrum": [_plot_spectrum(note, interval, motion, joint) for joint in joints],
+    }
+    page = render_page(
+        "excite/excitation.html.jinja",
+        sections,
+        list(check_command(note)),
+        points=max(LEAST, MOST // len(joints)),
+        note=note,
+        headline=_say_headline(note),
+        parameters=_group_parameters(note),
+        joints=_list_joints(note),
+        links=LINKS,
+        publish=PUBLISH,
+        wide=WIDE,
+        files={name: text for name, text in FILES.items() if name in ("excitation.json", *note["files"])},
+        version=__version__,
+    )
+    write_atomically(path, page)
+
+
+def check_command(note: Mapping[str, Any]) -> Iterator[Check]:
+    """How far the command is to be trusted; `note` as in `excitation.json`."""
+    unknown = [row["name"] for row in note["parameters"] if not row["identifiable"]]
+    used = max(note["limits"], key=lambda row: row["share"])
+    most = f"the {used['quantity']}{_of_joint(note, used['joint'])}, {100 * used['share']:.0f} % of its limit"
+    if unknown:
+        text = f"Not identifiable by this command: {', '.join(unknown)}. Most is taken of {most}. State such a value as"
+        yield Check("caution", "Parameters", f"{text} known, take a law without it, or allow and record more.")
+    else:
+        yield Check("good", "Parameters", f"Each of the {len(note['parameters'])} parameters will be known.")
+    yield Check("good", "Limits", f"In MuJoCo C the motion keeps all of them. Most is taken of {most}.")
+    noise, unit = note["noise"], {row["quantity"]: row["unit"] for row in note["limits"]}
+    text = (
+        f"Noise alone is foreseen: an encoder step of {noise['quantum']:.3g} {unit['position']}, position noise of "
+        f"{noise['position_noise']:.3g} {unit['position']} and velocity noise of {noise['velocity_noise']:.3g} "
+        f"{unit['velocity']}. Half the noise, half the interval. What the law lacks, and a delay or a mass that is "
+        "wrong, are not foreseen."
+    )
+    yield Check("note", "Noise", text)
+    source = f"those of the run {note['run']}" if note["run"] else "initial values, not of a fit"
+    text = f"The values of the drive are {source}: a design is as good as they are. Fit, and design again."
+    yield Check("note", "Values", text)
+
+
+def _of_joint(note: Mapping[str, Any], joint: str) -> str:
+    return f" of {joint}" if len(note["joints"]) > 1 else ""
+
+
+def _say_headline(note: Mapping[str, Any]) -> str:
+    """How long the command is, and of how many parameters it will tell how much."""
+    rows = [row for row in note["parameters"] if row["identifiable"] and row["share"] is not None]
+    command, count = note["command"], len(note["parameters"])
+    known = sum(row["identifiable"] for row in note["parameters"])
+    text = f"{command['seconds']:g} s at {command['rate']:g} samples/s, after which {known} of {count} parameters "
+    text += f"of {note['model']} will be known"
+    if not rows:
+        return f"{text}."
+    best, worst = (choose(rows, key=lambda row: row["share"]) for choose in (min, max))
+    said = f"{best['name']} to ± {100 * best['share']:.2g} %"
+    return f"{text}: {said}, the best, {worst['name']} to ± {100 * worst['share']:.2g} %, the worst."
+
+
+def _group_parameters(note: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Parameters with a row for each joint, or for those that share the value."""
+    grouped: dict[str, list[Any]] = {}
+    for row in note["parameters"]:
+        full, _, joint = row["name"].partition("/")
+        grouped.setdefault(full, []).append({**row, "joint": joint})
+    found = []
+    for full, rows in grouped.items():
+        owner, _, name = full.partition(".")
+        shares = sorted(row["share"] for row in rows if row["identifiable"] and row["share"] is not None)
+        ends = dict.fromkeys(f"{100 * share:.2g}" for share in (*shares[:1], *shares[-1:]))
+        unknown = sum(not row["identifiable"] for row in rows)
+        whose = "not identifiable" if len(rows) == 1 else f"{unknown} of {len(rows)} not identifiable"
+        shown = {"name": name, "owner": owner, "rows": rows, "known": f"± {' to '.join(ends)} %" if ends else ""}
+        found.append({**shown, "doubt": whose if unknown else ""})
+    return found
+
+
+def _list_joints(note: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Each joint with what of its limits is taken; the one that takes most is open."""
+    rows = {joint: [row for row in note["limits"] if row["joint"] == joint] for joint in note["joints"]}
+    shares = {joint: max(own, key=lambda row: row["share"]) for joint, own in rows.items()}
+    most = max(shares, key=lambda joint: shares[joint]["share"])
+    return [{"name": j, "limits": own, "most": shares[j], "open": j == most} for j, own in rows.items()]
+
+
+def _find_limits(note: Mapping[str, Any], joint: int) -> dict[str, Any]:
+    """Rows of one joint by quantity."""
+    name = note["joints"][joint]
+    return {row["quantity"]: row for row in note["limits"] if row["joint"] == name}
+
+
+def _plot_motion(note: Mapping[str, Any], interval: float, motion: Motion, joint: int) -> Figure:
+    """Command and motion of one joint over time: position above velocity above torque, and their limits."""
+    limits, time = _find_limits(note, joint), interval * np.arange(len(motion.ctrl))
+    commanded = {"position": motion.ctrl, "velocity": motion.speed}
+    expected = {"position": motion.qpos, "velocity": motion.qvel, "torque": motion.torque}
+    panels, outside = [], []
+    for quantity in _QUANTITIES:
+        curves = {"expected": expected[quantity][:, joint]}
+        if quantity in commanded:
+            curves = {"command": commanded[quantity][:, joint], **curves}
+        axis, shown = _scale(limits[quantity], quantity, list(curves.values()))
+        outside += [] if shown else [quantity]
+        colors = {"command": BASELINE, "expected": MODEL}
+        marks: list[Mark] = [*_draw_limits(limits[quantity], level=True)]
+        marks += [Curve(x=time, y=curve, name=name, color=colors[name]) for name, curve in curves.items()]
+        panels.append(Panel(marks, Axis("time", "s", limits=(0.0, float(time[-1]))), axis))
+    said = ", ".join(_say_reached(limits[quantity]) for quantity in _QUANTITIES)
+    text = (
+        f"Command of {note['joints'][joint]}, and what MuJoCo C expects of it; dashed: the limits. It reaches {said}."
+    )
+    text += f" Outside the frame: the limits of {' and '.join(outside)}." if outside else ""
+    return Figure(f"Motion of {note['joints'][joint]}", text, tuple(panels), height=620)
+
+
+def _say_reached(row: Mapping[str, Any]) -> str:
+    low, high = row["reached"]
+    return f"{low:.3g} to {high:.3g} {row['unit']}"
+
+
+def _draw_limits(row: Mapping[str, Any], level: bool) -> Iterator[Mark]:
+    for end in row["allowed"]:
+        yield Stripe(low=end, high=end, level=level, color=BEST, dash=_DASH)
+
+
+def _scale(row: Mapping[str, Any], quantity: str, curves: Sequence[Float[np.ndarray, "samples"]]) -> tuple[Axis, bool]:
+    """An axis that has the limits in it, unless they would flatten the motion; and whether it has."""
+    moved, ends = np.concatenate(curves), np.array(row["allowed"])
+    near = bool(np.ptp(ends) <= ROOM * np.ptp(moved))
+    return Axis(quantity, row["unit"], limits=frame([np.concatenate([moved, ends]) if near else moved])), near
+
+
+def _plot_phase(note: Mapping[str, Any], motion: Motion, joint: int) -> Figure:
+    """Expected velocity over position of one joint, and the limits of both."""
+    limits, name = _find_limits(note, joint), note["joints"][joint]
+    position, velocity = motion.qpos[:, joint], motion.qvel[:, joint]
+    x, _ = _scale(limits["position"], "position", [position])
+    y, _ = _scale(limits["velocity"], "velocity", [velocity])
+    marks: list[Mark] = [*_draw_limits(limits["position"], level=False), *_draw_limits(limits["velocity"], level=True)]
+    marks.append(Curve(x=position, y=velocity, name="expected", color=MODEL, width=1.2, legend=False))
+    text = f"Expected velocity over position of {name}; dashed: the limits, where they are near. What the motion does "
+    return Figure(f"Phase plot of {name}", f"{text}not visit, the recording does not tell of.", (Panel(marks, x, y),))
+
+
+def _plot_spectrum(note: Mapping[str, Any], interval: float, motion: Motion, joint: int) -> Figure:
+    """Amplitudes of the commanded velocity of one joint."""
+    name, unit = note["joints"][joint], _find_limits(note, joint)["velocity"]["unit"]
+    speed = motion.speed[:, joint]
+    frequency = np.fft.rfftfreq(len(speed), interval)
+    shown = frequency <= 1.2 * note["command"]["bandwidth"]
+    amplitude = 2 * np.abs(np.fft.rfft(speed))[shown] / len(speed)
+    look: dict[str, Any] = {"upright": True, "color": MODEL, "legend": False}
+    bars = Bars(at=frequency[shown], length=amplitude, width=0.9 * float(frequency[1]), name="amplitude", **look)
+    panel = Panel((bars,), Axis("frequency", "Hz"), Axis("amplitude of the velocity", unit))
+    text = f"What frequencies the command of {name} has, up to the bandwidth of {note['command']['bandwidth']:g} Hz; "
+    return Figure(f"Spectrum of {name}", f"{text}its ramps spread each a little.", (panel,))
