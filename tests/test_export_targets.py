@@ -4,6 +4,7 @@ import ast
 import functools
 import json
 import shutil
+import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
 
@@ -31,6 +32,7 @@ from frictionzoo.export.module import load_module, write_module
 from frictionzoo.export.mujoco_c import MujocoC
 from frictionzoo.export.native import run_native, write_native
 from frictionzoo.export.nearest import find_nearest
+from frictionzoo.export.urdf import DRAKE, Urdf
 from frictionzoo.export.write import summarise_exports, write_exports
 from frictionzoo.export.written import Written
 from frictionzoo.models import FrictionModel, MujocoDefault, model_names
@@ -545,6 +547,42 @@ def arm(tmp_path_factory):
     path = tmp_path_factory.mktemp("arm") / "arm.xml"
     path.write_text(ARM)
     return f"bench.mjcf={path}", "bench.joint=[shoulder,elbow]"
+
+
+LEANING = """<mujoco><compiler angle="radian"/><option timestep="0.001" gravity="1 0 -9"/>
+  <option><flag contact="disable"/></option><worldbody><body name="foot" pos="0 0.1 0.2" euler="0.3 0.2 0"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+    <body name="upper" pos="0 0.1 0" euler="0.4 -0.5 0.6"><joint name="shoulder" axis="0 1 0.5" pos="0.01 0.02 0.3"/>
+      <inertial pos="0 0.1 -0.15" euler="0.1 0.7 0.2" mass="0.5" diaginertia="0.004 0.003 0.002"/>
+      <body name="lower" pos="0 0 -0.3" euler="0 0 1"><joint name="elbow" axis="1 1 0" damping="0.01"/>
+        <inertial pos="0 0 -0.1" mass="0.2" diaginertia="0.001 0.001 0.0005"/></body></body></body></worldbody>
+</mujoco>"""
+
+
+def test_a_urdf_moves_as_the_bench_with_the_armature_that_drake_reads(tmp_path):
+    """Turned links, a joint beside its body's frame, a link that does not move; what MuJoCo's reader lacks is given."""
+    (tmp_path / "leaning.xml").write_text(LEANING)
+    arm = f"bench.mjcf={tmp_path / 'leaning.xml'}", "bench.joint=[shoulder,elbow]"
+    fitted = make_fitted(MujocoDefault(2, FRICTION), *arm)
+    fitted.values["bench"]["armature"][:] = [0.02, 0.05]
+    folder = tmp_path / "export"
+    folder.mkdir()
+    export = Urdf().write(fitted, folder, {})
+    assert export.differences[0].largest < EXACT and np.ptp(fitted.rollout()[0], axis=(0, 1)).min() > 0.1
+    robot = ET.parse(folder / "bench.urdf").getroot()
+    assert [float(tag.get("value")) for tag in robot.iter(f"{{{DRAKE}}}rotor_inertia")] == [0.02, 0.05]
+    joints = robot.findall("ros2_control/joint")
+    assert [joint.get("name") for joint in joints] == ["shoulder", "elbow"]
+    assert [joint.find("command_interface").get("name") for joint in joints] == 2 * ["position"]
+    gains = {param.get("name"): float(param.text) for param in joints[0].findall("param")}
+    assert gains == {"stiffness": fitted.values["bench"]["kp"][0], "damping": fitted.values["bench"]["kd"][0]}
+    assert any("Only Drake reads the armature, 0.02, 0.05 kg m^2" in limit for limit in export.limits)
+
+
+def test_a_urdf_of_a_late_servo_with_a_payload_moves_as_its_bench(tmp_path):
+    fitted = make_fitted("mujoco_default", "bench=xl330", LATE)
+    export = Urdf().write(fitted, tmp_path, {"supply": "7.4"})
+    assert export.differences[0].largest < EXACT
+    assert any("supply 7.4" in limit for limit in export.limits)
 
 
 TWO_RUBBING = Rubbing(2).double()
