@@ -550,7 +550,8 @@ def arm(tmp_path_factory):
 
 
 LEANING = """<mujoco><compiler angle="radian"/><option timestep="0.001" gravity="1 0 -9"/>
-  <option><flag contact="disable"/></option><worldbody><body name="foot" pos="0 0.1 0.2" euler="0.3 0.2 0"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+  <option><flag contact="disable"/></option><worldbody>
+  <body name="foot" pos="0 0.1 0.2" euler="0.3 0.2 0"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
     <body name="upper" pos="0 0.1 0" euler="0.4 -0.5 0.6"><joint name="shoulder" axis="0 1 0.5" pos="0.01 0.02 0.3"/>
       <inertial pos="0 0.1 -0.15" euler="0.1 0.7 0.2" mass="0.5" diaginertia="0.004 0.003 0.002"/>
       <body name="lower" pos="0 0 -0.3" euler="0 0 1"><joint name="elbow" axis="1 1 0" damping="0.01"/>
