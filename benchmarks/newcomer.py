@@ -216,7 +216,7 @@ def run(hidden: Hidden, folder: Path, speeds: Float[np.ndarray, "2"], recipe: st
     command = [sys.executable, "-m", "frictionzoo.run", "data=files", f"data.train=[{folder / 'log.csv'}]"]
     command += [f"bench.mjcf={folder / 'stand.xml'}", "bench.joint=motor", f"hydra.run.dir={out}"]
     command += [] if recipe == "auto" else [f"recipe={recipe}"]
-    command += ["compilation_cache=null"]  # a newcomer has none
+    command += [f"compilation_cache={out}-cache"]  # a newcomer's is empty
     began, before = time.perf_counter(), _processor()
     finished = subprocess.run(command, capture_output=True, text=True)
     seconds, processor = time.perf_counter() - began, _processor() - before

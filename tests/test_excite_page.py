@@ -96,6 +96,11 @@ def test_what_is_not_identifiable_is_a_doubt() -> None:
     assert [check.state for check in check_command(note)] == ["caution", "good", "note", "note"]
     note["parameters"] = note["parameters"][:1]
     assert [check.state for check in check_command(note)] == ["good", "good", "note", "note"]
+    (row,) = note["parameters"]
+    for now, state in ((2 * row["share"], "good"), (0.5 * row["share"], "caution")):
+        row["share_now"] = now
+        gain = [check.state for check in check_command(note) if check.title in ("Gain", "Limits")]
+        assert gain[0] == state  # to record it is of no use where the run knows as much
 
 
 def test_the_fit_is_told_the_bench() -> None:

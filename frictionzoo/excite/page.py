@@ -90,6 +90,12 @@ def check_command(note: Mapping[str, Any]) -> Iterator[Check]:
         yield Check("caution", "Parameters", f"{text} known, take a law without it, or allow and record more.")
     else:
         yield Check("good", "Parameters", f"Each of the {len(note['parameters'])} parameters will be known.")
+    rows = [row for row in note["parameters"] if None not in (row["share"], row["share_now"])]
+    if known := [row["name"] for row in rows if row["share_now"] <= row["share"]]:
+        text = f"The run knows {', '.join(known)} as well already: design a longer command (seconds), with longer"
+        yield Check(
+            "caution", "Gain", f"{text} segments (segments.length), or in wider limits; or fit both recordings."
+        )
     yield Check("good", "Limits", f"In MuJoCo C the motion keeps all of them. Most is taken of {most}.")
     noise, unit = note["noise"], {row["quantity"]: row["unit"] for row in note["limits"]}
     text = (
