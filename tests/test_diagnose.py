@@ -103,6 +103,16 @@ def test_the_lag_of_a_velocity_despite_jitter_gap_and_quantum():
     assert find_velocity_lag(time, position, rng.normal(size=900)) is None
 
 
+def test_a_coarse_encoder_does_not_scale_a_velocity():
+    """The noise that rounding puts into the derivative; other units are told all the same."""
+    time = 0.002 * np.arange(10_000)
+    position, velocity = swing(time)
+    rounded = np.round(0.5 * position / 0.0245) * 0.0245  # of 8 bits a turn
+    for unit, sure in ((1.0, 0.01), (1.5, 0.1)):
+        lag, scale = find_velocity_lag(time, rounded, 0.5 * unit * velocity)
+        assert lag == pytest.approx(0.0, abs=1e-3) and scale == pytest.approx(unit, rel=sure)
+
+
 def test_excitation_and_supply():
     time = 0.01 * np.arange(2000)
     position = np.where(time < 10, np.sin(np.pi * time), 0.0)  # at rest for the second half

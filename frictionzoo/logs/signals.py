@@ -114,7 +114,11 @@ def find_noise(signal: Signal) -> float:
 def find_lag(signal: Signal, reference: Signal, timestep: float) -> tuple[float, float] | None:
     """Lag of a signal behind what it may be a copy of [s], and its scale against it; None where they are not alike.
 
-    By cross-correlation of uniform samples, `timestep` [s] apart, and a parabola through the peak between them.
+    By cross-correlation of uniform samples, `timestep` [s] apart, and a parabola through the peak between them. Noise
+    in the reference lowers the slope of the regression on it, noise in the signal raises the inverse of the slope of
+    the reverse: the scale lies between these two, and is the one there that is nearest to 1.
+
+    Source: R. Frisch, "Statistical confluence analysis by means of complete regression systems", 1934, for the bounds.
     """
     most = min(round(LONGEST_LAG / timestep), len(signal) // 4)
     if most < 1 or not (np.ptp(signal) > 0 and np.ptp(reference) > 0):
@@ -128,7 +132,8 @@ def find_lag(signal: Signal, reference: Signal, timestep: float) -> tuple[float,
         return None
     left, top, right = correlation[peak - 1 : peak + 2]
     fraction = 0.5 * (left - right) / (left - 2 * top + right) if left - 2 * top + right < 0 else 0.0
-    return float(peak - most + fraction) * timestep, float(products[peak] / (inner @ inner))
+    scale = np.clip(1.0, products[peak] / (inner @ inner), energy[peak] / products[peak])
+    return float(peak - most + fraction) * timestep, float(scale)
 
 
 def find_velocity_lag(time: Signal, position: Signal, velocity: Signal) -> tuple[float, float] | None:
