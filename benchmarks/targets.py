@@ -72,6 +72,7 @@ PROGRAMS = {
     "mjlab": Program("mjlab", ("mjlab", "mjcf"), ("roll_mjlab.py",), "mjlab.txt"),
     "onnx": Program("ONNX Runtime", ("onnx", "mujoco"), ("roll_mujoco.py", "--kind=onnx")),
     "torchscript": Program("torch.jit", ("torchscript", "mujoco"), ("roll_mujoco.py", "--kind=torchscript")),
+    "libtorch": Program("libtorch", ("torchscript", "mujoco"), ("roll_mujoco.py", "--kind=libtorch")),
 }
 
 

@@ -2,10 +2,12 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from conftest import Finished
@@ -14,18 +16,23 @@ ROOT = Path(__file__).parent.parent
 EXACT = 1e-9  # rad; rounding of 3000 steps stays far below
 
 
+def roll(folder: Path, runs: list[Path], *programs: str) -> list[dict[str, Any]]:
+    """The rows of the benchmark for these runs in these programs."""
+    command = [sys.executable, ROOT / "benchmarks" / "targets.py", *runs, "--out", folder / "rows.json"]
+    command += ["--programs", *programs, "--environments", folder / "environments"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    finished = subprocess.run(command, env=environment, cwd=folder, capture_output=True, text=True)
+    assert finished.returncode == 0, finished.stderr
+    return json.loads((folder / "rows.json").read_text())["rows"]
+
+
 @pytest.mark.slow
 def test_exports_move_in_mujoco_4_as_in_this_one(
     finished_run: Callable[[str], tuple[Path, Finished]], tmp_path: Path
 ) -> None:
     """MuJoCo's own friction in the MJCF, the law in the module, and what the MJCF has in place of another law."""
-    runs, out = [str(finished_run(name)[0]) for name in ("mujoco_default", "coulomb_stribeck")], tmp_path / "rows.json"
-    command = [sys.executable, ROOT / "benchmarks" / "targets.py", *runs, "--out", out]
-    command += ["--programs", "mujoco", "mjcf", "mujoco4", "mjcf4", "--environments", tmp_path / "environments"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    finished = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True)
-    assert finished.returncode == 0, finished.stderr
-    rows = json.loads(out.read_text())["rows"]
+    runs = [finished_run(name)[0] for name in ("mujoco_default", "coulomb_stribeck")]
+    rows = roll(tmp_path, runs, "mujoco", "mjcf", "mujoco4", "mjcf4")
     if missing := [row["note"] for row in rows if (row["note"] or "").startswith("no environment")]:
         pytest.skip(missing[0])
     assert [row["program"].split(".")[0] for row in rows] == 2 * (2 * ["mujoco 3"] + 2 * ["mujoco 4"])
@@ -33,3 +40,13 @@ def test_exports_move_in_mujoco_4_as_in_this_one(
     assert max(law, mjcf, law4, mjcf4, law_s, law4_s) < EXACT
     assert mjcf4_s == pytest.approx(mjcf_s, abs=EXACT)
     assert {row["note"] for row in rows[5::2]} == {rows[5]["note"]}
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("g++") is None, reason="no g++, which makes a program with libtorch")
+def test_a_law_moves_in_libtorch_as_in_this_one(
+    finished_run: Callable[[str], tuple[Path, Finished]], tmp_path: Path
+) -> None:
+    """From C++, which asks the TorchScript file for friction in each step."""
+    (row,) = roll(tmp_path, [finished_run("coulomb_stribeck")[0]], "libtorch")
+    assert row["program"].startswith("libtorch ") and row["largest"] < EXACT

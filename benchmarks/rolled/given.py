@@ -84,9 +84,10 @@ class Given:
         """Of positions after each step, on the second axis, those after each sample."""
         return qpos[:, self.substeps - 1 :: self.substeps]
 
-    def write(self, qpos: np.ndarray, *packages: str) -> None:
-        """Write positions after each sample, (batch, time, nv), and versions of what simulated them."""
-        np.savez(self.out, qpos=qpos, program=", ".join(f"{name} {version(name)}" for name in packages))
+    def write(self, qpos: np.ndarray, *packages: str, **versions: str) -> None:
+        """Write positions after each sample, (batch, time, nv), and the packages and versions that simulated them."""
+        said = versions | {name: version(name) for name in packages}
+        np.savez(self.out, qpos=qpos, program=", ".join(f"{name} {number}" for name, number in said.items()))
 
 
 def read_given(

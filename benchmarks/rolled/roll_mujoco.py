@@ -1,7 +1,10 @@
 """Rollouts in MuJoCo C: of the bench's MJCF, or of `drive.py`, whose law may be the ONNX or the TorchScript file."""
 
 import argparse
-from collections.abc import Callable
+import subprocess
+from collections.abc import Callable, Sequence
+from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -10,24 +13,28 @@ import numpy as np
 from given import Given, load_module, read_given
 
 Step = Callable[[mujoco.MjData, int], None]
+Evaluate = Callable[[Sequence[np.ndarray]], Sequence[np.ndarray]]
+"""From the law's inputs to its outputs, each of one number a joint."""
 
 
 def main() -> None:
     """Simulate each rollout from its initial state."""
     given, options = read_given(__doc__, add_options)
-    kind, packages = options.kind, ["mujoco"]
-    if kind == "bench":
+    versions = {}
+    if options.kind == "bench":
         qpos = roll(given, "mjcf", prepare_bench)
     else:
         module: Any = load_module(given.folder / "mujoco" / "drive.py")
-        packages += use_law(module, given.folder, kind)
+        if options.kind in LAWS:
+            evaluate, versions = LAWS[options.kind](given)
+            use_law(module, evaluate)
         qpos = roll(given, "mujoco", make_drive(module))
-    given.write(qpos, *packages[::-1])
+    given.write(qpos, "mujoco", **versions)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """What moves the bench."""
-    parser.add_argument("--kind", choices=("bench", "drive", "onnx", "torchscript"), required=True)
+    parser.add_argument("--kind", choices=("bench", "drive", *LAWS), required=True)
 
 
 def roll(given: Given, target: str, prepare: Callable[..., Step]) -> np.ndarray:
@@ -82,33 +89,72 @@ def make_drive(module: Any) -> Callable[..., Step]:
     return prepare
 
 
-def use_law(module: Any, folder: Path, kind: str) -> list[str]:
-    """Let the module ask an exported file for friction instead of its own formula; the package that runs it."""
-    if kind == "onnx":
-        import onnxruntime
+def use_law(module: Any, evaluate: Evaluate) -> None:
+    """Let the module ask this for friction instead of its own formula."""
 
-        session = onnxruntime.InferenceSession(
-            (folder / "onnx" / "friction.onnx").read_bytes(), providers=["CPUExecutionProvider"]
-        )
+    def terms(self: Any, xp: Any, values: Any, state: Any) -> Any:
+        return module.FrictionTerms(*evaluate([np.asarray(signal, float) for signal in state]))
 
-        def terms(self: Any, xp: Any, values: Any, state: Any) -> Any:
-            rows = {name: np.asarray(signal, float)[None] for name, signal in state._asdict().items()}
-            return module.FrictionTerms(*(term[0] for term in session.run(None, rows)))
+    module.Law.terms = terms
 
-        module.Law.terms = terms
-        return ["onnxruntime"]
-    if kind == "torchscript":
-        import torch
 
-        law = torch.jit.load(folder / "torchscript" / "friction.pt")
+def load_onnx(given: Given) -> tuple[Evaluate, dict[str, str]]:
+    """The law in ONNX Runtime, with the version of that."""
+    import onnxruntime
 
-        def terms(self: Any, xp: Any, values: Any, state: Any) -> Any:
-            rows = [torch.tensor(np.asarray(signal, float))[None] for signal in state]
-            return module.FrictionTerms(*(term[0].numpy() for term in law(*rows)))
+    content = (given.folder / "onnx" / "friction.onnx").read_bytes()
+    session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
+    names = [one.name for one in session.get_inputs()]
 
-        module.Law.terms = terms
-        return ["torch"]
-    return []
+    def evaluate(state: Sequence[np.ndarray]) -> list[np.ndarray]:
+        rows = {name: signal[None] for name, signal in zip(names, state, strict=True)}
+        return [term[0] for term in session.run(None, rows)]
+
+    return evaluate, {"onnxruntime": version("onnxruntime")}
+
+
+def load_torchscript(given: Given) -> tuple[Evaluate, dict[str, str]]:
+    """The law in `torch.jit`, with the version of that."""
+    import torch
+
+    law = torch.jit.load(given.folder / "torchscript" / "friction.pt")
+
+    def evaluate(state: Sequence[np.ndarray]) -> list[np.ndarray]:
+        return [term[0].numpy() for term in law(*(torch.tensor(signal)[None] for signal in state))]
+
+    return evaluate, {"torch": version("torch")}
+
+
+def load_libtorch(given: Given) -> tuple[Evaluate, dict[str, str]]:
+    """The law in a C++ program, made with the libtorch that PyTorch brings, and the version that this says."""
+    program, joints = given.out.with_suffix(".law"), len(given.joints)
+    compile_law(program)
+    command = [program, given.folder / "torchscript" / "friction.pt", str(joints)]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert process.stdin is not None and process.stdout is not None
+    states, friction = process.stdin, process.stdout
+
+    def evaluate(state: Sequence[np.ndarray]) -> list[np.ndarray]:
+        states.write(np.stack(state).tobytes())
+        states.flush()
+        return list(np.frombuffer(friction.read(3 * joints * 8)).reshape(3, joints))  # torque, frictionloss, damping
+
+    return evaluate, {"libtorch": friction.readline().decode().strip()}
+
+
+def compile_law(program: Path) -> None:
+    """Make a program of `law.cpp`."""
+    found = find_spec("torch")
+    assert found is not None and found.origin is not None
+    torch = Path(found.origin).parent
+    headers = [torch / "include", torch / "include" / "torch" / "csrc" / "api" / "include"]
+    command = ["g++", "-std=c++20", Path(__file__).parent / "law.cpp", "-o", program, f"-L{torch / 'lib'}"]
+    command += [f"-I{folder}" for folder in headers] + [f"-Wl,-rpath,{torch / 'lib'}"]
+    subprocess.run([*command, "-ltorch", "-ltorch_cpu", "-lc10"], check=True)
+
+
+LAWS = {"onnx": load_onnx, "torchscript": load_torchscript, "libtorch": load_libtorch}
+"""What evaluates an exported law."""
 
 
 if __name__ == "__main__":
