@@ -24,6 +24,9 @@ KEPT_STATES, KEPT_BLOCKS = 100_000, 4
 """The same where rollouts keep what tangents need: these are not simulated along, and more fit. At least so many blocks
 are made then, for several threads."""
 
+SHARED_STATES = 10_000
+"""States from which on there are two blocks at least, for two threads; operations on fewer take as long as on half."""
+
 MOST_STRETCHES = 50
 """Stretches into which the segments are divided at most, in their order in time."""
 
@@ -130,7 +133,9 @@ def into_blocks(
     """
     devices, kept = devices_of(rollout), rollout.keeps_slopes
     largest = max(1, (KEPT_STATES if kept else BLOCK_STATES) // (segments.length * segments.qpos.shape[2]))
-    blocks = max(-(-segments.count // largest), min(KEPT_BLOCKS, segments.count) if kept else 1)
+    states = segments.count * segments.length * segments.qpos.shape[2]
+    fewest = KEPT_BLOCKS if kept else 1 + (states >= SHARED_STATES)
+    blocks = max(-(-segments.count // largest), min(fewest, segments.count))
     size = -(-segments.count // blocks)
     size = -(-size // len(devices)) * len(devices)
     index = np.minimum(np.arange(blocks * size), segments.count - 1)

@@ -1,5 +1,6 @@
 """Levenberg-Marquardt on exact Jacobians, by scipy's trust-region solver for bounded least squares."""
 
+import contextlib
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -114,6 +115,10 @@ class _AskedError(Exception):
     """The solver asks for a vector that was not tried yet."""
 
 
+class _EnoughError(Exception):
+    """A search has come to where it need not go on."""
+
+
 def _ask(objective: Objective, state: State, tolerance: float) -> State:
     """The state with the vector that scipy's solver tries next, or with its end.
 
@@ -149,7 +154,11 @@ def _ask(objective: Objective, state: State, tolerance: float) -> State:
 
 
 def descend(
-    evaluate: Callable[[Float[np.ndarray, "coordinates"]], NormalEquations], box: Box, tries: int, tolerance: float
+    evaluate: Callable[[Float[np.ndarray, "coordinates"]], NormalEquations],
+    box: Box,
+    tries: int,
+    tolerance: float,
+    enough: Callable[[Float[np.ndarray, "coordinates"]], bool] = lambda vector: False,
 ) -> tuple[Float[np.ndarray, "coordinates"], float]:
     """The least of a sum of squares that a search of `LevenbergMarquardt` comes to, and where.
 
@@ -158,6 +167,7 @@ def descend(
         box: Where to begin, and bounds.
         tries: Largest number of vectors that are tried.
         tolerance: As in `LevenbergMarquardt`.
+        enough: Of a vector that is to be tried, whether the search ends there instead.
 
     Returns:
         The best vector and its loss; infinite where the objective is not finite at the beginning.
@@ -169,13 +179,16 @@ def descend(
     unit = seen[0][1].loss or 1.0
 
     def residuals(vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "compressed"]:
+        if enough(vector):
+            raise _EnoughError
         found = seen[0][1] if (vector == start).all() else evaluate(vector)
         if not _is_finite(found):
             return np.full(len(vector) + 1, np.inf)
         seen.append((vector.copy(), found))
         return compress(found, unit)[0]
 
-    _solve(residuals, lambda: compress(seen[-1][1], unit)[1], box, tolerance, tries)
+    with contextlib.suppress(_EnoughError):
+        _solve(residuals, lambda: compress(seen[-1][1], unit)[1], box, tolerance, tries)
     vector, found = min(seen, key=lambda pair: pair[1].loss)
     return vector, found.loss
 

@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Callable, Hashable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
 import jax
@@ -311,10 +312,19 @@ class Objective:
     def _compile_both(
         self, look: Callable[[Array, Any], Seen], then: Callable[[Seen, Any], Any], example: Any
     ) -> Callable[[Array, Any], Any]:
-        """Two programs as one function of a vector and a block: a rollout, and what follows from it."""
+        """Two programs as one function of a vector and a block: a rollout, and what follows from it.
+
+        On one device they are compiled side by side; over several, the first says how its results are spread.
+        """
         start = self.spread(self.space.start)
-        first = self.compile(look, forward=True).lower(start, example).compile()
-        second = jax.jit(then, compiler_options=FORWARD).lower(first(start, example), example).compile()
+        if self.devices == 1:  # of the vector, nothing but its shape: the same program is known again
+            start = jax.ShapeDtypeStruct(start.shape, start.dtype)
+        lowered = self.compile(look, forward=True).lower(start, example)
+        with ThreadPoolExecutor(1) as beside:
+            compiling = beside.submit(lowered.compile)
+            seen = lowered.out_info if self.devices == 1 else compiling.result()(start, example)
+            second = jax.jit(then, compiler_options=FORWARD).lower(seen, example).compile()
+            first = compiling.result()
         return lambda vector, part: second(first(vector, part), part)
 
     def _states(self, vector: Array, data: Blocks) -> tuple[Array, Array]:

@@ -1,7 +1,7 @@
 """Several starts, at what laws find that the law contains among them: the best of the minima that they lead to."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -127,12 +127,18 @@ class _Searches:
                 ends.append(self._descend(part, f"{factor:g} times the initial {name}", moved))
         return self._found.setdefault(part.law.name, _least(ends))
 
-    def _descend(self, part: Part, name: str, vector: Float[np.ndarray, "coordinates"], most: int = MOST_TRIES) -> End:
+    def _descend(
+        self,
+        part: Part,
+        name: str,
+        vector: Float[np.ndarray, "coordinates"],
+        most: int = MOST_TRIES,
+        enough: Callable[[np.ndarray], bool] = lambda vector: False,
+    ) -> End:
         """Where a search with this law's own coordinates ends."""
         _, low, high = part.box
-        own, loss = descend(
-            part.restrict(self._evaluate), Box(part.own(vector), low, high), min(most, self._tries), self._tolerance
-        )
+        box = Box(part.own(vector), low, high)
+        own, loss = descend(part.restrict(self._evaluate), box, min(most, self._tries), self._tolerance, enough)
         _log.debug("%s: from %s to a loss of %.9g", part.law.__name__, name, loss)
         return End(name, part.whole(own), loss)
 
@@ -141,14 +147,17 @@ class _Searches:
         whole, at = Part.of(None, self._space), self._space.labels.index("bench.delay")
         unit = interval / float(self._space.params["bench.delay"].scale)
         low, high = whole.box[1:]
+        bests: list[float] = []
         for _ in range(_ROUNDS):
             along = _along(self._evaluate(best.vector).hessian, at)
-            ends = [best]
+            ends, middle = [best], best.vector[at]
+            bests.append(middle)
+            leads_back = _is_near(bests, at, _NEAR * unit)
             for shift in _SHIFTS:
-                by = np.clip(best.vector[at] + shift * unit, low[at], high[at]) - best.vector[at]
-                if abs(by) > _NEAR * unit:
+                by = np.clip(middle + shift * unit, low[at], high[at]) - middle
+                if not leads_back(shifted := best.vector + by * along):
                     name = f"a delay {by / unit:+.2g} sample intervals from the best before"
-                    ends.append(self._descend(whole, name, best.vector + by * along, _SHORT))
+                    ends.append(self._descend(whole, name, shifted, _SHORT, leads_back))
             if (least := _least(ends)) is best:
                 break
             best = least
@@ -159,6 +168,11 @@ def _least(ends: Sequence[End]) -> End:
     """The best, the first of those that are as good."""
     least = min(end.loss for end in ends)
     return next(end for end in ends if end.loss <= least * (1 + _BETTER))
+
+
+def _is_near(places: Sequence[float], at: int, distance: float) -> Callable[[np.ndarray], bool]:
+    """Whether a vector's coordinate is so near to one of these."""
+    return lambda vector: bool((np.abs(vector[at] - np.asarray(places)) < distance).any())
 
 
 def _along(hessian: Float[np.ndarray, "coordinates coordinates"], at: int) -> Float[np.ndarray, "coordinates"]:
