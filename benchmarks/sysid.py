@@ -120,6 +120,21 @@ class Judge:
 def run_sysid(bench: Bench, model: FrictionModel, segments: Segments, judge: Judge, optimizer: str) -> dict[str, Any]:
     """One identification by mujoco.sysid."""
     began = time.perf_counter()
+    parameters, _, function = pose(bench, model, segments, judge)
+    found, _ = sysid.optimize(parameters, function, optimizer, verbose=False)
+    seconds = time.perf_counter() - began
+    values = {name: float(found[name].value[0]) for name in NAMES}
+    return {
+        "tool": f"mujoco.sysid, {optimizer}",
+        "seconds": seconds,
+        "compile": 0.0,
+        "loss": judge.loss(values),
+        **values,
+    }
+
+
+def pose(bench: Bench, model: FrictionModel, segments: Segments, judge: Judge) -> tuple[Any, Any, Any]:
+    """What mujoco.sysid takes: parameters, recordings, and residuals of parameters."""
     params = {**bench.params, **model.params}
 
     def put(name: str) -> Any:
@@ -162,16 +177,7 @@ def run_sysid(bench: Bench, model: FrictionModel, segments: Segments, judge: Jud
         return state[:, 1:3] - measured.data[1 : len(state) + 1], measured, measured
 
     function = sysid.build_residual_fn(models_sequences=[sequences], modify_residual=residual, resample_true=False)
-    found, _ = sysid.optimize(parameters, function, optimizer, verbose=False)
-    seconds = time.perf_counter() - began
-    values = {name: float(found[name].value[0]) for name in NAMES}
-    return {
-        "tool": f"mujoco.sysid, {optimizer}",
-        "seconds": seconds,
-        "compile": 0.0,
-        "loss": judge.loss(values),
-        **values,
-    }
+    return parameters, sequences, function
 
 
 def _mapping(kinds: list) -> tuple[list, list]:
