@@ -1,7 +1,7 @@
 """A run's page beside the report of mujoco.sysid: size, time to open, and what of it fits a telephone.
 
-    python benchmarks/pages.py
-    python benchmarks/pages.py --runs emps go2 sts3215
+    python benchmarks/reports.py
+    python benchmarks/reports.py --runs emps go2 sts3215
 
 Needs `pip install -e ".[sysid]"` and a Chromium. Both tools identify armature, damping and frictionloss of the twin,
 from one recording, and write their reports. The report of mujoco.sysid asks a server for plotly; the copy of this
@@ -60,7 +60,7 @@ def main() -> None:
 
 def parse() -> argparse.Namespace:
     """The command line."""
-    parser = make_parser("pages", __doc__)
+    parser = make_parser("reports", __doc__)
     parser.add_argument(
         "--runs", nargs="*", type=Path, default=[], metavar="FOLDER", help="runs whose pages are looked at"
     )
