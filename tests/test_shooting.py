@@ -17,10 +17,11 @@ from frictionzoo.core.log import Log
 from frictionzoo.core.segments import Segments, cut_segments
 from frictionzoo.fit import LevenbergMarquardt, Objective, Space
 from frictionzoo.fit import blocks as blocks_module
+from frictionzoo.fit.blocks import alone
 from frictionzoo.fit.chunk import search
 from frictionzoo.fit.loss import Loss
-from frictionzoo.fit.normal_equations import NormalEquations
-from frictionzoo.fit.shooting import solve_chain
+from frictionzoo.fit.normal_equations import NormalEquations, compress
+from frictionzoo.fit.shooting import Mixed, solve_chain
 from frictionzoo.models.registry import get_model
 from frictionzoo.simulate.drive import Drive
 
@@ -67,6 +68,27 @@ def test_a_chain_is_solved_as_a_dense_matrix_would_be() -> None:
     found = solve_chain(*map(jnp.asarray, (diagonal, beside, right)))
     expected = np.linalg.solve(dense, right.reshape(-1, 2)).reshape(right.shape)
     np.testing.assert_allclose(found, expected, rtol=1e-10)
+
+
+def test_a_forgotten_velocity_takes_nothing_but_what_its_position_takes(bench: Bench) -> None:
+    """The derivatives by both are then the same but for their size, and the states' equations singular."""
+    objective = shoot(bench, "coulomb_smooth", 10, swing(0.1)).objective
+    rng = np.random.default_rng(0)
+    slopes, by_state = rng.normal(size=(2, 1, 5, 60)), rng.normal(size=(4, 1, 5, 60))
+    by_state[2:] = by_state[:2] * np.array([1e-3, -3e-9])[:, None, None, None] * (1 + 1e-15 * rng.normal(size=60))
+    local = objective._shooting.local(jnp.zeros((1, 5, 60)), jnp.asarray(by_state))
+    mixed = Mixed(jnp.einsum("ibsk,jbsk->bsij", by_state, slopes), jnp.zeros(()))
+    blocks = alone(jax.tree.map(lambda part: part[0], objective.data))._replace(weight=jnp.ones((1, 5)))
+    taken = objective._shooting.eliminate(local, mixed, blocks)[1][0]
+    expected = np.zeros((2, 2))
+    for own, by_own in zip(slopes[:, 0].swapaxes(0, 1), by_state[:2, 0].swapaxes(0, 1), strict=True):
+        expected += own @ by_own.T @ np.linalg.solve(by_own @ by_own.T, by_own @ own.T)
+    np.testing.assert_allclose(taken, expected, rtol=0, atol=1e-4 * np.abs(expected).max())
+
+
+def test_a_second_derivative_that_is_all_rounding_leaves_numbers() -> None:
+    rounding = -np.array([[1e9, 3e9], [2e9, 1e10]])
+    assert all(np.isfinite(part).all() for part in compress(NormalEquations(1.0, np.ones(2), rounding), 1.0))
 
 
 @dataclass

@@ -31,7 +31,8 @@ def compress(
     part within its columns' span; the last residual is the rest, which no coordinate moves.
     """
     curvature = np.diag(equations.hessian)
-    scale = np.sqrt(np.maximum(curvature, max(_NOTHING * curvature.max(initial=0.0), np.finfo(float).tiny)))
+    least = max(_NOTHING * np.abs(curvature).max(initial=0.0), np.finfo(float).tiny)  # rounding leaves negative ones
+    scale = np.sqrt(np.maximum(curvature, least))
     eigenvalues, vectors = np.linalg.eigh(equations.hessian / np.outer(scale, scale))
     kept = eigenvalues > np.finfo(float).eps * len(scale) * max(eigenvalues[-1], 0)
     roots = np.sqrt(np.where(kept, eigenvalues, 0.0))

@@ -20,6 +20,7 @@ _log = logging.getLogger(__name__)
 _SHIFTS = (-1.0, -0.5, 0.5, 1.0)  # sample intervals by which commands are tried to act later than was found
 _SHORT = 12  # vectors that are tried after a shift, at the most: a minimum is near, or the delay is none
 _NEAR = 0.2  # sample intervals within which another delay leads to the same minimum
+_FAR = 2.0  # of a coordinate: so far others follow a shifted delay, at most
 _ROUNDS = 5  # of such shifts, each from the best of those before
 _FLAT = 1e-8  # curvature of a combination, as a share of the largest, from which on the delay may move it along
 _BETTER = 1e-6  # share of the loss by which another minimum has to be lower
@@ -45,9 +46,9 @@ class Several(Fit):
 
     The starts are the initial values; the best values of each law that the law contains, which are found in the same
     way, with what it has besides at the values with which it is that law, and at its initial values; other values of
-    parameters over which the law is known to have several minima (`FrictionModel.valleys`), beside the best so far; and
-    a delay that is up to a sample interval shorter or longer: held commands leave a minimum in each interval. The
-    result is never worse than that of a contained law, but for bounds that keep it from being that law exactly.
+    parameters over which the law is known to have several minima (`FrictionModel.valleys`), beside the best so far; the
+    initial values with the delay found, since without it they may lead to an armature of nearly nothing; and a delay
+    that is up to a sample interval shorter or longer: held commands leave a minimum in each interval. The result is never worse than that of a contained law, but for bounds that keep it from being that law exactly.
 
     Args:
         tries: `iterations` of `LevenbergMarquardt`, of each search.
@@ -146,7 +147,10 @@ class _Searches:
         """The same or a better one, with a delay that is some sample intervals shorter or longer."""
         whole, at = Part.of(None, self._space), self._space.labels.index("bench.delay")
         unit = interval / float(self._space.params["bench.delay"].scale)
-        low, high = whole.box[1:]
+        initial, low, high = whole.box
+        delayed = whole.whole(np.clip(initial, low, high))
+        delayed[at] = best.vector[at]
+        best = _least([best, self._descend(whole, "the initial values, with the delay found", delayed, _SHORT)])
         bests: list[float] = []
         for _ in range(_ROUNDS):
             along = _along(self._evaluate(best.vector).hessian, at)
@@ -155,7 +159,7 @@ class _Searches:
             leads_back = _is_near(bests, at, _NEAR * unit)
             for shift in _SHIFTS:
                 by = np.clip(middle + shift * unit, low[at], high[at]) - middle
-                if not leads_back(shifted := best.vector + by * along):
+                if not leads_back(shifted := best.vector + np.clip(by * along, -_FAR, _FAR)):
                     name = f"a delay {by / unit:+.2g} sample intervals from the best before"
                     ends.append(self._descend(whole, name, shifted, _SHORT, leads_back))
             if (least := _least(ends)) is best:

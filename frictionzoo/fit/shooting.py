@@ -136,6 +136,10 @@ class Shooting(NamedTuple):
         The Schur complement of the states in the normal equations of states and coordinates.
         """
         diagonal, beside, gradient = self._join(local, data)
+        # A drive that forgets its velocity within a sample does not tell that from its position: the states' equations
+        # are then singular to rounding, and what they take is all rounding. So much more changes nothing else.
+        identity = jnp.eye(diagonal.shape[-1], dtype=diagonal.dtype)
+        diagonal = diagonal * (1 + float(jnp.finfo(diagonal.dtype).eps) ** (2 / 3) * identity)
         right = mixed.own
         if self.root is not None:
             before, root = self._before(data), self._by_state(right.dtype)
