@@ -17,8 +17,8 @@ slow: ## whole programs, and experiments in their small variants; FRICTIONZOO_DA
 reproduce: ## the experiments at full size, about an hour on two cores: checks their numbers and rewrites their tables
 	python experiments/reproduce.py
 
-cards: ## a card of each drive that the experiments measured, after `make reproduce`; LICENCE=ID says under which
-	python experiments/cards.py --licence "$(LICENCE)"
+cards: ## a card of each drive that the experiments measured, after `make reproduce`; LICENCE=ID says under which; BAM="FILE ..." those of BAM's parameter files besides
+	python experiments/cards.py --licence "$(LICENCE)" $(if $(BAM),--bam $(BAM))
 
 targets: ## exported drives in the programs that they are for: RUNS="FOLDER ..."; ENVIRONMENTS=FOLDER keeps the environments that it makes
 	python benchmarks/targets.py $(RUNS) $(if $(ENVIRONMENTS),--environments $(ENVIRONMENTS))

@@ -117,21 +117,14 @@ def write_logs(folder: Path, bam: dict[str, Any], seconds: float) -> None:
         (folder / f"{column}.json").write_text(json.dumps(header | {"entries": entries}))
 
 
-def configure(compose: Callable[..., Any], folder: Path, file: Path, *overrides: str) -> Any:
-    """The identification from these logs, with all that the parameter file says as known but for the overrides."""
+def options(folder: Path, file: Path, *overrides: str) -> list[str]:
+    """Of an identification from these logs, with all that the parameter file says as known but for the overrides."""
     payloads = ",".join(f"{{when:{{mass:{mass}}},payload:[{mass},0,0,-{LENGTH},0,0,0]}}" for mass in MASSES)
     said = dict(override.split("=", 1) for override in (*read_bam(file).overrides(), *overrides))
     columns = "time:timestamp,qpos:[position],qvel:[speed],ctrl:[goal_position],supply:input_volts,enable:torque_enable"
-    config = compose(
-        *(
-            "data=files",
-            "bench=sts3215",
-            "recipe=given",
-            "dtype=float64",
-            "compilation_cache=null",
-            f"data.train={folder}/*.json",
-            f"data.payload=[{payloads}]",
-        ),
+    return [
+        *("data=files", "bench=sts3215", "recipe=given", "dtype=float64", "compilation_cache=null"),
+        *(f"data.train={folder}/*.json", f"data.payload=[{payloads}]"),
         *(f"data.columns={{{columns}}}", "data.units={time:s,qpos:rad,qvel:rad/s,ctrl:rad,supply:V}"),
         *("data.inputs={gain:kp}", "data.split.by=kp", "data.split.test=[32]"),
         *("evaluation.placement=consecutive", "evaluation.horizons=[1.0]", "evaluation.trajectory=3.0"),
@@ -139,8 +132,7 @@ def configure(compose: Callable[..., Any], folder: Path, file: Path, *overrides:
         *("bench.timestep=0.0005", "bench.solreffriction=[0.002,1.0]", "segments.count=null", "segments.length=100"),
         *("loss.velocity=0.01", "loss.robust=soft_l1", "loss.robust_scale=0.01"),
         *(f"{name}={value}" for name, value in said.items()),
-    )
-    return OmegaConf.to_container(config, resolve=True)
+    ]
 
 
 @pytest.fixture
@@ -170,9 +162,9 @@ def test_bams_own_equations_are_followed_and_identified(
     write_logs(logs, M6, seconds=3.1)
     start = "{{init:{},low:1e-3,high:2,scale:log,identify:true}}".format
     free = {"bench.params.armature": 0.01, "model.params.frictionloss": 0.15, "model.params.damping": 0.02}
-    problem = pose_problem(
-        configure(compose, logs, write(M6), "fit=lm", *(f"{name}={start(init)}" for name, init in free.items()))
-    )
+    freed = (f"{name}={start(init)}" for name, init in free.items())
+    settings = compose(*options(logs, write(M6), "fit=lm", *freed))
+    problem = pose_problem(OmegaConf.to_container(settings, resolve=True))
     progress, _ = search(problem.fit, problem.objective)
     found = jax.tree.map(np.asarray, problem.objective.space.values(progress.best))
     assert found["friction"]["damping"] == pytest.approx(M6["friction_viscous"], rel=0.02)

@@ -115,6 +115,14 @@ def test_it_names_no_path_of_the_machine(card: Path, run: Path, recording: Path)
             assert str(run) not in text and str(Path.home()) + "/" not in text, path
 
 
+def test_a_run_may_be_named_from_where_one_is(
+    card: Path, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(run.parent)
+    written, _ = write_card(Path(run.name), LICENCE | STATED | {"output": str(tmp_path / "card")})
+    assert (written / PAGE).read_text() == (card / PAGE).read_text()
+
+
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
@@ -214,7 +222,7 @@ def settings(card: dict[str, Any]) -> dict[str, Any]:
     [
         (lambda folder: (folder / CARD).write_text("{"), "not JSON"),
         (lambda folder: (folder / CARD).write_text("[" * 100_000), "not JSON"),
-        (lambda folder: (folder / CARD).write_text('{"schema_version": 2}'), "schema_version 2, expected 1"),
+        (lambda folder: (folder / CARD).write_text('{"schema_version": 3}'), "schema_version 3, expected 2"),
         (
             lambda folder: (folder / MODEL).write_bytes((folder / MODEL).read_bytes()[:-8]),
             "SHA-256 .* get the card anew",

@@ -344,6 +344,14 @@ RULES: list[tuple[str, How, *tuple[pytest.MarkDecorator, ...]]] = [
     (r"pip install \./experiments/\w+|python -m pytest experiments/\w+", leave_to_the_packages_test),
     (rf"{JOB}.*\b(makkar|layer_norm_network)\b.*", leave_to_the_packages_test),
     (r"make help", list_targets),
+    (
+        r"python -m frictionzoo\.run data=xl330 \$\(python -m frictionzoo\.export\.read_bam FILE\.json\)",
+        left_to("test_card_origin::test_published_values_are_judged_on_recordings_of_their_servo"),
+    ),
+    (
+        r"python -m frictionzoo\.card RUN licence=apache-2\.0 bam=FILE\.json .*",
+        left_to("test_card_origin::test_its_values_are_labelled_as_theirs"),
+    ),
     (r"make cards LICENCE=cc-by-4\.0", left_to("test_experiments::test_a_measured_drive_gets_a_card")),
     (
         r"make targets RUNS=.*|python benchmarks/targets\.py .*",

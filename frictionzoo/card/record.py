@@ -12,6 +12,7 @@ from typing import Any, Final, cast
 import numpy as np
 from omegaconf import OmegaConf
 
+from frictionzoo.card.origin import read_origin
 from frictionzoo.card.portable import describe_bench
 from frictionzoo.card.types import Card, LawRow, VisitedRow
 from frictionzoo.core.anonymous import last_of, list_paths, without_paths
@@ -22,7 +23,7 @@ CARD = "card.json"
 MODEL = "model.safetensors"
 PICTURE = "friction.png"
 PAGE = "README.md"
-CARD_VERSION: Final = 1
+CARD_VERSION: Final = 2
 STATED = ("supply", "temperature", "payload")
 _OVERRIDES = Path(".hydra", "overrides.yaml")
 
@@ -37,8 +38,11 @@ def build_card(drive: Identified, stated: Mapping[str, str], files: Mapping[str,
 
     Args:
         drive: Of a run's folder.
-        stated: `licence`, and where they are given `name`, `supply`, `temperature` and `payload`.
+        stated: `licence`, and where they are given `name`, `supply`, `temperature`, `payload`, `bam` and `source`.
         files: Hashes by name.
+
+    Raises:
+        ConfigError: The values are not those of the file that `bam` names.
     """
     result = drive.result
     card = {
@@ -51,6 +55,7 @@ def build_card(drive: Identified, stated: Mapping[str, str], files: Mapping[str,
             "visited": _list_visited(drive),
             "fastest": float(np.abs(drive.curves.velocity).max()),
         },
+        "origin": read_origin(drive, stated),
         "command": _read_command(drive.folder),
         "files": dict(files),
         "result": _make_portable(drive),
@@ -59,7 +64,8 @@ def build_card(drive: Identified, stated: Mapping[str, str], files: Mapping[str,
         *list_paths(result["settings"]),
         *([str(drive.folder), str(drive.folder.resolve())] if drive.folder else []),
     }
-    return cast(Card, without_paths(card, tuple(known | {str(Path(path).parent) for path in known if len(path) > 1})))
+    known |= {str(Path(path).parent) for path in known}
+    return cast(Card, without_paths(card, tuple(path for path in known if Path(path).name)))  # "." and "/" are in text
 
 
 def title_of(drive: Identified, stated: Mapping[str, str]) -> str:

@@ -44,13 +44,32 @@ class ConditionsRow(TypedDict):
     """Largest speed of any joint in the training recordings [rad/s or m/s]."""
 
 
+class OriginRow(TypedDict):
+    """A file that somebody else published the values in."""
+
+    project: Literal["BAM"]
+    """Whose parameter file it is."""
+    file: Text
+    """Its name."""
+    sha256: Sha256
+    """Its hash."""
+    drive: Text
+    """The drive, as it calls it."""
+    law: Text
+    """The friction law, as it calls it."""
+    source: Text
+    """Who published it and where, in the words of who made the card."""
+    remarks: list[Text]
+    """What the drive does there and not here, a sentence each."""
+
+
 class Card(TypedDict):
     """A drive for others, who have neither its run nor its recordings.
 
     It names files and no folder: no path of the machine on which it was made is in it.
     """
 
-    schema_version: Literal[1]
+    schema_version: Literal[2]
     """Raised by every change that a reader of this file could notice."""
     name: Text
     """Title of the card."""
@@ -59,6 +78,8 @@ class Card(TypedDict):
     laws: Annotated[list[LawRow], ("minItems", 1)]
     """The friction law, or those of several joints."""
     conditions: ConditionsRow
+    origin: OriginRow | None
+    """Of published values, which the run judged on its recordings; null: the run identified them."""
     command: Text | None
     """That made the run; null: it was made in Python, or the run does not say."""
     files: dict[str, Sha256]

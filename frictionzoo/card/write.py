@@ -11,6 +11,7 @@ import safetensors.torch
 import torch
 
 from frictionzoo import __version__
+from frictionzoo.card import origin
 from frictionzoo.card.portable import TEMPLATE, write_template
 from frictionzoo.card.record import CARD, MODEL, PAGE, PICTURE, STATED, build_card, read_schema, title_of
 from frictionzoo.card.types import Card
@@ -25,7 +26,7 @@ from frictionzoo.show.friction_plots import save_portraits
 from frictionzoo.show.terminal import tabulate_errors, tabulate_values
 from frictionzoo.show.text import format_number
 
-OPTIONS = ("licence", "output", "name", *STATED)
+OPTIONS = ("licence", "output", "name", *STATED, *origin.STATED)
 FOLDER = "card"  # in the run's
 _MODELS = ("identified.xml", "identified.urdf", "bench.xml")  # what a run leaves for MuJoCo
 FILES = {
@@ -46,13 +47,14 @@ def write_card(folder: Path, options: Mapping[str, str]) -> tuple[Path, list[str
 
     Args:
         folder: The run's.
-        options: `licence`, and where wanted `output`, a folder, `name`, `supply`, `temperature` and `payload`.
+        options: `licence`, and where wanted `output`, a folder, `name`, `supply`, `temperature` and `payload`; of
+            values that somebody else published, `bam`, their file, and `source`, who published it and where.
 
     Returns:
         The card's folder, and a line for each path of this machine that is in it: a robot's own file is as it was.
 
     Raises:
-        ConfigError: An option is missing, unknown, or makes no sense.
+        ConfigError: An option is missing, unknown, or makes no sense; the run's values are not the file's.
         RunError: It is not the folder of a finished run, or its test stand refers to files.
         OutputError: The card's folder holds something else, or cannot be written.
     """
@@ -89,6 +91,7 @@ def _refuse_impossible(options: Mapping[str, str]) -> None:
             f"licence={options['licence']}: expected an identifier in lower case as model hubs have it, such as "
             "cc-by-4.0 or apache-2.0"
         )
+    origin.refuse_half(options)
 
 
 def _is_replaceable(place: Path) -> bool:

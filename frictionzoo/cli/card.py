@@ -10,7 +10,8 @@ from frictionzoo.core.telling import tell
 
 _OPTIONS = """options: licence=ID, required, under which others may use the card, as model hubs name it: cc-by-4.0,
 apache-2.0; name=TEXT, its title; supply=TEXT, temperature=TEXT, payload=TEXT, under which the drive was recorded, not
-stated where they are left out; output=FOLDER, card in the run's where it is left out."""
+stated where they are left out; output=FOLDER, card in the run's where it is left out. Of a run that judged values
+which somebody else published: bam=FILE, BAM's parameter file with them, and source=TEXT, who published it and where."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -48,7 +48,8 @@ class Several(Fit):
     way, with what it has besides at the values with which it is that law, and at its initial values; other values of
     parameters over which the law is known to have several minima (`FrictionModel.valleys`), beside the best so far; the
     initial values with the delay found, since without it they may lead to an armature of nearly nothing; and a delay
-    that is up to a sample interval shorter or longer: held commands leave a minimum in each interval. The result is never worse than that of a contained law, but for bounds that keep it from being that law exactly.
+    that is up to a sample interval shorter or longer: held commands leave a minimum in each interval. The result is
+    never worse than that of a contained law, but for bounds that keep it from being that law exactly.
 
     Args:
         tries: `iterations` of `LevenbergMarquardt`, of each search.
