@@ -299,6 +299,19 @@ def test_estimates_that_follow_each_other_are_told_apart_where_they_are_precise(
     ]
 
 
+def test_what_a_long_log_says_of_a_combination_can_be_had(arm: Space) -> None:
+    """Of an eigenvalue of 7e-5, which counts as none: the recipe takes it, so that a long delay is not left out."""
+    hessian = np.eye(6)
+    hessian[2, 5] = hessian[5, 2] = 1 - 7e-5
+    pushed = 1e-4 * np.outer([1, -1, 1, -1], [0, 0, 1, 0, 0, -1])  # along it
+    equations, start = NormalEquations(1.0, np.zeros(6), hessian), np.asarray(arm.start)
+    widths = [
+        np.log(np.divide(*assess(arm, start, equations, pushed, *collinear).intervals["friction.damping"][1][::-1]))
+        for collinear in ((), (1e-8,))
+    ]
+    assert np.isnan(widths[0]) and 1 < widths[1] < 20
+
+
 @pytest.mark.parametrize(
     ("model", "options", "reason"),
     [("residual_network", (), "a network's weights"), ("mujoco_default", KNOWN, "nothing was identified")],

@@ -137,6 +137,7 @@ def assess(
     vector: Float[np.ndarray, "coordinates"],
     equations: NormalEquations,
     scores: Float[np.ndarray, "stretches coordinates"],
+    collinear: float = COLLINEAR,
 ) -> Uncertainty:
     """The same from the normal equations at the best vector.
 
@@ -145,12 +146,13 @@ def assess(
         vector: The best one.
         equations: There, with the second derivative of a robust loss as it is.
         scores: Part of the gradient that comes from each stretch of segments.
+        collinear: In place of `COLLINEAR`.
     """
     vector, low, high = (np.asarray(side, np.float64) for side in (vector, space.low, space.high))
     curvature = np.diag(equations.hessian)
     at_bound = space.at_bound(vector)
     seen = np.flatnonzero(~at_bound & (curvature > _NOTHING * curvature.max()))
-    found = _solve(equations, scores, seen, float(np.finfo(space.start.dtype).eps))
+    found = _solve(equations, scores, seen, float(np.finfo(space.start.dtype).eps), collinear)
 
     ends, own = np.full((len(vector), 2), np.nan), seen[~found.combined]
     together = _describe(space, vector, own, found)
@@ -186,7 +188,9 @@ class _Solution(NamedTuple):
     joined: Bool[np.ndarray, "seen seen"]
 
 
-def _solve(equations: NormalEquations, scores: np.ndarray, seen: np.ndarray, precision: float) -> _Solution:
+def _solve(
+    equations: NormalEquations, scores: np.ndarray, seen: np.ndarray, precision: float, collinear: float
+) -> _Solution:
     scale = np.sqrt(np.diag(equations.hessian)[seen])
     eigenvalues, axes = np.linalg.eigh(equations.hessian[np.ix_(seen, seen)] / np.outer(scale, scale))
     # An eigenvalue near the precision of its matrix is rounding: its combination counts as having no effect.
@@ -196,7 +200,7 @@ def _solve(equations: NormalEquations, scores: np.ndarray, seen: np.ndarray, pre
     moved = _whiten(centred @ inverse)  # a product with itself has no diagonal that rounds to below 0
     covariance = stretches / (stretches - 1) * moved.T @ moved
 
-    null = axes[:, eigenvalues < COLLINEAR]
+    null = axes[:, eigenvalues < collinear]
     share = null @ null.T
     combined = np.diag(share) > TAKES_PART**2
     width = np.sqrt(np.diag(inverse))

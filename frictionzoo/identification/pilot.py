@@ -24,6 +24,9 @@ from frictionzoo.simulate import Values
 from frictionzoo.simulate.drive import Drive
 
 _EXACT = 3e-3  # of a value, or of its scale where that is more: half an interval that need not be narrower
+_COLLINEAR = 1e-8
+"""`COLLINEAR` of a pilot. A delay is nearly collinear with armature and damping: what a long log says of it all the same
+is in the interval, and without one it would be left out."""
 _TRIES, _TOLERANCE = 40, 1e-6
 _ROLLOUTS = 64  # by which errors are told
 _DISTURBED = 1e-3  # share of a joint's speed by which initial velocities are disturbed
@@ -125,7 +128,7 @@ class Pilot:
             half = np.full(len(vector), np.nan)
             return Found(self.space.labels, vector, half, enough, at_bound, float(progress.best_loss))
         equations, scores = self.objective.compile_scores()(vector)
-        found = assess(self.space, vector, equations, scores)
+        found = assess(self.space, vector, equations, scores, _COLLINEAR)
         ends = self.space.pick({name: found.intervals[name] for name in self.space.places})
         half = np.array([self._half(label, np.asarray(ends[label])) for label in self.space.labels])
         return Found(self.space.labels, vector, half, enough, at_bound, float(progress.best_loss))
