@@ -17,6 +17,7 @@ from frictionzoo.fit.torque_balance import Box
 
 _log = logging.getLogger(__name__)
 
+_SHARES = (1.0, 0.75, 0.5)  # of the delay found, with which the initial armature is tried again
 _SHIFTS = (-1.0, -0.5, 0.5, 1.0)  # sample intervals by which commands are tried to act later than was found
 _SHORT = 12  # vectors that are tried after a shift, at the most: a minimum is near, or the delay is none
 _NEAR = 0.2  # sample intervals within which another delay leads to the same minimum
@@ -47,9 +48,10 @@ class Several(Fit):
     The starts are the initial values; the best values of each law that the law contains, which are found in the same
     way, with what it has besides at the values with which it is that law, and at its initial values; other values of
     parameters over which the law is known to have several minima (`FrictionModel.valleys`), beside the best so far; the
-    initial values with the delay found, since without it they may lead to an armature of nearly nothing; and a delay
-    that is up to a sample interval shorter or longer: held commands leave a minimum in each interval. The result is
-    never worse than that of a contained law, but for bounds that keep it from being that law exactly.
+    best so far with the initial armature and all or a part of the delay found, which may have made up for inertia until
+    nearly no armature was left; and a delay that is up to a sample interval shorter or longer: held commands leave a
+    minimum in each interval. The result is never worse than that of a contained law, but for bounds that keep it from
+    being that law exactly.
 
     Args:
         tries: `iterations` of `LevenbergMarquardt`, of each search.
@@ -90,6 +92,11 @@ class Several(Fit):
     def prepare(self, objective: Objective) -> None:
         """See `Fit.prepare`."""
         objective.compile_normal_equations()
+
+
+def _never(vector: np.ndarray) -> bool:
+    """Of no vector a search ends there."""
+    return False
 
 
 class _Searches:
@@ -135,7 +142,7 @@ class _Searches:
         name: str,
         vector: Float[np.ndarray, "coordinates"],
         most: int = MOST_TRIES,
-        enough: Callable[[np.ndarray], bool] = lambda vector: False,
+        enough: Callable[[np.ndarray], bool] = _never,
     ) -> End:
         """Where a search with this law's own coordinates ends."""
         _, low, high = part.box
@@ -148,10 +155,8 @@ class _Searches:
         """The same or a better one, with a delay that is some sample intervals shorter or longer."""
         whole, at = Part.of(None, self._space), self._space.labels.index("bench.delay")
         unit = interval / float(self._space.params["bench.delay"].scale)
-        initial, low, high = whole.box
-        delayed = whole.whole(np.clip(initial, low, high))
-        delayed[at] = best.vector[at]
-        best = _least([best, self._descend(whole, "the initial values, with the delay found", delayed, _SHORT)])
+        low, high = whole.box[1:]
+        best = self._restore_inertia(best, whole, at, _NEAR * unit)
         bests: list[float] = []
         for _ in range(_ROUNDS):
             along = _along(self._evaluate(best.vector).hessian, at)
@@ -167,6 +172,19 @@ class _Searches:
                 break
             best = least
         return best
+
+    def _restore_inertia(self, best: End, whole: Part, at: int, near: float) -> End:
+        """The same or a better one, from the initial armature and a part of the delay."""
+        inertia = np.array([label.startswith("bench.armature") for label in self._space.labels])
+        leads_back, ends = _is_near([best.vector[at]], at, near), [best]
+        for share in _SHARES:
+            begun = np.where(inertia, np.clip(*whole.box), best.vector)
+            begun[at] = share * best.vector[at]
+            back = leads_back if share < 1 else _never
+            if not back(begun):
+                name = f"the best before with the initial armature and {share:g} of the delay"
+                ends.append(self._descend(whole, name, begun, _SHORT, back))
+        return _least(ends)
 
 
 def _least(ends: Sequence[End]) -> End:

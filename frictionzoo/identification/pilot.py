@@ -25,8 +25,8 @@ from frictionzoo.simulate.drive import Drive
 
 _EXACT = 3e-3  # of a value, or of its scale where that is more: half an interval that need not be narrower
 _COLLINEAR = 1e-8
-"""`COLLINEAR` of a pilot. A delay is nearly collinear with armature and damping: what a long log says of it all the same
-is in the interval, and without one it would be left out."""
+"""`COLLINEAR` of a pilot: a delay is nearly collinear with armature and damping, and is in doubt where it has no interval,
+however much a long log says of it."""
 _TRIES, _TOLERANCE = 40, 1e-6
 _ROLLOUTS = 64  # by which errors are told
 _DISTURBED = 1e-3  # share of a joint's speed by which initial velocities are disturbed
