@@ -25,7 +25,7 @@ from frictionzoo.simulate.drive import Drive
 
 _EXACT = 3e-3  # of a value, or of its scale where that is more: half an interval that need not be narrower
 _COLLINEAR = 1e-8
-"""`COLLINEAR` of a pilot: a delay is nearly collinear with armature and damping, and is in doubt where it has no interval,
+"""`COLLINEAR` of a pilot: a delay is nearly collinear with armature and damping, and what has no interval is in doubt,
 however much a long log says of it."""
 _TRIES, _TOLERANCE = 40, 1e-6
 _ROLLOUTS = 64  # by which errors are told
