@@ -32,7 +32,9 @@ def roll(given: Given, module: Any, text: str, rollouts: np.ndarray) -> np.ndarr
     robot = scene.add_entity(genesis.morphs.MJCF(file=str(file)))
     scene.build(n_envs=len(rollouts))
     joints = [robot.get_joint(name) for name in given.joints]
-    at, dofs = ([index for joint in joints for index in getattr(joint, of)] for of in ("qs_idx_local", "dofs_idx_local"))
+    at, dofs = (
+        [index for joint in joints for index in getattr(joint, of)] for of in ("qs_idx_local", "dofs_idx_local")
+    )
     gain, bias = bench.actuator_gainprm[:, 0], bench.actuator_biasprm.T
     qpos, qvel, found = given.qpos[rollouts], given.qvel[rollouts], []
     robot.set_qpos(qpos, at)
