@@ -95,17 +95,17 @@ def _add_joint(model: ET.Element, link: Link, armature: float | None) -> None:
 def read_sdf(text: str) -> tuple[mujoco.MjSpec, dict[str, float]]:
     """The links of such a file for MuJoCo, which reads no SDFormat, and the rotor's inertia by joint."""
     spec, inertia = mujoco.MjSpec(), dict[str, float]()
-    bodies, links = {WORLD: spec.worldbody}, {}
+    bodies, links = {WORLD: spec.worldbody}, dict[str, ET.Element]()
     for element in ET.fromstring(text).findall("./model/*"):
+        name = element.get("name", "")
         if element.tag == "link":
-            links[element.get("name")] = element
+            links[name] = element
             continue
-        link, name = links[element.findtext("child")], element.get("name")
-        body = bodies[element.findtext("parent")].add_body(name=link.get("name"))
-        _read_link(body, link)
-        bodies[body.name] = body
+        child = element.findtext("child", "")
+        body = bodies[child] = bodies[element.findtext("parent", "")].add_body(name=child)
+        _read_link(body, links[child])
         if (axis := element.find("axis")) is not None:
-            joint = body.add_joint(name=name, type=_TYPES[element.get("type")], axis=_numbers(axis, "xyz"))
+            joint = body.add_joint(name=name, type=_TYPES[element.get("type", "")], axis=_numbers(axis, "xyz"))
             (joint.damping[0],), (joint.frictionloss,) = (
                 _numbers(axis, f"dynamics/{tag}") for tag in ("damping", "friction")
             )
