@@ -74,6 +74,7 @@ PROGRAMS = {
     "newton": Program("Newton", BENCH, ("roll_newton.py",), "newton.txt"),
     "mjlab": Program("mjlab", ("mjlab", "mjcf"), ("roll_mjlab.py",), "mjlab.txt"),
     "genesis": Program("Genesis", BENCH, ("roll_genesis.py",), "genesis.txt", "no solreffriction"),
+    "genesissoft": Program("Genesis", BENCH, ("roll_genesis.py", "--soft"), "genesis.txt"),
     "drake": Program("Drake", ("urdf", *BENCH), ("roll_drake.py", "--target=urdf"), "drake.txt", "no dry friction"),
     "drakesdf": Program("Drake", ("sdf", *BENCH), ("roll_drake.py", "--target=sdf"), "drake.txt", "no dry friction"),
     "drakedry": Program(
