@@ -42,6 +42,7 @@ COLUMNS = {
     "note": "",
 }
 LONGEST = 3600.0  # s that a program may take
+BENCH = ("mjcf", "mujoco")  # its MJCF, and the actuator law's controller
 
 
 @dataclass(frozen=True)
@@ -53,23 +54,32 @@ class Program:
         targets: Exports that its script needs, the one that is tried first.
         script: In `benchmarks/rolled`, with its options.
         environment: Requirements, a file in `benchmarks/rolled`; empty for the environment of this process.
+        lacks: In a few words, what of the files it does otherwise.
     """
 
     name: str
     targets: tuple[str, ...]
     script: tuple[str, ...]
     environment: str = ""
+    lacks: str = ""
 
 
 PROGRAMS = {
     "mujoco": Program("MuJoCo", ("mujoco",), ("roll_mujoco.py", "--kind=drive")),
-    "mjcf": Program("MuJoCo", ("mjcf", "mujoco"), ("roll_mujoco.py", "--kind=bench")),
+    "mjcf": Program("MuJoCo", BENCH, ("roll_mujoco.py", "--kind=bench")),
     "mujoco4": Program("MuJoCo 4", ("mujoco",), ("roll_mujoco.py", "--kind=drive"), "mujoco4.txt"),
-    "mjcf4": Program("MuJoCo 4", ("mjcf", "mujoco"), ("roll_mujoco.py", "--kind=bench"), "mujoco4.txt"),
+    "mjcf4": Program("MuJoCo 4", BENCH, ("roll_mujoco.py", "--kind=bench"), "mujoco4.txt"),
     "mjx": Program("MJX", ("mjx",), ("roll_mjx.py",)),
-    "warp": Program("MuJoCo Warp", ("mjcf", "mujoco"), ("roll_warp.py",), "warp.txt"),
-    "newton": Program("Newton", ("mjcf", "mujoco"), ("roll_newton.py",), "newton.txt"),
+    "warp": Program("MuJoCo Warp", BENCH, ("roll_warp.py",), "warp.txt"),
+    "newton": Program("Newton", BENCH, ("roll_newton.py",), "newton.txt"),
     "mjlab": Program("mjlab", ("mjlab", "mjcf"), ("roll_mjlab.py",), "mjlab.txt"),
+    "genesis": Program("Genesis", BENCH, ("roll_genesis.py",), "genesis.txt", "no solreffriction"),
+    "genesissoft": Program("Genesis", BENCH, ("roll_genesis.py", "--soft"), "genesis.txt"),
+    "drake": Program("Drake", ("urdf", *BENCH), ("roll_drake.py", "--target=urdf"), "drake.txt", "no dry friction"),
+    "drakesdf": Program("Drake", ("sdf", *BENCH), ("roll_drake.py", "--target=sdf"), "drake.txt", "no dry friction"),
+    "drakedry": Program(
+        "Drake", ("sdf", *BENCH), ("roll_drake.py", "--target=sdf", "--dry"), "drake.txt", "no solreffriction"
+    ),
     "onnx": Program("ONNX Runtime", ("onnx", "mujoco"), ("roll_mujoco.py", "--kind=onnx")),
     "torchscript": Program("torch.jit", ("torchscript", "mujoco"), ("roll_mujoco.py", "--kind=torchscript")),
     "libtorch": Program("libtorch", ("torchscript", "mujoco"), ("roll_mujoco.py", "--kind=libtorch")),
@@ -113,7 +123,7 @@ def try_drive(run: Path, programs: Sequence[str], environments: Path, folder: Pa
         missing = next((one.reason for one in needed if one.export is None), "")
         reason = missing or simulate(program, environments, folder, out)
         row = {"run": label, "program": program.name, "files": needed[0].target, "unit": unit, "note": reason}
-        rows.append(row if reason else row | compare(fitted, out, needed[0]))
+        rows.append(row if reason else row | compare(fitted, out, needed[0], program.lacks))
     return rows
 
 
@@ -189,14 +199,18 @@ def make_environment(requirements: Path, environments: Path) -> tuple[Path, str]
     return python, ""
 
 
-def compare(fitted: Identified, path: Path, written: Written) -> dict[str, Any]:
-    """What a program simulated with these files, against the drive as frictionzoo simulates it."""
+def compare(fitted: Identified, path: Path, written: Written, lacks: str) -> dict[str, Any]:
+    """What a program simulated with these files, against the drive as frictionzoo simulates it.
+
+    `lacks` says what of the files the program does otherwise.
+    """
     assert written.export is not None
     with np.load(path, allow_pickle=False) as file:
         came, program = file["qpos"], str(file["program"])
     promised = written.export.differences[0]
-    found = measure("qpos", fitted, came, fitted.rollout()[0], reason=promised.reason)
-    if promised.quantity == "qpos" and not found.mean <= 2 * promised.mean:
+    reason = ", ".join(filter(None, (promised.reason, lacks)))
+    found = measure("qpos", fitted, came, fitted.rollout()[0], reason=reason)
+    if promised.quantity == "qpos" and not lacks and not found.mean <= 2 * promised.mean:
         found = replace(found, reason=f"the export's own difference is {promised.mean:.2g}: the program does otherwise")
     return {
         **{"program": program, "largest": found.largest, "mean": found.mean, "error": written.error},

@@ -369,7 +369,7 @@ RULES: list[tuple[str, How, *tuple[pytest.MarkDecorator, ...]]] = [
     (r"python -m frictionzoo\.list( \w+)*", lambda command, place: place.run(command)),
     (r"python -m frictionzoo\.export RUN target=all", export_all, SLOW),
     (
-        r"python -m frictionzoo\.export (RUN|drive) target=(mjcf|mujoco|onnx|isaaclab|mjlab|urdf)",
+        r"python -m frictionzoo\.export (RUN|drive) target=(mjcf|mujoco|onnx|isaaclab|mjlab|urdf|sdf)",
         left_to("test_commands::export_all"),
     ),
     (

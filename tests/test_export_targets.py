@@ -26,13 +26,15 @@ from frictionzoo.core.log import Payload
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import DriveState, FrictionTerms, Signals
 from frictionzoo.export.base import get_target, target_names
-from frictionzoo.export.bench import Mjcf, run_bench
+from frictionzoo.export.bench import Mjcf, run_bench, write_bench
 from frictionzoo.export.mjx_module import Mjx
 from frictionzoo.export.module import load_module, write_module
 from frictionzoo.export.mujoco_c import MujocoC
 from frictionzoo.export.native import run_native, write_native
 from frictionzoo.export.nearest import find_nearest
-from frictionzoo.export.urdf import DRAKE, Urdf
+from frictionzoo.export.sdf import Sdf
+from frictionzoo.export.skeleton import DRAKE
+from frictionzoo.export.urdf import Urdf
 from frictionzoo.export.write import summarise_exports, write_exports
 from frictionzoo.export.written import Written
 from frictionzoo.models import FrictionModel, MujocoDefault, model_names
@@ -559,7 +561,7 @@ LEANING = """<mujoco><compiler angle="radian"/><option timestep="0.001" gravity=
 </mujoco>"""
 
 
-def test_a_urdf_moves_as_the_bench_with_the_armature_that_drake_reads(tmp_path):
+def export_leaning(target, tmp_path):
     """Turned links, a joint beside its body's frame, a link that does not move; what MuJoCo's reader lacks is given."""
     (tmp_path / "leaning.xml").write_text(LEANING)
     arm = f"bench.mjcf={tmp_path / 'leaning.xml'}", "bench.joint=[shoulder,elbow]"
@@ -567,23 +569,59 @@ def test_a_urdf_moves_as_the_bench_with_the_armature_that_drake_reads(tmp_path):
     fitted.values["bench"]["armature"][:] = [0.02, 0.05]
     folder = tmp_path / "export"
     folder.mkdir()
-    export = Urdf().write(fitted, folder, {})
+    export = target().write(fitted, folder, {})
     assert export.differences[0].largest < EXACT and np.ptp(fitted.rollout()[0], axis=(0, 1)).min() > 0.1
-    robot = ET.parse(folder / "bench.urdf").getroot()
+    (file,) = export.files
+    assert any("Only Drake reads the armature, 0.02, 0.05 kg m^2" in limit for limit in export.limits)
+    return fitted, ET.parse(folder / file).getroot()
+
+
+def test_a_urdf_moves_as_the_bench_with_the_armature_that_drake_reads(tmp_path):
+    fitted, robot = export_leaning(Urdf, tmp_path)
     assert [float(tag.get("value")) for tag in robot.iter(f"{{{DRAKE}}}rotor_inertia")] == [0.02, 0.05]
     joints = robot.findall("ros2_control/joint")
     assert [joint.get("name") for joint in joints] == ["shoulder", "elbow"]
     assert [joint.find("command_interface").get("name") for joint in joints] == 2 * ["position"]
     gains = {param.get("name"): float(param.text) for param in joints[0].findall("param")}
     assert gains == {"stiffness": fitted.values["bench"]["kp"][0], "damping": fitted.values["bench"]["kd"][0]}
-    assert any("Only Drake reads the armature, 0.02, 0.05 kg m^2" in limit for limit in export.limits)
 
 
-def test_a_urdf_of_a_late_servo_with_a_payload_moves_as_its_bench(tmp_path):
+@pytest.mark.parametrize("target", [Urdf, Sdf], ids=lambda target: target.name)
+def test_links_of_a_late_servo_with_a_payload_move_as_its_bench(target, tmp_path):
     fitted = make_fitted("mujoco_default", "bench=xl330", LATE)
-    export = Urdf().write(fitted, tmp_path, {"supply": "7.4"})
+    export = target().write(fitted, tmp_path, {"supply": "7.4"} if target.options else {})
     assert export.differences[0].largest < EXACT
-    assert any("supply 7.4" in limit for limit in export.limits)
+    assert any("supply 7.4" in limit for limit in export.limits) == bool(target.options)
+
+
+def test_an_sdf_moves_as_the_bench_and_has_its_friction(tmp_path):
+    fitted, root = export_leaning(Sdf, tmp_path)
+    bench = mujoco.MjModel.from_xml_string(write_bench(fitted, find_nearest(fitted)))
+    masses = [float(mass.text) for mass in root.iter("mass")]
+    assert masses == bench.body_mass[1:].tolist()
+    poses = [link.find("pose").get("relative_to") for link in root.iter("link")]
+    assert poses == [None, "foot", "upper"]
+    joints = {joint.get("name"): joint for joint in root.iter("joint")}
+    assert [joint.get("type") for joint in joints.values()] == ["fixed", "revolute", "revolute"]
+    for index, name in enumerate(fitted.bench.joints):
+        numbers = {tag.tag: tag.text for tag in joints[name].iter()}
+        assert [float(word) for word in numbers["xyz"].split()] == bench.joint(name).axis.tolist()
+        assert float(numbers["damping"]) == bench.dof_damping[index]
+        assert float(numbers["friction"]) == bench.dof_frictionloss[index]
+        assert float(numbers[f"{{{DRAKE}}}rotor_inertia"]) == fitted.values["bench"]["armature"][index]
+        assert numbers[f"{{{DRAKE}}}gear_ratio"] == "1"
+
+
+def test_an_sdf_has_one_name_for_one_thing(tmp_path):
+    """The carriage slides on a joint of its name."""
+    fitted = make_fitted("mujoco_default", "bench=emps")
+    export = Sdf().write(fitted, tmp_path, {})
+    assert export.differences[0].largest < EXACT
+    root = ET.parse(tmp_path / "bench.sdf").getroot()
+    (link,), (joint,) = root.iter("link"), root.iter("joint")
+    assert (link.get("name"), joint.get("name"), joint.get("type")) == ("carriage_link", "carriage", "prismatic")
+    inertia = {tag.tag: float(tag.text) for tag in link.find("inertial/inertia")}
+    assert inertia == {"ixx": 1e-6, "iyy": 1e-6, "izz": 1e-6, "ixy": 0, "ixz": 0, "iyz": 0}
 
 
 TWO_RUBBING = Rubbing(2).double()

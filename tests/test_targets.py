@@ -50,3 +50,16 @@ def test_a_law_moves_in_libtorch_as_in_this_one(
     """From C++, which asks the TorchScript file for friction in each step."""
     (row,) = roll(tmp_path, [finished_run("coulomb_stribeck")[0]], "libtorch")
     assert row["program"].startswith("libtorch ") and row["largest"] < EXACT
+
+
+@pytest.mark.slow
+def test_drake_takes_urdf_and_sdf_alike_and_dry_friction_from_outside(
+    finished_run: Callable[[str], tuple[Path, Finished]], tmp_path: Path
+) -> None:
+    """It reads links, damping and armature."""
+    rows = roll(tmp_path, [finished_run("mujoco_default")[0]], "drake", "drakesdf", "drakedry")
+    if missing := [row["note"] for row in rows if (row["note"] or "").startswith("no environment")]:
+        pytest.skip(missing[0])
+    urdf, sdf, dry = [row["mean"] for row in rows]
+    assert sdf == pytest.approx(urdf, rel=1e-6)
+    assert dry < 0.2 * sdf

@@ -1,6 +1,6 @@
 """Links and joints of a bench, as description formats of robots have them: the frame of a link is that of its joint."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import mujoco
@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from frictionzoo.bench.template import in_full
 from frictionzoo.core.errors import ExportError
 from frictionzoo.core.params import UNITS
 from frictionzoo.export.base import list_values
@@ -16,6 +17,7 @@ from frictionzoo.export.nearest import Nearest
 from frictionzoo.result.identified import Identified
 
 WORLD = "world"
+DRAKE = "http://drake.mit.edu"
 
 
 class Link(NamedTuple):
@@ -128,10 +130,22 @@ def run_links(
     return run_bench(model, fitted, begin)
 
 
+def list_numbers(values: Iterable[float]) -> str:
+    """Numbers as these formats have them, at full precision."""
+    return " ".join(map(in_full, values))
+
+
 def say_lacks(fitted: Identified, nearest: Nearest) -> tuple[str, ...]:
     """What every such description leaves out."""
     values, units = fitted.values["bench"], UNITS[fitted.bench.joint_type]
-    said = [*say_limits(fitted, nearest), "Shapes are left out, and so are solreffriction, gravity and the time step."]
+    armature = list_values(nearest.bench["armature"])
+    said = [
+        *say_limits(fitted, nearest),
+        f"Only Drake reads the armature, {armature} {units['inertia']}, from drake:rotor_inertia: set it in other "
+        "programs.",
+        "Drake reads no dry friction: its joints have damping alone.",
+        "Shapes are left out, and so are solreffriction, gravity and the time step.",
+    ]
     if "delay" in values and not fitted.bench.actuator.has_controller:  # whose limit says so
         said.append(
             f"Commands act {list_values(values['delay'])} s late, which the caller does, as for the difference."

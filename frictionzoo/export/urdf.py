@@ -11,16 +11,14 @@ import numpy as np
 
 from frictionzoo.bench.template import in_full
 from frictionzoo.core.errors import ExportError
-from frictionzoo.core.params import UNITS
-from frictionzoo.export.base import Target, list_values, measure, register_target
+from frictionzoo.export.base import Target, measure, register_target
 from frictionzoo.export.motor import INPUTS, Motor, list_lacks, motors, read_inputs
 from frictionzoo.export.nearest import Nearest, find_nearest, say_exact
-from frictionzoo.export.skeleton import WORLD, Link, read_links, run_links, say_lacks
+from frictionzoo.export.skeleton import DRAKE, WORLD, Link, list_numbers, read_links, run_links, say_lacks
 from frictionzoo.export.written import Export
 from frictionzoo.result.identified import Identified
 
 FILE = "bench.urdf"
-DRAKE = "http://drake.mit.edu"
 _KINDS = {"hinge": "continuous", "slide": "prismatic", "fixed": "fixed"}
 _NONE = "1e6"  # URDF has no word for a slide without limits, m and N
 _SENSED = ("position", "velocity", "effort")
@@ -65,17 +63,17 @@ def write_urdf(fitted: Identified, nearest: Nearest, drives: list[Motor]) -> str
 
 def _add_link(robot: ET.Element, link: Link) -> None:
     inertial = ET.SubElement(ET.SubElement(robot, "link", name=link.name), "inertial")
-    ET.SubElement(inertial, "origin", xyz=_list(link.com), rpy="0 0 0")
+    ET.SubElement(inertial, "origin", xyz=list_numbers(link.com), rpy="0 0 0")
     ET.SubElement(inertial, "mass", value=in_full(link.mass))
     entries = {f"i{'xyz'[i]}{'xyz'[j]}": in_full(link.inertia[i, j]) for i in range(3) for j in range(i, 3)}
     ET.SubElement(inertial, "inertia", entries)
     joint = ET.SubElement(robot, "joint", name=link.joint, type=_KINDS[link.kind])
-    ET.SubElement(joint, "origin", xyz=_list(link.pos), rpy=_list(link.rpy))
+    ET.SubElement(joint, "origin", xyz=list_numbers(link.pos), rpy=list_numbers(link.rpy))
     ET.SubElement(joint, "parent", link=link.parent)
     ET.SubElement(joint, "child", link=link.name)
     if link.kind == "fixed":
         return
-    ET.SubElement(joint, "axis", xyz=_list(link.axis))
+    ET.SubElement(joint, "axis", xyz=list_numbers(link.axis))
     if link.kind == "slide":
         ET.SubElement(joint, "limit", lower=f"-{_NONE}", upper=_NONE, effort=_NONE, velocity=_NONE)
     ET.SubElement(joint, "dynamics", damping=in_full(link.damping), friction=in_full(link.friction))
@@ -104,18 +102,11 @@ def _add_interfaces(system: ET.Element, name: str, drive: Motor | None) -> None:
             ET.SubElement(joint, "param", name=param).text = in_full(value)
 
 
-def _list(values: np.ndarray) -> str:
-    return " ".join(map(in_full, values))
-
-
 def _say(fitted: Identified, nearest: Nearest, drives: list[Motor], inputs: Mapping[str, float]) -> list[str]:
     """What a URDF, or a reader of one, has not."""
-    unit, armature = UNITS[fitted.bench.joint_type]["inertia"], list_values(nearest.bench["armature"])
     said = [
         "Drake and ros2_control were not run: the difference is that of the file in MuJoCo, with its "
         "drake:rotor_inertia as armature and the bench's actuator.",
-        f"Only Drake reads the armature, {armature} {unit}, from drake:rotor_inertia: set it in other programs.",
-        "Drake reads no <dynamics friction>: its joints have damping alone.",
         "ros2_control's plugin is mock_components/GenericSystem, to be replaced by your hardware's, which reads "
         "<param> or not.",
     ]

@@ -1,0 +1,110 @@
+"""Rollouts of the bench's URDF or SDF in Drake, by whole steps of its plant; commands come as late as they act.
+
+Drake reads no actuator law of MuJoCo and no dry friction: the caller gives the torque, and with `--dry` that friction.
+"""
+
+import argparse
+from importlib.metadata import version
+from typing import Any
+
+import mujoco
+import numpy as np
+from given import Given, load_module, read_given
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import RotationalInertia, SpatialInertia
+
+SWEEPS = 100  # over a robot's joints, at most; they end where nothing changes
+
+
+def main() -> None:
+    """Simulate each rollout from its initial state."""
+    given, options = read_given(__doc__, add_options)
+    module: Any = load_module(given.folder / "mujoco" / "drive.py")
+    file = given.folder / options.target / f"bench.{options.target}"
+    found = np.empty((len(given.qpos), given.steps, len(given.joints)))
+    for rollouts in given.alike():
+        bench = mujoco.MjModel.from_xml_string(given.bench("mjcf", rollouts[0], late=False))
+        bench.dof_frictionloss[:] *= options.dry
+        plant = MultibodyPlant(given.timestep)
+        plant.SetUseSampledOutputPorts(False)
+        Parser(plant).AddModels(str(file))
+        plant.mutable_gravity_field().set_gravity_vector(bench.opt.gravity)
+        plant.Finalize()
+        for rollout in rollouts:
+            found[rollout] = roll(given, module, bench, plant, rollout)
+    given.write(given.sampled(found), drake=version("drake") + options.dry * " with dry friction")
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """What Drake reads, and what it does not."""
+    parser.add_argument("--target", choices=("urdf", "sdf"), required=True)
+    parser.add_argument("--dry", action="store_true", help="the caller brings the file's dry friction")
+
+
+def roll(given: Given, module: Any, bench: mujoco.MjModel, plant: MultibodyPlant, rollout: int) -> np.ndarray:
+    """Positions after each step of this rollout."""
+    context, law, found = plant.CreateDefaultContext(), module.Actuator(), []
+    if given.load.shape[1]:
+        put_payload(bench, plant, context, given.body)
+    at = [plant.GetJointByName(name).velocity_start() for name in given.joints]
+    gain, bias, loss = bench.actuator_gainprm[:, 0], bench.actuator_biasprm.T, bench.dof_frictionloss
+    port = plant.get_applied_generalized_force_input_port()
+
+    def step(torque: np.ndarray) -> np.ndarray:
+        port.FixValue(context, order(torque))
+        return plant.EvalUniquePeriodicDiscreteUpdate(context).value().reshape(2, -1)[:, at]
+
+    def order(values: np.ndarray) -> np.ndarray:
+        return values[np.argsort(at)]
+
+    qpos, qvel = given.qpos[rollout] - bench.qpos0, given.qvel[rollout]  # Drake's 0 is where the links are drawn
+    for number in range(given.steps):
+        signals = {name: signal[rollout, number] for name, signal in given.acting.items()}
+        measured = qpos + bench.qpos0
+        ctrl = law.control(np, module.ACTUATOR, measured, qvel, signals.pop("ctrl"), signals)
+        torque = gain * ctrl + bias[0] + bias[1] * measured + bias[2] * qvel
+        plant.SetPositionsAndVelocities(context, np.concatenate([order(qpos), order(qvel)]))
+        after = step(torque)
+        if loss.any():
+            inertia = plant.CalcMassMatrix(context)[np.ix_(at, at)] + given.timestep * np.diag(bench.dof_damping)
+            after = step(torque - stop(after[1], given.timestep * np.linalg.inv(inertia), loss))
+        qpos, qvel = after
+        found.append(qpos + bench.qpos0)
+    return np.array(found)
+
+
+def stop(qvel: np.ndarray, response: np.ndarray, loss: np.ndarray) -> np.ndarray:
+    """Dry friction that stops the joints within a step, at most `loss` each.
+
+    Args:
+        qvel: Velocities after the step without it.
+        response: What a torque in each joint adds to each velocity in the step.
+        loss: Its limit in each joint.
+    """
+    friction = np.zeros(len(qvel))
+    for _ in range(SWEEPS):
+        before = friction.copy()
+        for joint, row in enumerate(response):
+            left = friction[joint] + (qvel[joint] - row @ friction) / row[joint]
+            friction[joint] = np.clip(left, -loss[joint], loss[joint])
+        if np.allclose(friction, before, rtol=1e-12, atol=0.0):
+            break
+    return friction
+
+
+def put_payload(bench: mujoco.MjModel, plant: MultibodyPlant, context: Any, body: int) -> None:
+    """Give a link the inertia that its body has in MuJoCo; a link's frame is that of its joint."""
+    axes = np.empty(9)
+    mujoco.mju_quat2Mat(axes, bench.body_iquat[body])
+    axes = axes.reshape(3, 3)
+    inertia = axes * bench.body_inertia[body] @ axes.T
+    entries = (*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2])
+    anchor = bench.jnt_pos[bench.body_jntadr[body]] if bench.body_jntnum[body] else np.zeros(3)
+    mass, centre = bench.body_mass[body], bench.body_ipos[body] - anchor
+    matter = SpatialInertia.MakeFromCentralInertia(mass, centre, RotationalInertia(*entries))
+    plant.GetBodyByName(bench.body(body).name).SetSpatialInertiaInBodyFrame(context, matter)
+
+
+if __name__ == "__main__":
+    main()
