@@ -111,13 +111,13 @@ class Pilot:
         """Where it begins of itself."""
         return np.asarray(self.space.start, np.float64)
 
-    def fit(self, start: Float[np.ndarray, "coordinates"] | None = None) -> Found:
-        """The best vector, by Levenberg-Marquardt; of several starts where none is given.
+    def fit(self, start: Float[np.ndarray, "coordinates"] | None = None, tries: int = _TRIES) -> Found:
+        """The best vector, by Levenberg-Marquardt of at most so many; of several starts where none is given.
 
         Raises:
             FitError: The loss is not finite where it begins.
         """
-        fit = Several(_TRIES, _TOLERANCE) if start is None else LevenbergMarquardt(_TRIES, _TOLERANCE)
+        fit = Several(tries, _TOLERANCE) if start is None else LevenbergMarquardt(tries, _TOLERANCE)
         objective = self.objective if start is None else self.objective.starting(start)
         progress, _ = search(fit, objective)
         vector = np.asarray(progress.best, np.float64)

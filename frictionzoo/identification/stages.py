@@ -27,11 +27,12 @@ _LONGEST, _SHORT = 1.0, 0.1  # s, of segments: with initial states that are esti
 _FEWEST = 10  # samples of a segment
 _MANY = 10  # segments that there are at the least, for the spread between them says how sure a value is
 _GROWTH = 20.0  # times that a disturbance may grow within a segment
-_COARSEST, _FINEST = 5e-4, 1e-5  # s, of the simulation
+_COARSEST, _FINEST = 5e-4, 2.5e-5  # s, of the simulation
 _FIRST_STEPS, _MOST_STEPS = 1e6, 3e6  # simulation steps times joints, of first fits and of the last
 _LEAST = 0.1  # share of the segments that is left where they are too many steps
 _MOVES = 1 / 3  # of half an interval, that a parameter may move by when the simulation step is halved
 _ROUNDS = 4  # of shorter steps
+_FOLLOWED = 6  # vectors that are tried with each; what moves on after them is what is not identifiable
 _BETTER = 0.02  # share by which a robust loss has to predict a validation block better than least squares
 _HELPFUL = 0.005  # share by which a parameter that is not shown has to
 _VALIDATION = 0.2  # share of the training recordings
@@ -347,9 +348,9 @@ class Stages:
             halvings: How often they were.
         """
         try:
-            return pilot.fit(found.vector + 2 * (1 - 0.5**halvings) * ahead)
+            return pilot.fit(found.vector + 2 * (1 - 0.5**halvings) * ahead, _FOLLOWED)
         except FitError:  # that far, the law holds no longer
-            return pilot.fit(found.vector)
+            return pilot.fit(found.vector, _FOLLOWED)
 
     def _look_again(self, found: Found) -> Generator[Choice, None, Found]:
         """Leave out what only longer steps showed: a simulation runs late by a part of its step, as commands may."""
