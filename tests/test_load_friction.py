@@ -8,7 +8,8 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from test_bam import M5, configure, write, write_logs  # noqa: F401 - write is a fixture
+from omegaconf import OmegaConf
+from test_bam import M5, options, write, write_logs  # noqa: F401 - write is a fixture
 
 from frictionzoo.core.log import Log, Payload
 from frictionzoo.core.segments import cut_segments
@@ -111,7 +112,8 @@ def test_load_friction_of_bams_own_equations_is_identified(
     free = {"bench.params.armature": 0.01} | {f"model.params.{name}": 1.5 * value for name, value in friction.items()}
     free.pop("model.params.stribeck_exponent")
     overrides = [f"{name}={start(init)}" for name, init in free.items()]
-    problem = pose_problem(configure(compose, logs, file, "fit=lm", *overrides))
+    settings = compose(*options(logs, file, "fit=lm", *overrides))
+    problem = pose_problem(OmegaConf.to_container(settings, resolve=True))
     progress, _ = search(problem.fit, problem.objective)
     found = jax.tree.map(lambda value: value.item(), problem.objective.space.values(progress.best))
     moving = ("frictionloss", "damping", "load_friction_motor", "load_friction_external")

@@ -86,7 +86,7 @@ def test_a_delay_is_looked_for_in_other_sample_intervals(monkeypatch: pytest.Mon
     objective.recordings = recordings._replace(logs=(SimpleNamespace(timestep=0.005),))
     size, at = len(objective.space.start), objective.space.labels.index("bench.delay")
     start = np.asarray(objective.space.start)
-    goal, tried = start + 0.1, []
+    goal, tried = start + 0.5, []
 
     def evaluate(vector: np.ndarray) -> NormalEquations:
         tried.append(vector)

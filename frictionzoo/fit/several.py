@@ -17,7 +17,8 @@ from frictionzoo.fit.torque_balance import Box
 
 _log = logging.getLogger(__name__)
 
-_SHARES = (1.0, 0.75, 0.5)  # of the delay found, with which the initial armature is tried again
+_SHARES = (1.0, 0.5, 0.0)  # of the delay found, with which the initial armature is tried again
+_ALIKE = 0.2  # of the coordinate of an armature that is the same
 _SHIFTS = (-1.0, -0.5, 0.5, 1.0)  # sample intervals by which commands are tried to act later than was found
 _SHORT = 12  # vectors that are tried after a shift, at the most: a minimum is near, or the delay is none
 _NEAR = 0.2  # sample intervals within which another delay leads to the same minimum
@@ -48,10 +49,10 @@ class Several(Fit):
     The starts are the initial values; the best values of each law that the law contains, which are found in the same
     way, with what it has besides at the values with which it is that law, and at its initial values; other values of
     parameters over which the law is known to have several minima (`FrictionModel.valleys`), beside the best so far; the
-    best so far with the initial armature and all or a part of the delay found, which may have made up for inertia until
-    nearly no armature was left; and a delay that is up to a sample interval shorter or longer: held commands leave a
-    minimum in each interval. The result is never worse than that of a contained law, but for bounds that keep it from
-    being that law exactly.
+    best so far with the initial armature and all, half and nothing of the delay found, which may have made up for
+    inertia until nearly no armature was left; and a delay that is up to a sample interval shorter or longer: held
+    commands leave a minimum in each interval. The result is never worse than that of a contained law, but for bounds
+    that keep it from being that law exactly.
 
     Args:
         tries: `iterations` of `LevenbergMarquardt`, of each search.
@@ -176,14 +177,17 @@ class _Searches:
     def _restore_inertia(self, best: End, whole: Part, at: int, near: float) -> End:
         """The same or a better one, from the initial armature and a part of the delay."""
         inertia = np.array([label.startswith("bench.armature") for label in self._space.labels])
-        leads_back, ends = _is_near([best.vector[at]], at, near), [best]
+        is_as_late, ends = _is_near([best.vector[at]], at, near), [best]
+
+        def leads_back(vector: np.ndarray) -> bool:
+            return is_as_late(vector) and bool((np.abs(vector - best.vector)[inertia] < _ALIKE).all())
+
         for share in _SHARES:
             begun = np.where(inertia, np.clip(*whole.box), best.vector)
             begun[at] = share * best.vector[at]
-            back = leads_back if share < 1 else _never
-            if not back(begun):
+            if not leads_back(begun):
                 name = f"the best before with the initial armature and {share:g} of the delay"
-                ends.append(self._descend(whole, name, begun, _SHORT, back))
+                ends.append(self._descend(whole, name, begun, _SHORT, leads_back))
         return _least(ends)
 
 
