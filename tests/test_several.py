@@ -16,8 +16,10 @@ from frictionzoo.core.segments import Segments
 from frictionzoo.fit import LevenbergMarquardt, Several
 from frictionzoo.fit.chunk import search
 from frictionzoo.fit.contained import Part
+from frictionzoo.fit.lm import descend
 from frictionzoo.fit.normal_equations import NormalEquations
 from frictionzoo.fit.recordings import Recordings
+from frictionzoo.fit.torque_balance import Box
 from frictionzoo.models import model_names
 from frictionzoo.models.registry import get_model
 
@@ -105,6 +107,18 @@ def test_a_delay_is_looked_for_in_other_sample_intervals(monkeypatch: pytest.Mon
     armature = objective.space.labels.index("bench.armature")
     assert any(vector[armature] == start[armature] and vector[at] != start[at] for vector in tried)
     assert search(LM, objective)[0].best_loss > 0.1
+
+
+def test_a_search_may_begin_at_a_bound_beside_which_rollouts_diverge() -> None:
+    """The solver begins a hair inside its bounds."""
+
+    def evaluate(vector: np.ndarray) -> NormalEquations:
+        away = vector - 1.0
+        loss = float(away @ away) if vector[0] == 0 else np.inf
+        return NormalEquations(loss, away, np.eye(1))
+
+    found, loss = descend(evaluate, Box(np.zeros(1), np.zeros(1), np.full(1, 2.0)), 20, 1e-6)
+    assert (found, loss) == (0.0, 1.0)
 
 
 def test_impossible_options_are_refused() -> None:

@@ -176,12 +176,16 @@ def descend(
     seen = [(start, evaluate(start))]
     if not _is_finite(seen[0][1]):
         return start, np.inf
-    unit = seen[0][1].loss or 1.0
+    unit, begun = seen[0][1].loss or 1.0, False
 
     def residuals(vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "compressed"]:
+        nonlocal begun
+        if not begun:  # at the start, or where that is at a bound a hair from it, where rollouts may diverge
+            begun = True
+            return compress(seen[0][1], unit)[0]
         if enough(vector):
             raise _EnoughError
-        found = seen[0][1] if (vector == start).all() else evaluate(vector)
+        found = evaluate(vector)
         if not _is_finite(found):
             return np.full(len(vector) + 1, np.inf)
         seen.append((vector.copy(), found))
