@@ -19,6 +19,7 @@ from frictionzoo.fit.contained import Part
 from frictionzoo.fit.lm import descend
 from frictionzoo.fit.normal_equations import NormalEquations
 from frictionzoo.fit.recordings import Recordings
+from frictionzoo.fit.several import _is_near
 from frictionzoo.fit.torque_balance import Box
 from frictionzoo.models import model_names
 from frictionzoo.models.registry import get_model
@@ -107,6 +108,11 @@ def test_a_delay_is_looked_for_in_other_sample_intervals(monkeypatch: pytest.Mon
     armature = objective.space.labels.index("bench.armature")
     assert any(vector[armature] == start[armature] and vector[at] != start[at] for vector in tried)
     assert search(LM, objective)[0].best_loss > 0.1
+
+
+@pytest.mark.parametrize(("late", "leads_back"), [(0.95, True), (1.02, False), (0.75, False)])
+def test_a_delay_leads_back_from_near_in_the_same_interval(late: float, leads_back: bool) -> None:
+    assert _is_near([0.97 * 0.02], 1, 0.02)(np.array([0.0, late * 0.02])) == leads_back
 
 
 def test_a_search_may_begin_at_a_bound_beside_which_rollouts_diverge() -> None:

@@ -157,13 +157,13 @@ class _Searches:
         whole, at = Part.of(None, self._space), self._space.labels.index("bench.delay")
         unit = interval / float(self._space.params["bench.delay"].scale)
         low, high = whole.box[1:]
-        best = self._restore_inertia(best, whole, at, _NEAR * unit)
+        best = self._restore_inertia(best, whole, at, unit)
         bests: list[float] = []
         for _ in range(_ROUNDS):
             along = _along(self._evaluate(best.vector).hessian, at)
             ends, middle = [best], best.vector[at]
             bests.append(middle)
-            leads_back = _is_near(bests, at, _NEAR * unit)
+            leads_back = _is_near(bests, at, unit)
             for shift in _SHIFTS:
                 by = np.clip(middle + shift * unit, low[at], high[at]) - middle
                 if not leads_back(shifted := best.vector + np.clip(by * along, -_FAR, _FAR)):
@@ -174,10 +174,10 @@ class _Searches:
             best = least
         return best
 
-    def _restore_inertia(self, best: End, whole: Part, at: int, near: float) -> End:
+    def _restore_inertia(self, best: End, whole: Part, at: int, unit: float) -> End:
         """The same or a better one, from the initial armature and a part of the delay."""
         inertia = np.array([label.startswith("bench.armature") for label in self._space.labels])
-        is_as_late, ends = _is_near([best.vector[at]], at, near), [best]
+        is_as_late, ends = _is_near([best.vector[at]], at, unit), [best]
 
         def leads_back(vector: np.ndarray) -> bool:
             return is_as_late(vector) and bool((np.abs(vector - best.vector)[inertia] < _ALIKE).all())
@@ -197,9 +197,15 @@ def _least(ends: Sequence[End]) -> End:
     return next(end for end in ends if end.loss <= least * (1 + _BETTER))
 
 
-def _is_near(places: Sequence[float], at: int, distance: float) -> Callable[[np.ndarray], bool]:
-    """Whether a vector's coordinate is so near to one of these."""
-    return lambda vector: bool((np.abs(vector[at] - np.asarray(places)) < distance).any())
+def _is_near(places: Sequence[float], at: int, unit: float) -> Callable[[np.ndarray], bool]:
+    """Whether a vector's delay leads to the same minimum as one of these: it is near, in the same sample interval."""
+    late = np.asarray(places) / unit
+
+    def is_near(vector: np.ndarray) -> bool:
+        own = vector[at] / unit
+        return bool(((np.abs(own - late) < _NEAR) & (np.floor(own) == np.floor(late))).any())
+
+    return is_near
 
 
 def _along(hessian: Float[np.ndarray, "coordinates coordinates"], at: int) -> Float[np.ndarray, "coordinates"]:
