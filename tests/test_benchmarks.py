@@ -17,7 +17,7 @@ QUICKEST = {  # script: its arguments, and the rows that it has to give
     "gradient": ("--quick --joints 1 --ways mjx.step-unfused", 6),
     "start": ("--repeats 1 --commands help 'no such recording'", 2),
     "sysid": ("--samples 2000 --repeats 1", 4),
-    "reports": ("--samples 2000 --sequences 1 --repeats 1", 2),
+    "reports": ("--samples 30000 --sequences 1 --repeats 1", 2),
     "end_to_end": ("--models baseline --iterations 2 -- data.samples=30000", 1),
     "grid": ("--points 2 --sample 1 --models mujoco_default -- data.samples=30000", 4),
     "torch_loop": (
