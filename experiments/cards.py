@@ -18,7 +18,7 @@ from frictionzoo.cli.run import NOT_IDENTIFIED
 from frictionzoo.comparison.record import compare_runs
 from frictionzoo.comparison.runs import read_runs
 from frictionzoo.core.errors import ConfigError, FrictionzooError, RunError, closest
-from frictionzoo.export.read_bam import read_bam
+from frictionzoo.export.read_bam import BamDrive, read_bam
 
 RECORDED = ("xl330",)
 """Servos of BAM of which there are recordings, as the data set of this name."""
@@ -44,14 +44,13 @@ def find_drives(runs: Path) -> Iterator[tuple[str, Path]]:
             yield folder.name, next(run.folder for run in found if run.label == recommended["run"])
 
 
-def judge(file: Path, folder: Path) -> None:
+def judge(file: Path, drive: BamDrive, folder: Path) -> None:
     """A run of the values of one of BAM's parameter files.
 
     Raises:
-        ConfigError: It is none, or there are no recordings of its servo.
+        ConfigError: There are no recordings of its servo.
         RunError: The run ended with a mistake.
     """
-    drive = read_bam(file)
     if drive.actuator not in RECORDED:
         raise ConfigError(
             f"{file}: actuator={drive.actuator}; {closest(drive.actuator, RECORDED)}; no others are recorded"
@@ -80,8 +79,9 @@ def main() -> int:
         for name, folder in find_drives(options.runs):
             write(name, folder, options)
         for file in options.bam:
-            name = f"bam_{read_bam(file).actuator}_{file.stem}"
-            judge(file, options.runs / name)
+            drive = read_bam(file)
+            name = f"bam_{drive.actuator}_{file.stem}"
+            judge(file, drive, options.runs / name)
             write(name, options.runs / name, options, bam=str(file), source=SOURCE)
     except FrictionzooError as error:
         print(error, file=sys.stderr)

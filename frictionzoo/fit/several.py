@@ -95,11 +95,6 @@ class Several(Fit):
         objective.compile_normal_equations()
 
 
-def _never(vector: np.ndarray) -> bool:
-    """Of no vector a search ends there."""
-    return False
-
-
 class _Searches:
     """All searches of an objective, each law that is contained looked at once."""
 
@@ -143,7 +138,7 @@ class _Searches:
         name: str,
         vector: Float[np.ndarray, "coordinates"],
         most: int = MOST_TRIES,
-        enough: Callable[[np.ndarray], bool] = _never,
+        enough: Callable[[np.ndarray], bool] = lambda vector: False,
     ) -> End:
         """Where a search with this law's own coordinates ends."""
         _, low, high = part.box
