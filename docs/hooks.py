@@ -2,7 +2,7 @@
 
 A text exists once. README.md is the front page. Other files outside docs/ become pages under their own path; the
 notebooks and the configuration become Markdown. In place of `<!-- plug-ins: KIND -->` come the modules that hold this
-package's plug-ins of that kind.
+package's plug-ins of that kind. Equations, which are LaTeX, become MathML.
 """
 
 import json
@@ -12,6 +12,7 @@ from pathlib import Path
 from posixpath import dirname, join, normpath, relpath
 
 import configuration
+from latex2mathml import converter
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
@@ -22,6 +23,7 @@ ROOT = Path(__file__).parent.parent
 FRONT = "index.md"
 PAGES = ("CONTRIBUTING.md", "CHANGELOG.md", "experiments/*/README.md", "benchmarks/README.md")
 COPIED = ("LICENSE", "notebooks/*.ipynb")
+EQUATION = re.compile(r"^```math\n(.*?)\n```$", re.M | re.S)
 PLUG_INS = re.compile(r"^<!-- plug-ins: (\w+) -->$", re.M)
 LINK = re.compile(r"(?<=\]\()([^()\s:#]*)(?:#([\w-]+))?(?=\))")  # to another place of the project
 
@@ -50,7 +52,14 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
         path = normpath(join(dirname(source), link[1])) if link[1] else source
         return relpath(_page_of(path), dirname(here) or ".") + (f"#{link[2]}" if link[2] else "")
 
-    return LINK.sub(turn, add_plug_ins(markdown))
+    return typeset(LINK.sub(turn, add_plug_ins(markdown)))
+
+
+def typeset(markdown: str) -> str:
+    """A page whose blocks of LaTeX are MathML, which browsers show without a script and without fonts from anywhere."""
+    return EQUATION.sub(
+        lambda block: f'<div class="equation">{converter.convert(block[1], display="block")}</div>', markdown
+    )
 
 
 def add_plug_ins(markdown: str) -> str:

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import yaml
+from equations import to_fences
 
 from frictionzoo.core.config import CONF_DIR
 from frictionzoo.core.output import write_atomically
@@ -76,7 +77,7 @@ def choices() -> list[str]:
 
 def section_of(name: str) -> str:
     """What a choice of `model=` is: the docstring of its law, or what a configuration of its own says at its head."""
-    text = to_markdown(_law(name).__doc__ or "") if _is_law(name) else _header(name)
+    text = to_markdown(_law(name).__doc__ or "", typeset=to_fences) if _is_law(name) else _header(name)
     return f"## `{name}`\n\n{text}\n\nOptions: [`conf/model/{name}.yaml`](../conf/model/{name}.yaml)"
 
 

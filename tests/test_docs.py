@@ -17,6 +17,7 @@ from pages import ROOT
 
 import frictionzoo as fz
 from frictionzoo.core.config import CONF_DIR
+from frictionzoo.core.registry import KINDS
 
 pytest.importorskip("mkdocs", reason="the extra docs is not installed")  # CI installs it and runs this file
 
@@ -100,6 +101,37 @@ def test_the_picture_shows_a_run(finished_run: Callable, monkeypatch: pytest.Mon
         np.testing.assert_allclose(line.get_ydata(), 1e3 * (states - measured), atol=1e-9)
     drawn = picture.PICTURE.read_text()
     assert len(drawn) < 150_000 and "<image" not in drawn and "fill: #ffffff" in drawn  # legible on any page
+
+
+@pytest.mark.parametrize(
+    ("text", "latex"),
+    [
+        ("c dz/dt - F w / sqrt(w^2)", r"c\,\frac{\mathrm{d}z}{\mathrm{d}t} - \frac{F\,w}{\sqrt{w^{2}}}"),
+        ("|F_+| <= (a + b) / (2 c) |v|", r"\left| F_{+} \right| \le \frac{a + b}{2\,c}\,\left| v \right|"),
+        (
+            "(a) (b) / 2,  t_long^sign(v)",
+            r"\frac{\left( a \right)\,\left( b \right)}{2} ,\  \quad "
+            r"t_{\text{long}}^{\operatorname{sign}\left( v \right)}",
+        ),
+        ("f'(x) = damping v for v > 0", r"f'\left( x \right) = \text{damping}\ v\ \text{for}\ v > 0"),
+    ],
+)
+def test_an_equation_in_plain_text_is_typeset(text: str, latex: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert load("equations", monkeypatch).to_fences(text) == f"```math\n{latex}\n```"
+
+
+@pytest.mark.parametrize("text", ["(a", "a)", "|a", "a /", "x^"])
+def test_half_an_equation_is_refused(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(ValueError, match="in '"):
+        load("equations", monkeypatch).to_fences(text)
+
+
+def test_the_equations_of_all_laws_are_typeset_on_the_site(site: Path) -> None:
+    page = (site / "models.html").read_text()
+    equations = re.findall(r'<div class="?equation"?>(.*?)</div>', page, re.S)
+    assert len(equations) >= len(KINDS["models"].own()) and all(one.startswith("<math") for one in equations)
+    for equation in equations:
+        assert "\\" not in equation and "merror" not in equation, equation
 
 
 def test_every_module_that_is_an_interface_is_in_the_reference(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -202,7 +202,11 @@ def identify(settings: dict[str, Any]) -> Any:
 
 
 def test_a_law_is_two_files(
-    add: Callable[..., None], tiny: Sequence[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    add: Callable[..., None],
+    tiny: Sequence[str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     add("models", "round_coulomb", LAW, "model", LAW_YAML)
     line = "Coulomb friction with a hyperbolic sign, and viscous friction."
@@ -215,12 +219,13 @@ def test_a_law_is_two_files(
     found = {name: outcome.values["friction"][name].item() for name in truth}
     assert found == pytest.approx(truth, rel=0.02)
 
+    monkeypatch.syspath_prepend(ROOT / "docs")
     script = runpy.run_path(str(ROOT / "docs" / "write_plugins.py"))
     page = script["render_models"]((ROOT / "docs" / "models.md").read_text())
     row = f"| [`round_coulomb`](#round_coulomb) | {line[:-1]} | `coulomb_torque`, `smoothing_velocity`, `visc"
     assert row in page
     section = page[page.index("## `round_coulomb`") :]
-    assert "```\ntorque = f v / sqrt(v^2 + v_0^2) + d v\n```" in section
+    assert "```math\n\\text{torque} = \\frac{f\\,v}{\\sqrt{v^{2} + v_{0}^{2}}} + d\\,v\n```" in section
     assert "Cannot represent: sticking.\n\nSource: any text" in section
 
 

@@ -145,7 +145,8 @@ def test_the_pages_of_json_files_are_made_from_their_schemas():
         assert (ROOT / "docs" / f"{name}.md").read_text() == script["render"](name), "run `make docs`"
 
 
-def test_the_pages_of_plug_ins_are_made_from_their_docstrings():
+def test_the_pages_of_plug_ins_are_made_from_their_docstrings(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.syspath_prepend(ROOT / "docs")
     for name, render in runpy.run_path(str(ROOT / "docs" / "write_plugins.py"))["PAGES"].items():
         text = (ROOT / "docs" / f"{name}.md").read_text()
         same = text == render(text)

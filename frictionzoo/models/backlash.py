@@ -16,9 +16,9 @@ class Backlash(FrictionModel):
     c = k dead(x) + d dead'(x) (w - v)
     torque = tau - c: of the motor's torque, c reaches the load
 
-    dead(x) = 0                                for |x| <= (1 - s) g / 2, where the rotor moves freely
-              sign(x) (|x| - g / 2)            for |x| >= (1 + s) g / 2
-              sign(x) (|x| - (1 - s) g / 2)^2 / (2 s g)  in between, so that it has a slope everywhere
+    dead(x) = 0  for |x| <= (1 - s) g / 2, where the rotor moves freely
+    dead(x) = sign(x) (|x| - g / 2)  for |x| >= (1 + s) g / 2
+    dead(x) = sign(x) (|x| - (1 - s) g / 2)^2 / (2 s g)  in between, for slopes everywhere
 
         v    velocity of the load, which is the bench's joint [rad/s or m/s]
         tau  torque of the actuator, which acts on the rotor [N m or N]

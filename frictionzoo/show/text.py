@@ -3,7 +3,7 @@
 import inspect
 import re
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 
 def format_number(value: float | Sequence[float] | None, between: str = ", ") -> str:
@@ -41,14 +41,21 @@ def wrap(text: str, width: int, lines: int | None = None) -> list[str]:
     return textwrap.wrap(text, width, max_lines=lines, placeholder=" …") or [" "]
 
 
-def to_markdown(docstring: str) -> str:
-    """A docstring's paragraphs up to its arguments; equations and symbols become blocks of code."""
+def to_markdown(docstring: str, typeset: Callable[[str], str] | None = None) -> str:
+    """A docstring's paragraphs up to its arguments; equations and symbols become blocks of code.
+
+    Args:
+        docstring: With an equation, if it has any, as a paragraph before the indented list of symbols.
+        typeset: Makes Markdown of equations; blocks of code without it.
+    """
     text = re.split(r"\n\n(?:Args|Raises|Attributes):\n", inspect.cleandoc(docstring))[0]
     blocks = text.split("\n\n")
     symbols = next((i for i, block in enumerate(blocks) if block.startswith(" ")), len(blocks))
     for i, block in enumerate(blocks):
         lines = block.split("\n")
         equation = 0 < i < symbols and all(re.search(r" <?= ", line) or line.startswith(" ") for line in lines)
-        if equation or block.startswith(" "):
+        if equation and typeset:
+            blocks[i] = typeset(block)
+        elif equation or block.startswith(" "):
             blocks[i] = f"```\n{textwrap.dedent(block)}\n```"
     return "\n\n".join(blocks)
