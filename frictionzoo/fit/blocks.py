@@ -45,6 +45,7 @@ class Blocks(NamedTuple):
         weight: 1; 0 for a segment that only fills the last block.
         stretch: Number of the stretch of consecutive segments to which a segment belongs, from 0.
         linked: 1 where the next segment begins at the end of this one; 0 elsewhere.
+        begun: Initial states at which the search for those that fit best begins, (blocks, segments, twice nv).
         counts: 1; 0 for a joint in an interval in which it is too slow, (blocks, segments, intervals, nv). None where
             all count.
         inertia: Joint-space inertia without armature where each begins [kg m^2 or kg], (blocks, segments, nv, nv). None
@@ -58,8 +59,15 @@ class Blocks(NamedTuple):
     weight: Any
     stretch: Any
     linked: Any
+    begun: Any
     counts: Any = None
     inertia: Any = None
+
+
+def measured_states(qpos: Any, qvel: Any) -> Any:
+    """Where segments start as measured, (blocks, segments, twice nv)."""
+    xp = np if isinstance(qpos, np.ndarray) else jnp
+    return xp.concatenate([qpos[:, :, 0], qvel[:, :, 0]], axis=2)
 
 
 def devices_of(rollout: Rollout) -> list[Any]:
@@ -151,7 +159,7 @@ def into_blocks(
         follows[: segments.count] = segments.follows
     linked = np.append(follows[1:], np.zeros(1, dtype)).reshape(blocks, size)
     optional = (None if signal is None else cut(signal) for signal in (counts, inertia))
-    host = Blocks(*measured, weight, numbers, linked, *optional)
+    host = Blocks(*measured, weight, numbers, linked, measured_states(*measured[:2]), *optional)
     if len(devices) == 1:
         return jax.tree.map(jnp.asarray, host)
     sharding = NamedSharding(Mesh(np.array(devices), ("segments",)), PartitionSpec(None, "segments"))

@@ -88,8 +88,8 @@ class Part:
         """The objective by its own coordinates alone."""
 
         def of_own(own: Float[np.ndarray, "own"]) -> NormalEquations:
-            loss, gradient, hessian = evaluate(self.whole(own))
-            return NormalEquations(loss, self.spread.T @ gradient, self.spread.T @ hessian @ self.spread)
+            loss, gradient, hessian, states = evaluate(self.whole(own))
+            return NormalEquations(loss, self.spread.T @ gradient, self.spread.T @ hessian @ self.spread, states)
 
         return of_own
 

@@ -30,6 +30,8 @@ class State(NamedTuple):
         loss: The objective at each vector that was tried, of shape (iterations,).
         gradient: Half its gradient, (iterations, coordinates).
         hessian: Half its approximate second derivative, (iterations, coordinates, coordinates).
+        states: Initial states at the best of them, at which the search for those at the next one begins; None where
+            none are refined.
     """
 
     tried: np.ndarray
@@ -38,6 +40,7 @@ class State(NamedTuple):
     loss: np.ndarray
     gradient: np.ndarray
     hessian: np.ndarray
+    states: Any
 
 
 @register_method("lm")
@@ -86,19 +89,21 @@ class LevenbergMarquardt(Fit):
         """See `Fit.init`."""
         start = np.asarray(objective.space.start, np.float64)
         equations = np.zeros(self._iterations), *(np.zeros((self._iterations, *[len(start)] * axes)) for axes in (1, 2))
-        asked = _ask(objective, State(np.asarray(0), start, np.asarray(False), *equations), self._tolerance).asked
-        return start, State(np.asarray(0), asked, np.asarray(False), *equations)
+        state = State(np.asarray(0), start, np.asarray(False), *equations, states=objective.states)
+        asked = _ask(objective, state, self._tolerance).asked
+        return start, state._replace(asked=asked)
 
     def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Seen, Any, Any]:
         """See `Fit.step`; what is tried is the vector that the solver asked for, in its own precision."""
-        found = objective.compile_normal_equations()(state.asked)
+        found = objective.beginning(state.states).compile_normal_equations()(state.asked)
         at = int(state.tried)
         # A start without finite equations is none; from a later vector, the solver tries a shorter step.
-        lost = at == 0 and not _is_finite(found)
+        lost = at == 0 and not found.finite
         equations = [part.copy() for part in (state.loss, state.gradient, state.hessian)]
-        for part, value in zip(equations, found, strict=True):
+        states = found.states if found.loss < np.min(state.loss[:at], initial=np.inf) else state.states
+        for part, value in zip(equations, found[:3], strict=True):
             part[at] = value
-        following = State(np.asarray(at + 1), state.asked, state.ended, *equations)
+        following = State(np.asarray(at + 1), state.asked, state.ended, *equations, states=states)
         following = following if lost else _ask(objective, following, self._tolerance)
         return Seen(found.loss, 2 * found.gradient, lost), following.asked, following
 
@@ -138,7 +143,7 @@ def _ask(objective: Objective, state: State, tolerance: float) -> State:
             raise _AskedError
         equations = NormalEquations(*(part[at] for part in (state.loss, state.gradient, state.hessian)))
         known.append(equations)
-        if not _is_finite(equations):
+        if not equations.finite:
             return np.full(len(vector) + 1, np.inf)  # the solver takes it back and tries a shorter step
         finite.append(equations)
         return compress(equations, unit)[0]
@@ -174,7 +179,7 @@ def descend(
     """
     start = np.clip(*box)
     seen = [(start, evaluate(start))]
-    if not _is_finite(seen[0][1]):
+    if not seen[0][1].finite:
         return start, np.inf
     unit, begun = seen[0][1].loss or 1.0, False
 
@@ -186,7 +191,7 @@ def descend(
         if enough(vector):
             raise _EnoughError
         found = evaluate(vector)
-        if not _is_finite(found):
+        if not found.finite:
             return np.full(len(vector) + 1, np.inf)
         seen.append((vector.copy(), found))
         return compress(found, unit)[0]
@@ -216,7 +221,3 @@ def _solve(
         gtol=tolerance,
         max_nfev=most,
     )
-
-
-def _is_finite(equations: NormalEquations) -> bool:
-    return all(np.isfinite(part).all() for part in equations)

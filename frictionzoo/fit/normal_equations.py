@@ -1,6 +1,6 @@
 """A sum of squares near a vector, by a few numbers in place of its residuals, of which a long log has millions."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -14,12 +14,20 @@ class NormalEquations(NamedTuple):
     Attributes:
         loss: The objective.
         gradient: Half its gradient, J' r.
-        hessian: Half of Gauss's and Newton's approximation of its second derivative, J' J.
+        hessian: Half of Gauss's and Newton's approximation of its second derivative, J' J, with `bend` where errors
+            have a width.
+        states: Initial states with which it is, where there are any, as `Blocks.begun`.
     """
 
     loss: float
     gradient: Float[np.ndarray, "coordinates"]
     hessian: Float[np.ndarray, "coordinates coordinates"]
+    states: Any = None
+
+    @property
+    def finite(self) -> bool:
+        """Whether all but the states is."""
+        return all(np.isfinite(part).all() for part in self[:3])
 
 
 def compress(

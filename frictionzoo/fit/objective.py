@@ -14,9 +14,19 @@ from jaxtyping import Array, Float
 
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.segments import Segments
-from frictionzoo.fit.blocks import Blocks, alone, divide, each, each_part, into_blocks, side_by_side, to_numpy
+from frictionzoo.fit.blocks import (
+    Blocks,
+    alone,
+    divide,
+    each,
+    each_part,
+    into_blocks,
+    measured_states,
+    side_by_side,
+    to_numpy,
+)
 from frictionzoo.fit.impulse import is_moving, rigid_inertia_of
-from frictionzoo.fit.loss import Loss, count_terms, mean_squares
+from frictionzoo.fit.loss import Loss, bend, count_terms, mean_squares
 from frictionzoo.fit.normal_equations import NormalEquations
 from frictionzoo.fit.recordings import Recordings
 from frictionzoo.fit.shooting import Equations, Mixed, Shooting, follow, join_equations
@@ -122,12 +132,25 @@ class Objective:
         other.space, other.compile, other._rollout = space, rollout.compile, rollout
         other._sparsity = Sparsity.of(space, rollout.branches)
         other.recordings, other._programs = None, {}
-        return other
+        return other.beginning(np.asarray(measured_states(self.data.qpos, self.data.qvel)))
 
     def starting(self, vector: Float[np.ndarray, "coordinates"]) -> "Objective":
         """The same objective with other initial coordinates, brought into the bounds."""
         other = copy.copy(self)
         other.space = self.space.starting(vector)
+        return other
+
+    @property
+    def states(self) -> Float[np.ndarray, "blocks segments twice_nv"] | None:
+        """Where the search for initial states begins; None where these are not refined."""
+        return np.asarray(self.data.begun, np.float64) if self._loss.refine else None
+
+    def beginning(self, states: Float[np.ndarray, "blocks segments twice_nv"] | None) -> "Objective":
+        """The same objective whose search for initial states begins at these; None: where it does."""
+        if states is None:
+            return self
+        other, begun = copy.copy(self), self.data.begun
+        other.data = self.data._replace(begun=jax.device_put(np.asarray(states, begun.dtype), begun.sharding))
         return other
 
     def balanced(self) -> "Objective":
@@ -261,32 +284,41 @@ class Objective:
         return self._compile_equations(exact=self._loss.robust != "none")
 
     def _compile_equations(self, exact: bool) -> Callable[[np.ndarray], tuple[NormalEquations, np.ndarray]]:
-        if exact not in self._programs:
-            make = self._compile_apart if self._loss.gap is None else self._compile_together
-            self._programs[exact] = make(exact)
-        compiled = self._programs[exact]
+        compiled = self._compiled(exact)
 
         def evaluate(vector: Float[np.ndarray, "coordinates"]) -> tuple[NormalEquations, np.ndarray]:
-            loss, scores, hessian = compiled(self.spread(jnp.asarray(vector, self.space.start.dtype)), self.data)
-            return NormalEquations(float(loss), scores.sum(axis=0), hessian), scores
+            at = self.spread(jnp.asarray(vector, self.space.start.dtype))
+            loss, scores, hessian, states = compiled(at, self.data)
+            states = states if self._loss.refine else None
+            return NormalEquations(float(loss), scores.sum(axis=0), hessian, states), scores
 
         return evaluate
+
+    def _compiled(self, exact: bool) -> Callable[[Array, Blocks], list[Any]]:
+        """Loss, gradient of each stretch and second derivative, as a function of a vector and the data.
+
+        And the initial states with which they are, (blocks, segments, twice nv).
+        """
+        make = self._compile_apart if self._loss.gap is None else self._compile_together
+        return self.remember(exact, lambda: make(exact))
 
     def _compile_apart(self, exact: bool) -> Callable[[Array, Blocks], list[Any]]:
         """Equations where no block knows of another: each is done with by itself."""
 
-        def look(vector: Array, block: Blocks) -> Seen:
+        def look(vector: Array, block: Blocks) -> tuple[Seen, Array]:
             own, following = (states[0] for states in self._states(vector, alone(block)))
-            return self._look(vector, block, own, following)
+            return self._look(vector, block, own, following), own
 
-        def equations(seen: Seen, block: Blocks) -> tuple[Array, Array, Array]:
-            return self._finish(self._block_equations(seen, exact), alone(block))
+        def equations(found: tuple[Seen, Array], block: Blocks) -> tuple[Array, ...]:
+            seen, own = found
+            return *self._finish(self._block_equations(seen, exact), alone(block)), own
 
         compiled = self._compile_both(look, equations, next(each(self.data)))
 
         def evaluate(vector: Array, data: Blocks) -> list[Any]:
             parts = side_by_side(lambda block: to_numpy(compiled(vector, block)), each(data), self.devices)
-            return [np.stack(part).sum(axis=0) for part in zip(*parts, strict=True)]
+            *terms, states = (np.stack(part) for part in zip(*parts, strict=True))
+            return [*(term.sum(axis=0) for term in terms), states]
 
         return evaluate
 
@@ -302,15 +334,17 @@ class Objective:
         equations = self._compile_both(look, lambda seen, part: self._block_equations(seen, exact), example)
 
         def evaluate(vector: Array, data: Blocks) -> list[Any]:
-            blocks = each_part(data, find(vector, data))
+            states = find(vector, data)
+            blocks = each_part(data, states)
             parts = side_by_side(lambda part: jax.tree.map(np.asarray, equations(vector, part)), blocks, self.devices)
-            return to_numpy(finish(join_equations(parts), jax.tree.map(np.asarray, data)))
+            found = finish(join_equations(parts), jax.tree.map(np.asarray, data))
+            return to_numpy((*found, states[0]))
 
         evaluate(start, self.data)  # compiles the rest
         return evaluate
 
     def _compile_both(
-        self, look: Callable[[Array, Any], Seen], then: Callable[[Seen, Any], Any], example: Any
+        self, look: Callable[[Array, Any], Any], then: Callable[[Any, Any], Any], example: Any
     ) -> Callable[[Array, Any], Any]:
         """Two programs as one function of a vector and a block: a rollout, and what follows from it.
 
@@ -337,7 +371,7 @@ class Objective:
             values, data = jax.lax.stop_gradient((self.space.values(vector), data))
             own = jax.lax.stop_gradient(self._shooting.find_states(values, data))
         else:
-            own = jnp.concatenate([data.qpos[:, :, 0], data.qvel[:, :, 0]], axis=2)
+            own = measured_states(data.qpos, data.qvel)
         return own, follow(own)
 
     @property
@@ -346,7 +380,7 @@ class Objective:
 
     @property
     def _shooting(self) -> Shooting:
-        return Shooting(self._residuals, self._sparsity, self._loss.gap)
+        return Shooting(self._residuals, self._bent, self._sparsity, self._loss.gap)
 
     def _block_loss(self, vector: Array, block: Blocks, own: Array, following: Array) -> Float[Array, ""]:
         residuals = self._residuals(self.space.values(vector), own, following, block)
@@ -382,6 +416,8 @@ class Objective:
         """Loss, gradient of each segment and second derivative by the tangents, before states are eliminated."""
         errors, (slopes, by_state) = seen.residuals, self._tangents.slopes(seen)
         share, curvature = self._loss.shares(jnp.square(errors), exact)
+        bent = self._bent(errors)
+        curvature = curvature + (bent - 1) * share
         # A GPU rounds the factors of a product to 10 bits unless told otherwise: too few to see what is collinear.
         gradient = jnp.einsum("ibsk,bsk->bsi", slopes, share * errors, precision="highest")
         hessian = jnp.einsum("ibsk,jbsk->bij", slopes, curvature * slopes, precision="highest")
@@ -389,8 +425,19 @@ class Objective:
         if not self._loss.refine:
             return Equations(loss, gradient, hessian)
         local = self._shooting.local(errors, by_state)
-        mixed = jnp.einsum("ibsk,jbsk->bsij", by_state, slopes, precision="highest")
+        mixed = jnp.einsum("ibsk,jbsk->bsij", bent * by_state, slopes, precision="highest")
         return Equations(loss, gradient, hessian, local, Mixed(mixed, jnp.moveaxis(self._shooting.gap(slopes), 0, 3)))
+
+    def _bent(self, errors: Float[Array, "branches segments terms"]) -> Float[Array, "branches #segments terms"]:
+        """`bend` of residuals by branch; the gap between segments, which come last, has no width."""
+        if not self._loss.encoder_step:
+            return jnp.ones_like(errors)
+        widths = self._loss.widths(self.data.qpos.shape[3])
+        times = errors.shape[2] // (self._sparsity.joints.shape[1] * widths.shape[1])
+        rows = np.repeat(widths[None, None], times, axis=1)
+        if self._loss.gap is not None:
+            rows[:, -1] = 0.0
+        return bend(errors, self._sparsity.by_branch(jnp.asarray(rows, errors.dtype)))
 
     def _finish(self, found: Equations, data: Blocks) -> tuple[Array, Array, Array]:
         """Loss, gradient of each stretch, and second derivative by the coordinates, without the initial states."""

@@ -10,8 +10,9 @@ from jaxtyping import Float
 from frictionzoo.core.errors import ConfigError, refuse_outside
 from frictionzoo.fit.base import Fit, Seen, register_method
 from frictionzoo.fit.blocks import Blocks
-from frictionzoo.fit.contained import Evaluate, Part
+from frictionzoo.fit.contained import Part
 from frictionzoo.fit.lm import MOST_TRIES, LevenbergMarquardt, descend
+from frictionzoo.fit.normal_equations import NormalEquations
 from frictionzoo.fit.objective import Objective
 from frictionzoo.fit.torque_balance import Box
 
@@ -78,12 +79,11 @@ class Several(Fit):
     def init(self, objective: Objective) -> tuple[Any, Any]:
         """See `Fit.init`; all searches are done here."""
         self.total(objective)
-        best = _Searches(objective, self._tries, self._tolerance).best()
-        return best.vector, np.asarray(best.loss)
+        return _Searches(objective, self._tries, self._tolerance).best()
 
     def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Seen, Any, Any]:
         """See `Fit.step`; there is nothing left to do."""
-        found = objective.compile_normal_equations()(np.asarray(vector, np.float64))
+        found = objective.beginning(state).compile_normal_equations()(np.asarray(vector, np.float64))
         return Seen(found.loss, 2 * found.gradient, not np.isfinite(found.loss)), vector, state
 
     def done(self, state: Any) -> Any:
@@ -101,17 +101,24 @@ class _Searches:
     def __init__(self, objective: Objective, tries: int, tolerance: float) -> None:
         self._objective, self._space = objective, objective.space
         self._tries, self._tolerance = tries, tolerance
-        self._evaluate: Evaluate = objective.compile_normal_equations()
+        self._least = np.inf
         self._found: dict[str, End] = {}
 
-    def best(self) -> End:
-        """The end with the least loss."""
+    def best(self) -> tuple[Float[np.ndarray, "coordinates"], Any]:
+        """The end with the least loss, and initial states there."""
         recordings = self._objective.recordings
         best = self._look(Part.of(None if recordings is None else recordings.model, self._space))
         if recordings is not None and "bench.delay" in self._space.labels:
             best = self._shift(best, recordings.logs[0].timestep)
         _log.info("of several starts, the best is at %s", best.name)
-        return best
+        return best.vector, self._objective.states
+
+    def _evaluate(self, vector: Float[np.ndarray, "coordinates"]) -> NormalEquations:
+        """The objective there, whose initial states are searched from those of the best vector so far."""
+        found = self._objective.compile_normal_equations()(vector)
+        if found.loss < self._least:
+            self._least, self._objective = found.loss, self._objective.beginning(found.states)
+        return found
 
     def _look(self, part: Part) -> End:
         """The best of a law, from all its starts."""

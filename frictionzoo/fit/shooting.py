@@ -14,7 +14,8 @@ from frictionzoo.fit.sparsity import Sparsity
 from frictionzoo.simulate import Values
 from frictionzoo.simulate.linear import solve_spd
 
-_REFINEMENTS = 5  # steps for an initial state; rollouts are nearly linear in it but for sticking and sliding
+_REFINEMENTS = 5  # steps for an initial state, at most: rollouts are nearly linear in it but for sticking and sliding
+_SETTLED = 1e-9  # share of the sum of squares by which a step lowers it that is the last
 
 
 class Local(NamedTuple):
@@ -23,7 +24,7 @@ class Local(NamedTuple):
     Attributes:
         square: The sum of squares.
         gradient: Half its gradient by the segment's own state, J' r.
-        hessian: J' J.
+        hessian: J' J, and `bend` of it.
         gap: Residuals of the gap between a segment's end and the next one's initial state, in the order of the states.
         gap_slopes: Their derivative by the segment's own state, which comes first.
     """
@@ -79,45 +80,57 @@ class Shooting(NamedTuple):
     Attributes:
         residuals: Of a block, from values, own and following initial states and the block: weighted errors of position
             and velocity, the gap last where segments hold together.
+        bent: Of residuals by branch, `bend`.
         sparsity: Branches of the robot.
         root: Root of the weight of each joint's gap in position and velocity; None where segments stand alone.
     """
 
     residuals: Callable[[Values, Array, Array, Blocks], Float[Array, "segments time nv kinds"]]
+    bent: Callable[[Array], Float[Array, "branches segments terms"]]
     sparsity: Sparsity
     root: Float[np.ndarray, "#nv 2"] | None
 
     def find_states(self, values: Values, data: Blocks) -> Float[Array, "blocks segments twice_nv"]:
         """Where the segments start: as fits them, and what follows, best.
 
-        Steps of Levenberg and Marquardt; each counts where it lowers the error of all segments that hold together.
+        Steps of Levenberg and Marquardt from `Blocks.begun`; each counts where it lowers the error of all segments that
+        hold together.
         """
         chain, unused = self._chain(data), self._unused(data.weight.ravel())
-        start = jnp.concatenate([data.qpos[:, :, 0], data.qvel[:, :, 0]], axis=2)
 
-        def improve(_: Any, search: tuple) -> tuple:
-            state, local, damping = search
-            diagonal, beside, gradient = self._join(local, data)
-            damped = diagonal * (1 + damping[:, :, None, None] * jnp.eye(diagonal.shape[-1])) + unused
-            trial = state - self._solve(damped, beside, gradient[..., None])[..., 0]
+        def goes_on(search: tuple) -> Array:
+            *_, local, _, looks, gain = search
+            total = jnp.sum(jnp.where(jnp.isfinite(local.square), local.square, 0.0))
+            return (looks <= _REFINEMENTS) & (gain > _SETTLED * total)
+
+        def improve(search: tuple) -> tuple:  # with one rollout in it, for each that a program has is compiled
+            trial, state, local, damping, looks, _ = search
             tried = self._look(values, trial, data)
             better = _sum_by(chain, tried.square) < _sum_by(chain, local.square)
 
             def choose(new: Array, old: Array) -> Array:
                 return jnp.where(better.reshape(*better.shape, *[1] * (new.ndim - 2)), new, old)
 
-            kept, seen = choose(trial, state), jax.tree.map(choose, tried, local)
-            return kept, seen, damping * jnp.where(better, 0.1, 10.0)
+            gain = jnp.sum(jnp.where(better, local.square - tried.square, 0.0))
+            state, local = choose(trial, state), jax.tree.map(choose, tried, local)
+            damping = damping * jnp.where(better, 0.1, 10.0)
+            diagonal, beside, gradient = self._join(local, data)
+            damped = diagonal * (1 + damping[:, :, None, None] * jnp.eye(diagonal.shape[-1])) + unused
+            trial = state - self._solve(damped, beside, gradient[..., None])[..., 0]
+            return trial, state, local, damping, looks + 1, gain
 
-        begun = self.sparsity.states_by_branch(start.reshape(-1, start.shape[2]))
-        search = (begun, self._look(values, begun, data), jnp.full(begun.shape[:2], 1e-3, begun.dtype))
-        found = jax.lax.fori_loop(0, _REFINEMENTS, improve, search)[0]
-        return self.sparsity.states_together(found).reshape(start.shape)
+        begun = self.sparsity.states_by_branch(data.begun.reshape(-1, data.begun.shape[2]))
+        shapes = jax.eval_shape(lambda: self._look(values, begun, data))
+        unseen = jax.tree.map(lambda shape: jnp.full(shape.shape, jnp.inf, shape.dtype), shapes)
+        damping = jnp.full(begun.shape[:2], 1e-2, begun.dtype)
+        search = begun, begun, unseen, damping, 0, jnp.asarray(jnp.inf, begun.dtype)
+        found = jax.lax.while_loop(goes_on, improve, search)[1]
+        return self.sparsity.states_together(found).reshape(data.begun.shape)
 
     def local(self, errors: Float[Array, "branches segments terms"], slopes: Array) -> Local:
         """Of a block's residuals and their derivative by its own states, (state, branches, segments, terms)."""
         gradient = jnp.einsum("ibsk,bsk->bsi", slopes, errors, precision="highest")
-        hessian = jnp.einsum("ibsk,jbsk->bsij", slopes, slopes, precision="highest")
+        hessian = jnp.einsum("ibsk,jbsk->bsij", self.bent(errors) * slopes, slopes, precision="highest")
         gap_slopes = jnp.moveaxis(self.gap(slopes), 0, 2)
         return Local(jnp.square(errors).sum(axis=2), gradient, hessian, self.gap(errors), gap_slopes)
 

@@ -41,4 +41,4 @@ def halve(problem: Problem) -> Objective:
     sampling = bench.sampling(problem.sampling.interval)
     drive = Drive.assemble(bench, problem.drive.model, problem.drive.engine.name, sampling)
     space = Space(bench, drive.model, problem.settings["dtype"])
-    return problem.objective.for_drive(space, drive.rollout)
+    return problem.objective.for_drive(space, drive.rollout).beginning(problem.objective.states)

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from frictionzoo.bench import Bench
 from frictionzoo.core.errors import FitError
 from frictionzoo.core.log import Log
-from frictionzoo.core.segments import cut_rollouts, cut_segments
+from frictionzoo.core.segments import Segments, cut_rollouts, cut_segments
 from frictionzoo.fit import Objective, Space
 from frictionzoo.fit.chunk import search
 from frictionzoo.fit.lm import LevenbergMarquardt
@@ -42,6 +42,8 @@ class Found(NamedTuple):
         enough: Half an interval that need not be narrower, a small share of the value, or of its scale if that is more.
         at_bound: Whether its value ended at a bound.
         loss: The objective there.
+        measured: Positions of the segments.
+        states: Initial states of these there; None where none were refined.
     """
 
     labels: list[str]
@@ -50,6 +52,12 @@ class Found(NamedTuple):
     enough: Float[np.ndarray, "coordinates"]
     at_bound: Bool[np.ndarray, "coordinates"]
     loss: float
+    measured: Float[np.ndarray, "segments time nv"]
+    states: Float[np.ndarray, "blocks segments twice_nv"] | None
+
+    def states_of(self, segments: Segments) -> Float[np.ndarray, "blocks segments twice_nv"] | None:
+        """Initial states of these segments, where they are the same."""
+        return self.states if np.array_equal(segments.qpos, self.measured) else None
 
     def among(self, labels: Sequence[str], otherwise: Float[np.ndarray, "others"]) -> Float[np.ndarray, "others"]:
         """The coordinates of these names, another's where there is none."""
@@ -111,38 +119,60 @@ class Pilot:
         """Where it begins of itself."""
         return np.asarray(self.space.start, np.float64)
 
-    def fit(self, start: Float[np.ndarray, "coordinates"] | None = None, tries: int = _TRIES) -> Found:
+    def fit(
+        self,
+        start: Float[np.ndarray, "coordinates"] | None = None,
+        tries: int = _TRIES,
+        beside: Found | None = None,
+    ) -> Found:
         """The best vector, by Levenberg-Marquardt of at most so many; of several starts where none is given.
+
+        Args:
+            start: Where to begin.
+            tries: How many vectors are tried at most, of each search.
+            beside: Where another pilot ended, near the start.
 
         Raises:
             FitError: The loss is not finite where it begins.
         """
         fit = Several(tries, _TOLERANCE) if start is None else LevenbergMarquardt(tries, _TOLERANCE)
-        objective = self.objective if start is None else self.objective.starting(start)
-        progress, _ = search(fit, objective)
+        begun = self._beside(beside)
+        progress, _ = search(fit, begun if start is None else begun.starting(start))
+        states = progress.method.states if start is not None else progress.method
         vector = np.asarray(progress.best, np.float64)
         if bool(progress.broken) or not np.isfinite(vector).all():
             raise FitError("the loss is not finite where the fit begins")
-        at_bound, enough = self.space.at_bound(vector), exact_enough(self.space, vector)
-        if self.objective.stretches < 2:  # no spread between segments
-            half = np.full(len(vector), np.nan)
-            return Found(self.space.labels, vector, half, enough, at_bound, float(progress.best_loss))
-        equations, scores = self.objective.compile_scores()(vector)
-        found = assess(self.space, vector, equations, scores, _COLLINEAR)
-        ends = self.space.pick({name: found.intervals[name] for name in self.space.places})
-        half = np.array([self._half(label, np.asarray(ends[label])) for label in self.space.labels])
-        return Found(self.space.labels, vector, half, enough, at_bound, float(progress.best_loss))
+        half = np.full(len(vector), np.nan)
+        if self.objective.stretches > 1:  # there is a spread between segments
+            equations, scores = self.objective.beginning(states).compile_scores()(vector)
+            intervals = assess(self.space, vector, equations, scores, _COLLINEAR).intervals
+            ends = self.space.pick({name: intervals[name] for name in self.space.places})
+            half = np.array([self._half(label, np.asarray(ends[label])) for label in self.space.labels])
+        return Found(
+            labels=self.space.labels,
+            vector=vector,
+            half=half,
+            enough=exact_enough(self.space, vector),
+            at_bound=self.space.at_bound(vector),
+            loss=float(progress.best_loss),
+            measured=self.segments.qpos,
+            states=states,
+        )
 
     def step_from(self, found: Found) -> Float[np.ndarray, "coordinates"]:
         """How each coordinate would move from where another pilot of the same ended.
 
         One step of Gauss and Newton; 0 of what the data do not determine.
         """
-        equations = self.objective.compile_normal_equations()(found.vector)
+        equations = self._beside(found).compile_normal_equations()(found.vector)
         free = (found.half < WIDEST) & ~found.at_bound  # of NaN, False
         step = np.zeros(len(free))
         step[free] = -_solve(equations, np.flatnonzero(free))
         return step
+
+    def _beside(self, found: Found | None) -> Objective:
+        """The objective, with the initial states that another pilot of the same segments ended with."""
+        return self.objective.beginning(found and found.states_of(self.segments))
 
     def values(self, vector: Float[np.ndarray, "coordinates"]) -> Values:
         """Of all parameters."""

@@ -195,8 +195,8 @@ class Problem:
         space = Space(bench, drive.model, settings["dtype"])
         objective = Objective(space, drive.rollout, segments, **settings["loss"])
         objective.recordings = Recordings(bench, drive.model, dataset.train)
-        if parts.settled.start is not None:
-            objective = objective.starting(parts.settled.start)
+        if (found := parts.settled.start) is not None:
+            objective = objective.starting(found.vector).beginning(found.states_of(segments))
         fit = fit.choose(objective)
         if fit.start is not None:
             objective = begin_where(fit.start, objective)

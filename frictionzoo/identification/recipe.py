@@ -5,15 +5,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from jaxtyping import Float
-
 from frictionzoo.bench import Bench
 from frictionzoo.core.errors import ConfigError, closest
 from frictionzoo.core.log import Dataset
 from frictionzoo.core.params import AUTO
 from frictionzoo.fit import Fit
 from frictionzoo.identification.choices import OPTIONAL, Choice
+from frictionzoo.identification.pilot import Found
 from frictionzoo.identification.stages import Stages
 from frictionzoo.models import FrictionModel
 
@@ -30,14 +28,14 @@ class Settled:
         settings: All options of the run.
         bench: The test stand with them.
         choices: What was left open, in the order in which it was chosen.
-        start: Coordinates at which the fit begins; None: at the initial values.
+        start: Where the fit begins; None: at the initial values.
         doubts: Where the accuracy that was sought is not reached, a sentence each.
     """
 
     settings: Mapping[str, Any]
     bench: Bench
     choices: tuple[Choice, ...] = ()
-    start: Float[np.ndarray, "coordinates"] | None = None
+    start: Found | None = None
     doubts: tuple[str, ...] = ()
 
 

@@ -46,7 +46,7 @@ class Stages:
     ) -> None:
         self.settings: dict[str, Any] = copy.deepcopy(dict(settings))
         self.doubts: list[str] = []
-        self.start: np.ndarray | None = None
+        self.start: Found | None = None
         self._given, self._plain, self._train, self._model, self._fit = settings, bench, dataset.train, model, fit
         self._free = {name: is_open(settings["bench"]["params"], name) for name in OPTIONAL}
         self._interval = dataset.train[0].timestep
@@ -247,7 +247,7 @@ class Stages:
             return pilot.fit()
         starts = [begun.among(pilot.space.labels, pilot.start)]
         starts += [pilot.start] if pilot.robust and found is None else []
-        return min((pilot.fit(start) for start in starts), key=lambda end: end.loss)
+        return min((pilot.fit(start, beside=begun) for start in starts), key=lambda end: end.loss)
 
     def _choose_encoder(self) -> Iterator[Choice]:
         """Errors within half an encoder's step do not count where rounding is all that is left."""
@@ -334,7 +334,7 @@ class Stages:
             self._set_step(step / 2**halvings)
             found = self._follow(finer if halvings == 1 else self._pilot(_MOST_STEPS), found, ahead, halvings)
             found = yield from self._look_again(found)
-        self.start = found.vector
+        self.start = found
         if self._step_is_open:
             yield Choice("bench.timestep", self._step, reason)
 
@@ -348,9 +348,9 @@ class Stages:
             halvings: How often they were.
         """
         try:
-            return pilot.fit(found.vector + 2 * (1 - 0.5**halvings) * ahead, _FOLLOWED)
+            return pilot.fit(found.vector + 2 * (1 - 0.5**halvings) * ahead, _FOLLOWED, found)
         except FitError:  # that far, the law holds no longer
-            return pilot.fit(found.vector, _FOLLOWED)
+            return pilot.fit(found.vector, _FOLLOWED, found)
 
     def _look_again(self, found: Found) -> Generator[Choice, None, Found]:
         """Leave out what only longer steps showed: a simulation runs late by a part of its step, as commands may."""
