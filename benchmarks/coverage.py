@@ -32,6 +32,7 @@ from frictionzoo.core.segments import cut_rollouts, cut_segments
 from frictionzoo.core.state import DriveState
 from frictionzoo.fit import LevenbergMarquardt, Objective, estimate_uncertainty
 from frictionzoo.fit.blocks import divide, into_blocks
+from frictionzoo.fit.loss import soft_width
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.identification import Parts, Problem, solve
 from frictionzoo.identification.pilot import Pilot
@@ -64,12 +65,15 @@ DRIVE = HiddenDrive(
 CASES: dict[str, tuple[HiddenDrive, str]] = {
     "coulomb": (DRIVE, "coulomb_smooth"),
     "stribeck": (replace(DRIVE, static_torque=0.4), "coulomb_stribeck"),
+    "rounded": (replace(DRIVE, static_torque=0.4), "coulomb_stribeck"),
     "ripple": (replace(DRIVE, ripple_torque=0.1), "coulomb_smooth"),
     "load": (replace(DRIVE, load_share=0.38, coulomb_torque=0.11, static_torque=0.11), "coulomb_smooth"),
     "all": (replace(DRIVE, load_share=0.38, ripple_torque=0.1, static_torque=0.4), "coulomb_smooth"),
 }
-"""Drive and fitted law. The first two laws are right."""
-RIGHT = ("coulomb", "stribeck")
+"""Drive and fitted law. The first three laws are right."""
+RIGHT = ("coulomb", "stribeck", "rounded")
+ENCODERS = {"rounded": 2 * np.pi / 2**12}
+"""Steps of the encoder of a case [rad]: its positions have no other noise, and errors count beyond half of it."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +99,7 @@ def friction_of(drive: HiddenDrive, qpos: Any, qvel: Any, motor: Any) -> Any:
     return dry * np.tanh(qvel / drive.smoothing_velocity) + drive.viscous_coefficient * qvel
 
 
-def record(drive: HiddenDrive, count: int, first: int, seconds: float) -> Recorded:
+def record(drive: HiddenDrive, count: int, first: int, seconds: float, encoder: float = 0.0) -> Recorded:
     """So many logs, simulated side by side and nearly without an error of the step."""
     samples, step = round(RATE * seconds), 1 / RATE / SUBSTEPS
     times = np.arange(samples) / RATE
@@ -115,7 +119,10 @@ def record(drive: HiddenDrive, count: int, first: int, seconds: float) -> Record
     noise = np.array([POSITION_NOISE, VELOCITY_NOISE])[:, None]
     logs = []
     for number, rng in enumerate(rngs):
-        columns = [*(states[:, number] + noise * rng.standard_normal((2, samples))), ctrl[number]]
+        qpos, qvel = states[:, number] + noise * rng.standard_normal((2, samples))
+        if encoder:
+            qpos = np.round(states[0, number] / encoder) * encoder
+        columns = [qpos, qvel, ctrl[number]]
         columns = [signal[:, None] for signal in columns]
         logs.append(Log(f"log {number}", times, *columns, sha256=64 * "0", simulated=True))
     return Recorded(logs, *means)
@@ -153,10 +160,11 @@ def true_values(drive: HiddenDrive) -> dict[str, float]:
 class Fits:
     """Fits of one law to one data set after the other; what the first compiles serves them all."""
 
-    def __init__(self, law: fz.FrictionModel, logs: Sequence[Log], length: int) -> None:
+    def __init__(self, law: fz.FrictionModel, logs: Sequence[Log], length: int, encoder: float = 0.0) -> None:
         actuator = fz.PositionPD(kp=CONTROLLER.kp, kd=CONTROLLER.kd)
         self._bench = fz.Bench("knee_rod.xml", actuator=actuator, timestep=TIMESTEP)
-        loss = {"velocity": (POSITION_NOISE / VELOCITY_NOISE) ** 2, "robust": "none", "refine": True}
+        noise = soft_width(encoder) if encoder else POSITION_NOISE
+        loss = {"velocity": (noise / VELOCITY_NOISE) ** 2, "robust": "none", "refine": True, "encoder_step": encoder}
         segments, self._length = {"length": length, "count": None}, length
         self.pilot, self._finer = (
             Pilot(remake(self._bench, timestep=step), law, logs, segments, loss, "specialised")
@@ -209,14 +217,14 @@ def mean_friction(recorded: Recorded, speed: np.ndarray) -> np.ndarray:
 
 def judge(name: str, options: argparse.Namespace) -> dict[str, Any]:
     """One case: a row of the table."""
-    drive, law_name = CASES[name]
+    (drive, law_name), encoder = CASES[name], ENCODERS.get(name, 0.0)
     each = options.recordings
-    recorded = record(drive, options.logs * each, options.first, SECONDS / each)
+    recorded = record(drive, options.logs * each, options.first, SECONDS / each, encoder)
     sets = [recorded.logs[start : start + each] for start in range(0, len(recorded.logs), each)]
     low, high = np.quantile(np.abs(recorded.qvel), [0.05, 0.99])
     speed = np.concatenate([-np.geomspace(low, high, SPEEDS // 2)[::-1], np.geomspace(low, high, SPEEDS // 2)])
     mean, truth = mean_friction(recorded, speed), true_values(drive)
-    began, fits = time.perf_counter(), Fits(law_of(options.law or law_name, drive), sets[0], options.length)
+    began, fits = time.perf_counter(), Fits(law_of(options.law or law_name, drive), sets[0], options.length, encoder)
     held, inside, errors, ratios = [], [], [], []
     space = fits.pilot.space
     for number, logs in enumerate(sets):

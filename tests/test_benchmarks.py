@@ -30,7 +30,7 @@ QUICKEST = {  # script: its arguments, and the rows that it has to give
     "arm": ("--bandwidths 40 --recordings 1 --seconds 3 --sure 0.1", 5),
     "branches": ("--segments 4 --length 10 --dtypes float64", 2),
     "newcomer": ("--drives 1 --first 5 --recipes given", 1),
-    "coverage": ("--cases coulomb load --logs 2", 2),
+    "coverage": ("--cases rounded load --logs 2", 2),
     "recipe": ("--cases twin -- data.samples=30000 segments.count=20 segments.length=50 fit.iterations=2", 1),
     "checkup": ("--data twin_clean --good twin_clean --most 1", 22),
     "excitation": ("--starts 1 --iterations 2 --period 2 -- data.samples=30000", 5),

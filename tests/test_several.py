@@ -108,6 +108,11 @@ def test_a_delay_is_looked_for_in_other_sample_intervals(monkeypatch: pytest.Mon
     armature = objective.space.labels.index("bench.armature")
     assert any(vector[armature] == start[armature] and vector[at] != start[at] for vector in tried)
     assert search(LM, objective)[0].best_loss > 0.1
+    # From a start that is given, the delay alone is tried again.
+    tried.clear()
+    found, _ = Several(60, 1e-9, contained=False).init(objective.starting(goal))
+    assert found[at] == pytest.approx(1.5, abs=1e-3) and evaluate(found).loss < 1e-6
+    assert tried[0] == pytest.approx(goal) and not any(vector[armature] == start[armature] for vector in tried)
 
 
 @pytest.mark.parametrize(("late", "leads_back"), [(0.95, True), (1.02, False), (0.75, False)])

@@ -58,6 +58,8 @@ class Several(Fit):
     Args:
         tries: `iterations` of `LevenbergMarquardt`, of each search.
         tolerance: Of `LevenbergMarquardt`.
+        contained: Whether to look at contained laws and other values of parameters, too; without, the starts are the
+            initial values and other delays alone.
 
     Raises:
         ConfigError: An argument is out of range.
@@ -65,11 +67,11 @@ class Several(Fit):
 
     traced = False
 
-    def __init__(self, tries: int = 40, tolerance: float = 1e-6) -> None:
+    def __init__(self, tries: int = 40, tolerance: float = 1e-6, contained: bool = True) -> None:
         refuse_outside("fit.tries", tries, 1, MOST_TRIES)
         if not 0 < tolerance < 1:
             raise ConfigError(f"fit.tolerance={tolerance}; expected a number between 0 and 1")
-        self._tries, self._tolerance = tries, tolerance
+        self._tries, self._tolerance, self._contained = tries, tolerance, contained
 
     def total(self, objective: Objective) -> int:
         """See `Fit.total`; not for a network nor for a law only in torch, as `LevenbergMarquardt`."""
@@ -79,7 +81,7 @@ class Several(Fit):
     def init(self, objective: Objective) -> tuple[Any, Any]:
         """See `Fit.init`; all searches are done here."""
         self.total(objective)
-        return _Searches(objective, self._tries, self._tolerance).best()
+        return _Searches(objective, self._tries, self._tolerance, self._contained).best()
 
     def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Seen, Any, Any]:
         """See `Fit.step`; there is nothing left to do."""
@@ -98,16 +100,19 @@ class Several(Fit):
 class _Searches:
     """All searches of an objective, each law that is contained looked at once."""
 
-    def __init__(self, objective: Objective, tries: int, tolerance: float) -> None:
+    def __init__(self, objective: Objective, tries: int, tolerance: float, contained: bool) -> None:
         self._objective, self._space = objective, objective.space
-        self._tries, self._tolerance = tries, tolerance
+        self._tries, self._tolerance, self._contained = tries, tolerance, contained
         self._least = np.inf
         self._found: dict[str, End] = {}
 
     def best(self) -> tuple[Float[np.ndarray, "coordinates"], Any]:
         """The end with the least loss, and initial states there."""
         recordings = self._objective.recordings
-        best = self._look(Part.of(None if recordings is None else recordings.model, self._space))
+        if self._contained:
+            best = self._look(Part.of(None if recordings is None else recordings.model, self._space))
+        else:
+            best = self._descend(Part.of(None, self._space), "initial values", np.asarray(self._space.start))
         if recordings is not None and "bench.delay" in self._space.labels:
             best = self._shift(best, recordings.logs[0].timestep)
         _log.info("of several starts, the best is at %s", best.name)
@@ -159,7 +164,7 @@ class _Searches:
         whole, at = Part.of(None, self._space), self._space.labels.index("bench.delay")
         unit = interval / float(self._space.params["bench.delay"].scale)
         low, high = whole.box[1:]
-        best = self._restore_inertia(best, whole, at, unit)
+        best = self._restore_inertia(best, whole, at, unit) if self._contained else best
         bests: list[float] = []
         for _ in range(_ROUNDS):
             along = _along(self._evaluate(best.vector).hessian, at)

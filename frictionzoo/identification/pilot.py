@@ -124,6 +124,7 @@ class Pilot:
         start: Float[np.ndarray, "coordinates"] | None = None,
         tries: int = _TRIES,
         beside: Found | None = None,
+        shifted: bool = False,
     ) -> Found:
         """The best vector, by Levenberg-Marquardt of at most so many; of several starts where none is given.
 
@@ -131,14 +132,16 @@ class Pilot:
             start: Where to begin.
             tries: How many vectors are tried at most, of each search.
             beside: Where another pilot ended, near the start.
+            shifted: Whether other delays are tried from a start that is given.
 
         Raises:
             FitError: The loss is not finite where it begins.
         """
-        fit = Several(tries, _TOLERANCE) if start is None else LevenbergMarquardt(tries, _TOLERANCE)
+        several = start is None or shifted
+        fit = Several(tries, _TOLERANCE, start is None) if several else LevenbergMarquardt(tries, _TOLERANCE)
         begun = self._beside(beside)
         progress, _ = search(fit, begun if start is None else begun.starting(start))
-        states = progress.method.states if start is not None else progress.method
+        states = progress.method if several else progress.method.states
         vector = np.asarray(progress.best, np.float64)
         if bool(progress.broken) or not np.isfinite(vector).all():
             raise FitError("the loss is not finite where the fit begins")

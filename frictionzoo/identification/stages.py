@@ -237,17 +237,22 @@ class Stages:
             self._validated[same] = float(np.abs(errors).mean())
         return self._validated[same]
 
-    def _go_on(self, pilot: Pilot, found: Found | None = None) -> Found:
+    def _go_on(self, pilot: Pilot, found: Found | None = None, shifted: bool = False) -> Found:
         """Where a pilot ends that begins where another ended, or else the first of all.
 
         With a robust loss, which has other minima than least squares, the better end of that and of the initial values.
+
+        Args:
+            pilot: The other one.
+            found: Where to begin.
+            shifted: Whether to try other delays, too: of another loss, the least may be in another sample interval.
         """
         begun = found or self._first
         if begun is None:
             return pilot.fit()
         starts = [begun.among(pilot.space.labels, pilot.start)]
         starts += [pilot.start] if pilot.robust and found is None else []
-        return min((pilot.fit(start, beside=begun) for start in starts), key=lambda end: end.loss)
+        return min((pilot.fit(start, beside=begun, shifted=shifted) for start in starts), key=lambda end: end.loss)
 
     def _choose_encoder(self) -> Iterator[Choice]:
         """Errors within half an encoder's step do not count where rounding is all that is left."""
@@ -271,7 +276,7 @@ class Stages:
         free = [name for name, is_free in self._free.items() if is_free]
         if not free:
             return
-        self._found = self._found or self._go_on(self._pilot())
+        self._found = self._found or self._go_on(self._pilot(), shifted=True)
         shown = {name: self._is_shown(self._found, name) for name in free}
         doubtful = [name for name, (is_shown, _) in shown.items() if not is_shown]
         self._shown = [name for name in free if name not in doubtful]
