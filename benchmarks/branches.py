@@ -83,7 +83,7 @@ def measure(way: str, dtype: str, segments: int, length: int) -> tuple[dict[str,
 
 def difference(found: Any, expected: Any) -> float:
     """Largest one of loss, gradient and second derivative, over the largest entry of each."""
-    pairs = zip(found, expected, strict=True)
+    pairs = zip(found[:3], expected[:3], strict=True)
     return max(float(np.abs(one - other).max() / np.abs(other).max()) for one, other in pairs)
 
 
