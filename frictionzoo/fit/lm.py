@@ -100,7 +100,9 @@ class LevenbergMarquardt(Fit):
         # A start without finite equations is none; from a later vector, the solver tries a shorter step.
         lost = at == 0 and not found.finite
         equations = [part.copy() for part in (state.loss, state.gradient, state.hessian)]
-        states = found.states if found.loss < np.min(state.loss[:at], initial=np.inf) else state.states
+        before = state.loss[:at]
+        least = np.min(before, initial=np.inf, where=np.isfinite(before))  # of those at which nothing diverged
+        states = found.states if found.loss < least else state.states
         for part, value in zip(equations, found[:3], strict=True):
             part[at] = value
         following = State(np.asarray(at + 1), state.asked, state.ended, *equations, states=states)
