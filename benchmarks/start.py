@@ -50,7 +50,7 @@ COLUMNS = {
     "cold_seconds": "cold: end [s]",
     "status": "exit status",
 }
-SAMPLES, STEP = 4000, 0.001  # of the recording, and its interval [s]
+SAMPLES, STEP = 16000, 0.001  # of the recording, and its interval [s]
 
 
 class Seen(NamedTuple):
