@@ -73,12 +73,19 @@ PROGRAMS = {
     "warp": Program("MuJoCo Warp", BENCH, ("roll_warp.py",), "warp.txt"),
     "newton": Program("Newton", BENCH, ("roll_newton.py",), "newton.txt"),
     "mjlab": Program("mjlab", ("mjlab", "mjcf"), ("roll_mjlab.py",), "mjlab.txt"),
-    "genesis": Program("Genesis", BENCH, ("roll_genesis.py",), "genesis.txt", "no solreffriction"),
-    "genesissoft": Program("Genesis", BENCH, ("roll_genesis.py", "--soft"), "genesis.txt"),
+    "genesis": Program("Genesis", BENCH, ("roll_genesis.py",), "genesis.txt"),
     "drake": Program("Drake", ("urdf", *BENCH), ("roll_drake.py", "--target=urdf"), "drake.txt", "no dry friction"),
     "drakesdf": Program("Drake", ("sdf", *BENCH), ("roll_drake.py", "--target=sdf"), "drake.txt", "no dry friction"),
     "drakedry": Program(
         "Drake", ("sdf", *BENCH), ("roll_drake.py", "--target=sdf", "--dry"), "drake.txt", "no solreffriction"
+    ),
+    "dart": Program("DART", ("urdf", *BENCH), ("roll_dart.py",), "dart.txt", "no armature"),
+    "dartrotors": Program(
+        "DART",
+        ("urdf", *BENCH),
+        ("roll_dart.py", "--rotors"),
+        "dart.txt",
+        "no solreffriction, rotors turn with their links",
     ),
     "onnx": Program("ONNX Runtime", ("onnx", "mujoco"), ("roll_mujoco.py", "--kind=onnx")),
     "torchscript": Program("torch.jit", ("torchscript", "mujoco"), ("roll_mujoco.py", "--kind=torchscript")),

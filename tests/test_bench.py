@@ -62,6 +62,16 @@ def test_friction_row_only_where_asked_for(knee: Bench) -> None:
     assert knee.compile(constraint=True).dof_frictionloss[0] > 0
 
 
+def test_only_joints_with_limits_keep_the_softness_of_these(tmp_path: Path) -> None:
+    """Genesis softens dry friction by what MuJoCo softens limits by."""
+    limited = 'name="knee" range="-30 40" solreflimit="0.03 0.8"'
+    drive = bench(tmp_path, TWO_JOINTS.replace('name="knee"', limited), ["hip", "knee"])
+    model = mujoco.MjModel.from_xml_string(drive.mjcf(drive.initial_values(), np.full(2, 0.1)))
+    hip, knee = (model.joint(name).id for name in ("hip", "knee"))
+    np.testing.assert_array_equal(model.jnt_solref[hip], model.dof_solref[model.joint("hip").dofadr[0]])
+    np.testing.assert_array_equal(model.jnt_solref[knee], [0.03, 0.8])
+
+
 def test_comments_cannot_break_the_file(knee: Bench) -> None:
     text = knee.mjcf(knee.initial_values(), comments=("a -- b",))
     assert "a - - b" in text

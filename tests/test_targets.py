@@ -63,3 +63,15 @@ def test_drake_takes_urdf_and_sdf_alike_and_dry_friction_from_outside(
     urdf, sdf, dry = [row["mean"] for row in rows]
     assert sdf == pytest.approx(urdf, rel=1e-6)
     assert dry < 0.2 * sdf
+
+
+@pytest.mark.slow
+def test_dart_takes_dry_friction_from_the_urdf_and_armature_from_outside(
+    finished_run: Callable[[str], tuple[Path, Finished]], tmp_path: Path
+) -> None:
+    """It reads links and damping, too."""
+    rows = roll(tmp_path, [finished_run("mujoco_default")[0]], "dart", "dartrotors")
+    if missing := [row["note"] for row in rows if (row["note"] or "").startswith("no environment")]:
+        pytest.skip(missing[0])
+    bare, rotors = [row["mean"] for row in rows]
+    assert rotors < 1e-3 * bare  # its friction has no regard to the damping: 1e-4

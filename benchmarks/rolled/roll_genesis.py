@@ -1,10 +1,5 @@
-"""Rollouts of the bench's MJCF in Genesis, on the CPU in 64 bits; commands come as late as they act.
+"""Rollouts of the bench's MJCF in Genesis, on the CPU in 64 bits; commands come as late as they act."""
 
-Genesis takes the `solreflimit` of a joint for its dry friction, too: with `--soft` it is given the `solreffriction`.
-"""
-
-import argparse
-import xml.etree.ElementTree as ElementTree
 from typing import Any
 
 import genesis
@@ -15,27 +10,13 @@ from given import Given, load_module, read_given
 
 def main() -> None:
     """Simulate all rollouts with one payload at once, an environment each."""
-    given, options = read_given(__doc__, add_options)
+    given, _ = read_given(__doc__)
     module: Any = load_module(given.folder / "mujoco" / "drive.py")
     genesis.init(backend=genesis.cpu, precision="64", logging_level="error")
     found = np.empty((len(given.qpos), given.steps, len(given.joints)))
     for rollouts in given.alike():
-        text = given.bench("mjcf", rollouts[0], late=False)
-        found[rollouts] = roll(given, module, soften(text) if options.soft else text, rollouts)
-    given.write(given.sampled(found), genesis=genesis.__version__ + options.soft * " with solreflimit")
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """What Genesis reads, and what it does not."""
-    parser.add_argument("--soft", action="store_true", help="the file's solreffriction stands for solreflimit, too")
-
-
-def soften(text: str) -> str:
-    """The bench with one softness for both; limits that a rollout reaches would be softer, too."""
-    root = ElementTree.fromstring(text)
-    for joint in root.findall(".//joint[@solreffriction]"):
-        joint.set("solreflimit", joint.get("solreffriction", ""))
-    return ElementTree.tostring(root, encoding="unicode")
+        found[rollouts] = roll(given, module, given.bench("mjcf", rollouts[0], late=False), rollouts)
+    given.write(given.sampled(found), "genesis-world")
 
 
 def roll(given: Given, module: Any, text: str, rollouts: np.ndarray) -> np.ndarray:

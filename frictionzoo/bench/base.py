@@ -125,6 +125,7 @@ class Bench(Described):
         self.joint_type: str = self._template.joint_type(model)
         self.timestep: float = float(model.opt.timestep)
         self.own_damping: np.ndarray = model.dof_damping.copy()
+        self._limited: np.ndarray = model.jnt_limited.astype(bool)
         self.payload: int | None = None if payload is None else self._template.find_body(model, payload)
         self.observed: dict[str, float] = {}
         self._loads: dict[Payload, np.ndarray] = {}  # many recordings have the same
@@ -274,6 +275,8 @@ class Bench(Described):
             joint["solreffriction"] = " ".join(map(in_full, self._solreffriction))
             if frictionloss is not None:
                 joint["frictionloss"] = in_full(frictionloss[index])
+                if not self._limited[index]:  # nothing to MuJoCo; Genesis softens dry friction by it
+                    joint["solreflimit"] = joint["solreffriction"]
             if damping is not None:  # on top of the template's own, as in the simulation
                 joint["damping"] = in_full(damping[index] + self.own_damping[index])
             joints.append(joint)

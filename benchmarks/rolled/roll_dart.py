@@ -1,0 +1,87 @@
+"""Rollouts of the bench's URDF in DART, Gazebo's default engine, by whole steps; commands come as late as they act.
+
+DART reads links, damping and dry friction from it, and no SDF as new as bench.sdf. It reads no actuator law of MuJoCo:
+the caller gives the torque. It has no armature: with `--rotors` the caller adds that to the links.
+"""
+
+import argparse
+import xml.etree.ElementTree as ElementTree
+from typing import Any
+
+import dartpy
+import mujoco
+import numpy as np
+from given import Given, load_module, read_given
+
+ROTOR = "{http://drake.mit.edu}rotor_inertia"  # at gear ratio 1, one a joint, in their order
+
+
+def main() -> None:
+    """Simulate each rollout from its initial state."""
+    given, options = read_given(__doc__, add_options)
+    module: Any = load_module(given.folder / "mujoco" / "drive.py")
+    file = given.folder / "urdf" / "bench.urdf"
+    rotors = [float(tag.get("value", "nan")) for tag in ElementTree.parse(file).iter(ROTOR)]
+    found = np.empty((len(given.qpos), given.steps, len(given.joints)))
+    for rollouts in given.alike():
+        bench = mujoco.MjModel.from_xml_string(given.bench("mjcf", rollouts[0], late=False))
+        world, skeleton = dartpy.simulation.World(), dartpy.utils.DartLoader().parseSkeleton(str(file))
+        world.setTimeStep(given.timestep)
+        world.setGravity(bench.opt.gravity)
+        world.addSkeleton(skeleton)
+        if given.load.shape[1]:
+            put_payload(bench, skeleton, given.body)
+        if options.rotors:
+            for name, inertia in zip(given.joints, rotors, strict=True):
+                add_rotor(skeleton.getJoint(name), inertia)
+        for rollout in rollouts:
+            found[rollout] = roll(given, module, bench, world, rollout)
+    given.write(given.sampled(found), dart=dartpy.__version__ + options.rotors * " with rotors in links")
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """What DART reads, and what it does not."""
+    parser.add_argument("--rotors", action="store_true", help="the caller adds the file's rotors to the links")
+
+
+def roll(given: Given, module: Any, bench: mujoco.MjModel, world: dartpy.simulation.World, rollout: int) -> np.ndarray:
+    """Positions after each step of this rollout."""
+    skeleton, law, found = world.getSkeleton(0), module.Actuator(), []
+    at = [skeleton.getJoint(name).getIndexInSkeleton(0) for name in given.joints]
+    order = np.argsort(at)
+    gain, bias = bench.actuator_gainprm[:, 0], bench.actuator_biasprm.T
+    world.reset()
+    skeleton.setPositions((given.qpos[rollout] - bench.qpos0)[order])  # DART's 0 is where the links are drawn
+    skeleton.setVelocities(given.qvel[rollout][order])
+    for number in range(given.steps):
+        signals = {name: signal[rollout, number] for name, signal in given.acting.items()}
+        qpos, qvel = skeleton.getPositions()[at] + bench.qpos0, skeleton.getVelocities()[at]
+        ctrl = law.control(np, module.ACTUATOR, qpos, qvel, signals.pop("ctrl"), signals)
+        skeleton.setForces((gain * ctrl + bias[0] + bias[1] * qpos + bias[2] * qvel)[order])
+        world.step()
+        found.append(skeleton.getPositions()[at] + bench.qpos0)
+    return np.array(found)
+
+
+def put_payload(bench: mujoco.MjModel, skeleton: dartpy.dynamics.Skeleton, body: int) -> None:
+    """Give a link the inertia that its body has in MuJoCo; a link's frame is that of its joint."""
+    axes = np.empty(9)
+    mujoco.mju_quat2Mat(axes, bench.body_iquat[body])
+    axes = axes.reshape(3, 3)
+    anchor = bench.jnt_pos[bench.body_jntadr[body]] if bench.body_jntnum[body] else np.zeros(3)
+    moment = axes * bench.body_inertia[body] @ axes.T
+    matter = dartpy.dynamics.Inertia(bench.body_mass[body], bench.body_ipos[body] - anchor, moment)
+    skeleton.getBodyNode(bench.body(body).name).setInertia(matter)
+
+
+def add_rotor(joint: Any, inertia: float) -> None:
+    """Let a link be as hard to move along its joint's axis as with this rotor.
+
+    Exact where the world holds the link. Elsewhere the rotor turns with the link's parents, too, as no armature does.
+    """
+    link, along = joint.getChildBodyNode(), joint.getRelativeJacobian()
+    link.setInertia(dartpy.dynamics.Inertia(link.getInertia().getSpatialTensor() + inertia * along @ along.T))
+
+
+if __name__ == "__main__":
+    main()
