@@ -23,7 +23,7 @@ from frictionzoo.bench.compiled import INERTIAL
 from frictionzoo.core.errors import ExportError, FrictionzooError
 from frictionzoo.core.params import UNITS
 from frictionzoo.export.base import measure
-from frictionzoo.export.motor import aim, motors, read_inputs
+from frictionzoo.export.motor import aim, lag, motors, read_inputs
 from frictionzoo.export.simulate import commands_before
 from frictionzoo.export.write import write_exports
 from frictionzoo.export.written import Written
@@ -55,6 +55,7 @@ class Program:
         script: In `benchmarks/rolled`, with its options.
         environment: Requirements, a file in `benchmarks/rolled`; empty for the environment of this process.
         lacks: In a few words, what of the files it does otherwise.
+        unrun: In a few words, which part of it another program stands for; the note of every row says so.
     """
 
     name: str
@@ -62,6 +63,7 @@ class Program:
     script: tuple[str, ...]
     environment: str = ""
     lacks: str = ""
+    unrun: str = ""
 
 
 PROGRAMS = {
@@ -73,6 +75,10 @@ PROGRAMS = {
     "warp": Program("MuJoCo Warp", BENCH, ("roll_warp.py",), "warp.txt"),
     "newton": Program("Newton", BENCH, ("roll_newton.py",), "newton.txt"),
     "mjlab": Program("mjlab", ("mjlab", "mjcf"), ("roll_mjlab.py",), "mjlab.txt"),
+    "isaaclab": Program(
+        *("Isaac Lab", ("isaaclab", "mjcf"), ("roll_isaaclab.py",), "isaaclab.txt"),
+        unrun="PhysX was not run: MuJoCo moves the joints",
+    ),
     "genesis": Program("Genesis", BENCH, ("roll_genesis.py",), "genesis.txt"),
     "drake": Program("Drake", ("urdf", *BENCH), ("roll_drake.py", "--target=urdf"), "drake.txt", "no dry friction"),
     "drakesdf": Program("Drake", ("sdf", *BENCH), ("roll_drake.py", "--target=sdf"), "drake.txt", "no dry friction"),
@@ -87,6 +93,7 @@ PROGRAMS = {
         "dart.txt",
         "no solreffriction, rotors turn with their links",
     ),
+    "gazebo": Program("Gazebo physics", ("sdf", *BENCH), ("roll_gazebo.py",), lacks="no armature"),
     "onnx": Program("ONNX Runtime", ("onnx", "mujoco"), ("roll_mujoco.py", "--kind=onnx")),
     "torchscript": Program("torch.jit", ("torchscript", "mujoco"), ("roll_mujoco.py", "--kind=torchscript")),
     "libtorch": Program("libtorch", ("torchscript", "mujoco"), ("roll_mujoco.py", "--kind=libtorch")),
@@ -130,7 +137,7 @@ def try_drive(run: Path, programs: Sequence[str], environments: Path, folder: Pa
         missing = next((one.reason for one in needed if one.export is None), "")
         reason = missing or simulate(program, environments, folder, out)
         row = {"run": label, "program": program.name, "files": needed[0].target, "unit": unit, "note": reason}
-        rows.append(row if reason else row | compare(fitted, out, needed[0], program.lacks))
+        rows.append(row if reason else row | compare(fitted, out, needed[0], program))
     return rows
 
 
@@ -166,6 +173,7 @@ def write_given(fitted: Identified, path: Path) -> None:
         arrays |= {"targets": none, "targets_before": none}
     arrays["load"] = np.empty((segments.count, 0)) if segments.load is None else segments.load[:, :INERTIAL]
     settings = {"joints": list(bench.joints), "timestep": fitted.timestep, "substeps": sampling.substeps}
+    settings["lags"] = [lag(fitted, joint) for joint in range(bench.nv)]
     settings["body"] = -1 if bench.payload is None else bench.payload
     np.savez(path, settings=json.dumps(settings), **arrays)
 
@@ -206,22 +214,20 @@ def make_environment(requirements: Path, environments: Path) -> tuple[Path, str]
     return python, ""
 
 
-def compare(fitted: Identified, path: Path, written: Written, lacks: str) -> dict[str, Any]:
-    """What a program simulated with these files, against the drive as frictionzoo simulates it.
-
-    `lacks` says what of the files the program does otherwise.
-    """
+def compare(fitted: Identified, path: Path, written: Written, of: Program) -> dict[str, Any]:
+    """What a program simulated with these files, against the drive as frictionzoo simulates it."""
     assert written.export is not None
     with np.load(path, allow_pickle=False) as file:
         came, program = file["qpos"], str(file["program"])
     promised = written.export.differences[0]
-    reason = ", ".join(filter(None, (promised.reason, lacks)))
+    reason = ", ".join(filter(None, (promised.reason, of.lacks)))
     found = measure("qpos", fitted, came, fitted.rollout()[0], reason=reason)
-    if promised.quantity == "qpos" and not lacks and not found.mean <= 2 * promised.mean:
+    if promised.quantity == "qpos" and not of.lacks and not found.mean <= 2 * promised.mean:
         found = replace(found, reason=f"the export's own difference is {promised.mean:.2g}: the program does otherwise")
+    note = "; ".join(filter(None, (written.mark(found), of.unrun)))
     return {
         **{"program": program, "largest": found.largest, "mean": found.mean, "error": written.error},
-        **{"share": written.share(found), "note": written.mark(found) or None},
+        **{"share": written.share(found), "note": note or None},
     }
 
 

@@ -300,7 +300,7 @@ READERS = {"mjlab": Mjlab().read, "isaaclab": IsaacLab().read}
 CONFIGURED = [
     ("mjlab", "BuiltinPositionActuatorCfg", (LATE,)),
     ("isaaclab", "DelayedPDActuatorCfg", (LATE,)),
-    ("isaaclab", "ImplicitActuatorCfg", ()),
+    ("isaaclab", "IdealPDActuatorCfg", ()),
     ("isaaclab", "DCMotorCfg", DC_MOTOR),
     ("mjlab", "DcMotorActuatorCfg", STS3215),
     ("isaaclab", "IdealPDActuatorCfg", ROBOT),

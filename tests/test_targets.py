@@ -66,12 +66,16 @@ def test_drake_takes_urdf_and_sdf_alike_and_dry_friction_from_outside(
 
 
 @pytest.mark.slow
-def test_dart_takes_dry_friction_from_the_urdf_and_armature_from_outside(
+def test_dart_takes_dry_friction_from_the_urdf_armature_from_outside_and_gazebo_the_sdf_as_dart(
     finished_run: Callable[[str], tuple[Path, Finished]], tmp_path: Path
 ) -> None:
-    """It reads links and damping, too."""
-    rows = roll(tmp_path, [finished_run("mujoco_default")[0]], "dart", "dartrotors")
+    """They read links and damping, too. Gazebo's physics has DART in it."""
+    rows = roll(tmp_path, [finished_run("mujoco_default")[0]], "dart", "dartrotors", "gazebo")
     if missing := [row["note"] for row in rows if (row["note"] or "").startswith("no environment")]:
         pytest.skip(missing[0])
-    bare, rotors = [row["mean"] for row in rows]
-    assert rotors < 1e-3 * bare  # its friction has no regard to the damping: 1e-4
+    bare, rotors, gazebo = rows
+    assert rotors["mean"] < 1e-3 * bare["mean"]  # its friction has no regard to the damping: 1e-4
+    if (gazebo["note"] or "").startswith("no Gazebo physics"):
+        pytest.skip(gazebo["note"])
+    assert gazebo["program"].startswith("gazebo physics ")
+    assert gazebo["mean"] == pytest.approx(bare["mean"], rel=1e-6)

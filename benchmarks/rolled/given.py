@@ -34,6 +34,7 @@ class Given:
         before: What was commanded before the first state, the newest last.
         targets: Desired positions, as a position-controlled motor is given them, not late; empty for other drives.
         targets_before: Likewise before the first state.
+        lags: Whole steps of the simulation by which the drive delays commands, one a joint.
         load: Of the body with the payload in each rollout: mass, centre of mass, orientation, principal inertia.
         body: Its index in the model.
     """
@@ -50,6 +51,7 @@ class Given:
     before: Signals
     targets: np.ndarray
     targets_before: np.ndarray
+    lags: list[int]
     load: np.ndarray
     body: int
 

@@ -11,6 +11,7 @@ from typing import Any
 import dartpy
 import mujoco
 import numpy as np
+from caller import find_matter, make_torque
 from given import Given, load_module, read_given
 
 ROTOR = "{http://drake.mit.edu}rotor_inertia"  # at gear ratio 1, one a joint, in their order
@@ -46,31 +47,23 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def roll(given: Given, module: Any, bench: mujoco.MjModel, world: dartpy.simulation.World, rollout: int) -> np.ndarray:
     """Positions after each step of this rollout."""
-    skeleton, law, found = world.getSkeleton(0), module.Actuator(), []
+    skeleton, torque, found = world.getSkeleton(0), make_torque(given, module, bench, rollout), []
     at = [skeleton.getJoint(name).getIndexInSkeleton(0) for name in given.joints]
     order = np.argsort(at)
-    gain, bias = bench.actuator_gainprm[:, 0], bench.actuator_biasprm.T
     world.reset()
     skeleton.setPositions((given.qpos[rollout] - bench.qpos0)[order])  # DART's 0 is where the links are drawn
     skeleton.setVelocities(given.qvel[rollout][order])
     for number in range(given.steps):
-        signals = {name: signal[rollout, number] for name, signal in given.acting.items()}
         qpos, qvel = skeleton.getPositions()[at] + bench.qpos0, skeleton.getVelocities()[at]
-        ctrl = law.control(np, module.ACTUATOR, qpos, qvel, signals.pop("ctrl"), signals)
-        skeleton.setForces((gain * ctrl + bias[0] + bias[1] * qpos + bias[2] * qvel)[order])
+        skeleton.setForces(torque(number, qpos, qvel)[order])
         world.step()
         found.append(skeleton.getPositions()[at] + bench.qpos0)
     return np.array(found)
 
 
 def put_payload(bench: mujoco.MjModel, skeleton: dartpy.dynamics.Skeleton, body: int) -> None:
-    """Give a link the inertia that its body has in MuJoCo; a link's frame is that of its joint."""
-    axes = np.empty(9)
-    mujoco.mju_quat2Mat(axes, bench.body_iquat[body])
-    axes = axes.reshape(3, 3)
-    anchor = bench.jnt_pos[bench.body_jntadr[body]] if bench.body_jntnum[body] else np.zeros(3)
-    moment = axes * bench.body_inertia[body] @ axes.T
-    matter = dartpy.dynamics.Inertia(bench.body_mass[body], bench.body_ipos[body] - anchor, moment)
+    """Give a link the inertia that its body has in MuJoCo."""
+    matter = dartpy.dynamics.Inertia(*find_matter(bench, body))
     skeleton.getBodyNode(bench.body(body).name).setInertia(matter)
 
 

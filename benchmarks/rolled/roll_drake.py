@@ -9,6 +9,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from caller import find_matter, make_torque
 from given import Given, load_module, read_given
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
@@ -44,15 +45,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def roll(given: Given, module: Any, bench: mujoco.MjModel, plant: MultibodyPlant, rollout: int) -> np.ndarray:
     """Positions after each step of this rollout."""
-    context, law, found = plant.CreateDefaultContext(), module.Actuator(), []
+    context, torque, found = plant.CreateDefaultContext(), make_torque(given, module, bench, rollout), []
     if given.load.shape[1]:
         put_payload(bench, plant, context, given.body)
     at = [plant.GetJointByName(name).velocity_start() for name in given.joints]
-    gain, bias, loss = bench.actuator_gainprm[:, 0], bench.actuator_biasprm.T, bench.dof_frictionloss
+    loss = bench.dof_frictionloss
     port = plant.get_applied_generalized_force_input_port()
 
-    def step(torque: np.ndarray) -> np.ndarray:
-        port.FixValue(context, order(torque))
+    def step(forces: np.ndarray) -> np.ndarray:
+        port.FixValue(context, order(forces))
         return plant.EvalUniquePeriodicDiscreteUpdate(context).value().reshape(2, -1)[:, at]
 
     def order(values: np.ndarray) -> np.ndarray:
@@ -60,15 +61,12 @@ def roll(given: Given, module: Any, bench: mujoco.MjModel, plant: MultibodyPlant
 
     qpos, qvel = given.qpos[rollout] - bench.qpos0, given.qvel[rollout]  # Drake's 0 is where the links are drawn
     for number in range(given.steps):
-        signals = {name: signal[rollout, number] for name, signal in given.acting.items()}
-        measured = qpos + bench.qpos0
-        ctrl = law.control(np, module.ACTUATOR, measured, qvel, signals.pop("ctrl"), signals)
-        torque = gain * ctrl + bias[0] + bias[1] * measured + bias[2] * qvel
+        driven = torque(number, qpos + bench.qpos0, qvel)
         plant.SetPositionsAndVelocities(context, np.concatenate([order(qpos), order(qvel)]))
-        after = step(torque)
+        after = step(driven)
         if loss.any():
             inertia = plant.CalcMassMatrix(context)[np.ix_(at, at)] + given.timestep * np.diag(bench.dof_damping)
-            after = step(torque - stop(after[1], given.timestep * np.linalg.inv(inertia), loss))
+            after = step(driven - stop(after[1], given.timestep * np.linalg.inv(inertia), loss))
         qpos, qvel = after
         found.append(qpos + bench.qpos0)
     return np.array(found)
@@ -94,14 +92,9 @@ def stop(qvel: np.ndarray, response: np.ndarray, loss: np.ndarray) -> np.ndarray
 
 
 def put_payload(bench: mujoco.MjModel, plant: MultibodyPlant, context: Any, body: int) -> None:
-    """Give a link the inertia that its body has in MuJoCo; a link's frame is that of its joint."""
-    axes = np.empty(9)
-    mujoco.mju_quat2Mat(axes, bench.body_iquat[body])
-    axes = axes.reshape(3, 3)
-    inertia = axes * bench.body_inertia[body] @ axes.T
+    """Give a link the inertia that its body has in MuJoCo."""
+    mass, centre, inertia = find_matter(bench, body)
     entries = (*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2])
-    anchor = bench.jnt_pos[bench.body_jntadr[body]] if bench.body_jntnum[body] else np.zeros(3)
-    mass, centre = bench.body_mass[body], bench.body_ipos[body] - anchor
     matter = SpatialInertia.MakeFromCentralInertia(mass, centre, RotationalInertia(*entries))
     plant.GetBodyByName(bench.body(body).name).SetSpatialInertiaInBodyFrame(context, matter)
 

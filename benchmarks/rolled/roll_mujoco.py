@@ -1,7 +1,6 @@
 """Rollouts in MuJoCo C: of the bench's MJCF, or of `drive.py`, whose law may be the ONNX or the TorchScript file."""
 
 import argparse
-import subprocess
 from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -11,6 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 from given import Given, load_module, read_given
+from native import Running, compile_program
 
 Step = Callable[[mujoco.MjData, int], None]
 Evaluate = Callable[[Sequence[np.ndarray]], Sequence[np.ndarray]]
@@ -129,17 +129,12 @@ def load_libtorch(given: Given) -> tuple[Evaluate, dict[str, str]]:
     """The law in a C++ program, made with the libtorch that PyTorch brings, and the version that this says."""
     program, joints = given.out.with_suffix(".law"), len(given.joints)
     compile_law(program)
-    command = [program, given.folder / "torchscript" / "friction.pt", str(joints)]
-    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-    assert process.stdin is not None and process.stdout is not None
-    states, friction = process.stdin, process.stdout
+    law = Running([program, given.folder / "torchscript" / "friction.pt", str(joints)])
 
     def evaluate(state: Sequence[np.ndarray]) -> list[np.ndarray]:
-        states.write(np.stack(state).tobytes())
-        states.flush()
-        return list(np.frombuffer(friction.read(3 * joints * 8)).reshape(3, joints))  # torque, frictionloss, damping
+        return list(law.ask(np.stack(state), 3, joints))  # torque, frictionloss, damping
 
-    return evaluate, {"libtorch": friction.readline().decode().strip()}
+    return evaluate, {"libtorch": law.version}
 
 
 def compile_law(program: Path) -> None:
@@ -148,9 +143,8 @@ def compile_law(program: Path) -> None:
     assert found is not None and found.origin is not None
     torch = Path(found.origin).parent
     headers = [torch / "include", torch / "include" / "torch" / "csrc" / "api" / "include"]
-    command = ["g++", "-std=c++20", Path(__file__).parent / "law.cpp", "-o", program, f"-L{torch / 'lib'}"]
-    command += [f"-I{folder}" for folder in headers] + [f"-Wl,-rpath,{torch / 'lib'}"]
-    subprocess.run([*command, "-ltorch", "-ltorch_cpu", "-lc10"], check=True)
+    flags = [f"-L{torch / 'lib'}", *(f"-I{folder}" for folder in headers), f"-Wl,-rpath,{torch / 'lib'}"]
+    compile_program("law.cpp", program, [*flags, "-ltorch", "-ltorch_cpu", "-lc10"])
 
 
 LAWS = {"onnx": load_onnx, "torchscript": load_torchscript, "libtorch": load_libtorch}

@@ -22,7 +22,9 @@ _STICKS = (
 
 @register_target("isaaclab")
 class IsaacLab(ConfigFile):
-    """A Python file with Isaac Lab's implicit, ideal, delayed or DC motor actuator and PhysX's joint friction.
+    """A Python file with Isaac Lab's ideal, delayed or DC motor actuator and PhysX's joint friction.
+
+    None is an `ImplicitActuatorCfg`: PhysX takes the gains of that implicitly, which brakes by step * stiffness more.
 
     Source: documentation of Isaac Lab 2.3, `isaaclab.actuators`.
     """
@@ -30,7 +32,8 @@ class IsaacLab(ConfigFile):
     program, file, module, keyed = "Isaac Lab", "isaaclab_actuators.py", "isaaclab.actuators", True
     head = """Actuators of Isaac Lab 2.3 or later on Isaac Sim 5 or later, written by frictionzoo.
 
-ArticulationCfg(actuators=ACTUATORS); set joint names to those of your robot.
+ArticulationCfg(actuators=ACTUATORS); set joint names to those of your robot, whose
+USD has the limits of torque and velocity that are not here.
 """
     keywords = ("armature", "dynamic_friction", "viscous_friction", "min_delay")
 
@@ -39,8 +42,7 @@ ArticulationCfg(actuators=ACTUATORS); set joint names to those of your robot.
         units, cls, late = UNITS[fitted.bench.joint_type], "DCMotorCfg", []
         if not np.isfinite(motor.saturation_effort):
             late = list_delay(fitted, joint, "min_delay", "max_delay")
-            at_once = "IdealPDActuatorCfg" if np.isfinite(motor.effort_limit) else "ImplicitActuatorCfg"
-            cls = "DelayedPDActuatorCfg" if late else at_once
+            cls = "DelayedPDActuatorCfg" if late else "IdealPDActuatorCfg"
         dynamic = nearest.frictionloss[joint]
         return cls, [
             Field("joint_names_expr", f'["^{fitted.bench.joints[joint]}$"]'),

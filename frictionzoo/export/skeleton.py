@@ -141,8 +141,8 @@ def say_lacks(fitted: Identified, nearest: Nearest) -> tuple[str, ...]:
     armature = list_values(nearest.bench["armature"])
     said = [
         *say_limits(fitted, nearest),
-        f"Only Drake reads the armature, {armature} {units['inertia']}, from drake:rotor_inertia: set it in other "
-        "programs.",
+        f"Only Drake reads the armature, {armature} {units['inertia']}, from drake:rotor_inertia: set it where a "
+        "program has one. Gazebo has none.",
         "Drake reads no dry friction: its joints have damping alone.",
         "Shapes are left out, and so are solreffriction, gravity and the time step.",
     ]

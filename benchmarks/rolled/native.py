@@ -1,0 +1,45 @@
+"""Programs in C++ of this folder: made where they run, and asked for numbers of 64 bits over pipes."""
+
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+
+def compile_program(source: str, program: Path, flags: Sequence[str | Path]) -> None:
+    """Make a program of a file of this folder, with these flags of g++."""
+    command = ["g++", "-std=c++20", Path(__file__).parent / source, "-o", program, *flags]
+    subprocess.run(command, check=True)
+
+
+class Running:
+    """A program that was started. Where it ends before it is through, so does this process, with what it said.
+
+    Attributes:
+        version: The line that it writes first.
+    """
+
+    def __init__(self, command: Sequence[str | Path]) -> None:
+        """Start it."""
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        assert self._process.stdin is not None and self._process.stdout is not None
+        self._told, self._said = self._process.stdin, self._process.stdout
+        self.version = self._said.readline().decode().strip()
+        if not self.version:
+            sys.exit(self._process.wait() or 1)
+
+    def tell(self, numbers: np.ndarray) -> None:
+        """Write numbers to it."""
+        self._told.write(numbers.astype(float).tobytes())
+        self._told.flush()
+
+    def ask(self, numbers: np.ndarray, *shape: int) -> np.ndarray:
+        """Its answer to numbers, of this shape."""
+        self.tell(numbers)
+        size = 8 * int(np.prod(shape))
+        said = self._said.read(size)
+        if len(said) < size:
+            sys.exit(self._process.wait() or 1)
+        return np.frombuffer(said).reshape(shape)

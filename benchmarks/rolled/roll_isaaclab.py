@@ -1,0 +1,113 @@
+"""Rollouts with Isaac Lab's actuators, on the CPU in 32 bits, and MuJoCo C in place of PhysX, which is not run.
+
+Isaac Lab's own classes, made from the exported file, compute the torque in each step. MuJoCo has the bench's links, and
+of the file the armature, `dynamic_friction` and `viscous_friction`; `friction`, which holds a joint at rest, has no
+place there.
+
+`isaaclab.utils.assets` asks Isaac Sim for a server of files as it is imported. An empty module stands for it; networks
+among the actuators would read their files by it, and nothing here calls it.
+"""
+
+import sys
+from importlib.metadata import distribution, version
+from types import ModuleType
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+from given import Given, load_module, read_given
+
+
+def main() -> None:
+    """Simulate all rollouts with one payload at once, an environment of the actuators each."""
+    given, _ = read_given(__doc__)
+    find_isaaclab()
+    configs = load_module(given.folder / "isaaclab" / "isaaclab_actuators.py").ACTUATORS
+    found = np.empty((len(given.qpos), given.steps, len(given.joints)))
+    for rollouts in given.alike():
+        found[rollouts] = roll(given, configs, rollouts)
+    given.write(given.sampled(found), isaaclab=version("isaaclab") + " actuators", mujoco=version("mujoco"))
+
+
+def find_isaaclab() -> None:
+    """Let `isaaclab` be the package within the installed one, which itself would start Isaac Sim."""
+    sys.path.insert(0, str(distribution("isaaclab").locate_file("isaaclab/source/isaaclab")))
+    assets: Any = ModuleType("isaaclab.utils.assets")
+    assets.read_file = None
+    sys.modules[assets.__name__] = assets
+
+
+def roll(given: Given, configs: dict[str, Any], rollouts: np.ndarray) -> np.ndarray:
+    """Positions after each step of these rollouts."""
+    actuators = [make_actuator(config.copy(), given.joints, len(rollouts)) for config in configs.values()]
+    model = compile_joints(given, actuators, rollouts[0])
+    worlds = [mujoco.MjData(model) for _ in rollouts]
+    for data, rollout in zip(worlds, rollouts, strict=True):
+        data.qpos[:], data.qvel[:] = given.qpos[rollout], given.qvel[rollout]
+    targets = np.concatenate([given.targets_before, given.targets], axis=1)[rollouts]
+    begin, found = given.targets_before.shape[1], []
+    for number in range(targets.shape[1]):
+        qpos, qvel = np.stack([data.qpos for data in worlds]), np.stack([data.qvel for data in worlds])
+        efforts = np.full(qpos.shape, np.nan)
+        for actuator in actuators:
+            joints = actuator.joint_indices.numpy()
+            late = np.maximum(number - find_lags(given, actuator), 0)
+            efforts[:, joints] = compute(actuator, targets[:, late, joints], qpos[:, joints], qvel[:, joints])
+        if number < begin:  # this filled the buffers of late commands
+            continue
+        for data, effort in zip(worlds, efforts, strict=True):
+            data.qfrc_applied[:] = effort
+            mujoco.mj_step(model, data)
+        found.append([data.qpos.copy() for data in worlds])
+    return np.stack(found, axis=1)
+
+
+def make_actuator(config: Any, joints: list[str], count: int) -> Any:
+    """The actuator of a configuration, as Isaac Lab's articulation makes it of a robot without limits of its own."""
+    from isaaclab.utils.string import resolve_matching_names
+
+    numbers, names = resolve_matching_names(config.joint_names_expr, joints)
+    actuator = config.class_type(config, names, torch.tensor(numbers), count, "cpu")
+    assert not actuator.is_implicit_model, "PhysX would compute its torque"
+    actuator.reset(range(count))
+    return actuator
+
+
+def compile_joints(given: Given, actuators: list[Any], rollout: int) -> mujoco.MjModel:
+    """The bench with the actuators' joints, and without its own motors."""
+    model = mujoco.MjModel.from_xml_string(given.bench("mjcf", rollout, late=False))
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
+    for values in (model.dof_armature, model.dof_frictionloss, model.dof_damping):
+        values[:] = np.nan  # every joint is some actuator's
+    for actuator in actuators:
+        joints = actuator.joint_indices.numpy()
+        model.dof_armature[joints] = actuator.armature[0]
+        model.dof_frictionloss[joints] = actuator.dynamic_friction[0]
+        model.dof_damping[joints] = actuator.viscous_friction[0]
+    return model
+
+
+def find_lags(given: Given, actuator: Any) -> np.ndarray:
+    """Steps by which the caller gives late what an actuator takes at once."""
+    lags = np.array(given.lags)[actuator.joint_indices.numpy()]
+    return 0 * lags if hasattr(actuator, "positions_delay_buffer") else lags
+
+
+def compute(actuator: Any, targets: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
+    """Torque of an actuator, within the limit that it sets for the simulated joint."""
+    from isaaclab.utils.types import ArticulationActions
+
+    none = torch.zeros(targets.shape)
+    wanted = ArticulationActions(as_tensor(targets), none, none, actuator.joint_indices)
+    efforts = actuator.compute(wanted, as_tensor(qpos), as_tensor(qvel)).joint_efforts
+    return torch.clip(efforts, -actuator.effort_limit_sim, actuator.effort_limit_sim).numpy()
+
+
+def as_tensor(values: np.ndarray) -> torch.Tensor:
+    """In Isaac Lab's 32 bits."""
+    return torch.tensor(values, dtype=torch.float32)
+
+
+if __name__ == "__main__":
+    main()
