@@ -29,6 +29,8 @@ const isDark = () => brightness(getComputedStyle(document.body).backgroundColor)
   < brightness(shown()[0].querySelector(".xtick text").style.fill);
 """
 DRAWN = "return await allDrawn() ? shown().length : 0;"  # how many figures there are, if all are drawn
+CLIPPED = """return [...document.querySelectorAll(".box")]
+  .filter(box => box.clientWidth && box.scrollWidth > box.clientWidth + 1).map(box => box.textContent);"""
 WIDTHS = """await allDrawn();
   return [innerWidth, document.documentElement.scrollWidth,
     ...shown().flatMap(canvas => [...canvas.querySelectorAll(".main-svg")])

@@ -10,7 +10,7 @@ from operator import getitem
 import numpy as np
 import plotly.graph_objects as go
 import pytest
-from browser import WIDTHS, needs_browser, open_page, read_data
+from browser import CLIPPED, WIDTHS, needs_browser, open_page, read_data
 from test_html import HOSTILE, Page, judge_targets
 from test_report import bench, dataset, evaluation, model, of_joints, result  # noqa: F401
 
@@ -425,16 +425,14 @@ def test_a_browser_draws_every_figure_and_shows_the_run_that_is_clicked_or_linke
     assert open_page(path, fragment=f"#{LABELS[2]}").run(f"return until(() => {linked} === {LABELS[2]!r})")
 
 
-CLIPPED = """return [...document.querySelectorAll(".box")]
-  .filter(box => box.clientWidth && box.scrollWidth > box.clientWidth + 1).map(box => box.textContent);"""
-
-
 @needs_browser
 def test_the_page_does_not_scroll_sideways(runs, result, tmp_path):  # noqa: F811
     name = "law-with-a-very-long-name-that-cannot-be-broken-anywhere-at-all-in-any-table"
     runs = [*runs, make_run(tmp_path, result, name, 0.02, seed=3)]
     for run in runs:
         run.result["data"]["name"] = run.result["data"]["logs"][0]["name"] = name
+        for row in (row for parameter in run.result["parameters"] for row in parameter["by_joint"]):
+            row |= {"identifiable": False, "interval": [0.0123456, 0.0234567]}
     show(tmp_path / "comparison.html", runs, [Failure(name, name, name)])
     for width in (390, 1440):
         browser = open_page(tmp_path / "comparison.html", width=width)

@@ -13,7 +13,7 @@ from operator import getitem
 import numpy as np
 import plotly.graph_objects as go
 import pytest
-from browser import DRAWN, WIDTHS, needs_browser, open_page, read_data
+from browser import CLIPPED, DRAWN, WIDTHS, needs_browser, open_page, read_data
 from plotly.offline import get_plotlyjs_version
 from test_report import FIT, bench, curves_of, dataset, evaluation, make_rollout, model, of_joints, result  # noqa: F401
 
@@ -117,6 +117,29 @@ def test_no_absolute_path_is_on_the_page(record, tmp_path):
     assert f"fz.load('{tmp_path.name}')" in page.text
 
 
+def test_the_command_of_a_run_is_on_its_page_without_its_folders(record, tmp_path):
+    assert "frictionzoo.run" not in Page(report(tmp_path / "report.html", record)).text  # as of one made in Python
+    (tmp_path / ".hydra").mkdir()
+    kept = ["model=dahl", "data.train=[/home/somebody/a b.csv]", "hydra.run.dir=/home/somebody/out", "resume=null"]
+    (tmp_path / ".hydra" / "overrides.yaml").write_text(json.dumps(kept))
+    page = Page(report(tmp_path / "report.html", record))
+    assert "python -m frictionzoo.run model=dahl 'data.train=[" in page.text
+    assert "somebody" not in page.text and "resume" not in page.text and "hydra.run" not in page.text
+
+
+def test_many_recordings_are_folded(record, tmp_path):
+    (log,) = record["data"]["logs"][:1]
+    for count, folded in ((12, False), (13, True)):
+        record["data"]["logs"] = [log | {"name": f"{i}.csv"} for i in range(count)]
+        text = Page(report(tmp_path / "report.html", record)).text
+        assert ("13 recordings: 13 in " in text) is folded and "11.csv" in text
+
+
+def test_errors_of_all_rollouts_are_on_one_scale(record):
+    drawn = plot_run(record, curves_of(spread_out([1.0, 2.0, 30.0])))["error"]
+    assert len(drawn) == 3 and len({figure.panels[0].y for figure in drawn}) == 1
+
+
 def test_paths_below_this_folder_are_relative(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     given = {"a": [f"export {tmp_path}/runs/1 'x=[/other/place/b.csv]'", 3], "b": r"C:\home\me\c.csv, m/s"}
@@ -207,6 +230,9 @@ def test_where_a_value_began_and_how_values_go_together(record, tmp_path):
     several["covariance"] = record["covariance"] | {"labels": ["bench.armature/knee", "friction.static_torque/knee"]}
     found = correlate(several, "knee")
     assert found and found["names"] == ["armature", "static_torque"] and found["rows"][0][1] == -0.5
+    assert found["strongest"] == ""
+    several["covariance"] |= {"matrix": [[4.0, -5.4], [-5.4, 9.0]]}
+    assert (close := correlate(several, "knee")) and close["strongest"] == "armature and static_torque (-0.90)"
     assert correlate(several, "hip") is None
 
 
@@ -411,6 +437,7 @@ def test_a_phone_shows_the_page_without_scrolling_sideways(record, tmp_path, joi
     report(tmp_path / "report.html", record, joints=joints)
     browser = open_page(tmp_path / "report.html", width=390)
     inner, page, *drawings = browser.run(WIDTHS)
+    assert browser.run(CLIPPED) == []
     ends = browser.run("""document.querySelectorAll("details").forEach(fold => (fold.open = true));
       return [...document.querySelectorAll(".mark, pre, .parameters td, .parameters th")]
         .map(mark => Math.ceil(mark.getBoundingClientRect().right));""")

@@ -218,8 +218,10 @@ def test_positions_are_those_of_the_rollouts(tmp_path):
     assert recorded["count"] == len(recorded["rollouts"]) == 4 and recorded["duration"] == pytest.approx(0.4)
     assert 1 / 31 <= recorded["step"] <= 1 / 25
     every = round(recorded["step"] / 0.001)
-    labels = [each["label"] for each in recorded["rollouts"]]
-    assert labels == ["best, rollout 1 of 4", "median, rollout 2 of 4", "worst, rollout 4 of 4", "rollout 3 of 4"]
+    labels, errors = zip(*(each["label"].split(": ") for each in recorded["rollouts"]), strict=True)
+    assert labels == ("best, rollout 1 of 4", "median, rollout 2 of 4", "worst, rollout 4 of 4", "rollout 3 of 4")
+    away = np.abs(rollout[1].qpos - rollout[0].qpos[:, 1:]).mean(axis=(1, 2))
+    assert errors == tuple(f"{away[each['rollout']]:.4g} rad" for each in recorded["rollouts"])
     for each in recorded["rollouts"]:
         fitted, measured, _ = (np.array(own).T * recorded["finest"] for own in each["positions"])
         np.testing.assert_allclose(measured, rollout[0].qpos[each["rollout"], ::every], atol=FINEST["hinge"])
@@ -286,6 +288,28 @@ def test_the_replay_is_drawn_and_goes_along_the_curves(finished_run, width, sche
 
 
 @needs_browser
+def test_a_rollout_without_figures_of_its_own_gets_some_when_it_is_chosen(tmp_path, result):  # noqa: F811
+    own, rollout = three_joints(tmp_path, "hinge"), move(rollouts=4)
+    browser, recorded = show(tmp_path, result, own, values_of(own), rollout)
+    before, shown, title, error, again = browser.run(
+        f"""{FIRST} const others = document.getElementById("others"), which = document.getElementById("which");
+        const choose = at => {{ which.value = at; which.dispatchEvent(new Event("change")); }};
+        const before = others.hidden;
+        choose(3);
+        const canvas = others.querySelector(".canvas");
+        await until(() => canvas.data);
+        const answer = [before, others.hidden, others.querySelector("h3").innerText,
+          canvas.data.find(({{ name }}) => name === "this model").y];
+        choose(0);
+        return [...answer, others.hidden];"""
+    )
+    assert before and again and not shown and title == recorded["rollouts"][3]["label"]
+    every, number = round(recorded["step"] / 0.001), recorded["rollouts"][3]["rollout"]
+    away = np.abs(rollout[1].qpos[number] - rollout[0].qpos[number, 1:]).mean(axis=1)[every - 1 :: every]
+    np.testing.assert_allclose(error[1:], away, atol=2 * FINEST["hinge"])
+
+
+@needs_browser
 @pytest.mark.slow
 def test_play_runs_to_the_end_and_turns_by_keys(finished_run):
     browser = open_page(finished_run("mujoco_default")[0] / "report.html")
@@ -323,4 +347,4 @@ def test_without_webgl_a_line_says_so_and_the_page_is_whole(finished_run, tmp_pa
 def test_the_page_of_a_run_has_its_replay(finished_run):
     source = (finished_run("mujoco_default")[0] / "report.html").read_text()
     recorded = read_data(source)["state"]["replay"]
-    assert recorded["rollouts"][0]["label"] == "rollout 1 of 1" and 'href="#replay"' in source
+    assert recorded["rollouts"][0]["label"].startswith("rollout 1 of 1: ") and 'href="#replay"' in source

@@ -1,4 +1,4 @@
-"""What a user at a terminal is told while a command works."""
+"""What a user is told: what a command does at the moment, and shares in per cent."""
 
 import sys
 
@@ -7,3 +7,9 @@ def tell(doing: str) -> None:
     """Say on the standard error what is being done now, at once; nothing where that is no terminal."""
     if sys.stderr.isatty():
         print(f"{doing} ...", file=sys.stderr, flush=True)
+
+
+def say_percent(share: float, digits: int = 2) -> str:
+    """A share with so many significant digits or more, never as a power of ten: 0.0712 is `7.1 %`, 23.71 `2371 %`."""
+    percent = 100 * share
+    return f"{percent:.0f} %" if abs(percent) >= 10**digits else f"{percent:.{digits}g} %"

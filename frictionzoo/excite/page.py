@@ -10,6 +10,7 @@ from jaxtyping import Float
 from frictionzoo import __version__
 from frictionzoo.core.anonymous import list_paths, without_paths
 from frictionzoo.core.output import write_atomically
+from frictionzoo.core.telling import say_percent
 from frictionzoo.excite.task import Motion
 from frictionzoo.show.colors import BASELINE, BEST, MODEL
 from frictionzoo.show.figure import Axis, Bars, Curve, Figure, Mark, Panel, Stripe, frame
@@ -124,8 +125,8 @@ def _say_headline(note: Mapping[str, Any]) -> str:
     if not rows:
         return f"{text}."
     best, worst = (choose(rows, key=lambda row: row["share"]) for choose in (min, max))
-    said = f"{best['name']} to ± {100 * best['share']:.2g} %"
-    return f"{text}: {said}, the best, {worst['name']} to ± {100 * worst['share']:.2g} %, the worst."
+    said = f"{best['name']} to ± {say_percent(best['share'])}"
+    return f"{text}: {said}, the best, {worst['name']} to ± {say_percent(worst['share'])}, the worst."
 
 
 def _group_parameters(note: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -138,10 +139,10 @@ def _group_parameters(note: Mapping[str, Any]) -> list[dict[str, Any]]:
     for full, rows in grouped.items():
         owner, _, name = full.partition(".")
         shares = sorted(row["share"] for row in rows if row["identifiable"] and row["share"] is not None)
-        ends = dict.fromkeys(f"{100 * share:.2g}" for share in (*shares[:1], *shares[-1:]))
+        ends = dict.fromkeys(say_percent(share) for share in (*shares[:1], *shares[-1:]))
         unknown = sum(not row["identifiable"] for row in rows)
         whose = "not identifiable" if len(rows) == 1 else f"{unknown} of {len(rows)} not identifiable"
-        shown = {"name": name, "owner": owner, "rows": rows, "known": f"± {' to '.join(ends)} %" if ends else ""}
+        shown = {"name": name, "owner": owner, "rows": rows, "known": f"± {' to '.join(ends)}" if ends else ""}
         found.append({**shown, "doubt": whose if unknown else ""})
     return found
 

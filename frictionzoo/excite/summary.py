@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from frictionzoo.core.telling import say_percent
 from frictionzoo.show.terminal import align
 
 
@@ -19,7 +20,7 @@ def summarise_excitation(note: Mapping[str, Any], folder: Path) -> str:
     rows = [("parameter", "value", "known to", "unit", "")]
     for row in note["parameters"]:
         known = row["identifiable"]
-        share = "" if row["share"] != row["share"] else f"{100 * row['share']:.2g} %"
+        share = "" if row["share"] != row["share"] else say_percent(row["share"])
         width = f"+- {row['half_width']:.2g}" if known else ""
         rows.append((row["name"], f"{row['value']:.4g}", width, row["unit"], share if known else "not identifiable"))
     used: list[tuple[str, ...]] = [

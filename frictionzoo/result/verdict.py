@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from frictionzoo.core.params import UNITS, Param
+from frictionzoo.core.telling import say_percent
 from frictionzoo.result.names import name_some, name_unidentifiable, name_where, say_bounds
 from frictionzoo.result.residual_types import JointResidualRow, PlaceRow, ResidualRow
 from frictionzoo.result.run_types import FitRow
@@ -166,7 +167,7 @@ def _doubt_residual(residual: ResidualRow) -> Iterator[FindingRow]:
             of = f" of {row['joint']}" if len(rows) > 1 else ""
             yield _find(
                 "residual",
-                f"the torque that is left{of}, {100 * row['residual'] / row['friction']:.2g} % of the friction, is no "
+                f"the torque that is left{of}, {say_percent(row['residual'] / row['friction'])} of the friction, is no "
                 f"noise (neighbours in time correlate by {row['correlation']:.2f}), and goes with nothing that was "
                 "looked for",
                 "look at what is taken as known: gains, inertia, delay, elasticity between motor and joint",
@@ -178,7 +179,7 @@ def _say_place(place: str, found: Sequence[tuple[JointResidualRow, PlaceRow]], u
     row, most = max(found, key=lambda pair: pair[1]["torque"] / pair[0]["friction"])
     of = f" of {name_some([*dict.fromkeys(row['joint'] for row, _ in found)])}" if joints > 1 else ""
     ripple = "" if most["periods"] is None else f", {_say_periods(most['periods'], unit)}"
-    size = f"{most['torque']:.2g} {unit}, {100 * most['torque'] / row['friction']:.2g} % of the friction"
+    size = f"{most['torque']:.2g} {unit}, {say_percent(most['torque'] / row['friction'])} of the friction"
     upto = "up to " if len(found) > 1 else ""
     return (
         f"the error{of} is not noise: {upto}{100 * most['share']:.0f} % of the torque that is left goes with "

@@ -1,6 +1,7 @@
 """The colours of curves, the same on every figure and page."""
 
 MEASURED, TEXT, SOFT, GRID = "#000000", "#3d4450", "#7d8794", "#dfe3e8"
+PAPER = "#ffffff"  # behind text that lies over curves
 MODEL, BASELINE, BEST, TRAIN = "#0072B2", "#E69F00", "#D00000", "#009E73"
 TEACHER = "#CC79A7"  # of a drive that another one follows
 # Okabe and Ito (2008), legible to the colour-blind: without black, which is measured, and yellow, faint on paper.
@@ -22,6 +23,7 @@ _PALE = {
     BEST: "#ff6b6b",
     TEXT: "#c3c9d2",
     GRID: "#323945",
+    PAPER: "#181c23",
 }
 # What each colour becomes on a dark page; all others are legible on both.
 DARK = _PALE | {fade(color): fade(pale) for color, pale in _PALE.items()}

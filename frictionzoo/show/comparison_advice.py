@@ -8,6 +8,7 @@ from frictionzoo.comparison.runs import Run
 from frictionzoo.comparison.statistics import MATTERS
 from frictionzoo.comparison.types import Comparison, PairRow
 from frictionzoo.core.output import RESULT
+from frictionzoo.core.telling import say_percent
 from frictionzoo.show.page import Check
 from frictionzoo.show.run_page import list_uses
 
@@ -63,8 +64,12 @@ def _say_next(comparison: Comparison) -> str:
     pair, error = _pairs_with_best(comparison)[second["label"]], best["test"]["position_mae"]
     if not error or pair["mean"] is None or pair["low"] is None or pair["high"] is None:
         return f"The next, {second['label']}, lost more test rollouts."
-    mean, low, high = (f"{100 * each / error:.2g}" for each in (pair["mean"], pair["low"], pair["high"]))
-    return f"The error of the next, {second['label']}, is {mean} % larger (95 % interval {low} to {high} %)."
+    more = [each / error for each in (pair["mean"], pair["low"], pair["high"])]
+    if more[0] < 1:
+        mean, low, high = map(say_percent, more)
+        return f"The error of the next, {second['label']}, is {mean} larger (95 % interval {low} to {high})."
+    mean, low, high = (f"{1 + each:.2g}" for each in more)
+    return f"The error of the next, {second['label']}, is {mean} times as large (95 % interval {low} to {high})."
 
 
 def list_steps_to_use(run: Run, place: str) -> list[str]:

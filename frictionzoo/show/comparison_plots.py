@@ -161,7 +161,8 @@ def _plot_error(comparison: Comparison, runs: Sequence[Run]) -> Figure:
     window = runs[0].result["evaluation"]["window"]
     text = f"Moving mean over {window:g} s of the absolute position error in the same rollout; for the selected run "
     text += "the band of one standard deviation around it."
-    panel = draw_errors(_list_drives(comparison, runs), comparison["data"]["timestep"], window, comparison["unit"])
+    drives, timestep = _list_drives(comparison, runs), comparison["data"]["timestep"]
+    (panel,) = draw_errors([drives], timestep, window, comparison["unit"])
     return Figure("Error over time", text, (panel,), time=True)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from frictionzoo.comparison.runs import Run
 from frictionzoo.core.params import UNITS
+from frictionzoo.core.telling import say_percent
 from frictionzoo.result.curves import Curves
 from frictionzoo.result.portrait import Portrait
 from frictionzoo.result.types import Result
@@ -93,7 +94,7 @@ def _say_portrait(portrait: Portrait, unit: str) -> str:
     return (
         "the law, and what the recorded torque implies in motion, its median and the 10 to 90 % range in each of "
         f"{seen.sum()} bins. The medians are {format_number(float(np.abs(off).mean()))} {unit} from the curve on "
-        f"average, {100 * np.abs(off).mean() / size:.2g} % of the friction."
+        f"average, {say_percent(np.abs(off).mean() / size)} of the friction."
     )
 
 

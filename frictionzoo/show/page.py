@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from frictionzoo.core.telling import say_percent
 from frictionzoo.core.templates import open_template
 from frictionzoo.result.names import label_values, merge_known, place_between_bounds, read_values
 from frictionzoo.result.types import ParameterRow, ValueRow
@@ -129,11 +130,17 @@ def _say_certainty(parameters: Sequence[ParameterRow]) -> str:
         return ""
     least, most = max(width, key=width.__getitem__), min(width, key=width.__getitem__)
     whose = " of what is identifiable" if any(row["identifiable"] is False for row in rows.values()) else ""
-    said = f"Least certain{whose}: {least}, ± {100 * width[least]:.2g} %"
-    return f"{said}; most: {most}, ± {100 * width[most]:.2g} %." if most != least else f"{said}."
+    said = f"Least certain{whose}: {least}, ± {say_percent(width[least])}"
+    return f"{said}; most: {most}, ± {say_percent(width[most])}." if most != least else f"{said}."
 
 
 _FILTERS = {
     **{"number": format_number, "unit": format_unit, "place": _place, "change": format_change},
-    **{"merge_known": merge_known, "overview": _overview, "share": format_share, "certainty": _say_certainty},
+    **{
+        "merge_known": merge_known,
+        "overview": _overview,
+        "share": format_share,
+        "percent": say_percent,
+        "certainty": _say_certainty,
+    },
 }

@@ -33,6 +33,37 @@
     Object.assign(line.style, { left: `${xaxis._offset + xaxis.l2p(time)}px`, top: `${size.t}px`, height: `${size.h}px` });
   };
   const own = () => timed.filter(canvas => "rollout" in canvas.dataset);
+  // Of a rollout that has no figures of its own, some like those of the others.
+  const others = document.getElementById("others");
+  const boards = [...others.querySelectorAll("[data-like]")];
+  const drawOther = () => {
+    const { rollout: number, label, positions } = rollout(), measured = positions[MEASURED];
+    const at = measured[0].map((_, frame) => frame * replay.step);
+    const mean = values => values.reduce((sum, value) => sum + value, 0) / values.length;
+    const away = joints => joints[0].map((_, frame) => replay.finest * mean(joints.map((own, joint) => Math.abs(own[frame] - measured[joint][frame]))));
+    const place = joints => joints[0].map(value => replay.finest * value);
+    const inSight = places => {
+      const [low, high] = [Math.min(...places), Math.max(...places)], room = 0.05 * (high - low || 1);
+      return [low - room, high + room];
+    };
+    others.hidden = own().some(canvas => !boards.includes(canvas) && Number(canvas.dataset.rollout) === number);
+    for (const board of boards) {
+      board.dataset.rollout = number;
+      const { data, layout } = structuredClone(figures[board.dataset.like]), positioned = "yaxis2" in layout;
+      const motionOf = name => positions[replay.motions.findIndex(motion => motion.name === name)];
+      const curves = data.filter(({ name, fill, yaxis }) => motionOf(name) && !fill && yaxis === "y");
+      curves.forEach(curve => Object.assign(curve, { x: at, y: (positioned ? place : away)(motionOf(curve.name)) }));
+      if (positioned) {
+        delete layout.yaxis2;
+        Object.assign(layout.yaxis, { domain: [0, 1], range: inSight([measured, positions[0]].flatMap(place)) });
+        layout.xaxis.anchor = "y";
+      }
+      delete layout.annotations;
+      figures[board.dataset.figure] = { data: curves, layout };
+      board.parentElement.querySelector("h3").textContent = label;
+    }
+    return Promise.all(others.hidden ? [] : boards.map(board => draw(board, scheme.matches, {}))).then(listen);
+  };
   const show = () => {
     seek.value = time;
     clock.textContent = `${time.toFixed(2)} s`;
@@ -64,6 +95,7 @@
   play.addEventListener("click", () => run(!playing));
   seek.addEventListener("input", () => { run(false); go(Number(seek.value)); });
   [which, gain].forEach(choice => choice.addEventListener("change", () => { view?.frame(); show(); }));
+  which.addEventListener("change", drawOther);
   [apart, ...boxes].forEach(box => box.addEventListener("change", show));
   attend = canvas => {
     if (!("rollout" in canvas.dataset)) return;

@@ -10,9 +10,11 @@ from jaxtyping import Bool, Float, Int
 from frictionzoo.bench import Bench, Robot
 from frictionzoo.bench.robot_file import look_at
 from frictionzoo.core.errors import BenchError
+from frictionzoo.core.params import UNITS
 from frictionzoo.result.curves import Curves
 from frictionzoo.show.colors import BASELINE, MEASURED, MODEL, SOFT
 from frictionzoo.show.run_plots import choose_rollouts
+from frictionzoo.show.text import format_number
 
 FRAMES = 30.0  # at most so many a second; the page draws straight lines between them
 POSITIONS = 150_000  # of joints in all frames, about 0.5 MB of a page
@@ -275,7 +277,9 @@ def _list_rollouts(bench: Bench, curves: Curves, every: int, inertia: bool) -> I
         simulated = (np.concatenate([measured[:1], each[rollout]]) for each in (curves.qpos, curves.baseline_qpos))
         model, baseline = simulated
         positions = [_round_positions(each[::every], bench) for each in (model, measured, baseline)]
-        label = f"{names.get(rollout, '')}rollout {rollout + 1} of {len(curves.qpos)}"
+        error = float(np.abs(model - measured)[1:].mean())  # the first state is measured
+        said = f"{format_number(error)} {UNITS[bench.joint_type]['position']}" if np.isfinite(error) else "diverged"
+        label = f"{names.get(rollout, '')}rollout {rollout + 1} of {len(curves.qpos)}: {said}"
         shapes = _list_carried(bench, curves, rollout) if inertia else []
         yield {"rollout": rollout, "label": label, "positions": positions, "shapes": shapes}
 

@@ -1,6 +1,6 @@
 """Drives over one long test rollout: what they do, and how far that is from what was measured."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -82,11 +82,27 @@ def draw_motion(drives: Sequence[Drive], joint: int, timestep: float, units: Seq
     return panels[0], panels[1]
 
 
-def draw_errors(drives: Sequence[Drive], timestep: float, window: float, unit: str) -> Panel:
-    """Mean over a moving window [s] and +- one standard deviation of the absolute position error.
+def draw_errors(shown: Sequence[Sequence[Drive]], timestep: float, window: float, unit: str) -> Iterator[Panel]:
+    """Mean over a moving window [s] and +- one standard deviation of the absolute position error, on one scale.
 
-    The drives are under the same command, in samples of `timestep` [s]; `unit` is that of the position.
+    Args:
+        shown: A panel each: drives under the same command.
+        timestep: Between samples [s].
+        window: Of the mean [s].
+        unit: Of the position.
     """
+    drawn = [_draw_errors(drives, timestep, window) for drives in shown]
+    means, tops = ([values for one in drawn for values in one[at]] for at in (1, 2))
+    y = scale_errors("absolute position error", unit, means, tops, RUNAWAY if len(shown[0]) > 2 else np.inf)
+    for drives, (marks, *_) in zip(shown, drawn, strict=True):
+        duration = timestep * (drives[0].curves.measured_qpos.shape[1] - 1)
+        yield Panel(marks, _over(duration), y, say_above(marks, y))
+
+
+def _draw_errors(
+    drives: Sequence[Drive], timestep: float, window: float
+) -> tuple[list[Mark], list[np.ndarray], list[np.ndarray]]:
+    """What is drawn of a rollout's errors, their means, and upper ends of the bands around these."""
     marks: list[Mark] = []
     means, tops = [], []
     for drive in drives:
@@ -100,10 +116,7 @@ def draw_errors(drives: Sequence[Drive], timestep: float, window: float, unit: s
         marks.append(Curve(x=time, y=mean, **drive.look))
         means.append(mean)
         tops.append(mean + std)
-    widest = RUNAWAY if len(drives) > 2 else np.inf
-    y = scale_errors("absolute position error", unit, means, tops, widest)
-    duration = timestep * (drives[0].curves.measured_qpos.shape[1] - 1)
-    return Panel(marks, _over(duration), y, say_above(marks, y))
+    return marks, means, tops
 
 
 def say_above(marks: Sequence[Mark], y: Axis) -> str:

@@ -1,5 +1,6 @@
 """`report.html`: one run on one page that opens without a network, from the answer down to the curves behind it."""
 
+import re
 import shlex
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -9,6 +10,7 @@ import numpy as np
 
 from frictionzoo.comparison.runs import Run
 from frictionzoo.core.anonymous import list_paths, without_paths
+from frictionzoo.core.jobs import read_begun
 from frictionzoo.core.output import write_atomically
 from frictionzoo.result.curves import Curves
 from frictionzoo.result.types import DataRow, FitRow, ParameterRow, PartsRow, Result, TimingRow, ValueRow
@@ -49,6 +51,7 @@ LINKS = {
 }
 """Sections by their id."""
 _OF_ONE, _OF_SEVERAL = ("friction", "left"), ("joints",)
+_NEAR, _NAMED = 0.8, 3  # size of a correlation from which it is named, and how many are
 MOST, LEAST = 1500, 500  # points of a curve, of one joint and of however many: three stand beside each other
 PORTRAYED = (
     "Points: the law's friction at the recorded instants and what is left of the recorded torque, in motion; they lie "
@@ -113,7 +116,8 @@ def render_run(
     """
     # A page that is handed on tells nobody where somebody's home is; what lies in this folder, its commands reach.
     known = tuple(list_paths(result["settings"]))
-    place, result = without_paths([str(folder.absolute()), result], known, Path.cwd())
+    command = None if teacher else _say_command(read_begun(folder, "overrides"))
+    place, command, result = without_paths([str(folder.absolute()), command, result], known, Path.cwd())
     result["parameters"] = _add_starts(result["parameters"], result, curves)
     joints = list_joints(result, teacher) if len(result["joints"]) > 1 else []
     absent = {*(_OF_ONE if joints else _OF_SEVERAL), *([] if replay else ["replay"])}
@@ -125,6 +129,8 @@ def render_run(
         "teacher": teacher.result if teacher else None,
         "place": place,
         "uses": list_uses(place),
+        "command": command,
+        "step": _say_step(result["settings"].get("bench", {}).get("timestep")),
         "ranks": _say_ranks(curves),
         "shown": _say_shown(result, curves),
         "portrayed": PORTRAYED,
@@ -155,6 +161,18 @@ def list_uses(place: str) -> list[str]:
         f"drive = fz.load({place!r})",
         "drive.parameters, drive.rollout()",
     ]
+
+
+def _say_command(overrides: Any) -> str | None:
+    """What a run began with, for a shell, less where it went; None of one from Python, which keeps nothing."""
+    if not isinstance(overrides, list):
+        return None
+    kept = [str(item) for item in overrides if not re.match(r"[+~]*(resume|hydra)\b", str(item))]
+    return shlex.join(["python", "-m", "frictionzoo.run", *kept])
+
+
+def _say_step(timestep: float | None) -> str:
+    return "those of the model file" if timestep is None else f"{timestep:g} s"
 
 
 def _add_starts(parameters: list[ParameterRow], result: Result, curves: Curves) -> list[ParameterRow]:
@@ -194,7 +212,7 @@ def _say_shown(result: Result, curves: Curves) -> str:
 
 
 def correlate(result: Result, joint: str) -> dict[str, Any] | None:
-    """Correlation of what was identified of a joint, from the covariance; None of fewer than two parameters."""
+    """Correlation of what was identified of a joint, and the strongest ones; None of fewer than two parameters."""
     if (covariance := result["covariance"]) is None:
         return None
     labels = covariance["labels"]
@@ -211,7 +229,11 @@ def correlate(result: Result, joint: str) -> dict[str, Any] | None:
     places = [labels.index(label) for label in own]
     matrix = np.array(covariance["matrix"])[np.ix_(places, places)]
     size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    return {"names": [*own.values()], "rows": np.clip(matrix / np.outer(size, size), -1, 1).tolist()}
+    names, rows = [*own.values()], np.clip(matrix / np.outer(size, size), -1, 1)
+    first, second = np.triu_indices(len(names), 1)
+    near = sorted(zip(first, second, strict=True), key=lambda pair: -abs(rows[pair]))[:_NAMED]
+    said = [f"{names[i]} and {names[j]} ({rows[i, j]:.2f})" for i, j in near if abs(rows[i, j]) >= _NEAR]
+    return {"names": names, "rows": rows.tolist(), "strongest": ", ".join(said)}
 
 
 def check_result(result: Result) -> Iterator[Check]:
@@ -257,8 +279,10 @@ def _check_gain(result: Result) -> Check:
         return Check("note", "Gain", "This model is the drive without friction: it is compared with itself.")
     if test is None or not baseline:
         return Check("note", "Gain", "The drive without friction has no test error to compare with.")
-    text = f"On test data the model's position error is {baseline / test:.3g} times smaller than without friction."
-    return Check("good", "Gain", text)
+    text = f"On test data the model's position error is {baseline / test:.3g} times smaller than without friction"
+    if doubt_reference(result["reference"]):
+        return Check("note", "Gain", f"{text}, of which little is to be made: see the reference.")
+    return Check("good", "Gain", f"{text}.")
 
 
 def _check_residual(result: Result) -> Check:
@@ -335,8 +359,10 @@ def _say_headline(result: Result) -> str:
     if not baseline["position_mae"] or result["model"] == "baseline":
         return f"{text}."
     change = format_change(test["position_mae"], baseline["position_mae"])
-    doubt = ", at a bound" if doubt_reference(result["reference"]) else ""
-    return f"{text}; {format_number(baseline['position_mae'])} {test['unit']} without friction{doubt} ({change})."
+    without = f"{text}; {format_number(baseline['position_mae'])} {test['unit']} without friction"
+    if doubt_reference(result["reference"]):
+        return f"{without}, where a parameter ended at a bound, so that {change} says little."
+    return f"{without} ({change})."
 
 
 def list_errors(result: Result, teacher: Run | None = None) -> Iterator[dict[str, Any]]:

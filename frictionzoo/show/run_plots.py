@@ -222,15 +222,15 @@ def _plot_errors(
 ) -> Iterator[Figure]:
     """Figure 5, a figure a rollout: absolute position error, mean over joints: moving mean +- standard deviation."""
     window, unit = result["evaluation"]["window"], result["metrics"]["test"]["unit"]
-    for rank, rollout in shown.items():
-        drives = _list_drives(curves, rollout, teacher)
+    each = [_list_drives(curves, rollout, teacher) for rollout in shown.values()]
+    panels = draw_errors(each, result["data"]["timestep"], window, unit)
+    for (rank, rollout), drives, panel in zip(shown.items(), each, panels, strict=True):
         largest = [f"{format_number(float(np.nanmax(drive.errors())))} {unit}" for drive in drives]
         text = (
             f"Moving mean and standard deviation over {window:g} s of the absolute position error"
             f"{f', {place}' if (place := say_where(result['data'], curves, rollout)) else ''}; the largest error "
         )
         text += f"is {_say_each(drives, largest)}."
-        panel = draw_errors(drives, result["data"]["timestep"], window, unit)
         title = f"Error of the {rank} rollout" if rank else "Its error"
         yield Figure(title, text, (panel,), time=True, rollout=rollout)
 

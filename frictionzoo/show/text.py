@@ -5,6 +5,8 @@ import re
 import textwrap
 from collections.abc import Callable, Sequence
 
+from frictionzoo.core.telling import say_percent
+
 
 def format_number(value: float | Sequence[float] | None, between: str = ", ") -> str:
     """A value, or one for each joint, as it is printed."""
@@ -28,7 +30,7 @@ def format_change(value: float | None, reference: float | None) -> str:
 
 def format_share(value: float | None, whole: float | None) -> str:
     """What part of a whole a value is, where there is something to compare."""
-    return "" if value is None or not whole else f"{100 * value / whole:.3g} %"
+    return "" if value is None or not whole else say_percent(value / whole, digits=3)
 
 
 def format_digits(value: float, digits: int) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from frictionzoo.show.colors import GRID, MODEL, SOFT, TEXT, fade
+from frictionzoo.show.colors import GRID, MODEL, PAPER, SOFT, TEXT, fade
 from frictionzoo.show.figure import Axis, Band, Bars, Curve, Figure, Mark, Panel, Stripe, list_named, list_rows
 from frictionzoo.show.text import wrap
 
@@ -63,7 +63,7 @@ _SHARED: dict[str, Any] = {
     "plot_bgcolor": "rgba(0,0,0,0)",
     "font": {"color": TEXT, "size": 12, "family": "system-ui, sans-serif"},
     "legend": {"orientation": "h", "x": 0, "y": 1, "yanchor": "bottom"},
-    "hoverlabel": {"namelength": -1},
+    "hoverlabel": {"namelength": -1, "bgcolor": PAPER, "bordercolor": GRID, "font": {"color": TEXT}},
     "uirevision": "keep",
     "modebar": {"bgcolor": "rgba(0,0,0,0)", "color": SOFT, "activecolor": MODEL},
 }
