@@ -219,7 +219,7 @@ def test_positions_are_those_of_the_rollouts(tmp_path):
     assert 1 / 31 <= recorded["step"] <= 1 / 25
     every = round(recorded["step"] / 0.001)
     labels, errors = zip(*(each["label"].split(": ") for each in recorded["rollouts"]), strict=True)
-    assert labels == ("best, rollout 1 of 4", "median, rollout 2 of 4", "worst, rollout 4 of 4", "rollout 3 of 4")
+    assert labels == ("best, 1 of 4", "median, 2 of 4", "worst, 4 of 4", "3 of 4")
     away = np.abs(rollout[1].qpos - rollout[0].qpos[:, 1:]).mean(axis=(1, 2))
     assert errors == tuple(f"{away[each['rollout']]:.4g} rad" for each in recorded["rollouts"])
     for each in recorded["rollouts"]:
@@ -303,7 +303,7 @@ def test_a_rollout_without_figures_of_its_own_gets_some_when_it_is_chosen(tmp_pa
         choose(0);
         return [...answer, others.hidden];"""
     )
-    assert before and again and not shown and title == recorded["rollouts"][3]["label"]
+    assert before and again and not shown and title == f"Rollout {recorded['rollouts'][3]['label']}"
     every, number = round(recorded["step"] / 0.001), recorded["rollouts"][3]["rollout"]
     away = np.abs(rollout[1].qpos[number] - rollout[0].qpos[number, 1:]).mean(axis=1)[every - 1 :: every]
     np.testing.assert_allclose(error[1:], away, atol=2 * FINEST["hinge"])
@@ -347,4 +347,4 @@ def test_without_webgl_a_line_says_so_and_the_page_is_whole(finished_run, tmp_pa
 def test_the_page_of_a_run_has_its_replay(finished_run):
     source = (finished_run("mujoco_default")[0] / "report.html").read_text()
     recorded = read_data(source)["state"]["replay"]
-    assert recorded["rollouts"][0]["label"].startswith("rollout 1 of 1: ") and 'href="#replay"' in source
+    assert recorded["rollouts"][0]["label"].startswith("1 of 1: ") and 'href="#replay"' in source

@@ -60,7 +60,7 @@
       }
       delete layout.annotations;
       figures[board.dataset.figure] = { data: curves, layout };
-      board.parentElement.querySelector("h3").textContent = label;
+      board.parentElement.querySelector("h3").textContent = `Rollout ${label}`;
     }
     return Promise.all(others.hidden ? [] : boards.map(board => draw(board, scheme.matches, {}))).then(listen);
   };

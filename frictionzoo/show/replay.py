@@ -279,7 +279,7 @@ def _list_rollouts(bench: Bench, curves: Curves, every: int, inertia: bool) -> I
         positions = [_round_positions(each[::every], bench) for each in (model, measured, baseline)]
         error = float(np.abs(model - measured)[1:].mean())  # the first state is measured
         said = f"{format_number(error)} {UNITS[bench.joint_type]['position']}" if np.isfinite(error) else "diverged"
-        label = f"{names.get(rollout, '')}rollout {rollout + 1} of {len(curves.qpos)}: {said}"
+        label = f"{names.get(rollout, '')}{rollout + 1} of {len(curves.qpos)}: {said}"
         shapes = _list_carried(bench, curves, rollout) if inertia else []
         yield {"rollout": rollout, "label": label, "positions": positions, "shapes": shapes}
 
