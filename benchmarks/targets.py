@@ -51,7 +51,7 @@ class Program:
 
     Attributes:
         name: As the table has it, where the program does not say its version.
-        targets: Exports that its script needs, the one that is tried first.
+        targets: Exports that its script needs, with their options, the one that is tried first.
         script: In `benchmarks/rolled`, with its options.
         environment: Requirements, a file in `benchmarks/rolled`; empty for the environment of this process.
         lacks: In a few words, what of the files it does otherwise.
@@ -94,6 +94,10 @@ PROGRAMS = {
         "no solreffriction, rotors turn with their links",
     ),
     "gazebo": Program("Gazebo physics", ("sdf", *BENCH), ("roll_gazebo.py",), lacks="no armature"),
+    "gazebolinks": Program(
+        *("Gazebo physics", ("sdf armature=links", *BENCH), ("roll_gazebo.py", "--target=sdf armature=links")),
+        lacks="no solreffriction",
+    ),
     "onnx": Program("ONNX Runtime", ("onnx", "mujoco"), ("roll_mujoco.py", "--kind=onnx")),
     "torchscript": Program("torch.jit", ("torchscript", "mujoco"), ("roll_mujoco.py", "--kind=torchscript")),
     "libtorch": Program("libtorch", ("torchscript", "mujoco"), ("roll_mujoco.py", "--kind=libtorch")),
@@ -136,19 +140,21 @@ def try_drive(run: Path, programs: Sequence[str], environments: Path, folder: Pa
         needed = [exports[target] for target in program.targets]
         missing = next((one.reason for one in needed if one.export is None), "")
         reason = missing or simulate(program, environments, folder, out)
-        row = {"run": label, "program": program.name, "files": needed[0].target, "unit": unit, "note": reason}
+        row = {"run": label, "program": program.name, "files": program.targets[0], "unit": unit, "note": reason}
         rows.append(row if reason else row | compare(fitted, out, needed[0], program))
     return rows
 
 
 def export(run: Path, targets: set[str], folder: Path) -> dict[str, Written]:
-    """These targets in folders of their names; what cannot be written says why."""
+    """These targets, with their options, in folders of these names; what cannot be written says why."""
     written = {}
     for target in sorted(targets):
+        name, *options = target.split()
+        given = dict(option.split("=") for option in options)
         try:
-            (written[target],) = write_exports(run, {"target": target, "output": str(folder / target)})
+            (written[target],) = write_exports(run, {"target": name, "output": str(folder / target), **given})
         except FrictionzooError as error:
-            written[target] = Written(target, reason=str(error))
+            written[target] = Written(name, reason=str(error))
     return written
 
 

@@ -590,9 +590,9 @@ def test_a_urdf_moves_as_the_bench_with_the_armature_that_drake_reads(tmp_path):
 @pytest.mark.parametrize("target", [Urdf, Sdf], ids=lambda target: target.name)
 def test_links_of_a_late_servo_with_a_payload_move_as_its_bench(target, tmp_path):
     fitted = make_fitted("mujoco_default", "bench=xl330", LATE)
-    export = target().write(fitted, tmp_path, {"supply": "7.4"} if target.options else {})
+    export = target().write(fitted, tmp_path, {"supply": "7.4"} if "supply" in target.options else {})
     assert export.differences[0].largest < EXACT
-    assert any("supply 7.4" in limit for limit in export.limits) == bool(target.options)
+    assert any("supply 7.4" in limit for limit in export.limits) == ("supply" in target.options)
 
 
 def test_an_sdf_moves_as_the_bench_and_has_its_friction(tmp_path):
@@ -623,6 +623,31 @@ def test_an_sdf_has_one_name_for_one_thing(tmp_path):
     assert (link.get("name"), joint.get("name"), joint.get("type")) == ("carriage_link", "carriage", "prismatic")
     inertia = {tag.tag: float(tag.text) for tag in link.find("inertial/inertia")}
     assert inertia == {"ixx": 1e-6, "iyy": 1e-6, "izz": 1e-6, "ixy": 0, "ixz": 0, "iyz": 0}
+
+
+@pytest.mark.parametrize("options", [("data=twin",), ("bench=emps",)], ids=["hinge", "slide"])
+def test_links_of_an_sdf_can_have_the_armature(options, tmp_path):
+    """For programs whose joints have none: no rotor, and an inertia that is one of a body."""
+    fitted = make_fitted("mujoco_default", *options)
+    export = Sdf().write(fitted, tmp_path, {"armature": "links"})
+    assert export.differences[0].largest < EXACT and any("in the links" in limit for limit in export.limits)
+    root = ET.parse(tmp_path / "bench.sdf").getroot()
+    inertia = {tag.tag: float(tag.text) for tag in root.find(".//inertia")}
+    assert root.find(f".//{{{DRAKE}}}rotor_inertia") is None
+    assert inertia["ixx"] + inertia["izz"] > inertia["iyy"]
+
+
+@pytest.mark.parametrize(
+    ("options", "place", "line"),
+    [
+        (("bench=xl330",), "links", "its payload is that of a link"),
+        (("bench=emps", "+bench.gravity=[9.81,0,0]"), "links", "gravity acts along the slide carriage"),
+        (("bench=emps",), "rotor", "armature=rotor: expected joints or links"),
+    ],
+)
+def test_an_armature_that_links_cannot_have_is_refused(options, place, line, tmp_path):
+    with pytest.raises(FrictionzooError, match=line):
+        Sdf().write(make_fitted("mujoco_default", *options), tmp_path, {"armature": place})
 
 
 TWO_RUBBING = Rubbing(2).double()

@@ -4,6 +4,7 @@ Debian's packages bring it, with DART in it. Like DART it has no actuator law of
 and no armature.
 """
 
+import argparse
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
@@ -23,7 +24,7 @@ DEBIAN = "g++ pkg-config libeigen3-dev libignition-physics-sdf-dev libignition-p
 
 def main() -> None:
     """Simulate each rollout from its initial state."""
-    given, _ = read_given(__doc__)
+    given, options = read_given(__doc__, add_options)
     flags, plugin = find_gazebo()
     program, file = given.out.with_suffix(".gazebo"), given.out.with_suffix(".sdf")
     compile_program("gazebo.cpp", program, flags)
@@ -31,7 +32,7 @@ def main() -> None:
     found, version = np.empty((len(given.qpos), given.steps, len(given.joints))), ""
     for rollouts in given.alike():
         bench = mujoco.MjModel.from_xml_string(given.bench("mjcf", rollouts[0], late=False))
-        file.write_text(write_sdf(given, bench))
+        file.write_text(write_sdf(given, bench, options.target))
         numbers = [repr(float(number)) for number in (given.timestep, *bench.opt.gravity)]
         gazebo = Running([program, plugin, file, *numbers, str(given.steps), *given.joints])
         version = gazebo.version
@@ -54,9 +55,14 @@ def find_gazebo() -> tuple[list[str], Path]:
     return flags.split(), plugin
 
 
-def write_sdf(given: Given, bench: mujoco.MjModel) -> str:
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Which of the exported files it reads."""
+    parser.add_argument("--target", default="sdf", help="folder of the file")
+
+
+def write_sdf(given: Given, bench: mujoco.MjModel, target: str) -> str:
     """The file, with a payload's inertia in its link, of which there is one for each body of MuJoCo but the world."""
-    text = (given.folder / "sdf" / "bench.sdf").read_text()
+    text = (given.folder / target / "bench.sdf").read_text()
     if not given.load.shape[1]:
         return text
     root = ElementTree.fromstring(text)

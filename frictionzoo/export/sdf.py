@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from frictionzoo.bench.template import in_full
+from frictionzoo.core.errors import ConfigError, ExportError
 from frictionzoo.export.base import Target, measure, register_target
 from frictionzoo.export.nearest import Nearest, find_nearest, say_exact
 from frictionzoo.export.skeleton import DRAKE, WORLD, Link, list_numbers, read_links, run_links, say_lacks
@@ -20,6 +21,8 @@ FILE = "bench.sdf"
 _VERSION = "1.7"  # the first in which poses may name the frame that they are in
 _KINDS = {"hinge": "revolute", "slide": "prismatic", "fixed": "fixed"}
 _TYPES = {"revolute": mujoco.mjtJoint.mjJNT_HINGE, "prismatic": mujoco.mjtJoint.mjJNT_SLIDE}
+_PLACES = ("joints", "links")
+_LEVEL = 1e-6  # share of gravity along a slide that counts as none
 _ENTRIES = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")  # in the order of MuJoCo's `fullinertia`
 
 
@@ -27,26 +30,41 @@ _ENTRIES = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")  # in the order of MuJoCo'
 class Sdf(Target):
     """The bench as SDFormat: dynamics with dry friction, as Gazebo reads them, and armature as Drake does."""
 
+    options: ClassVar[Mapping[str, str]] = {"armature": "joints, as Drake reads it, or links, for Gazebo; else joints"}
     packages: ClassVar[tuple[str, ...]] = ("mujoco",)
 
     def write(self, fitted: Identified, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
-        nearest = find_nearest(fitted)
-        text = write_sdf(fitted, nearest)
+        place = options.get("armature", _PLACES[0])
+        if place not in _PLACES:
+            raise ConfigError(f"armature={place}: expected {' or '.join(_PLACES)}")
+        nearest, in_links = find_nearest(fitted), place == "links"
+        text = write_sdf(fitted, nearest, in_links)
         (folder / FILE).write_text(text)
         spec, inertia = read_sdf(text)
-        came = run_links(spec, fitted, nearest, [inertia[joint] for joint in fitted.bench.joints])
-        difference = measure("qpos", fitted, came, fitted.rollout()[0], reason=nearest.lacks)
+        came = run_links(spec, fitted, nearest, [inertia.get(joint, 0.0) for joint in fitted.bench.joints])
+        lacks = ", ".join(filter(None, (nearest.lacks, "rotors turn with their links" if in_links and fitted.bench.nv > 1 else "")))
+        difference = measure("qpos", fitted, came, fitted.rollout()[0], reason=lacks)
         said = (
             "Gazebo and Drake were not run: the difference is that of the file's numbers, read back, in MuJoCo, with "
-            "its drake:rotor_inertia as armature and the bench's actuator.",
+            f"{'what it has in its links' if in_links else 'its drake:rotor_inertia as armature'} and the bench's "
+            "actuator.",
             "The actuator is left out: the caller computes its force or torque from the recorded commands.",
         )
-        return Export((FILE,), (difference,), (*say_lacks(fitted, nearest), *said))
+        return Export((FILE,), (difference,), (*say_lacks(fitted, nearest, in_links), *said))
 
 
-def write_sdf(fitted: Identified, nearest: Nearest) -> str:
-    """The file; the frame of a joint is that of its link."""
+def write_sdf(fitted: Identified, nearest: Nearest, in_links: bool = False) -> str:
+    """The file; the frame of a joint is that of its link.
+
+    Args:
+        fitted: The drive.
+        nearest: What MuJoCo's joints can hold of it.
+        in_links: Whether links have the armature of their joints, or the joints.
+
+    Raises:
+        ExportError: The links cannot have it.
+    """
     root = ET.Element("sdf", {"version": _VERSION, "xmlns:drake": DRAKE})
     root.append(ET.Comment(f" frictionzoo: {nearest.remark or say_exact(fitted.model)} ".replace("--", "- -")))
     model = ET.SubElement(root, "model", name="bench")
@@ -57,10 +75,33 @@ def write_sdf(fitted: Identified, nearest: Nearest) -> str:
     names = {WORLD: WORLD} | {link.name: f"{link.name}_link" if link.name in joints else link.name for link in links}
     for link in links:
         named = link._replace(name=names[link.name], parent=names[link.parent])
-        _add_link(model, named)
-        _add_joint(model, named, armature.get(link.joint))
+        own = armature.get(link.joint)
+        _add_link(model, _load(named, own, fitted) if in_links and own is not None else named)
+        _add_joint(model, named, None if in_links else own)
     ET.indent(root)
     return ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _load(link: Link, armature: float, fitted: Identified) -> Link:
+    """A link as heavy along its joint as with the armature: a thin disc about the axis, which has half across."""
+    bench = fitted.bench
+    if bench.payload is not None:
+        raise ExportError(
+            f"{fitted.place}: its payload is that of a link, and so would be the armature; leave armature=links out"
+        )
+    if link.kind == "hinge":
+        axis = link.axis / np.linalg.norm(link.axis)
+        return link._replace(inertia=link.inertia + armature / 2 * (np.eye(3) + np.outer(axis, axis)))
+    model = bench.compile(constraint=False)
+    joint = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, joint)
+    along = float(joint.xaxis[model.joint(link.joint).id] @ model.opt.gravity)
+    if abs(along) > _LEVEL * float(np.linalg.norm(model.opt.gravity)):
+        raise ExportError(
+            f"{fitted.place}: gravity acts along the slide {link.joint}, and would on an armature in its link; leave "
+            "armature=links out"
+        )
+    return link._replace(mass=link.mass + armature)
 
 
 def _add_link(model: ET.Element, link: Link) -> None:

@@ -135,14 +135,15 @@ def list_numbers(values: Iterable[float]) -> str:
     return " ".join(map(in_full, values))
 
 
-def say_lacks(fitted: Identified, nearest: Nearest) -> tuple[str, ...]:
-    """What every such description leaves out."""
+def say_lacks(fitted: Identified, nearest: Nearest, in_links: bool = False) -> tuple[str, ...]:
+    """What every such description leaves out; `in_links` says that the armature is in the links."""
     values, units = fitted.values["bench"], UNITS[fitted.bench.joint_type]
     armature = list_values(nearest.bench["armature"])
+    whose = f"Only Drake reads the armature, {armature} {units['inertia']}, from drake:rotor_inertia: set it where a "
+    whose += "program has one. Gazebo has none."
     said = [
         *say_limits(fitted, nearest),
-        f"Only Drake reads the armature, {armature} {units['inertia']}, from drake:rotor_inertia: set it where a "
-        "program has one. Gazebo has none.",
+        f"The armature, {armature} {units['inertia']}, is in the links: set none." if in_links else whose,
         "Drake reads no dry friction: its joints have damping alone.",
         "Shapes are left out, and so are solreffriction, gravity and the time step.",
     ]
