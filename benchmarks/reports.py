@@ -51,7 +51,7 @@ def main() -> None:
         folder = Path(scratch)
         pages = {"mujoco.sysid, twin": report_of_sysid(folder, options.samples, options.sequences)}
         pages["frictionzoo, twin"] = report_of_run(folder / "twin", options.samples)
-        pages |= {f"frictionzoo, {run.name}": run / "report.html" for run in options.runs}
+        pages |= {f"frictionzoo, {run.name}": run.resolve() / "report.html" for run in options.runs}
         with sync_playwright() as driver:
             chromium = driver.chromium.launch(executable_path=find_chromium(), args=["--no-sandbox"])
             rows = [look(chromium, name, page, options.repeats) for name, page in pages.items()]

@@ -49,6 +49,7 @@ MISTAKES = {
     "data.train=[knee.csv] data.columns.qpos=angle": "knee.csv: no column angle; expected one of ",
     "data.train=[text.csv]": "text.csv, line 3: qpos is 'abc', expected a number",
     "data.train=[knee.csv] bench.joint=elbow": "knee_rod.xml: no joint elbow; ",
+    "data.train=[knee.csv] model.params.static_torque.high=-3": "static_torque: bounds low=0.0001, high=-3; expected ",
 }
 TELL = """
 import sys

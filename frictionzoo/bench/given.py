@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 from frictionzoo.bench.base import Bench
 from frictionzoo.core.build import build
 from frictionzoo.core.log import Dataset
+from frictionzoo.core.params import Param
 
 
 class Given(NamedTuple):
@@ -27,8 +28,11 @@ class Given(NamedTuple):
         """The bench and the recordings that the sections `bench` and `data` describe.
 
         Raises:
-            FrictionzooError: One of them is not there, or not what was expected.
+            FrictionzooError: One of them is not there, or not what was expected, or a parameter of the law is none.
         """
         began = time.perf_counter()
+        # Which law has it, and of what dimension it is, is asked when the law is built.
+        for name, section in (settings.get("model", {}).get("params") or {}).items():
+            Param.from_config(name, "1", section)
         bench, dataset = build(settings["bench"]), build(settings["data"]).load()
         return cls(bench, dataset, time.perf_counter() - began)

@@ -43,7 +43,9 @@ class Sdf(Target):
         (folder / FILE).write_text(text)
         spec, inertia = read_sdf(text)
         came = run_links(spec, fitted, nearest, [inertia.get(joint, 0.0) for joint in fitted.bench.joints])
-        lacks = ", ".join(filter(None, (nearest.lacks, "rotors turn with their links" if in_links and fitted.bench.nv > 1 else "")))
+        lacks = ", ".join(
+            filter(None, (nearest.lacks, "rotors turn with their links" if in_links and fitted.bench.nv > 1 else ""))
+        )
         difference = measure("qpos", fitted, came, fitted.rollout()[0], reason=lacks)
         said = (
             "Gazebo and Drake were not run: the difference is that of the file's numbers, read back, in MuJoCo, with "

@@ -79,7 +79,8 @@ def find_doubts(result: Result) -> Iterator[FindingRow]:
     yield from _doubt_fit(result["fit"])
     for p in result["parameters"]:
         if p["at_bound"]:
-            ended = f"{name_where(p, at_bound=True)} ended at a bound of {say_bounds(p)} {p['unit']}"
+            unit = "" if p["unit"] == "1" else f" {p['unit']}"
+            ended = f"{name_where(p, at_bound=True)} ended at a bound of {say_bounds(p)}{unit}"
             yield _find("bounds", ended, "widen the bounds or doubt the model")
     yield from _doubt_parameters(result)
     yield from _doubt_stability(result)

@@ -106,6 +106,7 @@
       if (at !== Number(which.value)) {
         which.value = at;
         view?.frame();
+        drawOther();
       }
       go(xvals?.[0] ?? points[0].x);
     });

@@ -13,7 +13,7 @@ from frictionzoo.result.curves import Curves
 from frictionzoo.result.types import HorizonRow, Result
 from frictionzoo.show import with_matplotlib
 from frictionzoo.show.colors import BASELINE, BEST, JOINTS, MODEL, TEACHER, TRAIN
-from frictionzoo.show.figure import Axis, Bars, Curve, Figure, Mark, Panel, Sheet, Stripe, scale_values
+from frictionzoo.show.figure import Axis, Bars, Curve, Figure, Mark, Panel, Sheet, Stripe, frame, scale_values
 from frictionzoo.show.friction_plots import find_units, plot_left, plot_portraits
 from frictionzoo.show.rollouts import Drive, draw_errors, draw_motion, say_where
 from frictionzoo.show.text import format_number, format_unit
@@ -182,7 +182,9 @@ def _plot_phases(result: Result, curves: Curves, shown: Mapping[str, int], teach
             [own(of)[kept, joint] for of in ("qpos", "qvel")] for own in (model.measured, model.follow)
         )
         marks = Curve(x=x, y=y, name="measured", width=4.5, opacity=0.3), Curve(x=at, y=speed, **model.look)
-        panel = Panel(marks, Axis("position", units["position"]), Axis("velocity", units["velocity"]))
+        across, up = frame([x, at]), frame([y, speed])
+        axes = Axis("position", units["position"], limits=across), Axis("velocity", units["velocity"], limits=up)
+        panel = Panel(marks, *axes)
         text = (
             f"Velocity over position of {name} in the {rank} rollout, at most {PHASE:g} s of it: where the curves part "
         )
