@@ -171,8 +171,8 @@ def _say_command(overrides: Any) -> str | None:
     return shlex.join(["python", "-m", "frictionzoo.run", *kept])
 
 
-def _say_step(timestep: float | None) -> str:
-    return "those of the model file" if timestep is None else f"{timestep:g} s"
+def _say_step(timestep: Any) -> str:
+    return f"{timestep:g} s" if isinstance(timestep, int | float) else "those of the model file"
 
 
 def _add_starts(parameters: list[ParameterRow], result: Result, curves: Curves) -> list[ParameterRow]:
