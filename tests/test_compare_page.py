@@ -159,6 +159,8 @@ def test_no_absolute_path_is_on_the_page(result, tmp_path):  # noqa: F811
         run.result["data"]["logs"][0]["name"] = f"{home}/a.csv"
         run.result["warnings"] = [f"{home}/a.csv: 3 samples are missing"]
         run.result["settings"] |= {"seed": 0, "bench": {"mjcf": f"{home}/stand{i}.xml"}, "data": [f"{home}/a.csv"]}
+        (run.folder / ".hydra").mkdir(parents=True)
+        (run.folder / ".hydra" / "overrides.yaml").write_text(json.dumps([f"bench.mjcf={home}/stand{i}.xml"]))
     labelled = gather(runs)
     assert [run.label for run in labelled] == [f"baseline bench.mjcf=stand{i}.xml" for i in range(2)]
     failure = Failure("7_neural_friction", "neural_friction", f"{home}/a.csv: not finite")
@@ -166,6 +168,7 @@ def test_no_absolute_path_is_on_the_page(result, tmp_path):  # noqa: F811
     shown = Page(source).text + json.dumps(Page(source).elements) + json.dumps(read_data(source))
     assert "some body" not in shown and str(tmp_path) not in shown
     assert "a.csv: 3 samples are missing" in shown and "a.csv: not finite" in shown
+    assert "python -m frictionzoo.run bench.mjcf=stand0.xml" in shown.replace("'", "")
 
 
 def test_same_names_in_other_folders_are_told_apart(result, tmp_path):  # noqa: F811

@@ -22,7 +22,15 @@ from frictionzoo.show.colors import DARK
 from frictionzoo.show.comparison_advice import check_order, list_next_steps, list_steps_to_use, name_runs
 from frictionzoo.show.comparison_plots import Look, choose_looks, plot_comparison
 from frictionzoo.show.page import Check, render_page
-from frictionzoo.show.run_page import METHODS, check_held_out, check_origin, check_result, list_timing
+from frictionzoo.show.run_page import (
+    METHODS,
+    check_held_out,
+    check_origin,
+    check_result,
+    correlate,
+    list_timing,
+    say_command,
+)
 from frictionzoo.show.run_plots import plot_history
 
 POINTS = 2000  # of a curve; a comparison has many of them
@@ -58,9 +66,11 @@ def write_page(path: Path, comparison: Comparison, runs: Sequence[Run]) -> None:
     Raises:
         OutputError: It cannot be written.
     """
-    comparison, ranked, places = _anonymise(comparison, runs)
+    comparison, ranked, places, commands = _anonymise(comparison, runs)
     looks = choose_looks((run.label for run in ranked), comparison["reference"])
     rows = [_describe(i, run, comparison, looks[run.label], path.parent) for i, run in enumerate(ranked)]
+    for row, command in zip(rows, commands, strict=True):
+        row["command"] = command
     best = next((row for row in rows if row["recommended"]), None)
     order, *checks = check_comparison(comparison, ranked)
     # In the order of the page; the parameters of each run by themselves, under its place in the ranking.
@@ -92,18 +102,23 @@ def write_page(path: Path, comparison: Comparison, runs: Sequence[Run]) -> None:
     write_atomically(path, page)
 
 
-def _anonymise(comparison: Comparison, runs: Sequence[Run]) -> tuple[Comparison, list[Run], list[str]]:
-    """The same without absolute paths, the runs best first, and their folders as somebody here may type them.
+def _anonymise(
+    comparison: Comparison, runs: Sequence[Run]
+) -> tuple[Comparison, list[Run], list[str], list[str | None]]:
+    """The same without absolute paths, the runs best first, their folders as somebody here may type them, and commands.
 
     A page that is handed on tells nobody where somebody's home is.
     """
     named = {run.label: run for run in runs}
     ranked = [named[entry["label"]] for entry in comparison["runs"]]
     known = tuple(dict.fromkeys(path for run in ranked for path in list_paths(run.result["settings"])))
-    spoken: Any = [comparison, *([run.label, run.result, str(run.folder.absolute())] for run in ranked)]
+    of_runs = ([run.label, run.result, str(run.folder.absolute()), say_command(run.folder)] for run in ranked)
+    spoken: Any = [comparison, *of_runs]
     comparison, *described = without_paths(spoken, known, Path.cwd())
-    bare = [replace(run, label=label, result=result) for run, (label, result, _) in zip(ranked, described, strict=True)]
-    return comparison, bare, [place for *_, place in described]
+    bare = [
+        replace(run, label=label, result=result) for run, (label, result, *_) in zip(ranked, described, strict=True)
+    ]
+    return comparison, bare, [place for *_, place, _ in described], [command for *_, command in described]
 
 
 def _advise(comparison: Comparison, chosen: Run, place: str) -> dict[str, Any]:
@@ -136,6 +151,7 @@ def _describe(index: int, run: Run, comparison: Comparison, look: Look, folder: 
         "verdict": "" if recommendation is None else VERDICTS[pair["verdict"]] if pair else "best",
         "pair": pair,
         "errors": list(_list_errors(entry)),
+        "correlations": [correlate(run.result, joint) for joint in run.result["joints"]],
         "method": str(METHODS.get(entry["fit"]["method"], entry["fit"]["method"])).removeprefix("The "),
         "stopped": STOPPED.get(entry["fit"]["stopped"], entry["fit"]["stopped"]),
         "timing": list_timing(entry["timing"]),

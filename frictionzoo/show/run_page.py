@@ -116,7 +116,7 @@ def render_run(
     """
     # A page that is handed on tells nobody where somebody's home is; what lies in this folder, its commands reach.
     known = tuple(list_paths(result["settings"]))
-    command = None if teacher else _say_command(read_begun(folder, "overrides"))
+    command = None if teacher else say_command(folder)
     place, command, result = without_paths([str(folder.absolute()), command, result], known, Path.cwd())
     result["parameters"] = _add_starts(result["parameters"], result, curves)
     joints = list_joints(result, teacher) if len(result["joints"]) > 1 else []
@@ -163,8 +163,9 @@ def list_uses(place: str) -> list[str]:
     ]
 
 
-def _say_command(overrides: Any) -> str | None:
-    """What a run began with, for a shell, less where it went; None of one from Python, which keeps nothing."""
+def say_command(folder: Path) -> str | None:
+    """What the run in a folder began with, for a shell, less where it went; None where it kept none."""
+    overrides = read_begun(folder, "overrides")
     if not isinstance(overrides, list):
         return None
     kept = [str(item) for item in overrides if not re.match(r"[+~]*(resume|hydra)\b", str(item))]
