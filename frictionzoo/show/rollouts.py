@@ -92,7 +92,8 @@ def draw_errors(shown: Sequence[Sequence[Drive]], timestep: float, window: float
         unit: Of the position.
     """
     drawn = [_draw_errors(drives, timestep, window) for drives in shown]
-    means, tops = ([values for one in drawn for values in one[at]] for at in (1, 2))
+    means = [mean for _, own, _ in drawn for mean in own]
+    tops = [top for *_, own in drawn for top in own]
     y = scale_errors("absolute position error", unit, means, tops, RUNAWAY if len(shown[0]) > 2 else np.inf)
     for drives, (marks, *_) in zip(shown, drawn, strict=True):
         duration = timestep * (drives[0].curves.measured_qpos.shape[1] - 1)
