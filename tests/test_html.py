@@ -18,6 +18,7 @@ from plotly.offline import get_plotlyjs_version
 from test_report import FIT, bench, curves_of, dataset, evaluation, make_rollout, model, of_joints, result  # noqa: F401
 
 from frictionzoo.core.anonymous import without_paths
+from frictionzoo.core.telling import say_percent
 from frictionzoo.result.evaluate import Prediction
 from frictionzoo.result.portrait import Portrait
 from frictionzoo.result.verdict import still_falling
@@ -125,6 +126,14 @@ def test_the_command_of_a_run_is_on_its_page_without_its_folders(record, tmp_pat
     page = Page(report(tmp_path / "report.html", record))
     assert "python -m frictionzoo.run model=dahl 'data.train=[" in page.text
     assert "somebody" not in page.text and "resume" not in page.text and "hydra.run" not in page.text
+
+
+@pytest.mark.parametrize(
+    ("share", "said"),
+    [(0.0712, "7.1 %"), (0.996, "100 %"), (23.71, "2371 %"), (1.55, "155 %"), (0.0, "0 %"), (4e-5, "0.004 %")],
+)
+def test_a_share_is_no_power_of_ten(share, said):
+    assert say_percent(share) == said
 
 
 def test_many_recordings_are_folded(record, tmp_path):

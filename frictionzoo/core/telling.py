@@ -11,5 +11,5 @@ def tell(doing: str) -> None:
 
 def say_percent(share: float, digits: int = 2) -> str:
     """A share with so many significant digits or more, never as a power of ten: 0.0712 is `7.1 %`, 23.71 `2371 %`."""
-    percent = 100 * share
-    return f"{percent:.0f} %" if abs(percent) >= 10**digits else f"{percent:.{digits}g} %"
+    percent, rounded = 100 * share, f"{100 * share:.{digits}g}"
+    return f"{percent:.0f} %" if "e+" in rounded else f"{rounded} %"

@@ -151,7 +151,7 @@ def _describe(index: int, run: Run, comparison: Comparison, look: Look, folder: 
         "verdict": "" if recommendation is None else VERDICTS[pair["verdict"]] if pair else "best",
         "pair": pair,
         "errors": list(_list_errors(entry)),
-        "correlations": [correlate(run.result, joint) for joint in run.result["joints"]],
+        "correlations": correlate(run.result, run.result["joints"][0]),  # said where there is but one
         "method": str(METHODS.get(entry["fit"]["method"], entry["fit"]["method"])).removeprefix("The "),
         "stopped": STOPPED.get(entry["fit"]["stopped"], entry["fit"]["stopped"]),
         "timing": list_timing(entry["timing"]),
