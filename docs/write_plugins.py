@@ -8,7 +8,6 @@ import yaml
 from equations import to_fences
 
 from frictionzoo.core.config import CONF_DIR
-from frictionzoo.core.output import write_atomically
 from frictionzoo.core.registry import KINDS
 from frictionzoo.models import FrictionModel, get_model
 from frictionzoo.models.by_joint import ByJoint
@@ -122,4 +121,4 @@ PAGES: dict[str, Callable[[str], str]] = {"models": render_models, "plugins": la
 if __name__ == "__main__":
     for page, render in PAGES.items():
         path = DOCS / f"{page}.md"
-        write_atomically(path, render(path.read_text() if path.exists() else "").encode())
+        path.write_text(render(path.read_text() if path.exists() else ""))

@@ -7,7 +7,6 @@ from typing import Any
 
 from frictionzoo.card import record as card
 from frictionzoo.comparison import record as comparison
-from frictionzoo.core.output import write_atomically
 from frictionzoo.inspect import survey
 from frictionzoo.result import record as result
 
@@ -95,4 +94,4 @@ def _table(rows: Iterable[tuple[str, str, str]]) -> str:
 
 if __name__ == "__main__":
     for page in SCHEMAS:
-        write_atomically(DOCS / f"{page}.md", render(page).encode())
+        (DOCS / f"{page}.md").write_text(render(page))

@@ -13,7 +13,6 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 
 from frictionzoo.card.types import Card
 from frictionzoo.comparison.types import Comparison
-from frictionzoo.core.output import write_atomically
 from frictionzoo.result.types import Result
 
 TYPES = {"result": Result, "comparison": Comparison, "card": Card}  # NAME.schema.json lies beside the type's file
@@ -123,4 +122,4 @@ def _flow(text: str) -> str:
 
 if __name__ == "__main__":
     for file in TYPES:
-        write_atomically(find_path(file), (lay_out(make_schema(file)) + "\n").encode())
+        find_path(file).write_text(lay_out(make_schema(file)) + "\n")

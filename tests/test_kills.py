@@ -20,6 +20,7 @@ from conftest import ROOT, job_settings, run_main
 from test_torch_only import STRIBECK, TorchStribeck
 
 from frictionzoo.cli.run import NOT_IDENTIFIED
+from frictionzoo.core.manifest import MANIFEST
 from frictionzoo.models import register_model
 from frictionzoo.models.registry import REGISTRY
 
@@ -159,7 +160,7 @@ def test_what_ends_at_a_random_moment_goes_on_to_the_same_bytes(
     assert finished.status in DONE, finished.err
     assert results(folder) == expected
     assert done == {path: path.stat().st_mtime_ns for path in done}
-    assert not [path for path in folder.rglob(".*") if path.name != ".hydra"]
+    assert not [path for path in folder.rglob(".*") if path.name not in (".hydra", MANIFEST)]
 
 
 def assert_says_how_to_go_on(err: str, how: str, folder: Path) -> None:

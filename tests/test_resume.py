@@ -21,6 +21,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from frictionzoo.cli.job import _identify
 from frictionzoo.cli.resume import restore_overrides
 from frictionzoo.core.errors import CheckpointError, ConfigError, RunError
+from frictionzoo.core.manifest import MANIFEST, Manifest
 from frictionzoo.core.output import occupy
 from frictionzoo.fit import loop, run_fit
 from frictionzoo.fit.loggers import Csv
@@ -124,12 +125,17 @@ def test_ended_elsewhere_and_resumed_is_as_if_nothing_had_happened(
     assert steps_on_tensorboard(tmp_path / "ended") == [0, 1, 2]
 
 
+def read_files(folder: Path) -> dict[Path, bytes]:
+    """All files in a folder but its list of files."""
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file() and path.name != MANIFEST}
+
+
 def test_a_finished_run_is_resumed_to_itself_and_by_its_own_command_alone(
     call: Callable, finished_run: Callable, tmp_path: Path, tiny: tuple[str, ...]
 ) -> None:
     expected, _ = finished_run("coulomb_smooth")
     folder = shutil.copytree(expected, tmp_path / "copy")
-    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    before = read_files(folder)
     anew = (*RUNS["coulomb_smooth"], *tiny, f"hydra.run.dir={folder}", "fit.learning_rate=0.02")
     for arguments, complaint in {
         (f"resume={folder}", "fit.learning_rate=0.02"): "last.ckpt: fit ",
@@ -140,7 +146,7 @@ def test_a_finished_run_is_resumed_to_itself_and_by_its_own_command_alone(
         assert finished.status == 2
         (line,) = [line for line in finished.err.splitlines() if line.startswith("frictionzoo: ")]
         assert complaint in line
-        assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
+        assert read_files(folder) == before
     with occupy(folder, wait=False):
         refused = call(f"resume={folder}")
     assert refused.status == 2
@@ -152,14 +158,16 @@ def test_a_finished_run_is_resumed_to_itself_and_by_its_own_command_alone(
 
 
 def test_a_folder_is_one_process_s_and_what_a_killed_one_began_is_removed(tmp_path: Path) -> None:
-    part = tmp_path / "checkpoints" / ".last.ckpt.99.part"
-    part.parent.mkdir()
-    part.touch()
+    killed = Manifest(tmp_path, "run")
+    killed.write("checkpoints/last.ckpt", b"first")
+    part, foreign = tmp_path / f".last.ckpt.{killed.token}.part", tmp_path / "checkpoints" / ".last.ckpt.99.part"
+    part.write_bytes(b"sec")
+    foreign.touch()
     with occupy(tmp_path, wait=False):
-        assert not part.exists()
+        assert not part.exists() and foreign.exists()
         with pytest.raises(RunError, match="another process works in it, expected a folder of this run's own; wait"):
             occupy(tmp_path, wait=False).__enter__()
-    assert os.listdir(tmp_path) == ["checkpoints"]
+    assert sorted(os.listdir(tmp_path)) == [MANIFEST, "checkpoints"]
 
 
 def raise_in_a_collection(number: int) -> None:

@@ -22,9 +22,11 @@ from omegaconf.errors import OmegaConfBaseException
 from frictionzoo import __version__
 from frictionzoo.cli.explain import explain
 from frictionzoo.cli.overrides import refuse_no_choice
-from frictionzoo.cli.resume import nothing_of_a_refused_run, restore_overrides
+from frictionzoo.cli.resume import nothing_of_a_refused_run, recorded, restore_overrides
 from frictionzoo.core.config import check_overrides, compose_config
 from frictionzoo.core.errors import CheckpointError, ConfigError, FrictionzooError, OutputError
+from frictionzoo.core.manifest import MANIFEST
+from frictionzoo.core.output import occupy
 from frictionzoo.fit.loop import CHECKPOINT, _checked_checkpoint
 from frictionzoo.identification import Problem
 
@@ -297,7 +299,7 @@ def test_settings_of_hydra_are_not_taken_over_from_a_run_folder(foreign: Path) -
     of_hydra = ["++hydra.callbacks.bad._target_=os.mkdir", "hydra/launcher=bad", "~resume", "resume=other"]
     foreign.write_text(json.dumps([*of_hydra, "+hydra.x=3", "seed=-3", "model=lugre"]))
     today = ["seed=4", "resume=foreign"]
-    assert restore_overrides(today) == ["seed=-3", "model=lugre", *today, "hydra.output_subdir=null"]
+    assert restore_overrides(today) == ["seed=-3", "model=lugre", *today]
     for none in (["seed=4"], ["resume=foreign", "resume=null"]):
         assert restore_overrides(none) == none
 
@@ -333,19 +335,33 @@ def test_typing_errors_do_not_wait_for_heavy_imports(tmp_path: Path, argument: s
         (None, ConfigError, False),
         (None, OutputError, True),  # the run goes on with its record
         (None, KeyboardInterrupt, True),
-        ("checkpoints/last.ckpt", ConfigError, True),
-        (".hydra/mine.txt", ConfigError, True),
+        ("checkpoints/last.ckpt", ConfigError, False),
+        (".hydra/mine.txt", ConfigError, False),
     ],
 )
 def test_a_refused_run_leaves_no_folder_and_takes_nothing_along(
     tmp_path: Path, more: str | None, error: type[BaseException], left: bool
 ) -> None:
-    names = [".hydra/config.yaml", ".hydra/hydra.yaml", ".hydra/overrides.yaml", *([more] if more else [])]
-    paths = [tmp_path / "outputs" / "today" / "run" / name for name in names]
-    for path in paths:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.touch()
-    with pytest.raises(error), nothing_of_a_refused_run(tmp_path / "outputs" / "today" / "run"):
+    folder, made = tmp_path / "outputs" / "today" / "run", [tmp_path / "outputs" / "today"]
+    record = {folder / ".hydra" / f"{name}.yaml": b"a: 1" for name in ("config", "hydra", "overrides")}
+    folder.mkdir(parents=True)
+    if more:
+        (folder / more).parent.mkdir()
+        (folder / more).write_text("mine")
+    with pytest.raises(error), nothing_of_a_refused_run([folder, *made]), occupy(folder, wait=False), recorded(record):
         raise error
-    assert [path.exists() for path in paths] == len(paths) * [left]
-    assert (tmp_path / "outputs").exists() == left
+    assert [path.exists() for path in record] == len(record) * [left]
+    assert [
+        path for path in tmp_path.rglob("*") if path.is_file() and path not in record and path.name != MANIFEST
+    ] == ([folder / more] if more else [])
+    assert folder.exists() == bool(left or more)
+    assert (tmp_path / "outputs").exists()  # it was there before
+
+
+def test_the_record_of_a_run_that_is_refused_is_as_it_was(tmp_path: Path) -> None:
+    path = tmp_path / ".hydra" / "config.yaml"
+    with occupy(tmp_path, wait=False), recorded({path: b"before"}):
+        pass
+    with pytest.raises(ConfigError), occupy(tmp_path, wait=False), recorded({path: b"mistaken"}):
+        raise ConfigError("of today")
+    assert path.read_bytes() == b"before"

@@ -22,6 +22,8 @@ from frictionzoo.cli.job import run_job as run_real_job
 from frictionzoo.cli.sweep import _complaint, conclude_sweep, run_in_sweep
 from frictionzoo.core.config import CONF_DIR, forget_plugin_schemas, register_resolvers
 from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.manifest import MANIFEST, Manifest
+from frictionzoo.core.output import write_atomically
 from frictionzoo.core.threads import count_cores, limit_threads
 
 ROOT = Path(__file__).parent.parent
@@ -117,6 +119,10 @@ def test_a_plugin_that_is_not_installed_is_named(call: Callable) -> None:
     assert "pip install 'frictionzoo[absent]'" in finished.err
 
 
+def list_files(folder: Path) -> list[str]:
+    return [name for name in os.listdir(folder) if name != MANIFEST]
+
+
 def fail() -> tuple[dict, None]:
     raise ZeroDivisionError("by zero\nand more")
 
@@ -137,15 +143,16 @@ def test_an_unexpected_error_is_recorded_and_its_traceback_logged(
 
 def test_a_failure_does_not_outlive_a_successful_repetition(tmp_path: Path) -> None:
     def succeed() -> tuple[dict, None]:
-        (tmp_path / "result.json").write_text(json.dumps(DONE | {"model": "baseline", "fit": {"stopped": "finished"}}))
+        content = json.dumps(DONE | {"model": "baseline", "fit": {"stopped": "finished"}})
+        write_atomically(tmp_path / "result.json", content.encode())
         return DONE, None
 
     assert run_in_sweep(fail, tmp_path, "baseline", [], str) == math.inf
     assert run_in_sweep(succeed, tmp_path, "baseline", [], str) == 0.25
-    assert os.listdir(tmp_path) == ["result.json"]
+    assert list_files(tmp_path) == ["result.json"]
     assert conclude_sweep(tmp_path)[2] == []
     assert run_in_sweep(fail, tmp_path, "baseline", [], str) == math.inf
-    assert os.listdir(tmp_path) == ["failure.json"]
+    assert list_files(tmp_path) == ["failure.json"]
 
 
 def test_a_stopped_sweep_goes_on_with_what_is_missing(
@@ -177,11 +184,12 @@ def test_a_finished_job_is_not_repeated(tmp_path: Path, changes: dict | None, re
     result = DONE | {"settings": {"seed": 0, "bounds": [0.1, None]}, "fit": {"stopped": "finished"}}
     result |= {"versions": {"frictionzoo": __version__}}
     whole = json.dumps(result | (changes or {}))
-    (tmp_path / "result.json").write_text(whole if changes is not None else whole[:-9])
+    content = whole if changes is not None else whole[:-9]
+    Manifest(tmp_path, "run").write("result.json", content.encode())
     settings = {"seed": 0, "bounds": [0.1, math.inf]}  # infinite is null in JSON
     value = run_in_sweep(fail, tmp_path, "baseline", [], str, settings)
     assert value == (math.inf if repeated else 0.25)
-    assert os.listdir(tmp_path) == ["failure.json" if repeated else "result.json"]
+    assert list_files(tmp_path) == ["failure.json" if repeated else "result.json"]
 
 
 def test_a_sweeper_is_told_infinity_where_a_rollout_diverged(tmp_path: Path) -> None:
@@ -287,6 +295,8 @@ def test_jobs_at_a_time_times_threads_is_cores() -> None:
 
 COUNT = """
 from pathlib import Path
+from frictionzoo.core.manifest import MANIFEST, Manifest
+from frictionzoo.core.output import write_atomically
 from frictionzoo.core.threads import limit_threads
 limit_threads({threads})
 import jax, torch

@@ -306,11 +306,15 @@ def test_a_damaged_cache_is_made_anew(damage, tmp_path, caplog):
         np.savez(path, **(arrays | {"qvel": np.array([print], dtype=object)}))
     else:
         path.write_bytes({"garbage": b"not an archive", "empty": b"", "truncated": whole[: len(whole) // 2]}[damage])
+    damaged = path.read_bytes()
     assert same(made, twin.load().train[0])
     assert "made anew" in caplog.text
+    assert path.read_bytes() == damaged and "changed since it was written" in caplog.text  # no more the cache's own
+    path.unlink()
+    assert same(made, twin.load().train[0])
     caplog.clear()
     assert same(made, twin.load().train[0])
-    assert not caplog.text  # the damaged file was replaced
+    assert not caplog.text
 
 
 def test_a_cache_that_cannot_be_written_costs_only_time(tmp_path, caplog, whole):

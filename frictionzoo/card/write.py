@@ -16,8 +16,8 @@ from frictionzoo.card.portable import TEMPLATE, write_template
 from frictionzoo.card.record import CARD, MODEL, PAGE, PICTURE, STATED, build_card, read_schema, title_of
 from frictionzoo.card.types import Card
 from frictionzoo.core.anonymous import find_paths
-from frictionzoo.core.errors import ConfigError, OutputError, RunError, closest
-from frictionzoo.core.output import RESULT, take_place, to_json, write_atomically
+from frictionzoo.core.errors import ConfigError, RunError, closest
+from frictionzoo.core.output import take_place, to_json, write_atomically
 from frictionzoo.core.params import UNITS
 from frictionzoo.core.templates import open_template
 from frictionzoo.result.identified import Identified
@@ -56,18 +56,16 @@ def write_card(folder: Path, options: Mapping[str, str]) -> tuple[Path, list[str
     Raises:
         ConfigError: An option is missing, unknown, or makes no sense; the run's values are not the file's.
         RunError: It is not the folder of a finished run, or its test stand refers to files.
-        OutputError: The card's folder holds something else, or cannot be written.
+        OutputError: A foreign file of a card's name is in the card's folder, a run is, or it cannot be written.
     """
     _refuse_impossible(options)
     place = Path(options.get("output", folder / FOLDER))
-    if place.exists() and not _is_replaceable(place):
-        raise OutputError(f"{place}: it holds something else than a card; set output to another folder")
-    drive = Identified.load(folder)
-    if not drive.curves.portraits:
-        raise RunError(
-            f"{folder}: there is no friction portrait in it, as an older frictionzoo left it; identify again"
-        )
-    with take_place(place) as fresh:
+    with take_place(place, "card", [PAGE, *FILES, CARD]) as fresh:
+        drive = Identified.load(folder)
+        if not drive.curves.portraits:
+            raise RunError(
+                f"{folder}: there is no friction portrait in it, as an older frictionzoo left it; identify again"
+            )
         _write_files(drive, fresh, options)
     return place, list(_list_left(place))
 
@@ -92,11 +90,6 @@ def _refuse_impossible(options: Mapping[str, str]) -> None:
             "cc-by-4.0 or apache-2.0"
         )
     origin.refuse_half(options)
-
-
-def _is_replaceable(place: Path) -> bool:
-    """Whether it is a card, which has no run in it, or empty."""
-    return place.is_dir() and (not any(place.iterdir()) or ((place / CARD).exists() and not (place / RESULT).exists()))
 
 
 def _write_files(drive: Identified, folder: Path, options: Mapping[str, str]) -> None:

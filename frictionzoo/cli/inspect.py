@@ -17,7 +17,7 @@ from frictionzoo.cli.overrides import choices_of, given_to_hydra, refuse_no_choi
 from frictionzoo.core.build import build
 from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, forget_plugin_schemas, register_resolvers
 from frictionzoo.core.errors import ConfigError, FrictionzooError
-from frictionzoo.core.output import write_atomically
+from frictionzoo.core.output import claim, write_atomically
 
 FOLDER = "outputs/${now:%Y-%m-%d}/${now:%H-%M-%S}_inspect_${hydra:runtime.choices.data}"
 
@@ -52,10 +52,11 @@ def inspect_data(config: DictConfig, folder: Path, joint_type: str | None = None
     from frictionzoo.inspect.terminal import summarise
 
     data = cast(dict[str, Any], OmegaConf.to_container(config.data, resolve=True))
-    recordings = list_recordings(build(data))
-    survey = survey_recordings(str(data.get("name", "data")), recordings, joint_type)
-    write_page(folder / "inspect.html", survey, recordings)
-    write_atomically(folder / "inspect.json", (json.dumps(survey, indent=2, allow_nan=False) + "\n").encode())
+    with claim(folder, "inspection", ("inspect.html", "inspect.json")):
+        recordings = list_recordings(build(data))
+        survey = survey_recordings(str(data.get("name", "data")), recordings, joint_type)
+        write_page(folder / "inspect.html", survey, recordings)
+        write_atomically(folder / "inspect.json", (json.dumps(survey, indent=2, allow_nan=False) + "\n").encode())
     return summarise(survey, folder)
 
 

@@ -2,17 +2,21 @@
 
 import contextlib
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import yaml
-from omegaconf import OmegaConf
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from frictionzoo.cli.mistakes import NOTHING_KEPT, REFUSED
+from frictionzoo.cli.mistakes import NOTHING_KEPT
 from frictionzoo.cli.overrides import last_value
 from frictionzoo.core.errors import ConfigError, FrictionzooError, OutputError
-from frictionzoo.core.output import RESULT, write_atomically
+from frictionzoo.core.manifest import remove_if_empty
+from frictionzoo.core.output import RESULT, remove_written, write_atomically
 
 # What a resumed run takes over from its folder: an option of the job, not a flag or a way into Hydra's own settings.
 _OVERRIDE = re.compile(r"(\+\+?|~)?\w[\w/.-]*(=|$)")
@@ -32,8 +36,7 @@ def restore_overrides(arguments: Sequence[str]) -> list[str]:
     if named.lower() == "true" or {"-m", "--multirun"} & set(arguments):
         _refuse_no_sweep(named, arguments)
         return [*arguments]
-    # Hydra would replace the folder's record of how the run began by today's command, which may be a mistaken one.
-    return [*_read_overrides(Path(named)), *arguments, "hydra.output_subdir=null"]
+    return [*_read_overrides(Path(named)), *arguments]
 
 
 def _read_overrides(folder: Path) -> list[str]:
@@ -71,40 +74,45 @@ def _holds_jobs(sweep: Path) -> bool:
     return any(sweep.rglob(".hydra"))
 
 
-@contextlib.contextmanager
-def keep_record(folder: str | None) -> Iterator[None]:
-    """Put a folder's record of how its run began back if today's command is refused: Hydra replaces it before that."""
-    record = {} if folder is None else {path: path.read_bytes() for path in Path(folder, ".hydra").glob("*.yaml")}
-    try:
-        yield
-    except BaseException as error:
-        if not isinstance(error, SystemExit) or error.code == REFUSED:
-            for path, content in record.items():
-                write_atomically(path, content)
-        raise
+def record_job(config: DictConfig) -> dict[Path, bytes]:
+    """How a job begins, as Hydra writes it: the files of its record and their contents."""
+    hydra: Any = HydraConfig.instance().cfg
+    folder = Path(hydra.hydra.runtime.output_dir) / ".hydra"
+    parts = {"config": config, "hydra": hydra, "overrides": hydra.hydra.overrides.task}
+    return {folder / f"{name}.yaml": OmegaConf.to_yaml(part).encode() for name, part in parts.items()}
+
+
+def write_record(record: Mapping[Path, bytes]) -> None:
+    """Write the record of a job into its folder; OutputError if that fails."""
+    for path, content in record.items():
+        write_atomically(path, content)
 
 
 @contextlib.contextmanager
-def nothing_of_a_refused_run(folder: Path) -> Iterator[None]:
-    """Remove the folder that Hydra made for a run whose input is at fault, if its record is all that is in it."""
+def recorded(record: Mapping[Path, bytes]) -> Iterator[None]:
+    """Have the record of a job in its folder; if the job is refused, an earlier one, or none as before."""
+    before = {path: path.read_bytes() for path in record if path.exists()}
+    write_record(record)
     try:
         yield
-    except FrictionzooError as error:
+    except (FrictionzooError, OmegaConfBaseException, HydraException) as error:
         if not isinstance(error, OutputError):  # of a disk that is full, a run goes on with its record
-            _remove_record(folder)
+            write_record(before)
+            for path in {*record} - {*before}:
+                remove_written(path)
+                remove_if_empty(path.parent)
         raise
 
 
-def _remove_record(folder: Path) -> None:
-    record = folder / ".hydra"
-    found = {path.relative_to(folder).as_posix() for path in folder.rglob("*")}
-    if found - {".hydra", *(f".hydra/{name}.yaml" for name in ("config", "hydra", "overrides"))}:
-        return
-    with contextlib.suppress(OSError):  # what is not removed does no harm
-        for path in record.glob("*.yaml"):
-            path.unlink()
-        for place in (record, folder, *folder.parents[:2]):  # the last two of the day and of all runs, if now empty
-            place.rmdir()
+@contextlib.contextmanager
+def nothing_of_a_refused_run(made: Sequence[Path]) -> Iterator[None]:
+    """Remove folders that Hydra made for a run whose input is at fault, if nothing is in them; the innermost first."""
+    try:
+        yield
+    except FrictionzooError:
+        for folder in made:
+            remove_if_empty(folder)
+        raise
 
 
 def say_how_a_run_goes_on(folder: Path) -> str:

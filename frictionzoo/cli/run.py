@@ -16,18 +16,20 @@ from omegaconf.errors import OmegaConfBaseException
 
 from frictionzoo.cli.explain import explain, missing_plugin
 from frictionzoo.cli.mistakes import NOT_IDENTIFIED, fail, mistakes_in_one_line, stoppable
-from frictionzoo.cli.overrides import choices_of, given_to_hydra, last_value, refuse_no_choice
+from frictionzoo.cli.overrides import choices_of, given_to_hydra, refuse_no_choice
 from frictionzoo.cli.resume import (
-    keep_record,
     nothing_of_a_refused_run,
+    record_job,
+    recorded,
     restore_overrides,
     say_how_a_run_goes_on,
     say_how_a_sweep_goes_on,
+    write_record,
 )
-from frictionzoo.cli.sweep import SweepFolder, conclude_sweep, describe, objective_of, run_in_sweep
+from frictionzoo.cli.sweep import SweepFolder, conclude_sweep, describe, folders_made, objective_of, run_in_sweep
 from frictionzoo.core.build import build
 from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, forget_plugin_schemas, register_resolvers
-from frictionzoo.core.output import occupy
+from frictionzoo.core.output import LOGGERS, RUN_FILES, occupy
 from frictionzoo.core.telling import tell
 from frictionzoo.core.threads import limit_threads, threads_each
 from frictionzoo.result.types import Result
@@ -38,20 +40,28 @@ def _job(config: DictConfig) -> float:
     """One job of Hydra's; returns what a sweeper may minimise."""
     hydra_config = HydraConfig.get()
     model, folder = hydra_config.runtime.choices["model"], Path(hydra_config.runtime.output_dir)
+    record, inside = record_job(config), {hydra_config.runtime.choices["logger"]} & LOGGERS
     # A run's record does not tell whether it was interrupted; what this option says, Hydra has done.
     resumed, config.resume = config.resume, None
+
+    def begin() -> tuple[Result, str | None]:
+        write_record(record)
+        return _identify(config, model, folder)
+
     if hydra_config.mode == RunMode.MULTIRUN:
         options = hydra_config.overrides.task
         finished = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True)) if resumed else None
         # In processes of a launcher, nobody else answers.
         with stoppable():
-            return run_in_sweep(lambda: _identify(config, model, folder), folder, model, options, explain, finished)
+            return run_in_sweep(begin, folder, model, options, explain, finished, inside)
     named = resumed is not None or any("hydra.run.dir=" in option for option in hydra_config.overrides.hydra)
     # Ended inside, because Hydra adds a line of its own to an error that passes through it.
     with (
         mistakes_in_one_line(lambda: say_how_a_run_goes_on(folder)),
-        contextlib.nullcontext() if named else nothing_of_a_refused_run(folder),
-        occupy(folder, wait=False),
+        nothing_of_a_refused_run([] if named else folders_made()),
+        occupy(folder, wait=False, names=RUN_FILES, inside=inside),
+        # What a run keeps of how it began stays: today's command may be a mistaken one.
+        contextlib.nullcontext() if resumed else recorded(record),
     ):
         result, complaint = _identify(config, model, folder)
     if complaint:
@@ -110,7 +120,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         overrides = restore_overrides(sys.argv[1:] if arguments is None else arguments)
         refuse_no_choice(overrides)
     with SweepFolder.noted() as begun, mistakes_in_one_line(lambda: say_how_a_sweep_goes_on(*begun), overrides):
-        with keep_record(last_value("hydra.run.dir", overrides)), given_to_hydra(overrides):
+        with given_to_hydra(overrides):
             complaint = _run_jobs(begun)
         for folder in begun:
             _conclude(folder, complaint)

@@ -5,24 +5,29 @@ import json
 import logging
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
 from filelock import FileLock
+from hydra.core.hydra_config import HydraConfig
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf
 
 from frictionzoo import __version__
+from frictionzoo.cli.mistakes import mistakes_in_one_line
 from frictionzoo.core.errors import OutputError, RunError
-from frictionzoo.core.jobs import find_runs, read_failure
-from frictionzoo.core.output import FAILURE, RESULT, RUNNING, occupy, to_json, write_atomically
+from frictionzoo.core.jobs import find_runs, read_failure, read_json
+from frictionzoo.core.manifest import Manifest, State, saying
+from frictionzoo.core.output import FAILURE, RESULT, RUN_FILES, RUNNING, is_lock, occupy, to_json, write_atomically
 from frictionzoo.result.types import Result
 
 _log = logging.getLogger(__name__)
 # Hydra makes the callback itself: what it learns can be handed to its maker only beside it.
 _begun: ContextVar[list[Path]] = ContextVar("begun")
+_made: ContextVar[list[Path]] = ContextVar("made", default=[])  # noqa: B039 - never changed, only replaced
+_SWEEP_RECORD = "multirun.yaml"  # Hydra's
 
 
 class SweepFolder(Callback):
@@ -38,12 +43,33 @@ class SweepFolder(Callback):
         finally:
             _begun.reset(token)
 
+    def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
+        """Note which folders are made for a single job."""
+        hydra, before = HydraConfig.instance(), HydraConfig.instance().cfg
+        try:
+            hydra.set_config(config)  # which the folder's name refers to
+            folder = Path(config.hydra.run.dir).absolute()
+        finally:
+            hydra.cfg = before
+        _made.set([place for place in (folder, *folder.parents[:2]) if not place.exists()])
+
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Note the folder; have a Ray cluster of this machine listen on its loopback interface only."""
-        _begun.get([]).append(Path(config.hydra.sweep.dir).absolute())
+        folder = Path(config.hydra.sweep.dir).absolute()
+        with mistakes_in_one_line():  # Hydra would only warn
+            manifest = Manifest(folder, "sweep")
+            manifest.refuse([_SWEEP_RECORD])
+            with saying(folder):
+                manifest.record({_SWEEP_RECORD: State.of(OmegaConf.to_yaml(config).encode())})
+        _begun.get([]).append(folder)
         # Read by Ray when it is imported; without it a node listens on all interfaces, whatever its address.
         if OmegaConf.select(config, "hydra.launcher.ray.init.address") == "local":
             os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"
+
+
+def folders_made() -> list[Path]:
+    """Folders that Hydra makes for the single job that begins, the innermost first."""
+    return _made.get()
 
 
 def run_in_sweep(
@@ -53,6 +79,7 @@ def run_in_sweep(
     overrides: Sequence[str],
     explain: Callable[[Exception], str | None],
     finished: Mapping[str, Any] | None = None,
+    inside: Collection[str] = (),
 ) -> float:
     """Run one job of a sweep; whatever it raises becomes `failure.json` in its folder, if that can be written.
 
@@ -65,16 +92,20 @@ def run_in_sweep(
         overrides: The job's options.
         explain: One line for an error that a user can cause, None for an unexpected one.
         finished: The job's settings, if a `result.json` with just these is to stand instead of being made again.
+        inside: Subfolders that the job's logger writes.
 
     Returns:
         What a sweeper may minimise, see `objective_of`; infinite for a job that failed.
+
+    Raises:
+        OutputError: Foreign files are in the way in the job's folder.
     """
-    with occupy(folder, wait=True):
+    with occupy(folder, wait=True, names=RUN_FILES, inside=inside) as manifest:
         if finished is not None and (result := _read_finished(folder, finished)):
             _log.info("%s: has its result already", folder.name)
             return math.inf if result["fit"]["stopped"] == "diverged" else objective_of(result)
         for name in (RESULT, FAILURE):
-            (folder / name).unlink(missing_ok=True)
+            manifest.remove(name)
         try:
             result, complaint = job()
         except Exception as error:
@@ -127,7 +158,7 @@ def conclude_sweep(folder: Path) -> tuple[Mapping[str, Any] | None, str, list[st
     Raises:
         OutputError: The comparison cannot be written.
     """
-    for path in folder.rglob(RUNNING):
+    for path in filter(is_lock, folder.rglob(RUNNING)):
         with FileLock(path):
             pass
     # Imported here, so that --help and a typing error do not wait for it.
@@ -147,8 +178,8 @@ def _complaint(folder: Path) -> str | None:
     """What is wrong with the job in a folder; None if it did its work."""
     if failure := read_failure(folder):
         return failure.reason
-    fit = json.loads((folder / RESULT).read_text())["fit"]
-    if fit["stopped"] == "diverged":
+    fit = read_json(folder / RESULT).get("fit", {})
+    if fit.get("stopped") == "diverged":
         return f"fit diverged after {fit['iterations']} iterations; {RESULT} holds the best before that"
     return None
 

@@ -8,7 +8,17 @@ from frictionzoo.comparison.record import compare_runs
 from frictionzoo.comparison.runs import Run, read_runs
 from frictionzoo.comparison.types import Comparison
 from frictionzoo.core.errors import RunError
-from frictionzoo.core.output import write_atomically
+from frictionzoo.core.output import claim, write_atomically
+
+FIGURES = (
+    *("figure3_parameters", "figure4_trajectories", "figure5_error", "figure6_mae", "error_by_horizon"),
+    *("error_by_speed", "error_by_load", "friction", "autocorrelation", "differences"),
+)
+FILES = (
+    *("comparison.json", "comparison.html", "table.tex"),
+    *(f"figures/{name}.{suffix}" for name in FIGURES for suffix in ("png", "pdf")),
+)
+"""All that a comparison may write."""
 
 
 def write_comparison(folders: Sequence[Path], output: Path) -> Comparison:
@@ -18,7 +28,8 @@ def write_comparison(folders: Sequence[Path], output: Path) -> Comparison:
         RunError: A folder holds no run, runs are not comparable, or no run has a result.
         OutputError: A file cannot be written.
     """
-    runs, failures = read_runs(folders)
+    with claim(output, "comparison", FILES):  # before the work
+        runs, failures = read_runs(folders)
     if not runs:
         reasons = "; ".join(f"{failure.run}: {failure.reason}" for failure in failures)
         raise RunError(f"no run has a result to compare: {reasons}")
@@ -34,7 +45,9 @@ def save_comparison(comparison: Comparison, runs: Sequence[Run], output: Path) -
     from frictionzoo.show.comparison_page import write_page
     from frictionzoo.show.latex import tabulate_latex
 
-    write_figures(output / "figures", comparison, runs)
-    write_atomically(output / "table.tex", tabulate_latex(comparison).encode())
-    write_page(output / "comparison.html", comparison, runs)
-    write_atomically(output / "comparison.json", (json.dumps(comparison, indent=2, allow_nan=False) + "\n").encode())
+    content = (json.dumps(comparison, indent=2, allow_nan=False) + "\n").encode()
+    with claim(output, "comparison", FILES):
+        write_figures(output / "figures", comparison, runs)
+        write_atomically(output / "table.tex", tabulate_latex(comparison).encode())
+        write_page(output / "comparison.html", comparison, runs)
+        write_atomically(output / "comparison.json", content)

@@ -5,8 +5,10 @@ import logging
 import math
 import os
 import shutil
+import stat
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -14,26 +16,115 @@ import numpy as np
 from filelock import FileLock, Timeout
 
 from frictionzoo.core.errors import OutputError, RunError
+from frictionzoo.core.manifest import ABANDONED, Manifest, State, remove_if_empty, saying
 
 # Files by which the folder of a job tells how it stands.
 RESULT = "result.json"  # done
 FAILURE = "failure.json"  # it failed, and why
 RUNNING = ".running"  # locked while it runs, in whatever process; left behind unlocked by a job that was killed
 
+_CLAIMED: ContextVar[tuple[tuple[Path, Manifest | None], ...]] = ContextVar("claimed", default=())
 _log = logging.getLogger(__name__)
 
 
+RUN_FILES = (
+    *(RESULT, FAILURE, "report.html", "curves.safetensors", "friction.safetensors", "distillation.json"),
+    *("identified.xml", "identified.urdf", "bench.xml", "checkpoints/last.ckpt"),
+    *(f"figures/{name}.png" for name in ("figure3_parameters", "figure4_trajectory", "figure5_error")),
+    *(f".hydra/{name}.yaml" for name in ("config", "hydra", "overrides")),
+)
+"""All that a run may write, besides what its logger writes into a subfolder."""
+LOGGERS = frozenset({"tensorboard", "csv", "wandb"})
+"""Subfolders that hold what one logger of that name writes and nothing else."""
+
+
 @contextlib.contextmanager
-def occupy(folder: Path, *, wait: bool) -> Iterator[None]:
+def claim(
+    folder: Path, kind: str, names: Iterable[str] = (), inside: Collection[str] = (), *, undone: bool = False
+) -> Iterator[Manifest]:
+    """Have all that is written into a folder inside this context noted in its manifest.
+
+    Args:
+        folder: The output folder; it need not exist.
+        kind: Of command.
+        names: What will be written there: anything foreign in the way is refused now.
+        inside: Subfolders that will hold nothing else.
+        undone: Whether all of it is removed if something goes wrong.
+
+    Raises:
+        OutputError: Something is in the way.
+    """
+    manifest = manifest_of(folder, kind)
+    manifest.refuse(names)
+    for subfolder in inside:
+        manifest.refuse_inside(subfolder)
+    manifest.remove_parts(age=ABANDONED)
+    token = _CLAIMED.set(((Path(os.path.abspath(folder)), manifest), *_CLAIMED.get()))
+    try:
+        yield manifest
+    except BaseException:
+        if undone:
+            with contextlib.suppress(OutputError):  # what went wrong matters more
+                manifest.clear()
+            manifest.forget()
+            remove_if_empty(folder)
+        raise
+    finally:
+        _CLAIMED.reset(token)
+
+
+def manifest_of(folder: Path, kind: str) -> Manifest:
+    """The manifest of a folder: that of a context that claimed it, or a new one."""
+    root = Path(os.path.abspath(folder))
+    claimed = (each for place, each in _CLAIMED.get() if each and place == root and each.kind == kind)
+    return next(claimed, None) or Manifest(folder, kind)
+
+
+@contextlib.contextmanager
+def scratch(folder: Path) -> Iterator[None]:
+    """Write into a folder of this process's that nobody else sees, without a manifest."""
+    token = _CLAIMED.set(((Path(os.path.abspath(folder)), None), *_CLAIMED.get()))
+    try:
+        yield
+    finally:
+        _CLAIMED.reset(token)
+
+
+def find_manifest(path: Path) -> tuple[Manifest | None, str]:
+    """The manifest in which a file belongs, None in a `scratch`, and its name there.
+
+    That is the innermost claimed folder's around it; outside of all, the one of the folder in which it lies.
+    """
+    absolute = Path(os.path.abspath(path))
+    around = [(root, each) for root, each in _CLAIMED.get() if absolute.is_relative_to(root)]
+    if not around:
+        return Manifest(path.parent, "file"), path.name
+    root, manifest = max(around, key=lambda pair: len(pair[0].parts))
+    return manifest, absolute.relative_to(root).as_posix()
+
+
+@contextlib.contextmanager
+def occupy(folder: Path, *, wait: bool, names: Iterable[str] = (), inside: Collection[str] = ()) -> Iterator[Manifest]:
     """Have a job's folder to oneself: no other process is in it that occupies it too.
 
     The lock is the operating system's and ends with its process, however that ends. What a killed process had begun to
     write is removed. The folder exists.
 
+    Args:
+        folder: The job's.
+        wait: For a process that works in it.
+        names: As for `claim`.
+        inside: As for `claim`.
+
     Raises:
         RunError: Another process is in it, and this one is not to wait for it.
+        OutputError: Something else is in the way of what will be written.
         OSError: The folder cannot be written.
     """
+    # The lock is a file too, and listed before it is there.
+    manifest = Manifest(folder, "run")
+    manifest.refuse([RUNNING])
+    manifest.record({RUNNING: State.of(b"")})
     lock = FileLock(folder / RUNNING)
     try:
         lock.acquire(timeout=0)
@@ -46,61 +137,95 @@ def occupy(folder: Path, *, wait: bool) -> Iterator[None]:
         _log.info("waiting for the process that works in %s", folder)
         lock.acquire()
     try:
-        for part in folder.rglob(".*.part"):
-            part.unlink(missing_ok=True)
-        yield
+        manifest = Manifest(folder, "run")
+        manifest.record({RUNNING: State.of(b"")})  # who had the folder before may have taken the list along
+        with claim(folder, "run", names, inside) as manifest:
+            manifest.remove_parts()
+            yield manifest
     finally:
         # Before it is released: who waits for a file that is gone looks anew.
         with contextlib.suppress(OSError):
             (folder / RUNNING).unlink()
+        manifest.forget()
         lock.release()
 
 
-def write_atomically(path: Path, content: bytes) -> None:
-    """Write a file under a temporary name in the same folder, then rename it.
+def is_lock(path: Path) -> bool:
+    """Whether a file can be the lock of a running job: such a file is empty, so that locking it changes nothing."""
+    with contextlib.suppress(OSError):
+        found = os.lstat(path)
+        return stat.S_ISREG(found.st_mode) and not found.st_size
+    return False
 
-    Missing folders are made, an older file of that name is replaced.
+
+def write_atomically(path: Path, content: bytes) -> None:
+    """Write a file under a temporary name, then rename it, and list it in the manifest of its output folder.
+
+    Missing folders are made. An older file of that name is replaced if this program wrote it and nobody changed it.
 
     Raises:
-        OutputError: The disk is full or the folder cannot be written; nothing new is left behind.
+        OutputError: Another file is in the way, the disk is full or the folder cannot be written; nothing new is left
+            behind.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
+    manifest, name = find_manifest(path)
+    if manifest:
+        manifest.write(name, content)
+        return
+    with saying(path, len(content)):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with open(temporary, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except OSError as error:
-        raise OutputError(
-            f"{path}: {error.strerror} while writing {len(content)} bytes, expected a folder that can be written; "
-            "free space or name another folder"
-        ) from error
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
+        path.write_bytes(content)
+
+
+def remove_written(path: Path) -> None:
+    """Remove a file that this program wrote, if it is there; OutputError for anything else under its name."""
+    manifest, name = find_manifest(path)
+    assert manifest  # nothing is written twice in a scratch
+    manifest.remove(name)
 
 
 @contextlib.contextmanager
-def take_place(place: Path) -> Iterator[Path]:
-    """An empty folder that takes its place, with all that is in it, only if nothing went wrong."""
-    try:
-        place.parent.mkdir(parents=True, exist_ok=True)
-        fresh = Path(tempfile.mkdtemp(prefix=f".{place.name}.", dir=place.parent))
-        fresh.chmod(0o755)
-    except OSError as error:
-        raise _no_folder(place, error) from error
-    try:
-        yield fresh
+def take_place(place: Path, kind: str, names: Sequence[str]) -> Iterator[Path]:
+    """An empty folder whose files take their places in another one, only if nothing went wrong.
+
+    Files that a command of the same kind wrote there and that are not written again are removed; all else stays.
+
+    Args:
+        place: The other folder.
+        kind: Of command.
+        names: What will be written, as far as that is known, the file that is to be put in place last at the end.
+
+    Raises:
+        OutputError: A foreign file is in the way, before or after the work; or the folder cannot be written.
+    """
+    if (place / RESULT).exists():
+        raise OutputError(f"{place}: a run is in it, expected a folder of its own for this; set output to another")
+    with claim(place, kind, names) as manifest:
         try:
-            if place.exists():
-                shutil.rmtree(place)
-            fresh.rename(place)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            fresh = Path(tempfile.mkdtemp(prefix=f".{place.name}.", dir=place.parent))
         except OSError as error:
             raise _no_folder(place, error) from error
-    finally:
-        shutil.rmtree(fresh, ignore_errors=True)
+        try:
+            with scratch(fresh):
+                yield fresh
+            try:
+                _put_in_place(fresh, manifest, names[-1])
+            except OSError as error:
+                raise _no_folder(place, error) from error
+        finally:
+            shutil.rmtree(fresh, ignore_errors=True)
+
+
+def _put_in_place(fresh: Path, manifest: Manifest, last: str) -> None:
+    new = {path.relative_to(fresh).as_posix(): path for path in sorted(fresh.rglob("*")) if path.is_file()}
+    manifest.refuse(new)
+    old = manifest.list_files()
+    manifest.record({name: State.of(path.read_bytes()) for name, path in new.items()})
+    for name in sorted(new, key=lambda name: name == last):
+        (manifest.root / name).parent.mkdir(parents=True, exist_ok=True)
+        manifest.put(new[name], name)
+    for name in old - {*new}:
+        manifest.remove(name)
 
 
 def _no_folder(place: Path, error: OSError) -> OutputError:

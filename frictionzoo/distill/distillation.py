@@ -1,7 +1,7 @@
 """From a run's drive, the teacher, to the nearest with another law, the student, and what is lost on the way."""
 
 import json
-import shutil
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,7 +16,7 @@ from frictionzoo.comparison.runs import Run, read_runs
 from frictionzoo.comparison.statistics import difference, resample
 from frictionzoo.core.config import check_overrides, compose_config, list_choices, read_value
 from frictionzoo.core.errors import ConfigError, OutputError, closest
-from frictionzoo.core.output import to_json, write_atomically
+from frictionzoo.core.output import RUN_FILES, claim, to_json, write_atomically
 from frictionzoo.core.params import UNITS
 from frictionzoo.distill.page import write_page
 from frictionzoo.export.nearest import evaluate_law
@@ -67,17 +67,14 @@ def distill(folder: Path, options: Mapping[str, str]) -> Distillation:
     config = compose_student(teacher, {key: value for key, value in options.items() if key != "output"})
     name = options["model"]
     place = Path(options.get("output", folder / "distilled" / name))
-    if place.exists():
+    if os.path.lexists(place):
         raise OutputError(f"{place}: it exists already, expected a new folder; remove it or set output to another")
-    try:
+    with claim(place, "run", RUN_FILES, undone=True):
         student, complaint = run_job(config, name, place, teacher, [f"{key}={value}" for key, value in options.items()])
         found, runs = Identified.load(place), read_runs([Path(teacher.place), place])[0]
         note = to_json(_compare(teacher, found, runs))
         write_atomically(place / NOTE, (json.dumps(note, indent=2, allow_nan=False) + "\n").encode())
         write_page(place / "report.html", found, runs[0], note)
-    except BaseException:
-        shutil.rmtree(place, ignore_errors=True)
-        raise
     return Distillation(place, teacher.result, student, note, complaint)
 
 

@@ -1,7 +1,7 @@
 """From limits to the command to record next, checked in MuJoCo C, and to what will be known after it."""
 
 import json
-import shutil
+import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -14,7 +14,7 @@ from frictionzoo.bench import Bench
 from frictionzoo.bench.compiled import NO_PAYLOAD
 from frictionzoo.core.build import build
 from frictionzoo.core.errors import ConfigError, OutputError
-from frictionzoo.core.output import to_json, write_atomically
+from frictionzoo.core.output import claim, to_json, write_atomically
 from frictionzoo.core.params import UNITS
 from frictionzoo.excite.design import design, scale_within
 from frictionzoo.excite.information import Sensitivity, relative
@@ -66,20 +66,17 @@ class Excitation:
         folder = Path(folder)
         refuse_existing(folder)
         parts = files_of(self.joints, self.interval, self.motion, self.inputs, self.points, self.fps)
-        try:
+        with claim(folder, "excitation", undone=True):
             for name, content in parts.items():
                 write_atomically(folder / name, content)
             note = to_json({**self.note, "files": list(parts)})
             write_page(folder / "report.html", note, self.interval, self.motion)
             write_atomically(folder / NOTE, (json.dumps(note, indent=2, allow_nan=False) + "\n").encode())
-        except BaseException:
-            shutil.rmtree(folder, ignore_errors=True)
-            raise
 
 
 def refuse_existing(folder: Path) -> None:
     """OutputError for a folder that is there already."""
-    if folder.exists():
+    if os.path.lexists(folder):
         raise OutputError(f"{folder}: it exists already, expected a new folder; remove it or set output to another")
 
 

@@ -140,10 +140,7 @@ def _write(fitted: Identified, name: str, place: Path, timestep: float | None, o
     if "mujoco" in target.packages:
         moved.proof  # noqa: B018 - raises where MuJoCo would simulate something else than what was fitted
     own = {option: value for option, value in options.items() if option in target.options}
-    # An older export is replaced; anything else stays.
-    if place.exists() and (not place.is_dir() or (any(place.iterdir()) and not (place / NOTE).exists())):
-        raise OutputError(f"{place}: it holds something else than an export; set output to another folder")
-    with take_place(place) as fresh:
+    with take_place(place, "export", [NOTE]) as fresh:
         export = target.write(moved, fresh, own)
         export = Export(export.files, export.differences, (*export.limits, *_say_timestep(fitted, moved)))
         written = Written(name, place, export, error=fitted.result["metrics"]["test"]["position_mae"])

@@ -1,22 +1,31 @@
 """Where the course of a fit is recorded besides the run's own files: each logger has a folder in the run's folder."""
 
+import csv
 import importlib.util
+import io
 import json
 import logging
 import os
 import re
-import shutil
+import sqlite3
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from lightning.pytorch.loggers import CSVLogger, Logger, MLFlowLogger, TensorBoardLogger, WandbLogger
+import yaml
+from lightning.pytorch.loggers import Logger, MLFlowLogger, TensorBoardLogger, WandbLogger
 from matplotlib.image import imread
 from torch.utils.tensorboard.summary import hparams
 
+from frictionzoo import __version__
 from frictionzoo.core.errors import ConfigError
-from frictionzoo.core.output import write_atomically
+from frictionzoo.core.manifest import Manifest
+from frictionzoo.core.output import manifest_of
+
+_DATABASE = "mlflow/mlflow.db"
+_TAG = "frictionzoo"  # of MLflow runs that this program made
 
 
 class RunLogger(ABC):
@@ -41,8 +50,11 @@ class RunLogger(ABC):
             What Lightning logs to.
 
         Raises:
+            OutputError: A foreign file is where the record goes.
             OSError: The folder cannot be written.
         """
+        self._files = manifest_of(folder, "run")
+        self._files.begin()
         self._logger = self._open(folder)
         self._logger.log_hyperparams(dict(hyperparameters))
         return self._logger
@@ -92,9 +104,15 @@ class TensorBoard(RunLogger):
         return logger
 
     def _open(self, folder: Path) -> Logger:
-        _empty(folder / "tensorboard")
+        _empty(self._files, "tensorboard")
         # A TensorBoard that is running forgets from this step on what it has seen of an interrupted run.
-        return TensorBoardLogger(folder, name="tensorboard", version="", default_hp_metric=False, purge_step=0)
+        how = {"default_hp_metric": False, "purge_step": 0, "filename_suffix": f".{self._files.token}"}
+        return _Events(folder, name="tensorboard", version="", **how)
+
+    def finish(self, step: int, metrics: Mapping[str, float], figures: Sequence[Path], text: str) -> None:
+        """As for every logger; the event file is finished then."""
+        super().finish(step, metrics, figures, text)
+        self._files.adopt("tensorboard")
 
     def _hand_over(self, step: int, figures: Sequence[Path], text: str) -> None:
         writer = self._logger.experiment
@@ -102,6 +120,13 @@ class TensorBoard(RunLogger):
             writer.add_image(f"figures/{path.stem}", imread(path), step, dataformats="HWC")
         writer.add_text("summary", text, step)
         writer.file_writer.add_summary(self._ended)
+
+
+class _Events(TensorBoardLogger):
+    """Lightning's logger without its `hparams.yaml`: the only file is one whose name tells that it is this run's."""
+
+    def save(self) -> None:
+        self.experiment.flush()
 
 
 def _lay_out(parameters: Mapping[str, str]) -> dict[str, dict[str, list[Any]]]:
@@ -115,13 +140,59 @@ class Csv(RunLogger):
     """`csv/`: scalars in `metrics.csv`, hyperparameters in `hparams.yaml`, and `summary.md` with the figures."""
 
     def _open(self, folder: Path) -> Logger:
-        _empty(folder / "csv")
+        _empty(self._files, "csv")
         self._folder = folder / "csv"
-        return CSVLogger(folder, name="csv", version="")
+        return _Table(self._files)
 
     def _hand_over(self, step: int, figures: Sequence[Path], text: str) -> None:
         shown = [f"![{path.stem}]({os.path.relpath(path, self._folder)})" for path in figures]
-        write_atomically(self._folder / "summary.md", "\n\n".join([text, *shown, ""]).encode())
+        self._files.write("csv/summary.md", "\n\n".join([text, *shown, ""]).encode())
+
+
+class _Table(Logger):
+    """Lightning's `CSVLogger`, with each row that it adds noted in the run's manifest."""
+
+    _PATH = "csv/metrics.csv"
+
+    def __init__(self, files: Manifest) -> None:
+        super().__init__()
+        self._files, self._columns = files, list[str]()
+        self._rows: list[dict[str, Any]] = []
+
+    @property
+    def name(self) -> str:
+        return "csv"
+
+    @property
+    def version(self) -> str:
+        return ""
+
+    def log_hyperparams(self, params: Any, *args: Any, **kwargs: Any) -> None:
+        self._files.write("csv/hparams.yaml", yaml.safe_dump(dict(params), allow_unicode=True).encode())
+
+    def log_metrics(self, metrics: Mapping[str, float], step: int | None = None) -> None:
+        self._rows.append({**metrics, "step": step})
+
+    def save(self) -> None:
+        columns, before = sorted({*self._columns}.union(*self._rows)), []
+        if columns == self._columns:
+            self._files.append(self._PATH, _write_rows(columns, self._rows))
+        else:
+            if self._columns:
+                with open(self._files.root / self._PATH, newline="", encoding="utf-8") as file:
+                    before = [*csv.DictReader(file)]
+            header = dict(zip(columns, columns, strict=True))
+            self._files.write(self._PATH, _write_rows(columns, [header, *before, *self._rows]))
+        self._columns, self._rows = columns, []
+
+    def finalize(self, status: str) -> None:
+        self.save()
+
+
+def _write_rows(columns: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> bytes:
+    text = io.StringIO(newline="")
+    csv.DictWriter(text, columns).writerows(rows)
+    return text.getvalue().encode()
 
 
 class Wandb(RunLogger):
@@ -143,10 +214,11 @@ class Wandb(RunLogger):
         import wandb
 
         wandb.finish(exit_code=1)  # a run that a failed job of the same sweep left open; Lightning would go on with it
-        _empty(folder / "wandb")
+        _empty(self._files, "wandb")
         quiet = {"silent": True, "console": "off", "x_disable_stats": True, "x_disable_meta": True}
         self._run = wandb.init(
             project=self._project,
+            id=self._files.token,
             name=folder.name,
             dir=folder,
             mode="offline",
@@ -183,17 +255,36 @@ class Mlflow(RunLogger):
         import mlflow
 
         home = folder.absolute() / "mlflow"
-        home.mkdir(parents=True, exist_ok=True)
+        self._make_database()
         # It tells at length how it makes its tables.
         logging.getLogger("mlflow").setLevel(logging.WARNING)
         store = f"sqlite:///{home / 'mlflow.db'}"
         client = mlflow.MlflowClient(store)
         # MLflow keeps databases open: a run that is to be forgotten is marked as deleted, not removed.
-        for earlier in client.search_runs([known.experiment_id for known in client.search_experiments()]):
+        experiments = [known.experiment_id for known in client.search_experiments()]
+        for earlier in client.search_runs(experiments, f"tags.{_TAG} != ''"):
             client.delete_run(earlier.info.run_id)
         return MLFlowLogger(
-            self._experiment, folder.name, tracking_uri=store, artifact_location=(home / "artifacts").as_uri()
+            self._experiment,
+            folder.name,
+            tracking_uri=store,
+            tags={_TAG: __version__},
+            artifact_location=(home / "artifacts").as_uri(),
         )
+
+    def _make_database(self) -> None:
+        """Have a database whose header, which MLflow leaves alone, tells that it is this program's."""
+        self._files.refuse([_DATABASE])
+        if self._files.owns(_DATABASE):
+            return
+        mark = bytes.fromhex(self._files.token)
+        with closing(sqlite3.connect(":memory:")) as empty:
+            for pragma, part in (("user_version", mark[:4]), ("application_id", mark[4:])):
+                empty.execute(f"PRAGMA {pragma}={int.from_bytes(part, signed=True)}")
+            content = empty.serialize()
+        # SQLite's header: user_version at 60, application_id at 68.
+        self._files.mark(_DATABASE, 60, content[60:72])
+        self._files.write(_DATABASE, content)
 
     def _hand_over(self, step: int, figures: Sequence[Path], text: str) -> None:
         client, run = self._logger.experiment, self._logger.run_id
@@ -211,6 +302,7 @@ def _require(extra: str, *packages: str) -> None:
         )
 
 
-def _empty(folder: Path) -> None:
-    if folder.exists():
-        shutil.rmtree(folder)
+def _empty(files: Manifest, folder: str) -> None:
+    """Remove an earlier record of this program's; OutputError where anything else is in it."""
+    files.refuse_inside(folder)
+    files.clear(folder)

@@ -1,5 +1,6 @@
 """Lightning around a fit: chunks of compiled iterations; between them logs, progress, checkpoints, stop, resume."""
 
+import contextlib
 import io
 import logging
 import time
@@ -19,7 +20,7 @@ from lightning.pytorch.plugins.environments import LightningEnvironment
 from tqdm import tqdm
 
 from frictionzoo.core.errors import CheckpointError, ConfigError, OutputError, refuse_outside
-from frictionzoo.core.output import write_atomically
+from frictionzoo.core.output import claim, write_atomically
 from frictionzoo.fit.base import Fit
 from frictionzoo.fit.chunk import Trace
 from frictionzoo.fit.loggers import RunLogger
@@ -162,7 +163,8 @@ def _train(module: FitModule, record: Record | None, checkpoint: Path | None, pr
     callbacks: list[pl.Callback] = [_Saver(record.folder / "checkpoints" / CHECKPOINT)] if record else []
     # Lightning's advice about data loaders and GPUs does not apply: its loader holds one item.
     logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
-    with warnings.catch_warnings():
+    claimed = claim(place, "run") if record else contextlib.nullcontext()
+    with warnings.catch_warnings(), claimed:
         warnings.filterwarnings("ignore", module="lightning")
         try:
             trainer = pl.Trainer(

@@ -3,7 +3,6 @@
 import hashlib
 import io
 import logging
-import time
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -12,9 +11,8 @@ import numpy as np
 import platformdirs
 
 from frictionzoo.core.errors import OutputError
-from frictionzoo.core.output import write_atomically
+from frictionzoo.core.output import claim, write_atomically
 
-ABANDONED = 3600.0  # s after which nobody writes a temporary file any more
 _log = logging.getLogger(__name__)
 
 
@@ -63,11 +61,7 @@ def _write(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     content = io.BytesIO()
     np.savez(content, allow_pickle=False, sha256=np.array(digest(arrays)), **arrays)
     try:
-        write_atomically(path, content.getvalue())
-        for part in path.parent.glob(".*.part"):  # of processes that were killed
-            if time.time() - part.stat().st_mtime > ABANDONED:
-                part.unlink()
+        with claim(path.parent, "cache"):
+            write_atomically(path, content.getvalue())
     except OutputError as error:
-        _log.warning("%s: cannot be written (%s); the data will be made again next time", path, error.__cause__)
-    except OSError:  # another process removed it
-        return
+        _log.warning("%s; it cannot be written, the data will be made again next time", error)

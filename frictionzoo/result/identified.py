@@ -20,8 +20,8 @@ from matplotlib.figure import Figure
 from frictionzoo import __version__
 from frictionzoo.bench import Bench
 from frictionzoo.core.build import build
-from frictionzoo.core.errors import ConfigError, OutputError, RunError
-from frictionzoo.core.output import RESULT, write_atomically
+from frictionzoo.core.errors import ConfigError, RunError
+from frictionzoo.core.output import RESULT, RUN_FILES, claim, write_atomically
 from frictionzoo.core.segments import Sampling, Segments
 from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.export.written import Written
@@ -105,25 +105,26 @@ class Identified:
         """Write figures, values, curves, MJCF and page, and `result.json` last: where that is, all is.
 
         Args:
-            folder: Where to; it is made if it is missing, and an earlier run's files in it are replaced.
+            folder: Where to; it is made if it is missing, and an earlier run's files in it are replaced where nobody
+                changed them.
 
         Raises:
-            OutputError: A file cannot be written.
+            OutputError: A foreign file is in the way, or a file cannot be written.
             RunError: It is a drive of a card.
         """
+        self.recorded  # noqa: B018 - raises where there is nothing to draw
+        began, folder = time.perf_counter(), Path(folder)
+        with claim(folder, "run", RUN_FILES) as manifest:
+            manifest.remove(RESULT)
+            self._write(folder, began)
+
+    def _write(self, folder: Path, began: float) -> None:
         # Imported here, so that what reads a run does not wait for what draws one.
         from frictionzoo.export.bench import write_identified
         from frictionzoo.show.replay import record_replay
         from frictionzoo.show.run_page import write_report
         from frictionzoo.show.run_plots import write_figures
 
-        self.recorded  # noqa: B018 - raises where there is nothing to draw
-        began, folder = time.perf_counter(), Path(folder)
-        try:
-            (folder / RESULT).unlink(missing_ok=True)
-        except OSError as error:
-            message = f"{folder}: {error.strerror}; expected a folder that can be written, name another"
-            raise OutputError(message) from error
         write_figures(folder / "figures", self.result, self.curves)
         # One entry only: safetensors writes several in an order that changes from run to run.
         header = {"frictionzoo": f"{self.model.name}, version {__version__}"}

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from frictionzoo.comparison.runs import Run
 from frictionzoo.comparison.types import Comparison
+from frictionzoo.core.output import remove_written
 from frictionzoo.show.comparison_plots import plot_comparison
 from frictionzoo.show.figure import Sheet
 from frictionzoo.show.run_plots import COLUMNS
@@ -25,7 +26,7 @@ def write_figures(folder: Path, comparison: Comparison, runs: Sequence[Run]) -> 
     for name, sheet in arrange(comparison, runs).items():
         figure = draw(sheet) if sheet.figures else None
         for path in (folder / f"{name}.{suffix}" for suffix in FORMATS):
-            path.unlink(missing_ok=True) if figure is None else save_figure(figure, path)
+            remove_written(path) if figure is None else save_figure(figure, path)
 
 
 def arrange(comparison: Comparison, runs: Sequence[Run]) -> dict[str, Sheet]:

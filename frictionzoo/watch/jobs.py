@@ -11,7 +11,7 @@ from filelock import FileLock, Timeout
 
 from frictionzoo.core.errors import RunError
 from frictionzoo.core.jobs import find_runs, read_begun, read_failure, read_json, read_model
-from frictionzoo.core.output import FAILURE, RESULT, RUNNING
+from frictionzoo.core.output import FAILURE, RESULT, RUNNING, is_lock
 from frictionzoo.watch.course import Course, Point
 
 AT_WORK = ("starting", "running")
@@ -123,7 +123,7 @@ def _is_alive(run: Path) -> bool:
     """Whether a process works in it: its files change, or it holds the lock of the folder."""
     if _rests(run) < QUIET:
         return True
-    if not (run / RUNNING).exists():
+    if not is_lock(run / RUNNING):
         return False
     # Only of a run whose files have been quiet: for an instant, nobody else could begin in it.
     try:

@@ -1,0 +1,381 @@
+"""The files that this program wrote into a folder: only these are ever replaced or removed, and only while unchanged.
+
+An output folder has one manifest, `MANIFEST`, with a JSON object a line. It is written ahead: an entry is on the disk
+before the file that it describes, so that a process that is killed at any point leaves no file that looks foreign.
+"""
+
+import contextlib
+import errno
+import hashlib
+import json
+import os
+import re
+import secrets
+import stat
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from frictionzoo.core.errors import OutputError
+
+MANIFEST = ".frictionzoo.jsonl"
+ABANDONED = 3600.0  # s after which nobody writes a temporary file any more
+_BLOCK = 1 << 20  # byte, read at a time
+_TOKEN = re.compile(r"[0-9a-f]{16}")
+_PART = r"\.[^/]+\.TOKEN\.part"
+_UNFINISHED = (
+    r"tensorboard/events\.out\.tfevents\.[^/]*\.TOKEN",
+    r"wandb/offline-run-[\d_]+-TOKEN/(run-TOKEN\.wandb|logs/debug[\w-]*\.log|tmp/.*)",
+    r"wandb/offline-run-[\d_]+-TOKEN/files/(media/.*|requirements\.txt|config\.yaml|output\.log|wandb-[^/]*)",
+)
+"""Names that other programs choose for what they go on writing; `TOKEN` stands for one that the manifest lists."""
+_LINKS = (
+    r"wandb/(latest-run|debug[\w-]*\.log) -> (.*/)?offline-run-[\d_]+-TOKEN(/.*)?",
+    r"wandb/offline-run-[\d_]+-TOKEN/logs/debug[\w-]*\.log -> .*",
+)
+
+
+class State(NamedTuple):
+    """Content that this program gave a file.
+
+    Attributes:
+        size: In bytes.
+        sha256: Of all of them.
+        since: Size before an append, which a killed process may have done in part; equal to `size` for a whole file.
+    """
+
+    size: int
+    sha256: str
+    since: int
+
+    @classmethod
+    def of(cls, content: bytes) -> "State":
+        """Of a file with this content."""
+        return cls(len(content), hashlib.sha256(content).hexdigest(), len(content))
+
+
+class Manifest:
+    """The manifest of one folder, for one kind of command: what another kind wrote there is foreign to it.
+
+    Args:
+        root: The folder; it need not exist.
+        kind: `run`, `card`, `export`, `comparison` and so on.
+
+    Raises:
+        OutputError: The folder has a file of the manifest's name that is not one.
+    """
+
+    def __init__(self, root: Path, kind: str) -> None:
+        self.root, self.kind, self.token = root, kind, secrets.token_hex(8)
+        self._unchanged: dict[str, tuple[int, ...]] = {}
+        self._hashes: dict[str, Any] = {}
+        self._began = False
+        self._read()
+
+    def refuse(self, names: Iterable[str]) -> None:
+        """Refuse to write under these names if anything is in the way that is not this program's and unchanged.
+
+        Raises:
+            OutputError: It names the first of them.
+        """
+        for name in names:
+            if self._in_the_way(name) is None:
+                continue
+            self._read()  # another process may have written it meanwhile
+            if (path := self._in_the_way(name)) is not None:
+                raise OutputError(
+                    f"{path}: {self._describe(name, path)}, expected nothing there or an unchanged file of this kind "
+                    "of output; move it away or write to another folder"
+                )
+
+    def refuse_inside(self, folder: str) -> None:
+        """Refuse a subfolder with anything in it that is not this program's and unchanged: OutputError names it."""
+        self.refuse([folder] if not _is_folder(self.root / folder) else self._walk(folder))
+
+    def owns(self, name: str) -> bool:
+        """Whether a file is there that this program wrote, and nobody has changed it since."""
+        return os.path.lexists(self.root / name) and self._in_the_way(name) is None
+
+    def write(self, name: str, content: bytes) -> None:
+        """Put a file in place whole, or not at all; an older one of this program's is replaced.
+
+        Raises:
+            OutputError: Something else is in the way, the disk is full or the folder cannot be written; nothing new is
+                left behind.
+        """
+        self.refuse([name])
+        path, temporary = self.root / name, self.root / f".{Path(name).name}.{self.token}.part"
+        try:
+            with saying(path, len(content)):
+                path.parent.mkdir(parents=True, exist_ok=True)
+                self.record({name: State.of(content)})
+                with open(temporary, "xb") as file:
+                    file.write(content)
+                    file.flush()
+                    os.fsync(file.fileno())
+                self.put(temporary, name)
+        finally:
+            with contextlib.suppress(OSError):
+                temporary.unlink()
+            self.forget()
+
+    def put(self, source: Path, name: str) -> None:
+        """Move a file of a recorded state to its name, in one step."""
+        os.replace(source, self.root / name)
+        self._unchanged[name] = _fingerprint(os.lstat(self.root / name))
+        self._hashes.pop(name, None)
+
+    def append(self, name: str, content: bytes) -> None:
+        """Add to a file that this program wrote; OutputError as for `write`."""
+        if not content:
+            return
+        self.refuse([name])
+        path = self.root / name
+        with saying(path, len(content)):
+            if name not in self._hashes:
+                self._hashes[name] = hashlib.sha256(path.read_bytes())
+            size = path.stat().st_size
+            self._hashes[name].update(content)
+            self.record({name: State(size + len(content), self._hashes[name].hexdigest(), size)})
+            total = self._hashes.pop(name)
+            with open(path, "ab") as file:
+                file.write(content)
+            self._unchanged[name], self._hashes[name] = _fingerprint(os.lstat(path)), total
+
+    def remove(self, name: str) -> None:
+        """Remove a file that this program wrote, if it is there; OutputError for anything else under its name."""
+        self.refuse([name])
+        with saying(self.root / name):
+            (self.root / name).unlink(missing_ok=True)
+        self._unchanged.pop(name, None)
+
+    def clear(self, folder: str = "") -> None:
+        """Remove all files of this program in a subfolder or in all, and folders that are empty then."""
+        names = [name for name in self._walk(folder) if self.owns(name)]
+        for name in names:
+            self.remove(name)
+        emptied = {self.root / parent for name in names for parent in Path(name).parents} - {self.root}
+        for place in sorted(emptied, key=lambda path: -len(path.parts)):
+            remove_if_empty(place)
+
+    def forget(self) -> None:
+        """Remove the manifest where no file that it lists is left."""
+        if self._tokens and not any(os.path.lexists(self.root / name) for name in self._listed):
+            with contextlib.suppress(OSError):
+                (self.root / MANIFEST).unlink()
+            self._began = False
+
+    def record(self, states: Mapping[str, State]) -> None:
+        """Note that files are about to have these contents; OSError where the disk takes no more."""
+        new = {name: state for name, state in states.items() if state not in self._states.get(name, [])}
+        if not new:
+            return
+        self.begin()
+        self._write([{"file": name, **state._asdict()} for name, state in new.items()])
+        for name, state in new.items():
+            self._states.setdefault(name, []).append(state)
+        self._listed |= {*states}
+
+    def mark(self, name: str, at: int, content: bytes) -> None:
+        """Note that a file which another program goes on writing has these bytes at this place, and so is ours."""
+        self.begin()
+        self._write([{"file": name, "at": at, "bytes": content.hex()}])
+        self._marks[name] = at, content
+        self._listed.add(name)
+
+    def adopt(self, folder: str) -> None:
+        """Note the contents of unfinished files in a subfolder, which are finished now."""
+        names = [name for name in self._walk(folder) if name not in self._states and self.owns(name)]
+        with saying(self.root / folder):
+            self.record({name: _state_of(self.root / name) for name in names if not (self.root / name).is_symlink()})
+
+    def begin(self) -> None:
+        """Have a manifest in the folder, with the token that marks this process's unfinished files."""
+        if self._began:
+            return
+        self.root.mkdir(parents=True, exist_ok=True)
+        self._write([{"session": self.token}])
+        self._tokens.add(self.token)
+        self._began = True
+
+    def remove_parts(self, *, age: float = 0.0) -> None:
+        """Remove what killed processes of this program had begun to write, at least `age` seconds ago."""
+        with contextlib.suppress(OSError):
+            for path in self.root.glob(".*.part"):
+                made = os.lstat(path)
+                ours = stat.S_ISREG(made.st_mode) and _matches((_PART,), path.name, self._tokens)
+                if ours and time.time() - made.st_mtime >= age:
+                    path.unlink()
+
+    def list_files(self) -> set[str]:
+        """Names of all files that this kind of command wrote here and that are unchanged."""
+        return {name for name in self._states if _is_inside(name) and self.owns(name)}
+
+    def _in_the_way(self, name: str) -> Path | None:
+        """What hinders a file of this name: itself, or a folder on the way to it that is none; None for nothing."""
+        for parent in [self.root / part for part in list(Path(name).parents)[-2::-1]]:
+            if os.path.lexists(parent) and not _is_folder(parent):
+                return parent
+        path = self.root / name
+        return path if os.path.lexists(path) and not self._is_ours(name, path) else None
+
+    def _is_ours(self, name: str, path: Path) -> bool:
+        found = os.lstat(path)
+        if stat.S_ISLNK(found.st_mode):
+            return _matches(_LINKS, f"{name} -> {os.readlink(path)}", self._tokens)
+        if not stat.S_ISREG(found.st_mode):
+            return False
+        if self._unchanged.get(name) == _fingerprint(found):
+            return True
+        if name in self._marks:
+            at, content = self._marks[name]
+            return _read_at(path, at, len(content)) == content
+        known = name in self._states
+        ours = _is_one_of(path, self._states[name]) if known else _matches(_UNFINISHED, name, self._tokens)
+        if ours:
+            self._unchanged[name] = _fingerprint(found)
+        return ours
+
+    def _describe(self, name: str, path: Path) -> str:
+        if path.is_symlink():
+            return "a symbolic link"
+        if path != self.root / name:
+            return "not a folder"
+        if path.is_dir():
+            return "a folder"
+        return "changed since it was written" if name in self._states else "not written by this program"
+
+    def _walk(self, folder: str) -> Iterator[str]:
+        """Names of all files and links in a subfolder, and of what lies in its folders; never through a link."""
+        if not _is_folder(self.root / folder):
+            return
+        for place, folders, files in os.walk(self.root / folder):
+            links = [name for name in folders if os.path.islink(os.path.join(place, name))]
+            for name in sorted([*files, *links]):
+                yield Path(place, name).relative_to(self.root).as_posix()
+
+    def _read(self) -> None:
+        self._states: dict[str, list[State]] = {}
+        self._marks: dict[str, tuple[int, bytes]] = {}
+        self._tokens: set[str] = set()
+        self._listed: set[str] = set()  # by all kinds of commands
+        path = self.root / MANIFEST
+        if not os.path.lexists(path):
+            return
+        lines = path.read_bytes().splitlines() if stat.S_ISREG(os.lstat(path).st_mode) else []
+        entries = [entry for line in lines if (entry := _parse(line))]
+        if not entries:
+            raise OutputError(f"{path}: not a list of files of this program; move it away or write to another folder")
+        self._listed = {entry["file"] for entry in entries if "file" in entry}
+        for entry in entries:
+            if entry["kind"] != self.kind:
+                continue
+            if token := entry.get("session"):
+                self._tokens.add(token)
+            elif "bytes" in entry:
+                self._marks[entry["file"]] = entry["at"], bytes.fromhex(entry["bytes"])
+            else:
+                state = State(*(entry[key] for key in State._fields))
+                self._states.setdefault(entry["file"], []).append(state)
+
+    def _write(self, entries: Iterable[Mapping[str, Any]]) -> None:
+        """Add lines to the manifest, on the disk when this returns."""
+        path = self.root / MANIFEST
+        content = "".join(json.dumps({"kind": self.kind, **entry}) + "\n" for entry in entries).encode()
+        new = not os.path.lexists(path)
+        try:
+            with open(path, "x+b" if new else "a+b", buffering=0) as file:
+                if not new and _read_at(path, path.stat().st_size - 1, 1) != b"\n":  # a killed process left half a line
+                    content = b"\n" + content
+                if file.write(content) != len(content):
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+                os.fsync(file.fileno())
+        except OSError:
+            if new:
+                with contextlib.suppress(OSError):
+                    path.unlink()
+            raise
+
+
+def _parse(line: bytes) -> dict[str, Any] | None:
+    """An entry of a manifest; None for a line that is none, as a process leaves that was killed while it wrote."""
+    try:
+        entry = json.loads(line)
+        if "session" in entry:
+            known = bool(_TOKEN.fullmatch(entry["session"]))
+        elif "bytes" in entry:
+            known = type(entry["at"]) is int and len(bytes.fromhex(entry["bytes"])) >= 8
+        else:
+            known = all(type(entry[key]) is int for key in ("size", "since")) and isinstance(entry["sha256"], str)
+        named = "session" in entry or isinstance(entry["file"], str)
+        return entry if known and named and isinstance(entry["kind"], str) else None
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return None
+
+
+def _matches(patterns: Iterable[str], name: str, tokens: Iterable[str]) -> bool:
+    alternatives = "|".join(tokens)
+    whole = (pattern.replace("TOKEN", f"({alternatives})") for pattern in patterns)
+    return bool(alternatives) and any(re.fullmatch(pattern, name) for pattern in whole)
+
+
+def _is_folder(path: Path) -> bool:
+    return path.is_dir() and not path.is_symlink()
+
+
+def _is_inside(name: str) -> bool:
+    return bool(name) and not Path(name).is_absolute() and ".." not in Path(name).parts
+
+
+def _fingerprint(found: os.stat_result) -> tuple[int, ...]:
+    """What the operating system changes with a file's content."""
+    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
+
+
+def _state_of(path: Path) -> State:
+    size = path.stat().st_size
+    return State(size, _hash(path, size), size)
+
+
+def _is_one_of(path: Path, states: Sequence[State]) -> bool:
+    """Whether a file has one of these contents, or that before an append and a part of what was to be added."""
+    size = path.stat().st_size
+    before = {state.since for state in states if state.since < size < state.size}
+    sizes = {size, *before}
+    hashes = {state.sha256: state.size for state in states if state.size in sizes}
+    return any(hashes.get(_hash(path, each)) == each for each in sizes & {*hashes.values()})
+
+
+def _hash(path: Path, size: int) -> str:
+    """SHA-256 of a file's first bytes."""
+    total = hashlib.sha256()
+    with open(path, "rb") as file:
+        while size > 0 and (block := file.read(min(size, _BLOCK))):
+            total.update(block)
+            size -= len(block)
+    return total.hexdigest()
+
+
+def _read_at(path: Path, at: int, size: int) -> bytes:
+    with open(path, "rb") as file:
+        file.seek(at)
+        return file.read(size)
+
+
+def remove_if_empty(path: Path) -> None:
+    """Remove a folder, unless something is in it."""
+    with contextlib.suppress(OSError):
+        path.rmdir()
+
+
+@contextlib.contextmanager
+def saying(path: Path, size: int | None = None) -> Iterator[None]:
+    """Turn an error of the operating system into one line."""
+    try:
+        yield
+    except OSError as error:
+        doing = "" if size is None else f" while writing {size} bytes"
+        raise OutputError(
+            f"{path}: {error.strerror}{doing}, expected a folder that can be written; free space or name another folder"
+        ) from error
