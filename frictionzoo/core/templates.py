@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import yaml
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template, Undefined
 
 
@@ -26,6 +27,11 @@ def write_literal(value: Any) -> str:
     if isinstance(value, Mapping):
         return f"{{{', '.join(f'{write_literal(key)}: {write_literal(part)}' for key, part in value.items())}}}"
     return repr(float(value)) if isinstance(value, float) else repr(value)
+
+
+def write_yaml(value: str | list[str]) -> str:
+    """Write text, or a list of it, as YAML reads it back: in double quotes, on one line."""
+    return yaml.safe_dump(value, default_style='"', default_flow_style=True, width=float("inf")).rstrip("\n")
 
 
 def open_template(path: str, filters: Mapping[str, Callable[..., Any]] | None = None, html: bool = False) -> Template:

@@ -5,6 +5,7 @@ import xml.etree.ElementTree as ET
 from typing import Any
 
 from frictionzoo.core.errors import ExportError
+from frictionzoo.core.telling import show_controls
 
 _IMPOSSIBLE = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
@@ -37,5 +38,4 @@ def write_element(element: "ET.Element[Any]") -> str:
 
 def write_comment(text: str) -> "ET.Element[Any]":
     """Write a comment on one line, which ends where its text does; control characters are shown as escapes."""
-    line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
-    return ET.Comment(f" {re.sub('-(?=-)', '- ', line)} ")
+    return ET.Comment(f" {re.sub('-(?=-)', '- ', show_controls(text))} ")
