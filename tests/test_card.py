@@ -27,7 +27,7 @@ from frictionzoo.card.portable import TEMPLATE, build_parts, describe_bench, pla
 from frictionzoo.card.record import CARD, MODEL, PAGE, PICTURE, read_schema
 from frictionzoo.card.write import FILES, write_card
 from frictionzoo.cli.card import main
-from frictionzoo.core.anonymous import find_paths, without_paths
+from frictionzoo.core.anonymous import find_paths, list_paths, without_paths
 from frictionzoo.core.described import describe
 from frictionzoo.core.errors import ConfigError, FrictionzooError, OutputError, RunError
 from frictionzoo.result.identified import Identified
@@ -123,24 +123,46 @@ def test_a_run_may_be_named_from_where_one_is(
     assert (written / PAGE).read_text() == (card / PAGE).read_text()
 
 
+PATHS = {
+    "bench": {"mjcf": "/home/me/a b/c.xml", "joint": ["/leg/knee", r"C:\x", "~/a", "/home/me/knee"]},
+    "data": {"train": ["/home/me/*.csv", r"C:\Users\me\a.csv", "~/logs/a.csv"], "columns": {"qpos": "/joint_states"}},
+    "other": {"place": str(Path(__file__)), "topic": "/not/there"},
+}
+
+
+def test_paths_are_found_by_the_option_that_they_are() -> None:
+    expected = {PATHS["bench"]["mjcf"], *PATHS["data"]["train"], PATHS["other"]["place"]}
+    assert set(list_paths(PATHS)) == expected
+
+
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("/home/me/a b/c.csv", "c.csv"),
+        ("/home/me/a b/c.xml", "c.xml"),
         ("data.train=[/home/me/a.csv,/home/me/b.csv]", "data.train=[a.csv,b.csv]"),
-        ("look at '/home/me/a b/c.csv': gaps", "look at 'c.csv': gaps"),
+        ("look at '/home/me/a b/c.xml': gaps", "look at 'c.xml': gaps"),
+        ("look at '/home/me/a b/mesh.stl': gaps", "look at 'mesh.stl': gaps"),
         (r"C:\Users\me\a.csv is late", "a.csv is late"),
         ("~/logs/a.csv", "a.csv"),
+        (f"{Path.home()}/x/y.csv", "y.csv"),
         *[(kept, kept) for kept in ("N m s/rad", "0.5 N m / 3", "https://a.org/b", "logs/a.csv", "a: 1/2 or 3/(4 s)")],
+        *[(kept, kept) for kept in PATHS["bench"]["joint"]],
+        ("bench.armature//home/me/knee: no", "bench.armature//home/me/knee: no"),
+        ("joint /leg/knee of /home/me/a b/c.xml", "joint /leg/knee of c.xml"),
+        ("/home/men/a.csv", "/home/men/a.csv"),
     ],
 )
 def test_paths_become_names(text: str, expected: str) -> None:
-    assert without_paths({text: [text, 1.0, None]}, ("/home/me/a b/c.csv",)) == {expected: [expected, 1.0, None]}
+    shortened = without_paths({text: [text, 1.0, None]}, set(list_paths(PATHS)), PATHS["bench"]["joint"])
+    assert shortened == {expected: [expected, 1.0, None]}
 
 
 def test_paths_in_a_robot_s_file_are_told() -> None:
-    text = '<!-- of /home/me --><compiler meshdir="/opt/a b"/><geom/>\n<a><mesh file="b.stl"/></a><!-- N m/rad -->'
-    assert find_paths(text) == ["/home/me", "/opt/a"]
+    text = (
+        '<!-- of /home/me --><a><compiler meshdir="/opt/a b"/><!-- of /leg/knee --><joint name="/leg/knee"/>\n'
+        '<motor joint="/leg/knee"/><mesh file="b.stl"/></a><!-- N m/rad -->'
+    )
+    assert find_paths(text.encode()) == ["/home/me", "/opt/a"]
 
 
 @pytest.mark.parametrize("name", ["mujoco_default", "coulomb_stribeck", "neural_friction"])

@@ -13,6 +13,7 @@ import numpy as np
 from frictionzoo.bench.compiled import NO_FRICTION_CONSTRAINT
 from frictionzoo.bench.inertia import SYMBOLS, from_parameters, is_consistent, to_parameters
 from frictionzoo.core.errors import BenchError, ConfigError, closest
+from frictionzoo.core.xml import write_comment, write_xml
 
 _JOINT_TYPES = {mujoco.mjtJoint.mjJNT_HINGE: "hinge", mujoco.mjtJoint.mjJNT_SLIDE: "slide"}
 _INTEGRATORS = {mujoco.mjtIntegrator.mjINT_EULER: "Euler", mujoco.mjtIntegrator.mjINT_IMPLICITFAST: "implicitfast"}
@@ -107,9 +108,8 @@ class Template:
             found[name].attrib.update(attributes)
         _section(root, "actuator").extend(ET.Element("general", dict(attributes)) for attributes in actuators)
         for position, comment in enumerate(comments):
-            root.insert(position, ET.Comment(f" {comment.replace('--', '- -')} "))
-        ET.indent(root)
-        return ET.tostring(root, encoding="unicode") + "\n"
+            root.insert(position, write_comment(comment))
+        return write_xml(root)
 
     def compile(self, text: str, constraint: bool) -> mujoco.MjModel:
         """The compiled model of what `write` gave.

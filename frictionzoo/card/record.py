@@ -15,7 +15,7 @@ from omegaconf import OmegaConf
 from frictionzoo.card.origin import read_origin
 from frictionzoo.card.portable import describe_bench
 from frictionzoo.card.types import Card, LawRow, VisitedRow
-from frictionzoo.core.anonymous import last_of, list_paths, without_paths
+from frictionzoo.core.anonymous import last_of, list_paths_of, without_paths
 from frictionzoo.result.identified import Identified
 from frictionzoo.show.text import to_markdown
 
@@ -60,12 +60,9 @@ def build_card(drive: Identified, stated: Mapping[str, str], files: Mapping[str,
         "files": dict(files),
         "result": _make_portable(drive),
     }
-    known = {
-        *list_paths(result["settings"]),
-        *([str(drive.folder), str(drive.folder.resolve())] if drive.folder else []),
-    }
-    known |= {str(Path(path).parent) for path in known}
-    return cast(Card, without_paths(card, tuple(path for path in known if Path(path).name)))  # "." and "/" are in text
+    folders = [str(drive.folder.absolute()), str(drive.folder.resolve())] if drive.folder else []
+    paths = {*list_paths_of(cast(dict[str, Any], result), card["command"]), *folders}
+    return cast(Card, without_paths(card, paths, drive.bench.joints))
 
 
 def title_of(drive: Identified, stated: Mapping[str, str]) -> str:

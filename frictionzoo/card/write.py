@@ -19,12 +19,12 @@ from frictionzoo.core.anonymous import find_paths
 from frictionzoo.core.errors import ConfigError, RunError, closest
 from frictionzoo.core.output import take_place, to_json, write_atomically
 from frictionzoo.core.params import UNITS
-from frictionzoo.core.templates import open_template
+from frictionzoo.core.templates import open_template, write_yaml
 from frictionzoo.result.identified import Identified
 from frictionzoo.result.record import refuse_invalid
 from frictionzoo.show.friction_plots import save_portraits
 from frictionzoo.show.terminal import tabulate_errors, tabulate_values
-from frictionzoo.show.text import format_number
+from frictionzoo.show.text import escape_markdown, format_number
 
 OPTIONS = ("licence", "output", "name", *STATED, *origin.STATED)
 FOLDER = "card"  # in the run's
@@ -72,7 +72,7 @@ def write_card(folder: Path, options: Mapping[str, str]) -> tuple[Path, list[str
 
 def _list_left(place: Path) -> Iterator[str]:
     for path in (place / name for name in _MODELS if (place / name).exists()):
-        for found in find_paths(path.read_text(encoding="utf-8")):
+        for found in find_paths(path.read_bytes()):
             yield f"{path}: {found} is in it, as in the robot's own file; remove it from that before others see it"
 
 
@@ -116,10 +116,22 @@ def render_page(card: Card) -> str:
     units = UNITS["slide" if result["metrics"]["test"]["unit"] == "m" else "hinge"]
     tables = {"values": tabulate_values(result), "errors": tabulate_errors(result)}  # pyright: ignore[reportArgumentType]
     content = {"card": card, "result": result, "units": units, "picture": PICTURE, "files": FILES, **tables}
-    filters = {"number": format_number, "plain": _escape, "quoted": json.dumps}
+    filters = {
+        "number": format_number,
+        "plain": escape_markdown,
+        "name": _write_name,
+        "quoted": write_yaml,
+        "fence": _write_fence,
+    }
     return open_template("card/card.md.jinja", filters).render(content)
 
 
-def _escape(text: str) -> str:
-    """A user's text as Markdown that shows it as it is, in a table too."""
-    return re.sub(r"([\\`*_{}\[\]<>#|!~&])", r"\\\1", text)
+def _write_name(text: str) -> str:
+    """A name as code, in a table too; one that code cannot hold as plain text."""
+    held = text.isprintable() and text == text.strip() and not set(text) & set("`|")
+    return f"`{text}`" if held and text else escape_markdown(text)
+
+
+def _write_fence(text: str) -> str:
+    """What begins and ends a block of this code: more backticks than it has in it."""
+    return "`" * max(3, 1 + max(map(len, re.findall("`+", text)), default=0))

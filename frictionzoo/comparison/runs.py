@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from frictionzoo.core.anonymous import list_paths, without_paths
+from frictionzoo.core.anonymous import list_paths_of, without_paths
 from frictionzoo.core.config import list_options
 from frictionzoo.core.errors import RunError
 from frictionzoo.core.jobs import Failure, find_runs, read_failure
@@ -105,6 +105,7 @@ def _describe(same: Sequence[Run]) -> Iterator[list[str]]:
     options = differing([run.result["settings"] for run in same], (*NAMED, "model"))
     if len(options) <= MOST_NAMED:
         # Names are on pages and in tables for others, whom it does not concern where files lie here.
-        named = {name: [without_paths(each, tuple(list_paths(each))) for each in options[name]] for name in options}
+        paths, joints = {path for run in same for path in list_paths_of(run.result)}, same[0].result["joints"]
+        named = {name: without_paths(values, paths, joints) for name, values in options.items()}
         yield [" ".join(f"{name}={values[i]}" for name, values in named.items()) for i in range(len(same))]
     yield [f"({run.folder.name})" for run in same]

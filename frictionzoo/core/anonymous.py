@@ -1,44 +1,95 @@
 """Names of files in place of their paths, which tell of the machine on which they were made."""
 
 import re
-from collections.abc import Iterator, Mapping
-from pathlib import Path, PureWindowsPath
+import shlex
+from collections.abc import Callable, Collection, Iterator, Mapping
+from pathlib import Path, PurePath, PurePosixPath, PureWindowsPath
 from typing import Any
+from xml.parsers import expat
 
 _PART = r"""[^\s\\/'"\],;:()<>]"""
 _PATH = re.compile(rf"(?<![\w./~\\:<-])(?:~|[A-Za-z]:)?[\\/](?:{_PART}+[\\/])*({_PART}+)")
+_FILES = {
+    "mjcf",
+    "folder",
+    "train",
+    "test",
+    "run",
+    "teacher",
+    "resume",
+    "compilation_cache",
+    "cache_dir",
+    "save_dir",
+    "dir",
+}
+"""Options that are files or folders, by the last part of their key."""
 
 
-def list_paths(value: Any) -> Iterator[str]:
-    """Options that are a whole absolute path, which may have blanks in it."""
-    if isinstance(value, Mapping):
-        value = list(value.values())
-    if isinstance(value, list):
-        for part in value:
-            yield from list_paths(part)
-    elif isinstance(value, str) and (Path(value).is_absolute() or PureWindowsPath(value).is_absolute()):
-        yield value
+def list_paths(settings: Any, key: str = "") -> Iterator[str]:
+    """List the options that are an absolute path.
+
+    That is by the option, not by how a text looks: joints, bodies and columns may be called `/leg/knee`. An option that
+    is unknown here, as of another package's data source, is a path if there is such a file.
+
+    Args:
+        settings: Mappings and lists of options.
+        key: Of the option.
+    """
+    if isinstance(settings, Mapping):
+        for name, part in settings.items():
+            yield from list_paths(part, str(name))
+    elif isinstance(settings, list):
+        for part in settings:
+            yield from list_paths(part, key)
+    elif isinstance(settings, str) and (settings.startswith("~") or _as_path(settings).is_absolute()):
+        yield from [settings] if key.rpartition(".")[2] in _FILES or _exists(settings) else []
 
 
-def without_paths(value: Any, known: tuple[str, ...] = (), below: Path | None = None) -> Any:
-    """The same mappings, lists and text with the last part of every absolute path in place of it.
+def list_paths_of(result: Mapping[str, Any], command: str | None = None) -> set[str]:
+    """List the paths of a run, by what its `result.json` holds and the command that made it."""
+    recordings = [log["name"] for log in result["data"]["logs"]]
+    commands = [command, *result["verdict"]["commands"]]
+    found = [*list_paths(result["settings"]), *list_paths(recordings, "train")]
+    return {*found, *(path for each in commands for path in list_paths_in(each))}
+
+
+def list_paths_in(command: str | None) -> Iterator[str]:
+    """List the options of a command, `KEY=VALUE` or `KEY=[VALUE,VALUE]`, that are an absolute path."""
+    for option in shlex.split(command or ""):
+        key, _, value = option.partition("=")
+        yield from list_paths([part.strip(" '\"") for part in value.strip("[]").split(",")], key)
+
+
+def without_paths(value: Any, paths: Collection[str], names: Collection[str] = (), below: Path | None = None) -> Any:
+    """The same mappings, lists and text with the last part of each path of this machine in place of it.
+
+    These are the paths that are given, what lies in the same folders, and what lies in this user's home folder or in
+    the present one. Other text stays, also where it looks like a path.
 
     Args:
         value: Of JSON.
-        known: Paths, as `list_paths` gives them, by which those with blanks are found in the midst of a sentence.
+        paths: Of files and folders of this machine, as `list_paths` gives them.
+        names: Of joints, which stay also where one of them is such a path.
         below: A folder; of what lies in it, the path from there is left.
     """
-    if value is None or isinstance(value, float | int):  # of which there are by far the most
-        return value
+    whole = {path for path in paths if _as_path(path).name}
+    folders = {str(_folder_of(path)) for path in whole} | {str(Path.home()), str(Path.cwd())}
+    patterns = {name: re.escape(name) for name in names if "/" in name or "\\" in name}
+    patterns |= {path: rf"(?<![\w.~]){re.escape(path)}(?![\w-])" for path in whole - patterns.keys()}
+    for folder in folders - patterns.keys():
+        if _as_path(folder).name:  # "/" is in every path
+            patterns[folder] = rf"(?<![\w.~]){re.escape(folder)}(?![\w-])(?:[\\/]{_PART}+)*"
+    longest_first = [patterns[path] for path in sorted(patterns, key=len, reverse=True)]
+    found = re.compile("|".join(longest_first) or "(?!)")
+    return _replace(value, lambda text: found.sub(lambda m: m[0] if m[0] in names else _shorten(m[0], below), text))
+
+
+def _replace(value: Any, shorten: Callable[[str], str]) -> Any:
     if isinstance(value, Mapping):
-        return {without_paths(key, known, below): without_paths(part, known, below) for key, part in value.items()}
+        return {_replace(key, shorten): _replace(part, shorten) for key, part in value.items()}
     if isinstance(value, list):
-        return [without_paths(part, known, below) for part in value]
-    if not isinstance(value, str) or not ("/" in value or "\\" in value):
-        return value
-    for path in sorted(known, key=len, reverse=True):
-        value = value.replace(path, _shorten(path, below))
-    return _PATH.sub(lambda match: _shorten(match[0], below), value)
+        return [_replace(part, shorten) for part in value]
+    return shorten(value) if isinstance(value, str) and ("/" in value or "\\" in value) else value
 
 
 def _shorten(path: str, below: Path | None) -> str:
@@ -47,9 +98,38 @@ def _shorten(path: str, below: Path | None) -> str:
     return str(Path(path).relative_to(below))
 
 
-def find_paths(text: str) -> list[str]:
-    """Absolute paths in the midst of a text, each once."""
-    return list(dict.fromkeys(match[0] for match in _PATH.finditer(text)))
+def _as_path(text: str) -> PurePath:
+    return PurePosixPath(text) if text.startswith(("/", "~/")) else PureWindowsPath(text)
+
+
+def _folder_of(path: str) -> PurePath:
+    """The folder of a file, or of all that a pattern matches."""
+    return _as_path(re.split(r"[*?\[]", path)[0] + "x").parent
+
+
+def _exists(path: str) -> bool:
+    try:
+        return Path(path).expanduser().exists()
+    except (OSError, RuntimeError, ValueError):  # too long, of an unknown user, with a NUL in it
+        return False
+
+
+def find_paths(content: bytes) -> list[str]:
+    """Absolute paths in attributes, text and comments of an XML file, each once; names of its elements are none.
+
+    Raises:
+        expat.ExpatError: It is not XML.
+    """
+    parser, texts, names = expat.ParserCreate(), list[str](), set[str]()
+
+    def begin(tag: str, attributes: dict[str, str]) -> None:
+        texts.extend(attributes.values())
+        names.update({attributes.get("name", ""), attributes.get("class", "")})
+
+    parser.StartElementHandler, parser.CommentHandler, parser.CharacterDataHandler = begin, texts.append, texts.append
+    parser.Parse(content, True)
+    found = (match[0] for text in texts if text not in names for match in _PATH.finditer(text))
+    return [path for path in dict.fromkeys(found) if path not in names]
 
 
 def last_of(path: str) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from frictionzoo import __version__
-from frictionzoo.core.anonymous import list_paths, without_paths
+from frictionzoo.core.anonymous import list_paths, list_paths_in, without_paths
 from frictionzoo.core.output import write_atomically
 from frictionzoo.core.telling import say_percent
 from frictionzoo.excite.task import Motion
@@ -56,7 +56,8 @@ def write_page(path: Path, note: Mapping[str, Any], interval: float, motion: Mot
         OutputError: It cannot be written.
     """
     # A page that is handed on tells nobody where somebody's home is.
-    note = without_paths(dict(note), tuple(list_paths(dict(note))), Path.cwd())
+    paths = {*list_paths(dict(note)), *(path for step in note["next"] for path in list_paths_in(step["command"]))}
+    note = without_paths(dict(note), paths, note["joints"], Path.cwd())
     joints = list(range(len(note["joints"])))
     sections = {
         "motion": [_plot_motion(note, interval, motion, joint) for joint in joints],

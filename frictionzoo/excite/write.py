@@ -1,5 +1,6 @@
 """A command as files: tables, a trajectory for ROS 2, actions for LeRobot."""
 
+import csv
 import io
 import json
 from collections.abc import Mapping, Sequence
@@ -8,6 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from frictionzoo.core.templates import write_yaml
 from frictionzoo.excite.task import Motion
 from frictionzoo.logs.signals import Signal
 
@@ -17,10 +19,11 @@ _DIGITS = "%.10g"
 def table(joints: Sequence[str], time: Signal, signals: Mapping[str, Float[np.ndarray, "samples nv"]]) -> bytes:
     """A CSV table with a column a signal, of several joints a column `SIGNAL_JOINT` each, as `data=files` reads it."""
     headers = [name if len(joints) == 1 else f"{name}_{joint}" for name in signals for joint in joints]
-    buffer = io.BytesIO()
+    buffer = io.StringIO()
+    csv.writer(buffer, lineterminator="\n").writerow(["time", *headers])
     columns = np.concatenate([time[:, None], *signals.values()], axis=1)
-    np.savetxt(buffer, columns, fmt=_DIGITS, delimiter=",", header=",".join(["time", *headers]), comments="")
-    return buffer.getvalue()
+    np.savetxt(buffer, columns, fmt=_DIGITS, delimiter=",")
+    return buffer.getvalue().encode()
 
 
 def trajectory(joints: Sequence[str], time: Signal, motion: Motion, interval: float) -> bytes:
@@ -39,7 +42,7 @@ def trajectory(joints: Sequence[str], time: Signal, motion: Motion, interval: fl
     at = np.minimum(interval * np.arange(int(np.ceil(time[-1] / interval - 1e-9)) + 1), time[-1])
     parts = {"positions": motion.ctrl, "velocities": motion.speed, "accelerations": acceleration}
     points = {name: _sample(at, time, signal) for name, signal in parts.items()}
-    lines = [f"joint_names: {json.dumps(list(joints))}", "points:"]
+    lines = [f"joint_names: {write_yaml(list(joints))}", "points:"]
     for index, seconds in enumerate(at.tolist()):
         ticks = round(1e9 * seconds)
         row = {name: values[index].tolist() for name, values in points.items()}

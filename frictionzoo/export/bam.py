@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
+from urllib.parse import quote
 
 import mujoco
 import numpy as np
@@ -13,6 +14,7 @@ from scipy.optimize import nnls
 
 from frictionzoo.bench.actuators.voltage_servo import VoltageServo
 from frictionzoo.core.errors import ConfigError, ExportError, closest
+from frictionzoo.core.output import write_atomically
 from frictionzoo.core.state import DriveState, FrictionTerms, Signals
 from frictionzoo.export.base import Target, measure, register_target
 from frictionzoo.export.graph import compare
@@ -48,13 +50,14 @@ class Bam(Target):
             raise ExportError(f"target=bam: {came}, expected a VoltageServo; write target=mjcf")
         actuator, remark = _choose_actuator(fitted, options)
         laws, remarks = _to_bam(fitted)
-        prefixes = [f"{name}_" for name in fitted.bench.joints] if fitted.bench.nv > 1 else [""]
+        # A joint's name may have a "/" in it, which a file's name has not.
+        prefixes = [f"{quote(name, safe='')}_" for name in fitted.bench.joints] if fitted.bench.nv > 1 else [""]
         files = tuple(f"{prefix}{law['model']}.json" for prefix, law in zip(prefixes, laws, strict=True))
         for joint, (file, law) in enumerate(zip(files, laws, strict=True)):
             # BAM's controllers replace the robot's damping.
             law["friction_viscous"] += float(fitted.bench.own_damping[joint])
             parameters = {**_motor(fitted, joint, actuator), **law, "actuator": actuator}
-            (folder / file).write_text(json.dumps(parameters, indent=4) + "\n")
+            write_atomically(folder / file, (json.dumps(parameters, indent=4) + "\n").encode())
         limits = (*remarks, *remark, _KT, _INPUTS)
         return Export(files, _compare(fitted, [folder / file for file in files], _lack(fitted, actuator)), limits)
 

@@ -1,5 +1,6 @@
 """The interface of an export target: what it writes, how exact that is, and what it cannot represent."""
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -72,6 +73,11 @@ def measure(
     distance = np.abs(came - expected)
     unit = UNITS[fitted.bench.joint_type]["position" if quantity == "qpos" else quantity]
     return Difference(quantity, unit, float(distance.max()), float(distance.mean()), over or fitted.over, reason)
+
+
+def match_joint(name: str) -> str:
+    """Write a regular expression that matches the whole name of this joint and no other name."""
+    return f"^{re.escape(name)}$"
 
 
 def list_values(values: Float[np.ndarray, "nv"]) -> str:

@@ -10,6 +10,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from frictionzoo.core.params import UNITS
+from frictionzoo.core.templates import write_literal
 from frictionzoo.export.base import Target, measure
 from frictionzoo.export.motor import INPUTS, Joint, Motor, lag, list_lacks, motors, read_inputs, run_joints, say_common
 from frictionzoo.export.nearest import Nearest, find_nearest
@@ -20,7 +21,7 @@ _LIMITS = ("saturation_effort", "velocity_limit", "effort_limit")
 
 
 class Field(NamedTuple):
-    """A keyword of a configuration class, its value as Python writes it, and for a comment its unit."""
+    """A keyword of a configuration class, its value, and for a comment its unit."""
 
     name: str
     value: object
@@ -62,11 +63,11 @@ class ConfigFile(Target):
         drives, nearest = motors(fitted, inputs), find_nearest(fitted)
         calls = [self.configure(fitted, nearest, joint, drive) for joint, drive in enumerate(drives)]
         imports = f"from {self.module} import {', '.join(sorted({cls for cls, _ in calls}))}"
-        keys = [f'"{name}": ' if self.keyed else "" for name in fitted.bench.joints]
+        keys = [f"{write_literal(name)}: " if self.keyed else "" for name in fitted.bench.joints]
         body = "".join(key + _write_call(*call) for key, call in zip(keys, calls, strict=True))
         opening, closing = "{}" if self.keyed else "()"
         text = f'"""{self.head}"""\n\n{imports}\n\nACTUATORS = {opening}\n{indent(body, "    ")}{closing}\n'
-        (folder / self.file).write_text(text)
+        (folder / self.file).write_text(text, encoding="utf-8")
         # What has no delay in the file gets it from its caller.
         joints = [joint._replace(lag=joint.lag or lag(fitted, i)) for i, joint in enumerate(self.read(text))]
         difference = measure(
@@ -112,5 +113,5 @@ def list_delay(fitted: Identified, joint: int, *names: str) -> list[Field]:
 
 def _write_call(cls: str, fields: list[Field]) -> str:
     """A call with one keyword a line, its unit beside it."""
-    lines = [f"    {f.name}={f.value}," + (f"  # {f.unit}" if f.unit else "") for f in fields]
+    lines = [f"    {f.name}={write_literal(f.value)}," + (f"  # {f.unit}" if f.unit else "") for f in fields]
     return "\n".join([f"{cls}(", *lines, "),\n"])

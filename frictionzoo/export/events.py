@@ -1,13 +1,13 @@
 """Files with events that randomise an identified drive in mjlab and in Isaac Lab."""
 
-import re
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from frictionzoo import __version__
 from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.templates import Code
+from frictionzoo.export.base import match_joint
 from frictionzoo.export.module import render
 from frictionzoo.export.variants import Quantity
 from frictionzoo.result.identified import Identified
@@ -69,14 +69,14 @@ class Cell(NamedTuple):
         joint: Its name.
         low: Lower end, in the unit or as a share.
         high: Upper end.
-        said: Unit, and why the range is what it is.
+        unit: For a comment; of a share, what it is a share of.
         varies: Whether it has a width.
     """
 
     joint: str
-    low: str
-    high: str
-    said: str
+    low: Code
+    high: Code
+    unit: Code
     varies: bool
 
 
@@ -104,9 +104,9 @@ def write_events(
     varied = [name for name in program.fields if name in own and any(own[name].why)]
     return render(
         program.template,
-        title=f"Drives of {', '.join(joints)} for domain randomisation, written by frictionzoo {__version__}.",
-        about=textwrap.fill(_tell(fitted), 110),
-        joints={name: f"^{re.escape(name)}$" for name in joints},
+        about=textwrap.fill(f"{_MEANING} {_ENTITY}", 110),
+        origin={"run": fitted.place, "model": fitted.model.name, "data": fitted.result["data"]["name"]},
+        joints={name: match_joint(name) for name in joints},
         delays=delays,
         timestep=f"{fitted.timestep:g}",
         count=len(quantities[0].values),
@@ -118,12 +118,6 @@ def write_events(
         friction=[name for name in FRICTION if name in varied],
         gains=[name for name in GAINS if name in varied],
     )
-
-
-def _tell(fitted: Identified) -> str:
-    """Where the drives are from, and what the ranges mean."""
-    data = fitted.result["data"]["name"]
-    return f"From the run {fitted.place}: {fitted.model.name} on {data}. {_MEANING} {_ENTITY}"
 
 
 def _list_changes(field: str, quantity: Quantity, fitted: Identified) -> Iterator[str]:
@@ -139,13 +133,13 @@ def _list_cells(quantity: Quantity, joints: Sequence[str], operation: str) -> li
     for joint, name in enumerate(joints):
         nominal, why = quantity.nominal[joint], quantity.why[joint]
         low, high = quantity.ends[joint]
-        said = f"{quantity.unit}, {why or 'known'}"
+        unit = quantity.unit if why else f"{quantity.unit}, known"  # of `UNITS`; why a range is what it is: CHANGES
         if operation == "scale":
             if why and nominal == 0:
                 raise ConfigError(
                     f"operation=scale: {quantity.name} of {name} is 0, expected one to take shares of; take abs"
                 )
             low, high = (low / nominal, high / nominal) if why else (1.0, 1.0)
-            said = f"of {nominal:.6g} {said}"
-        cells.append(Cell(name, f"{low:.6g}", f"{high:.6g}", said, bool(why)))
+            unit = f"of {nominal:.6g} {unit}"
+        cells.append(Cell(name, Code(f"{low:.6g}"), Code(f"{high:.6g}"), Code(unit), bool(why)))
     return cells

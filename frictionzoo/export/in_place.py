@@ -8,7 +8,10 @@ from typing import Any
 from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
+from frictionzoo.core.xml import write_comment, write_element
+
 _START = re.compile(rb"<(?:\"[^\"]*\"|'[^']*'|[^>\"'])*>")
+_ATTRIBUTE = re.compile(rb"\s([^\s=<>\"'/]+)\s*=\s*(\"[^\"]*\"|'[^']*')")
 _LAST_LINE = re.compile(rb"\r?\n[ \t]*\Z")
 
 
@@ -79,9 +82,10 @@ class InPlace:
         text = self.content[tag.start : tag.opened]
         for name, value in attributes.items():
             said = _encode(f" {name}={quoteattr(value)}")
-            old = re.search(rb"\s" + re.escape(name.encode()) + rb"\s*=\s*(\"[^\"]*\"|'[^']*')", text)
+            # One after the other: the value of another attribute may look like this one.
+            old = next((found for found in _ATTRIBUTE.finditer(text) if found[1] == name.encode()), None)
             if old:
-                text = text[: old.start(1)] + _encode(quoteattr(value)) + text[old.end(1) :]
+                text = text[: old.start(2)] + _encode(quoteattr(value)) + text[old.end(2) :]
             else:
                 end = re.search(rb"\s*/?>\Z", text)
                 assert end is not None
@@ -119,7 +123,7 @@ class InPlace:
         root = self.tags[0]
         lead = re.match(rb"(\r?\n)[ \t]*(?:\r?\n[ \t]*)*", self.content[root.opened :])
         indent = lead[1] + lead[0].rpartition(b"\n")[2] if lead else b""
-        self.changes.append((root.opened, root.opened, indent + _encode(f"<!-- {text.replace('--', '- -')} -->")))
+        self.changes.append((root.opened, root.opened, indent + _write(write_comment(text))))
 
     def write(self) -> bytes:
         """The file with its changes."""
@@ -131,7 +135,7 @@ class InPlace:
 
 
 def _write(element: "ET.Element[Any]") -> bytes:
-    return _encode(ET.tostring(element, encoding="unicode").replace(" />", "/>"))
+    return _encode(write_element(element).replace(" />", "/>"))
 
 
 def _encode(text: str) -> bytes:

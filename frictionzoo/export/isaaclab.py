@@ -3,7 +3,7 @@
 import numpy as np
 
 from frictionzoo.core.params import UNITS
-from frictionzoo.export.base import register_target
+from frictionzoo.export.base import match_joint, register_target
 from frictionzoo.export.configclass import ConfigFile, Field, list_delay, list_motor
 from frictionzoo.export.motor import Motor, lag
 from frictionzoo.export.nearest import Nearest
@@ -45,7 +45,7 @@ USD has the limits of torque and velocity that are not here.
             cls = "DelayedPDActuatorCfg" if late else "IdealPDActuatorCfg"
         dynamic = nearest.frictionloss[joint]
         return cls, [
-            Field("joint_names_expr", f'["^{fitted.bench.joints[joint]}$"]'),
+            Field("joint_names_expr", [match_joint(fitted.bench.joints[joint])]),
             *list_motor(fitted, motor),
             *late,
             Field("armature", nearest.bench["armature"][joint], units["inertia"]),

@@ -3,7 +3,7 @@
 import numpy as np
 
 from frictionzoo.core.params import UNITS
-from frictionzoo.export.base import register_target
+from frictionzoo.export.base import match_joint, register_target
 from frictionzoo.export.configclass import ConfigFile, Field, list_delay, list_motor
 from frictionzoo.export.motor import Motor
 from frictionzoo.export.nearest import Nearest
@@ -28,7 +28,7 @@ EntityArticulationInfoCfg(actuators=ACTUATORS); set joint names to those of your
         """See `ConfigFile.configure`."""
         units, limited = UNITS[fitted.bench.joint_type], np.isfinite(motor.saturation_effort)
         return "DcMotorActuatorCfg" if limited else "BuiltinPositionActuatorCfg", [
-            Field("target_names_expr", f'("^{fitted.bench.joints[joint]}$",)'),
+            Field("target_names_expr", (match_joint(fitted.bench.joints[joint]),)),
             *list_motor(fitted, motor),
             Field("armature", nearest.bench["armature"][joint], units["inertia"]),
             Field("frictionloss", nearest.frictionloss[joint], units["torque"]),

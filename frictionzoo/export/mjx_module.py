@@ -13,6 +13,7 @@ from jaxtyping import Float
 from mujoco import mjx
 
 from frictionzoo.core.state import Signals
+from frictionzoo.core.templates import Code
 from frictionzoo.export.base import Target, measure, register_target
 from frictionzoo.export.module import load_module, write_module
 from frictionzoo.export.mujoco_c import BENCH, MODULE, write_bare_bench
@@ -34,7 +35,7 @@ class Mjx(Target):
         (folder / BENCH).write_text(write_bare_bench(fitted, loss))
         written = write_module(
             *(fitted, folder, "mjx_drive.py.jinja", MODULE),
-            late_remark="commands act late." if "delay" in fitted.values["bench"] else "they act at once.",
+            late_remark=Code("commands act late." if "delay" in fitted.values["bench"] else "they act at once."),
         )
         with jax.enable_x64(True):
             difference = measure("qpos", fitted, _run(folder, fitted), fitted.rollout()[0])

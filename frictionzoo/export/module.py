@@ -11,7 +11,7 @@ import numpy as np
 from frictionzoo import __version__
 from frictionzoo.core.errors import ExportError
 from frictionzoo.core.params import UNITS
-from frictionzoo.core.templates import open_template
+from frictionzoo.core.templates import Code, open_template
 from frictionzoo.export.graph import signals
 from frictionzoo.export.source import merge, read_source, write_values
 from frictionzoo.models import TorchFriction
@@ -39,7 +39,8 @@ def write_module(fitted: Identified, folder: Path, template: str, name: str, **m
             "target=torchscript or onnx"
         )
     values, large = write_values(fitted.values["friction"])
-    (folder / name).write_text(render(template, **_describe(fitted, values, bool(large)), **more))
+    text = render(template, **_describe(fitted, values, bool(large)), **more)
+    (folder / name).write_text(text, encoding="utf-8")
     if not large:
         return (name,)
     np.savez(folder / WEIGHTS, **large)  # pyright: ignore[reportArgumentType] - a keyword is a name here
@@ -47,31 +48,31 @@ def write_module(fitted: Identified, folder: Path, template: str, name: str, **m
 
 
 def render(template: str, **context: Any) -> str:
-    """A file of a template of this package."""
-    return open_template(f"export/{template}").render(**context).lstrip()
+    """A Python file of a template of this package, in which all text but `Code` is a literal."""
+    return open_template(f"export/{template}").render(version=Code(__version__), **context).lstrip()
 
 
-def _describe(fitted: Identified, values: str, weights: bool) -> Mapping[str, Any]:
+def _describe(fitted: Identified, values: Code, weights: bool) -> Mapping[str, Any]:
     model = fitted.model
     law = read_source(model, *(("terms", "settle", "advance") if model.memory else ("terms",)))
     actuator = read_source(fitted.bench.actuator, "control")
     shared = merge(law, actuator)
     return {
-        "title": f"The friction law {model.name} of {', '.join(fitted.bench.joints)}, with identified values.",
-        "version": __version__,
-        "units": UNITS[fitted.bench.joint_type],
-        "imports": [text for text in shared.imports.values() if text != "import numpy as np"],
-        "functions": list(shared.functions.values()),
-        "law_class": law.as_class("Law", f"The friction law {model.name}."),
-        "actuator_class": actuator.as_class("Actuator", f"The actuator law {type(fitted.bench.actuator).__name__}."),
-        "joints": repr(fitted.bench.joints),
-        "timestep": repr(fitted.timestep),
-        "inputs": repr(tuple(fitted.bench.actuator.inputs)),
+        "units": {dimension: Code(unit) for dimension, unit in UNITS[fitted.bench.joint_type].items()},
+        "imports": [Code(text) for text in shared.imports.values() if text != "import numpy as np"],
+        "functions": [Code(text) for text in shared.functions.values()],
+        "law_class": law.as_class("Law", "The friction law, MODEL in frictionzoo."),
+        "actuator_class": actuator.as_class("Actuator", "The actuator law, ACTUATOR_LAW in frictionzoo."),
+        "model": model.name,
+        "actuator_law": type(fitted.bench.actuator).__name__,
+        "joints": fitted.bench.joints,
+        "timestep": fitted.timestep,
+        "inputs": tuple(fitted.bench.actuator.inputs),
         "commands": fitted.bench.actuator.commands,
         "without": dict(fitted.bench.actuator.optional_inputs),
         "observed": fitted.bench.observed,
         "signals": signals(model),
-        "example_inputs": "".join(f', {{"{name}": ...}}' for name in fitted.bench.inputs[:1]),
+        "example_inputs": Code(", inputs" if fitted.bench.inputs else ""),
         "values": values,
         "weights": WEIGHTS if weights else "",
         "actuator": write_values(fitted.values["bench"])[0],

@@ -9,6 +9,7 @@ import numpy as np
 
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.state import Signals
+from frictionzoo.core.templates import Code
 from frictionzoo.export.base import Target, measure, register_target
 from frictionzoo.export.bench import say_limits
 from frictionzoo.export.module import controls, load_module, write_module
@@ -41,7 +42,7 @@ class MujocoC(Target):
         (folder / BENCH).write_text(write_bare_bench(fitted))
         written = write_module(
             *(fitted, folder, "mujoco_drive.py.jinja", MODULE),
-            example_install="drive.command[:] = ..." if controls(fitted) else "data.ctrl[...] = ...",
+            example_install=Code("drive.command[:] = ..." if controls(fitted) else "data.ctrl[...] = ..."),
         )
         limits = ["It runs as MuJoCo's control callback, in Python: a step takes longer than without."]
         limits += [PAYLOADS] if fitted.bench.payload is not None else []

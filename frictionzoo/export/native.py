@@ -9,7 +9,9 @@ from jaxtyping import Float
 
 from frictionzoo.bench.template import in_full
 from frictionzoo.core.errors import ExportError
+from frictionzoo.core.xml import write_xml
 from frictionzoo.export.bench import run_bench
+from frictionzoo.export.skeleton import find_free_name
 from frictionzoo.result.identified import Identified
 
 LAWS = ("lugre", "dahl")
@@ -35,11 +37,12 @@ def write_native(fitted: Identified) -> str:
     root = ET.fromstring(bench.mjcf(fitted.values["bench"], None, spread["viscous_coefficient"], (remark,)))
     section = root.find("actuator")
     assert section is not None
+    taken = set(bench.joints)
     for joint, name in enumerate(bench.joints):
         numbers = " ".join(map(in_full, _lugre(spread, joint)))
-        ET.SubElement(section, "dcmotor", {"name": f"{name}_friction", "joint": name, **_NO_WINDING, "lugre": numbers})
-    ET.indent(root)
-    return ET.tostring(root, encoding="unicode") + "\n"
+        own = find_free_name(f"{name}_friction", taken)
+        ET.SubElement(section, "dcmotor", {"name": own, "joint": name, **_NO_WINDING, "lugre": numbers})
+    return write_xml(root)
 
 
 def _lugre(values: Mapping[str, Float[np.ndarray, "nv"]], joint: int) -> list[float]:

@@ -69,7 +69,7 @@ class Randomisation(Target):
         for program in (MJLAB, ISAAC_LAB):
             text = write_events(program, fitted, quantities, delays, asked.operation)
             compile(text, program.file, "exec")
-            (folder / program.file).write_text(text)
+            (folder / program.file).write_text(text, encoding="utf-8")
         some = [replace(fitted, values=variants.at(number)) for number in range(asked.files)]
         drives = [(fitted, nominal), *zip(some, each[: asked.files], strict=True)]
         files, said = write_files(folder, drives)

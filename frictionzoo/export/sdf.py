@@ -1,7 +1,7 @@
 """The target `sdf`: the bench as SDFormat, with what Gazebo and Drake take from one."""
 
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import ClassVar
 
@@ -11,9 +11,19 @@ from scipy.spatial.transform import Rotation
 
 from frictionzoo.bench.template import in_full
 from frictionzoo.core.errors import ConfigError, ExportError
+from frictionzoo.core.xml import write_comment, write_xml
 from frictionzoo.export.base import Target, measure, register_target
 from frictionzoo.export.nearest import Nearest, find_nearest, say_exact
-from frictionzoo.export.skeleton import DRAKE, WORLD, Link, list_numbers, read_links, run_links, say_lacks
+from frictionzoo.export.skeleton import (
+    DRAKE,
+    WORLD,
+    Link,
+    find_free_name,
+    list_numbers,
+    read_links,
+    run_links,
+    say_lacks,
+)
 from frictionzoo.export.written import Export
 from frictionzoo.result.identified import Identified
 
@@ -40,7 +50,7 @@ class Sdf(Target):
             raise ConfigError(f"armature={place}: expected {' or '.join(_PLACES)}")
         nearest, in_links = find_nearest(fitted), place == "links"
         text = write_sdf(fitted, nearest, in_links)
-        (folder / FILE).write_text(text)
+        (folder / FILE).write_text(text, encoding="utf-8")
         spec, inertia = read_sdf(text)
         came = run_links(spec, fitted, nearest, [inertia.get(joint, 0.0) for joint in fitted.bench.joints])
         lacks = ", ".join(
@@ -68,20 +78,37 @@ def write_sdf(fitted: Identified, nearest: Nearest, in_links: bool = False) -> s
         ExportError: The links cannot have it.
     """
     root = ET.Element("sdf", {"version": _VERSION, "xmlns:drake": DRAKE})
-    root.append(ET.Comment(f" frictionzoo: {nearest.remark or say_exact(fitted.model)} ".replace("--", "- -")))
+    root.append(write_comment(f"frictionzoo: {nearest.remark or say_exact(fitted.model)}"))
     model = ET.SubElement(root, "model", name="bench")
     armature = dict(zip(fitted.bench.joints, nearest.bench["armature"], strict=True))
     links = read_links(fitted, nearest)
-    joints = {link.joint for link in links}
-    # A model has one name for one thing, and MuJoCo's bodies may be called like joints.
-    names = {WORLD: WORLD} | {link.name: f"{link.name}_link" if link.name in joints else link.name for link in links}
+    names = _name_links(links)
     for link in links:
         named = link._replace(name=names[link.name], parent=names[link.parent])
         own = armature.get(link.joint)
         _add_link(model, _load(named, own, fitted) if in_links and own is not None else named)
         _add_joint(model, named, None if in_links else own)
-    ET.indent(root)
-    return ET.tostring(root, encoding="unicode") + "\n"
+    return write_xml(root)
+
+
+def _name_links(links: Sequence[Link]) -> dict[str, str]:
+    """A model has one name for one thing, and MuJoCo's bodies may be called like joints.
+
+    Raises:
+        ExportError: SDFormat does not allow a name.
+    """
+    joints, names = {link.joint for link in links}, {WORLD: WORLD}
+    taken = joints | {link.name for link in links}
+    for link in links:
+        names[link.name] = link.name if link.name not in joints else find_free_name(f"{link.name}_link", taken)
+    for name in sorted(joints | {*names} - {WORLD}):
+        reserved = name == WORLD or "::" in name or (name.startswith("__") and name.endswith("__"))
+        if reserved or name != name.strip() or not set(name).isdisjoint("\t\r\n"):
+            raise ExportError(
+                f"{name!r}: SDFormat has no such name, expected one without '::', tabs, line breaks and blanks at its "
+                "ends, which is neither 'world' nor between '__'; rename it in the model"
+            )
+    return names
 
 
 def _load(link: Link, armature: float, fitted: Identified) -> Link:

@@ -64,15 +64,28 @@ def read_links(fitted: Identified, nearest: Nearest) -> list[Link]:
             f"{fitted.place}: a body with several joints, an equality or a tendon, expected links with a joint each; "
             "write target=mjcf"
         )
-    return [_read_link(model, body) for body in range(1, model.nbody)]
+    bodies, joints = (
+        {of(at).name for at in range(n)} for of, n in ((model.body, model.nbody), (model.joint, model.njnt))
+    )
+    names = [model.body(body).name or find_free_name(f"link{body}", bodies) for body in range(model.nbody)]
+    fixed = [find_free_name(f"{name}_fixed", joints) for name in names]
+    return [_read_link(model, body, names, fixed[body]) for body in range(1, model.nbody)]
 
 
-def _read_link(model: mujoco.MjModel, body: int) -> Link:
+def find_free_name(name: str, taken: set[str]) -> str:
+    """The name, with underscores where others have it; it is taken from now on."""
+    while name in taken:
+        name += "_"
+    taken.add(name)
+    return name
+
+
+def _read_link(model: mujoco.MjModel, body: int, names: Sequence[str], fixed: str) -> Link:
     parent, joint = int(model.body_parentid[body]), int(model.body_jntadr[body])
     turned = Rotation.from_quat(model.body_quat[body], scalar_first=True)
     axes = Rotation.from_quat(model.body_iquat[body], scalar_first=True).as_matrix()
     at = _anchor(model, body)
-    name, moving = _name(model, body), (f"{_name(model, body)}_fixed", "fixed", np.array([0.0, 0.0, 1.0]), 0.0, 0.0)
+    moving = (fixed, "fixed", np.array([0.0, 0.0, 1.0]), 0.0, 0.0)
     if joint >= 0:
         kind, dof = (
             "hinge" if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE else "slide",
@@ -81,16 +94,12 @@ def _read_link(model: mujoco.MjModel, body: int) -> Link:
         friction = float(model.dof_damping[dof]), float(model.dof_frictionloss[dof])
         moving = (model.joint(joint).name, kind, model.jnt_axis[joint], *friction)
     return Link(
-        *(name, _name(model, parent)),
+        *(names[body], names[parent]),
         model.body_pos[body] - _anchor(model, parent) + turned.apply(at),
         turned.as_euler("xyz"),
         *(float(model.body_mass[body]), model.body_ipos[body] - at, axes * model.body_inertia[body] @ axes.T),
         *moving,
     )
-
-
-def _name(model: mujoco.MjModel, body: int) -> str:
-    return (model.body(body).name or f"link{body}") if body else WORLD
 
 
 def _anchor(model: mujoco.MjModel, body: int) -> Float[np.ndarray, "3"]:

@@ -16,6 +16,7 @@ from jaxtyping import Float
 
 from frictionzoo.core.errors import ExportError
 from frictionzoo.core.state import DriveState, FrictionTerms
+from frictionzoo.core.templates import Code, write_literal
 from frictionzoo.models import FrictionModel
 
 INLINE = 64  # numbers up to which an array is written as text; a larger one, of a network, goes into a file beside
@@ -50,11 +51,11 @@ class Source:
                 raise ExportError(f"{name}: two functions of this name, expected one; rename the law's")
         self.imports.update(other.imports)
 
-    def as_class(self, name: str, docstring: str) -> str:
-        """A class of this name with these methods and attributes."""
+    def as_class(self, name: str, docstring: str) -> Code:
+        """A class of this name with these methods and attributes; neither the name nor the docstring is a user's."""
         lines = [f"{key} = {value}" for key, value in self.attributes.items()]
         body = [f'"""{docstring}"""', *(["\n".join(lines)] if lines else []), *self.methods.values()]
-        return f"class {name}:\n" + textwrap.indent("\n\n".join(body), 4 * " ") + "\n"
+        return Code(f"class {name}:\n" + textwrap.indent("\n\n".join(body), 4 * " ") + "\n")
 
 
 def read_source(owner: Any, *methods: str) -> Source:
@@ -81,12 +82,13 @@ def merge(*sources: Source) -> Source:
     return merged
 
 
-def write_values(values: Mapping[str, Float[np.ndarray, "..."]]) -> tuple[str, dict[str, np.ndarray]]:
+def write_values(values: Mapping[str, Float[np.ndarray, "..."]]) -> tuple[Code, dict[str, np.ndarray]]:
     """Values by name as the text of a dictionary over `np`, and those that are too large for it."""
     arrays = {name: np.asarray(value) for name, value in values.items()}
     large = {name: array for name, array in arrays.items() if array.size > INLINE}
-    lines = [f"    {name!r}: np.array({array.tolist()!r})," for name, array in arrays.items() if name not in large]
-    return "\n".join(["{", *lines, "}"]), large
+    small = {write_literal(name): array.tolist() for name, array in arrays.items() if name not in large}
+    lines = [f"    {name}: np.array({numbers!r})," for name, numbers in small.items()]
+    return Code("\n".join(["{", *lines, "}"])), large
 
 
 def _add_method(source: Source, owner: Any, name: str) -> None:
@@ -113,7 +115,7 @@ def _add_laws(source: Source, laws: Sequence[FrictionModel]) -> str:
         own = read_source(law, "terms", "settle", "advance")
         names.append(f"Law{number}")
         source.take(own)
-        source.functions[names[-1]] = own.as_class(names[-1], f"The friction law {law.name} of some of the joints.")
+        source.functions[names[-1]] = own.as_class(names[-1], "The friction law of some of the joints.")
     return f"({', '.join(f'{name}()' for name in names)},)"
 
 
@@ -168,7 +170,7 @@ def _write_attribute(owner: Any, name: str, value: Any) -> str:
     if isinstance(value, torch.nn.ModuleList):
         return f"{len(value)} * [None]"
     if _is_plain(value):
-        return repr(value)
+        return write_literal(value)
     label = owner if isinstance(owner, str) else type(owner).__name__
     raise ExportError(
         f"{label}: {name} is a {type(value).__name__}, expected a number, a text or a function of the same file; keep "

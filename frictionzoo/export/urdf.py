@@ -11,6 +11,7 @@ import numpy as np
 
 from frictionzoo.bench.template import in_full
 from frictionzoo.core.errors import ExportError
+from frictionzoo.core.xml import write_comment, write_xml
 from frictionzoo.export.base import Target, measure, register_target
 from frictionzoo.export.motor import INPUTS, Motor, list_lacks, motors, read_inputs
 from frictionzoo.export.nearest import Nearest, find_nearest, say_exact
@@ -37,7 +38,7 @@ class Urdf(Target):
         with suppress(ExportError):  # where no position is commanded
             drives = motors(fitted, inputs)
         text = write_urdf(fitted, nearest, drives)
-        (folder / FILE).write_text(text)
+        (folder / FILE).write_text(text, encoding="utf-8")
         armature = [float(tag.get("value", "nan")) for tag in ET.fromstring(text).iter(f"{{{DRAKE}}}rotor_inertia")]
         came = run_links(mujoco.MjSpec.from_string(text), fitted, nearest, armature)
         difference = measure("qpos", fitted, came, fitted.rollout()[0], reason=nearest.lacks)
@@ -47,7 +48,7 @@ class Urdf(Target):
 def write_urdf(fitted: Identified, nearest: Nearest, drives: list[Motor]) -> str:
     """The file; `drives` is empty where the command is no position."""
     robot = ET.Element("robot", {"name": "bench", "xmlns:drake": DRAKE})
-    robot.append(ET.Comment(f" frictionzoo: {nearest.remark or say_exact(fitted.model)} ".replace("--", "- -")))
+    robot.append(write_comment(f"frictionzoo: {nearest.remark or say_exact(fitted.model)}"))
     ET.SubElement(robot, "link", name=WORLD)
     for link in read_links(fitted, nearest):
         _add_link(robot, link)
@@ -57,8 +58,7 @@ def write_urdf(fitted: Identified, nearest: Nearest, drives: list[Motor]) -> str
         _add_transmission(robot, name, nearest.bench["armature"][index])
         _add_interfaces(system, name, drives[index] if drives else None)
     robot.append(system)
-    ET.indent(robot)
-    return ET.tostring(robot, encoding="unicode") + "\n"
+    return write_xml(robot)
 
 
 def _add_link(robot: ET.Element, link: Link) -> None:

@@ -14,7 +14,7 @@ from frictionzoo.comparison.record import FEW
 from frictionzoo.comparison.runs import Run
 from frictionzoo.comparison.statistics import MATTERS
 from frictionzoo.comparison.types import Comparison, DifferenceRow, RolloutsRow, RunRow
-from frictionzoo.core.anonymous import list_paths, without_paths
+from frictionzoo.core.anonymous import list_paths_of, without_paths
 from frictionzoo.core.output import RESULT, write_atomically
 from frictionzoo.result.names import pick_value, read_values
 from frictionzoo.result.verdict import judge
@@ -111,10 +111,10 @@ def _anonymise(
     """
     named = {run.label: run for run in runs}
     ranked = [named[entry["label"]] for entry in comparison["runs"]]
-    known = tuple(dict.fromkeys(path for run in ranked for path in list_paths(run.result["settings"])))
-    of_runs = ([run.label, run.result, str(run.folder.absolute()), say_command(run.folder)] for run in ranked)
+    of_runs = [[run.label, run.result, str(run.folder.absolute()), say_command(run.folder)] for run in ranked]
     spoken: Any = [comparison, *of_runs]
-    comparison, *described = without_paths(spoken, known, Path.cwd())
+    known = {path for _, result, place, command in of_runs for path in (place, *list_paths_of(result, command))}
+    comparison, *described = without_paths(spoken, known, ranked[0].result["joints"], Path.cwd())
     bare = [
         replace(run, label=label, result=result) for run, (label, result, *_) in zip(ranked, described, strict=True)
     ]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from frictionzoo.comparison.runs import Run
-from frictionzoo.core.anonymous import list_paths, without_paths
+from frictionzoo.core.anonymous import list_paths_of, without_paths
 from frictionzoo.core.jobs import read_begun
 from frictionzoo.core.output import write_atomically
 from frictionzoo.result.curves import Curves
@@ -115,9 +115,9 @@ def render_run(
         content: What else the template names, in place of a run's where both have it.
     """
     # A page that is handed on tells nobody where somebody's home is; what lies in this folder, its commands reach.
-    known = tuple(list_paths(result["settings"]))
-    command = None if teacher else say_command(folder)
-    place, command, result = without_paths([str(folder.absolute()), command, result], known, Path.cwd())
+    place, command = str(folder.absolute()), None if teacher else say_command(folder)
+    known = {place, *list_paths_of(result, command)}
+    place, command, result = without_paths([place, command, result], known, result["joints"], Path.cwd())
     result["parameters"] = _add_starts(result["parameters"], result, curves)
     joints = list_joints(result, teacher) if len(result["joints"]) > 1 else []
     absent = {*(_OF_ONE if joints else _OF_SEVERAL), *([] if replay else ["replay"])}

@@ -1,6 +1,7 @@
 """The summary of a run, or of several, in plain text, legible on a terminal and in a log file alike."""
 
 import html
+import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -11,7 +12,7 @@ from frictionzoo.result.names import merge_known
 from frictionzoo.result.torque_types import TorqueRow
 from frictionzoo.result.types import DataRow, MetricsRow, ParameterRow, Result, ValueRow
 from frictionzoo.result.verdict import say_finding
-from frictionzoo.show.text import format_number, format_share
+from frictionzoo.show.text import escape_markdown, format_number, format_share
 
 Rows = Sequence[Sequence[str]]
 _format_value = partial(format_number, between=" ")
@@ -252,7 +253,9 @@ def align(rows: Rows) -> str:
 
 
 def _tabulate_in_markdown(rows: Rows) -> str:
-    head, *body = (f"| {' | '.join(row)} |" for row in rows)
+    # An underscore within a word is no emphasis.
+    cells = ([re.sub(r"(?<=\w)\\_(?=\w)", "_", escape_markdown(cell)) for cell in row] for row in rows)
+    head, *body = (f"| {' | '.join(row)} |" for row in cells)
     return "\n".join([head, "|---" * len(rows[0]) + "|", *body])
 
 

@@ -5,7 +5,7 @@ import re
 import textwrap
 from collections.abc import Callable, Sequence
 
-from frictionzoo.core.telling import say_percent
+from frictionzoo.core.telling import say_percent, show_controls
 
 
 def format_number(value: float | Sequence[float] | None, between: str = ", ") -> str:
@@ -41,6 +41,11 @@ def format_digits(value: float, digits: int) -> str:
 def wrap(text: str, width: int, lines: int | None = None) -> list[str]:
     """A user's text on lines of this width, at most so many of them."""
     return textwrap.wrap(text, width, max_lines=lines, placeholder=" …") or [" "]
+
+
+def escape_markdown(text: str) -> str:
+    """Write a user's text as Markdown that shows it unchanged, in a table too."""
+    return re.sub(r"([\\`*_{}\[\]<>#|!~&])", r"\\\1", show_controls(text))
 
 
 def to_markdown(docstring: str, typeset: Callable[[str], str] | None = None) -> str:
