@@ -1,11 +1,15 @@
 """Cleaning: what is clean passes untouched, every fault is repaired as asked, and every change is told."""
 
+import re
 from dataclasses import replace
 
+import hypothesis.strategies as st
 import numpy as np
 import pytest
+from hypothesis import given, settings
 
 from frictionzoo.core.errors import ConfigError, LogError
+from frictionzoo.identification.noise import Noise
 from frictionzoo.logs.clean import Cleaning, clean, summarise_repairs
 from frictionzoo.logs.recording import Recording
 
@@ -30,8 +34,8 @@ def cleaning(**options):
 def record(time, name="a.csv", **signals):
     """A swing of 1 rad at 1 Hz with a stepwise command, or what `signals` say."""
     time = np.asarray(time, float)
-    given = {"qpos": np.sin(2 * np.pi * time), "qvel": 2 * np.pi * np.cos(2 * np.pi * time), "ctrl": np.floor(5 * time)}
-    signals = {name: np.asarray(values, float) for name, values in (given | signals).items() if values is not None}
+    usual = {"qpos": np.sin(2 * np.pi * time), "qvel": 2 * np.pi * np.cos(2 * np.pi * time), "ctrl": np.floor(5 * time)}
+    signals = {name: np.asarray(values, float) for name, values in (usual | signals).items() if values is not None}
     columns = {name: values.reshape(len(time), -1) for name, values in signals.items()}
     return Recording(name, time, columns, {"kp": 8}, "0" * 64, False)
 
@@ -297,3 +301,69 @@ def test_commands_that_were_recorded_late_are_moved_and_the_rest_stays() -> None
     np.testing.assert_array_equal(log.ctrl[:, 0], told[: log.samples])
     np.testing.assert_array_equal(log.qpos[:, 0], np.sin(time)[: log.samples])
     assert log.samples == 293 and "ctrl moved 0.07 s earlier" in log.repairs
+
+
+JOINTS = 3
+FAULTS = {
+    "sound": lambda velocity, rng: velocity,
+    "zero": lambda velocity, rng: np.zeros_like(velocity),
+    "constant": lambda velocity, rng: np.full_like(velocity, 3.3),
+    "missing": lambda velocity, rng: np.full_like(velocity, np.nan),
+    "infinite": lambda velocity, rng: np.full_like(velocity, np.inf),
+    "rarely there": lambda velocity, rng: np.where(rng.random(len(velocity)) < 0.1, velocity, np.nan),
+    "jitter": lambda velocity, rng: rng.normal(0.0, 1e-5, len(velocity)),
+    "one glitch": lambda velocity, rng: np.where(np.arange(len(velocity)) == 7, 1.0, 0.0),
+}
+
+
+def record_joints(faults, jitter=0.0):
+    """Swings of joints at frequencies of their own, their velocities with these faults."""
+    time, rng = jittered(1500, 0.002, jitter), np.random.default_rng(0)
+    phases = 2 * np.pi * time[:, None] * (0.7 + 0.3 * np.arange(len(faults)))
+    truth = np.gradient(np.sin(phases), time, axis=0) + rng.normal(0.0, 1e-3, phases.shape)
+    qvel = np.stack([FAULTS[fault](column, rng) for fault, column in zip(faults, truth.T, strict=True)], axis=1)
+    return record(time, qpos=np.sin(phases), qvel=qvel, ctrl=np.sin(phases)), truth
+
+
+@settings(deadline=None, max_examples=25, derandomize=True)
+@given(
+    st.lists(st.sampled_from(list(FAULTS)), min_size=1, max_size=JOINTS),
+    st.sampled_from([None, "auto", 0.0]),
+    st.sampled_from([0.0, 0.3]),
+)
+def test_a_velocity_that_shows_no_motion_is_estimated_joint_by_joint(faults, lag, jitter):
+    recording, truth = record_joints(faults, jitter)
+    (log,) = clean(recording, cleaning(spikes="keep", velocity_lag=lag))
+    dead = tuple(joint for joint, fault in enumerate(faults) if fault != "sound")
+    assert log.without_velocity == dead and log.velocity_estimated == (len(dead) == len(faults))
+    told = "; ".join(line for line in log.repairs if re.match("qvel.* (is|varies)", line))
+    assert len(re.findall("qvel", told)) == len(dead)
+    assert len(faults) == 1 or re.findall(r"joint (\d)", told) == [str(joint + 1) for joint in dead]
+    expected = np.stack([np.interp(log.time, recording.time, column) for column in truth.T], axis=1)
+    np.testing.assert_allclose(log.qvel[100:-100], expected[100:-100], atol=0.15)
+    if not lag and not jitter:
+        measured = [joint for joint, fault in enumerate(faults) if fault == "sound"]
+        np.testing.assert_array_equal(log.qvel[:, measured], truth[: log.samples, measured])
+    noise = Noise.of([log])
+    assert 0 < noise.velocity_weight < 1e3 and (noise.velocity is None) == log.velocity_estimated
+
+
+@pytest.mark.parametrize("fault", [fault for fault in FAULTS if fault != "sound"])
+def test_a_measured_velocity_that_shows_no_motion_is_refused(fault):
+    recording, _ = record_joints(["sound", fault])
+    with pytest.raises(LogError, match=r"qvel of joint 2 .*data\.clean\.velocity=auto"):
+        clean(recording, cleaning(spikes="keep", velocity="measured"))
+
+
+def test_a_velocity_that_is_not_asked_for_costs_no_samples():
+    recording, truth = record_joints(["missing", "rarely there"])
+    (log,) = clean(recording, cleaning(spikes="keep", velocity="estimated"))
+    assert log.samples == len(truth) and log.velocity_estimated
+
+
+@pytest.mark.parametrize("value", [0.0, np.nan])
+def test_a_joint_that_stands_still_has_no_velocity(value):
+    still = np.full(500, 0.2)
+    (log,) = clean(record(uniform(), qpos=still, qvel=np.full(500, value)), cleaning(spikes="keep"))
+    np.testing.assert_allclose(log.qvel, 0.0, atol=1e-9)
+    assert np.isfinite(Noise.of([log]).velocity_weight)

@@ -87,6 +87,7 @@ def test_a_command_of_steps_is_not_cut_off(recorded: tuple[Log, Bench]) -> None:
 @pytest.mark.parametrize(
     ("spoil", "line"),
     [
+        (lambda log: {"qvel": 0 * log.qvel}, r"qvel is constant, expected .* set data\.clean\.velocity=estimated"),
         (lambda log: {"ctrl": -log.ctrl}, r"does the opposite of what ctrl asks for .* set data\.sign\.ctrl=-1"),
         (lambda log: {"qpos": -log.qpos, "qvel": -log.qvel}, "does the opposite .* or the sign of both qpos and qvel"),
         (lambda log: {"ctrl": late(log.ctrl, 200)}, r"is ahead of ctrl by 120 ms.* set data\.clean\.command_lag=0\.17"),
@@ -131,7 +132,6 @@ def test_what_is_certain_is_refused_with_what_mends_it(
             "qpos is late by 14.9 ms against qvel; set data.clean.velocity_lag=auto",
         ),
         (lambda log: {"time": 2 * log.time}, "qvel is 2 times the position's derivative: look at the units of time"),
-        (lambda log: {"qvel": 0 * log.qvel}, "qvel is constant; set data.clean.velocity=estimated"),
         (lambda log: {"ctrl": 0 * log.ctrl + 1}, "ctrl is constant, 1: the motion tells little"),
         (lambda log: {"ctrl": cut_off(log.ctrl)}, "it seems to be cut off there"),
         (lambda log: {"qpos": frozen(log.qpos)}, "qpos repeats itself from sample 900 on and jumps by"),
@@ -210,6 +210,11 @@ def test_joints_that_are_swapped_or_turned_are_told(leg: Callable, make: Callabl
         return "\n".join(finding.text for finding in find_all(Dataset("leg", (spoilt,), (spoilt,)), bench))
 
     assert said(qpos, qvel, asked) == ""
+    log = replace(log, without_velocity=(1,))
+    assert {line.partition(";")[0] for line in said(qpos, qvel, asked).splitlines()} == {
+        "the recorded velocity of knee shows no motion: it is estimated from qpos"
+    }
+    log = replace(log, without_velocity=())
     assert "qpos of hip follows ctrl of knee and not its own" in said(qpos, qvel, asked[:, ::-1])
     assert "hip and knee are swapped: put them in that order" in said(qpos[:, ::-1], qvel[:, ::-1], asked[:, ::-1])
     turn = np.array([1.0, -1.0])

@@ -109,7 +109,7 @@ def _check_signals(
     found = list(check_position(of, qpos, ctrl, bench))
     yield from found
     if not any(certain for _, certain, _ in found):
-        yield from check_velocity(log, of, qpos, qvel)
+        yield from check_velocity(log, of, joint, qpos, qvel)
         yield from check_stroke(of, qpos, qvel) if bench.joint_type == "slide" else ()
 
 

@@ -210,11 +210,16 @@ def check_stroke(of: str, qpos: Signal, qvel: Signal) -> Iterator[tuple[str, boo
         )
 
 
-def check_velocity(log: Log, of: str, qpos: Signal, qvel: Signal) -> Iterator[tuple[str, bool, str]]:
-    """The measured velocity beside the position's derivative."""
+def check_velocity(log: Log, of: str, joint: int, qpos: Signal, qvel: Signal) -> Iterator[tuple[str, bool, str]]:
+    """Compare the measured velocity of a joint that moves with the derivative of its position."""
     estimate = "set data.clean.velocity=estimated"
+    if joint in log.without_velocity:
+        if not log.velocity_estimated:
+            other = "if another column holds it, name that in data.columns.qvel"
+            yield "velocity", False, f"the recorded velocity{of} shows no motion: it is estimated from qpos; {other}"
+        return
     if not np.ptp(qvel) > 0:
-        yield "velocity", False, f"qvel{of} is constant; {estimate}"
+        yield "velocity", True, f"qvel{of} is constant, expected the velocity of a joint that moves; {estimate}"
         return
     found = find_velocity_lag(log.time, qpos, qvel)
     if found is None and find_velocity_lag(log.time, qpos, -qvel) is not None:

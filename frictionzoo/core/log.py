@@ -47,6 +47,7 @@ class Log:
         inputs: Those that the bench's actuator law needs besides the command, by name; `Bench.accept` picks them.
         observed: Those that the friction law looks at, by name; `Bench.accept` picks them too.
         velocity_estimated: Whether qvel was computed from qpos, so that it says nothing of its own.
+        without_velocity: Joints, by number, whose qvel was computed from qpos because what was recorded shows nothing.
         repairs: What cleaning changed, a sentence each.
         metadata: What else the source says about it (gains, notes).
         units: Unit of signals by name, as the source or the user stated them, before they became SI; of those alone of
@@ -69,6 +70,7 @@ class Log:
     inputs: Mapping[str, Float[np.ndarray, "time nv"]] = field(default_factory=dict)
     observed: Mapping[str, Float[np.ndarray, "time nv"]] = field(default_factory=dict)
     velocity_estimated: bool = False
+    without_velocity: tuple[int, ...] = ()
     repairs: tuple[str, ...] = ()
     metadata: Mapping[str, Any] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)

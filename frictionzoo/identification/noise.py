@@ -20,7 +20,8 @@ class Noise(NamedTuple):
 
     Attributes:
         position: Of each joint [rad or m].
-        velocity: Of each joint [rad/s or m/s]; None where velocities were estimated from positions.
+        velocity: Of each joint [rad/s or m/s]; 0 of one whose velocity was estimated from its position; None where all
+            were.
         speed: Root mean square velocity of each joint [rad/s or m/s].
         step: To which positions are rounded [rad or m]; 0 where that is not what the noise is, or not alike in all.
     """
@@ -39,21 +40,24 @@ class Noise(NamedTuple):
             return np.sqrt(np.average(np.square(found), axis=0, weights=[log.samples for log in logs]))
 
         speed = np.sqrt(np.concatenate([np.square(log.qvel) for log in logs]).mean(axis=0))
-        estimated = any(log.velocity_estimated for log in logs)
-        position = each("qpos")
-        return cls(position, None if estimated else each("qvel"), speed, _find_step(logs, position))
+        position, velocity = each("qpos"), each("qvel")
+        for log in logs:
+            velocity[list(log.without_velocity)] = 0.0
+        estimated = any(log.velocity_estimated for log in logs) or not velocity.any()
+        return cls(position, None if estimated else velocity, speed, _find_step(logs, position))
 
     @property
     def velocity_weight(self) -> float:
         """Weight of squared velocity errors over that of squared position errors [s^2].
 
-        As the inverse of variances, in the mean over joints; next to nothing for an estimated velocity.
+        As the inverse of variances, in the mean over joints that have noise; next to nothing for an estimated velocity.
         """
-        tiny = np.finfo(float).tiny
         if self.velocity is None:
-            ratio = _LITTLE * self.position / np.maximum(self.speed, tiny)
+            noise, reference, share = self.position, self.speed, _LITTLE
         else:
-            ratio = self.position / np.maximum(self.velocity, tiny)
+            noise, reference, share = self.position, self.velocity, 1.0
+        counts = (noise > 0) & (reference > 0)
+        ratio = share * noise[counts] / reference[counts] if counts.any() else np.zeros(1)
         found = float(np.exp(np.mean(np.log(np.square(np.maximum(ratio, 1e-12))))))
         return float(f"{found:.3g}")
 

@@ -30,6 +30,7 @@ from frictionzoo.logs.signals import (
     find_velocity_lag,
     repair_spikes,
 )
+from frictionzoo.logs.velocity import compare_velocities, find_dead_velocities, of_joints
 
 CHOICES: dict[str, tuple[str, ...]] = {
     "resample": ("linear", "cubic"),
@@ -39,9 +40,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
 RESAMPLED = {**dict.fromkeys(COMMANDS, "mean"), "enable": "held"}  # how these are found on another grid
 EXTRAS = tuple(signal for signal in SIGNALS if signal not in ("time", "qpos", "qvel", "ctrl"))
 FOLLOWED = 1e-6  # share of the median interval by which the same instant may differ in two clocks
-COMPARED = 200  # samples from which on a measured velocity is compared with the position
 MOST_FINER = 1000.0  # factor by which resampling may make an interval shorter; more adds nothing but length
-SAME_UNIT = 3.0  # factor between velocity and derivative that a unit does not explain; a filter may take off some
 NUMBER = re.compile(r"-?\d+(\.\d+)?(e-?\d+)?")
 
 
@@ -62,7 +61,7 @@ class Cleaning(Described):
             held one those far beyond its range; `drop` leaves a recording out whose position has one; `keep` keeps
             them.
         velocity: `measured`; `estimated` from the position without phase lag; `auto`: measured where there is one, and
-            compared with the position.
+            compared with the position; estimated for a joint whose column is missing, constant or shows no motion.
         cutoff: Cut-off frequency of that estimate [Hz].
         order: Order of its filter, which runs forwards and backwards.
         velocity_lag: Time by which the measured velocity lags the position, which is taken out [s]; `auto` finds it;
@@ -110,12 +109,19 @@ Signals = Mapping[str, Float[np.ndarray, "time columns"]]
 
 @dataclass(frozen=True)
 class Piece:
-    """A stretch of a recording on its way to a log: its samples, and what was changed in them."""
+    """A stretch of a recording on its way to a log: its samples, and what was changed in them.
+
+    Attributes:
+        time: Sample times [s].
+        signals: Samples of each signal.
+        repairs: What was changed, a sentence each.
+        without_velocity: Joints, by number, whose qvel is estimated from qpos.
+    """
 
     time: Float[np.ndarray, "time"]
     signals: Signals
     repairs: tuple[str, ...] = ()
-    velocity_estimated: bool = False
+    without_velocity: tuple[int, ...] = ()
 
     def say(self, *sentences: str) -> "Piece":
         """The same with more said about it."""
@@ -134,7 +140,8 @@ def clean(recording: Recording, cleaning: Cleaning) -> list[Log]:
         ConfigError: The cut-off is not below half the sample rate.
     """
     refuse_incomplete(recording)
-    whole = _unwrap(_drop_repeated(Piece(recording.time, recording.signals, recording.notes)), cleaning.wrap)
+    whole = _drop_repeated(Piece(recording.time, recording.signals, recording.notes))
+    whole = _drop_velocity(_unwrap(whole, cleaning.wrap), recording.name, cleaning)
     if cleaning.spikes == "drop" and any(map(count_spikes, whole.signals["qpos"].T)):
         return []
     pieces = _split(whole, cleaning.gap)
@@ -173,7 +180,8 @@ def _finish(piece: Piece, name: str, recording: Recording, cleaning: Cleaning) -
         recording.sha256,
         recording.simulated,
         extras={extra: piece.signals[extra] for extra in EXTRAS if extra in piece.signals},
-        velocity_estimated=piece.velocity_estimated,
+        velocity_estimated=len(piece.without_velocity) == piece.signals["qpos"].shape[1],
+        without_velocity=piece.without_velocity,
         repairs=piece.repairs,
         metadata=recording.fields,
     )
@@ -192,6 +200,32 @@ def _unwrap(piece: Piece, turn: float | None) -> Piece:
     qpos = np.unwrap(piece.signals["qpos"], period=turn, axis=0)
     turned = np.count_nonzero(np.diff(np.round((qpos - piece.signals["qpos"]) / turn), axis=0))
     return replace(piece, signals={**piece.signals, "qpos": qpos}).say(f"turns that the position goes on: {turned}")
+
+
+def _drop_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
+    """Without velocities that are to be estimated: 0 takes the place of one joint's, nothing that of all.
+
+    Raises:
+        LogError: One is to be measured, and its column is missing, constant or shows no motion.
+    """
+    qpos, qvel = piece.signals["qpos"], piece.signals.get("qvel")
+    if qvel is None or cleaning.velocity == "estimated":
+        signals = {signal: values for signal, values in piece.signals.items() if signal != "qvel"}
+        return replace(piece, signals=signals, without_velocity=tuple(range(qpos.shape[1])))
+    dead = find_dead_velocities(piece.time, qpos, qvel, cleaning.gap)
+    if dead and cleaning.velocity == "measured":
+        fault = next(iter(dead.values()))
+        raise LogError(
+            f"{name}: {fault}, expected a measured velocity; name its column in data.columns.qvel, or set "
+            "data.clean.velocity=auto to estimate it"
+        )
+    qvel = np.where(np.isin(np.arange(qvel.shape[1]), list(dead)), 0.0, qvel)
+    signals = {**piece.signals, "qvel": qvel}
+    if len(dead) == qvel.shape[1]:
+        del signals["qvel"]
+    return (
+        replace(piece, signals=signals, without_velocity=tuple(dead)).say("; ".join(dead.values())) if dead else piece
+    )
 
 
 def _split(piece: Piece, gap: float) -> list[Piece]:
@@ -323,7 +357,7 @@ def _resample(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
     sentence = f"resampled {rates}, {cleaning.resample}; {commands}: mean of the held command"
     if missing:
         sentence += f"; missing samples interpolated: {missing}"
-    return Piece(grid, signals, (*piece.repairs, sentence))
+    return replace(piece, time=grid, signals=signals).say(sentence)
 
 
 def _each(change: Callable[..., np.ndarray], values: Float[np.ndarray, "time columns"], *more: Any) -> np.ndarray:
@@ -346,34 +380,22 @@ def _sample(values: Signal, time: Signal, at: Float[np.ndarray, "grid"], method:
     return np.interp(at, time, values)
 
 
-def _compare_velocity(piece: Piece, name: str) -> Piece:
-    """The same if the measured velocity goes with the position; LogError where its unit is another."""
-    if len(piece.time) < COMPARED:
-        return piece
-    for position, velocity in zip(piece.signals["qpos"].T, piece.signals["qvel"].T, strict=True):
-        found = find_velocity_lag(piece.time, repair_spikes(position), velocity)
-        if found is None:
-            return piece.say(
-                "qvel is no copy of the position's derivative: look whether columns are swapped, or set "
-                "data.clean.velocity=estimated"
-            )
-        if not 1 / SAME_UNIT < found[1] < SAME_UNIT:
-            raise LogError(
-                f"{name}: qvel is {found[1]:.4g} times the position's derivative, expected about 1 (57.3 is a degree, "
-                "9.55 a turn a minute); set data.units, or data.clean.velocity=measured to take it as it is"
-            )
-    return piece
-
-
 def _choose_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
-    measured = "qvel" in piece.signals
-    if cleaning.velocity == "measured" and not measured:
+    """With the velocities that are to be estimated, and the measured ones compared with the position."""
+    if cleaning.velocity == "measured" and "qvel" not in piece.signals:
         raise LogError(f"{name}: no qvel; name its column in data.columns.qvel or set data.clean.velocity=estimated")
-    if measured and cleaning.velocity != "estimated":
-        return piece if cleaning.velocity == "measured" else _compare_velocity(piece, name)
+    if "qvel" in piece.signals and cleaning.velocity == "auto":
+        joints = sorted({*range(piece.signals["qpos"].shape[1])} - {*piece.without_velocity})
+        compared = compare_velocities(name, piece.time, piece.signals["qpos"], piece.signals["qvel"], joints)
+        piece = piece.say(*compared)
+    if not piece.without_velocity:
+        return piece
     timestep = float(piece.time[-1] - piece.time[0]) / (len(piece.time) - 1)
-    cutoff, order = cleaning.cutoff, cleaning.order
-    qvel = _each(estimate_velocity, piece.signals["qpos"], timestep, cutoff, order, name, "data.clean.cutoff")
+    cutoff, order, lacking = cleaning.cutoff, cleaning.order, list(piece.without_velocity)
+    qpos = piece.signals["qpos"]
+    qvel = piece.signals.get("qvel", np.empty_like(qpos)).copy()
+    qvel[:, lacking] = _each(estimate_velocity, qpos[:, lacking], timestep, cutoff, order, name, "data.clean.cutoff")
     how = f"zero-phase Butterworth low-pass of order {order} at {cutoff:g} Hz, central differences"
-    estimated = replace(piece, signals={**piece.signals, "qvel": qvel}, velocity_estimated=True)
-    return estimated.say(f"qvel estimated from qpos: {how}")
+    return replace(piece, signals={**piece.signals, "qvel": qvel}).say(
+        f"qvel{of_joints(lacking, qpos)} estimated from qpos: {how}"
+    )

@@ -1,0 +1,96 @@
+"""Recorded velocities beside positions: columns that show no motion, and columns of another unit or joint."""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from frictionzoo.core.errors import LogError
+from frictionzoo.logs.signals import Signal, derive_velocity, find_velocity_lag, repair_spikes
+
+DEAD = 0.01  # of the spread of the position's derivative, below which a velocity unlike it shows no motion
+COMPARED = 200  # samples from which on a measured velocity is compared with the position
+SAME_UNIT = 3.0  # factor between velocity and derivative that a unit does not explain; a filter may take off some
+
+Columns = Float[np.ndarray, "time columns"]
+"""Samples of a signal of all joints."""
+
+
+def find_dead_velocities(time: Signal, qpos: Columns, qvel: Columns, gap: float) -> dict[int, str]:
+    """Find joints whose recorded velocity is missing, constant or shows nothing of the motion.
+
+    Args:
+        time: Sample times [s].
+        qpos: Recorded positions [rad or m]; NaN where one is missing.
+        qvel: Recorded velocities [rad/s or m/s]; NaN where one is missing.
+        gap: Median intervals from one sample to the next beyond which a recording has a gap.
+
+    Returns:
+        A sentence about each such joint, by its number.
+    """
+    faults = (_find_fault(time, *pair, gap) for pair in zip(qpos.T, qvel.T, strict=True))
+    return {joint: f"qvel{of_joints([joint], qvel)} {fault}" for joint, fault in enumerate(faults) if fault}
+
+
+def _find_fault(time: Signal, position: Signal, velocity: Signal, gap: float) -> str:
+    """Return why one shows nothing of the motion, such as `is constant`; empty where it does.
+
+    Args:
+        time: Sample times [s].
+        position: Recorded position of the joint [rad or m]; NaN where it is missing.
+        velocity: Recorded velocity of the joint [rad/s or m/s]; NaN where it is missing.
+        gap: Median intervals from one sample to the next beyond which a recording has a gap.
+    """
+    known = np.isfinite(position)
+    there = known & np.isfinite(velocity)
+    if there.sum() * gap < known.sum():
+        return f"is missing in {100 * (1 - there.sum() / known.sum()):.3g} % of the samples"
+    if not known.any() or not np.ptp(position[known]) > 0:  # a velocity of 0 is right
+        return ""
+    if not np.ptp(velocity[there]) > 0:
+        return f"is constantly {velocity[there][0]:.3g} while qpos moves"
+    spread = float(np.std(derive_velocity(time, repair_spikes(position))))
+    if np.std(velocity[there]) < DEAD * spread and find_velocity_lag(time, position, velocity) is None:
+        return f"varies by {np.std(velocity[there]):.2g} and the position's derivative by {spread:.2g}"
+    return ""
+
+
+def compare_velocities(name: str, time: Signal, qpos: Columns, qvel: Columns, joints: Iterable[int]) -> list[str]:
+    """Compare measured velocities with positions.
+
+    Args:
+        name: Of the recording, for messages.
+        time: Sample times [s].
+        qpos: Positions [rad or m].
+        qvel: Velocities [rad/s or m/s].
+        joints: Numbers of the joints to compare.
+
+    Returns:
+        A sentence about the joints whose velocity is no copy of their position's derivative, if there are any.
+
+    Raises:
+        LogError: A velocity has another unit than its position.
+    """
+    unlike = []
+    for joint in joints if len(time) >= COMPARED else ():
+        found = find_velocity_lag(time, repair_spikes(qpos[:, joint]), qvel[:, joint])
+        if found is None:
+            unlike.append(joint)
+        elif not 1 / SAME_UNIT < found[1] < SAME_UNIT:
+            raise LogError(
+                f"{name}: qvel{of_joints([joint], qvel)} is {found[1]:.4g} times the position's derivative, expected "
+                "about 1 (57.3 is a degree, 9.55 a turn a minute); set data.units, or data.clean.velocity=measured to "
+                "take it as it is"
+            )
+    if not unlike:
+        return []
+    return [
+        f"qvel{of_joints(unlike, qvel)} is no copy of the position's derivative: look whether columns are swapped, or "
+        "set data.clean.velocity=estimated"
+    ]
+
+
+def of_joints(joints: Sequence[int], values: Columns) -> str:
+    """Return ` of joint 2` or ` of joints 1, 3` for messages; nothing where all joints are meant."""
+    numbers = ", ".join(str(joint + 1) for joint in joints)
+    return "" if len(joints) == values.shape[1] else f" of joint{'s' if len(joints) > 1 else ''} {numbers}"
