@@ -176,6 +176,7 @@ def _finish(piece: Piece, name: str, recording: Recording, cleaning: Cleaning) -
         velocity_estimated=piece.velocity_estimated,
         repairs=piece.repairs,
         metadata=recording.fields,
+        columns=recording.columns,
     )
 
 
