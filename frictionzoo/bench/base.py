@@ -13,7 +13,7 @@ from jaxtyping import Float
 from frictionzoo.bench.actuators import Actuator
 from frictionzoo.bench.branches import number_branches
 from frictionzoo.bench.compiled import INERTIAL, NO_PAYLOAD, combine, put_inertial
-from frictionzoo.bench.signals import pick_inputs, pick_observed, say_lacking
+from frictionzoo.bench.signals import pair_log, pick_inputs, pick_observed, say_lacking
 from frictionzoo.bench.template import Template, in_full
 from frictionzoo.core.described import Described
 from frictionzoo.core.errors import BenchError, ConfigError, closest, refuse_unlike
@@ -305,12 +305,14 @@ class Bench(Described):
         return self._template.compile(self.mjcf(values, rows.astype(float) if rows.any() else None), bool(rows.any()))
 
     def accept(self, log: Log) -> Log:
-        """The same log with what its payload changes in the model, and what both laws need to know of it.
+        """The same log with its columns in the order of the joints, what its payload changes, and what both laws need.
 
         Raises:
+            LogError: Headers of its columns name some of the joints and not all, one twice, or others.
             BenchError: This bench cannot have produced it: it has another number of joints or actuators, another time
                 step, a payload that no body carries, lacks an input of the actuator law, or has one of a wrong shape.
         """
+        log = pair_log(log, self.joints)
         self._check_log(log)
         inputs, observed = pick_inputs(log, self.actuator, self.nv), pick_observed(log, self.observed, self.nv)
         log = replace(log, inputs=inputs, observed=observed)

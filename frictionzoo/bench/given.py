@@ -34,5 +34,6 @@ class Given(NamedTuple):
         # Which law has it, and of what dimension it is, is asked when the law is built.
         for name, section in (settings.get("model", {}).get("params") or {}).items():
             Param.from_config(name, "1", section)
-        bench, dataset = build(settings["bench"]), build(settings["data"]).load()
+        bench = build(settings["bench"])
+        dataset = build(settings["data"]).for_joints(bench.joints).load()
         return cls(bench, dataset, time.perf_counter() - began)

@@ -1,7 +1,8 @@
 """The signals of a recording that the actuator law and the friction law need besides state and command."""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
@@ -10,8 +11,45 @@ from frictionzoo.bench.actuators import Actuator
 from frictionzoo.core.errors import BenchError
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.logs.clean import EXTRAS
+from frictionzoo.logs.pairing import Pairing, arrange, reorder, say_order
 
 _log = logging.getLogger(__name__)
+
+
+def pair_all(dataset: Dataset, joints: Sequence[str]) -> Dataset:
+    """Return a data set whose logs have their columns in the order of the joints, and tell what is not plain of it.
+
+    Raises:
+        LogError: As `pair_log`.
+    """
+    lines = [line for log in dataset.logs for line in say_order(log.columns, _arrange(log, joints))]
+    for line in dict.fromkeys(lines):
+        _log.info("%s: %s", dataset.name, line)
+    train, test = (tuple(pair_log(log, joints) for log in logs) for logs in (dataset.train, dataset.test))
+    return Dataset(dataset.name, train, test)
+
+
+def pair_log(log: Log, joints: Sequence[str]) -> Log:
+    """Return a log with its columns in the order of the joints, each signal's by the names in its headers.
+
+    Raises:
+        LogError: Headers name some of the joints and not all, one twice, or others.
+    """
+    found = _arrange(log, joints)
+    orders = {signal: list(order) for signal, (order, _) in found.items()}
+    if "qpos" in orders:
+        orders.setdefault("qvel", orders["qpos"])  # estimated, joint by joint
+    values = {
+        signal: getattr(log, signal)[:, orders[signal]] for signal in ("qpos", "qvel", "ctrl") if signal in orders
+    }
+    extras = {name: extra[:, orders[name]] if name in orders else extra for name, extra in log.extras.items()}
+    return replace(log, **values, extras=extras, columns=reorder(log.columns, found))
+
+
+def _arrange(log: Log, joints: Sequence[str]) -> dict[str, Pairing]:
+    """The columns of each joint of the signals that a log has; a velocity that was estimated has none."""
+    held = {"qpos", "ctrl", *log.extras, *(() if log.velocity_estimated else ("qvel",))}
+    return arrange(log.name, {signal: of for signal, of in log.columns.items() if signal in held}, joints)
 
 
 def pick_inputs(log: Log, actuator: Actuator, nv: int) -> dict[str, Float[np.ndarray, "time nv"]]:

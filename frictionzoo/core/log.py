@@ -28,6 +28,20 @@ class Payload(NamedTuple):
     inertia: tuple[float, float, float]
 
 
+class Columns(NamedTuple):
+    """Where the columns of one signal come from.
+
+    Attributes:
+        headers: Of the file, one a column.
+        listed: Whether a user listed them, so that their order counts where they do not name the joints.
+        by: How they were brought into the order of a bench's joints: `name`, `listed` or `place`; empty before that.
+    """
+
+    headers: tuple[str, ...]
+    listed: bool = False
+    by: str = ""
+
+
 @dataclass(frozen=True)
 class Log:
     """One recording of a drive in SI units.
@@ -52,6 +66,8 @@ class Log:
         metadata: What else the source says about it (gains, notes).
         units: Unit of signals by name, as the source or the user stated them, before they became SI; of those alone of
             which somebody said it.
+        columns: Where the columns of signals come from, by the signal; empty for a log that came from no table.
+            `Bench.accept` brings them into the order of its joints.
 
     Raises:
         LogError: Shapes disagree, a sample is not finite, or time is not uniform.
@@ -74,6 +90,7 @@ class Log:
     repairs: tuple[str, ...] = ()
     metadata: Mapping[str, Any] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
+    columns: Mapping[str, Columns] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         samples = len(self.time)

@@ -12,6 +12,7 @@ import numpy as np
 
 from frictionzoo.bench import Bench
 from frictionzoo.bench.given import Given
+from frictionzoo.bench.signals import pair_all
 from frictionzoo.checkup import check_up
 from frictionzoo.core.build import build
 from frictionzoo.core.described import describe
@@ -26,12 +27,14 @@ from frictionzoo.fit.recordings import Recordings
 from frictionzoo.fit.start import begin_where
 from frictionzoo.identification.choices import Choice
 from frictionzoo.identification.recipe import Settled, settle
+from frictionzoo.logs.pairing import describe_columns
 from frictionzoo.models import FrictionModel
 from frictionzoo.models.by_name import complete_laws
 from frictionzoo.result.evaluate import Evaluation
 from frictionzoo.result.identified import Identified
 from frictionzoo.result.record import describe_data
 from frictionzoo.result.torque import choose_filtering
+from frictionzoo.show.terminal import align, list_columns
 from frictionzoo.simulate.context import computing, refuse_precision
 from frictionzoo.simulate.drive import Drive, refuse_other_joints
 from frictionzoo.simulate.proof import Proof, Recorded, initial_values, prove
@@ -103,6 +106,11 @@ class Parts(NamedTuple):
             _log.info("%s: %s", bench.source, note)
         refuse_other_joints(model, bench)
         model.bind(bench.joints)
+        dataset = pair_all(dataset, bench.joints)
+        for columns in describe_columns(dataset.logs, bench.joints) if bench.nv > 1 else ():
+            others = len(columns["logs"]) - 1
+            whose = columns["logs"][0] + (f" and {others} more" if others else "")
+            _log.info("%s: columns by joint\n%s", whose, align(list_columns(columns)))
         watching = bench.observing(model.inputs)
         train, test = (tuple(map(watching.accept, logs)) for logs in (dataset.train, dataset.test))
         doubts = check_up(Dataset(dataset.name, train, test), watching, settings["checkup"])

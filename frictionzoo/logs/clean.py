@@ -184,6 +184,7 @@ def _finish(piece: Piece, name: str, recording: Recording, cleaning: Cleaning) -
         without_velocity=piece.without_velocity,
         repairs=piece.repairs,
         metadata=recording.fields,
+        columns=recording.columns,
     )
 
 

@@ -1,12 +1,13 @@
 """A file's columns as signals: which they are, in which unit, and at which times."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Real
 
 from frictionzoo.core.errors import ConfigError, LogError, closest
+from frictionzoo.core.log import Columns
 from frictionzoo.logs.propose import BAM, Proposal, propose
 from frictionzoo.logs.recording import HELD, SIGNALS, Recording, Table
 from frictionzoo.logs.units import ratio, to_si
@@ -20,7 +21,13 @@ STEPS = (5e-6, 100.0)  # s between samples: 0.2 s counted in days is below, 1 ms
 Headers = dict[str, tuple[str, ...]]
 
 
-def to_recording(table: Table, columns: Mapping[str, Any], units: Mapping[str, str], simulated: bool) -> Recording:
+def to_recording(
+    table: Table,
+    columns: Mapping[str, Any],
+    units: Mapping[str, str],
+    simulated: bool,
+    listed: Collection[str] = (),
+) -> Recording:
     """The signals of a recording, in SI units and at the times of `qpos`.
 
     Time starts at 0. Signals that were recorded at times of their own are brought to those of `qpos`: commands and
@@ -33,6 +40,7 @@ def to_recording(table: Table, columns: Mapping[str, Any], units: Mapping[str, s
             the table does not know it, the columns are taken by their names if these leave no doubt.
         units: Unit of each signal; SI, or what the format lays down, where there is none.
         simulated: Whether a simulator made it.
+        listed: Signals whose headers a user listed.
 
     Raises:
         ConfigError: A signal or a unit is unknown, or headers are no list of names.
@@ -51,7 +59,8 @@ def to_recording(table: Table, columns: Mapping[str, Any], units: Mapping[str, s
     for signal, values in signals.items():
         _refuse_absurd(table.name, signal, headers[signal], values, LARGEST)
     notes = tuple(dict.fromkeys(clock.notes))
-    return Recording(table.name, clock.time, signals, table.fields, table.sha256, simulated, notes)
+    came = {signal: Columns(headers[signal], signal in listed) for signal in signals}
+    return Recording(table.name, clock.time, signals, table.fields, table.sha256, simulated, notes, came)
 
 
 def _refuse_unread(table: Table, columns: Mapping[str, Any]) -> None:

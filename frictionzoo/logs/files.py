@@ -1,5 +1,6 @@
 """Recordings in a user's files, of whatever format, as a data set."""
 
+import copy
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -14,6 +15,7 @@ from frictionzoo.logs.clean import Cleaning, clean, summarise_repairs
 from frictionzoo.logs.columns import Proposal, list_names, propose, to_recording
 from frictionzoo.logs.formats import find_files, format_names, read_tables
 from frictionzoo.logs.logs import InMemory, Logs
+from frictionzoo.logs.pairing import arrange, has_names, reorder, say_order
 from frictionzoo.logs.recording import SIGNALS, TURNED, Recording, Table
 from frictionzoo.logs.select import Selection, choose_payloads
 from frictionzoo.logs.source import Source, register_source
@@ -76,6 +78,7 @@ class Files(Source):
         self.selection = Selection(fields, fields_from_name, where, exclude)
         self.inputs = _mapping("inputs", inputs)
         self.clean, self.payload, self.simulated = clean, payload, simulated
+        self.joints: tuple[str, ...] = ()
         self.split = Split(**(split or {}))
         if self.test and self.split.by != "time":
             raise ConfigError(f"data.split.by={self.split.by} and data.test={self.test}; expected one of them")
@@ -84,6 +87,12 @@ class Files(Source):
         """See `Source.find`."""
         for names in filter(None, (self.train, self.test)):
             find_files(names, self.folder, self.source)
+
+    def for_joints(self, joints: Sequence[str]) -> "Files":
+        """See `Source.for_joints`."""
+        other = copy.copy(self)
+        other.joints = tuple(joints)
+        return other
 
     def recordings(self) -> list[Recording]:
         """All recordings as they come, those that only test last.
@@ -148,15 +157,42 @@ class Files(Source):
             headers = frozenset(table.columns)
             if headers not in said:
                 said[headers] = self._complete(table)
-        found = [to_recording(table, *said[frozenset(table.columns)], self.simulated) for table in tables]
-        return [
-            replace(each, signals={n: _turn(each.name, n, self.sign.get(n, 1), v) for n, v in each.signals.items()})
-            for each in found
+        found = [to_recording(table, *said[frozenset(table.columns)], self.simulated, self.columns) for table in tables]
+        turned = [
+            replace(each, signals={signal: self._turn(each, signal) for signal in each.signals}) for each in found
         ]
+        return self._arrange(turned) if self.joints else turned
+
+    def _turn(self, recording: Recording, signal: str) -> np.ndarray:
+        """A signal turned round, column by column where a list says so."""
+        sign, values = self.sign.get(signal, 1), recording.signals[signal]
+        if isinstance(sign, list | tuple):
+            came, columns = f"data.sign.{signal}={list(sign)}", recording.columns[signal]
+            if len(sign) != values.shape[1]:
+                expected = f"expected {values.shape[1]}, one a column"
+                raise ConfigError(f"{came}: {len(sign)} signs, {expected} of {recording.name}")
+            if not columns.listed and has_names(columns.headers):
+                raise ConfigError(
+                    f"{came}: one sign a column, and the columns of {recording.name} are found by their names; set "
+                    f"data.columns.{signal} to them in the order of the signs"
+                )
+        return np.asarray(sign) * values
+
+    def _arrange(self, recordings: Sequence[Recording]) -> list[Recording]:
+        """The columns of each recording in the order of the joints."""
+        arranged, lines = [], []
+        for each in recordings:
+            found = arrange(each.name, each.columns, self.joints)
+            lines += say_order(each.columns, found)
+            signals = {signal: each.signals[signal][:, list(order)] for signal, (order, _) in found.items()}
+            arranged.append(replace(each, signals=signals, columns=reorder(each.columns, found)))
+        for line in dict.fromkeys(lines):
+            _log.info("%s: %s", self.name, line)
+        return arranged
 
     def _complete(self, table: Table) -> tuple[dict[str, Any], dict[str, str]]:
         """Columns and units, with what is proposed where the options say nothing."""
-        proposal = propose(table)
+        proposal = propose(table, self.joints)
         columns = {signal: headers for signal, headers in proposal.columns.items() if signal not in self.columns}
         # A unit is that of the headers that were looked at, also where the options name the same ones.
         seen = {signal for signal, headers in proposal.columns.items() if self.columns.get(signal, headers) == headers}
@@ -224,14 +260,6 @@ def _signs(given: Mapping[str, Any]) -> dict[str, Any]:
         if not all(one in (1, -1) for one in (sign if isinstance(sign, list | tuple) else [sign])):
             raise ConfigError(f"data.sign.{signal}={sign}: expected 1 or -1, or a list of them, one a column")
     return dict(given)
-
-
-def _turn(name: str, signal: str, sign: Any, values: np.ndarray) -> np.ndarray:
-    """A signal turned round, column by column where a list says so."""
-    if isinstance(sign, list | tuple) and len(sign) != values.shape[1]:
-        expected = f"expected {values.shape[1]}, one a column"
-        raise ConfigError(f"data.sign.{signal}={list(sign)}: {len(sign)} signs, {expected} of {name}")
-    return np.asarray(sign) * values
 
 
 def _signals(option: str, given: Mapping[str, Any] | None) -> dict[str, Any]:

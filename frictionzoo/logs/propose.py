@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from frictionzoo.logs.families import find_columns, is_usable
 from frictionzoo.logs.recording import SIGNALS, Table
 from frictionzoo.logs.signals import Signal
 from frictionzoo.logs.units import UNITS, ratio
@@ -16,28 +17,6 @@ BAM = {
     **{"time": "timestamp", "qpos": "position", "qvel": "speed", "ctrl": "goal_position"},
     **{"supply": "input_volts", "enable": "torque_enable", "temperature": "temp"},
 }
-# Words of a header, the most telling first: a goal_position is a command, and torque_enable no torque.
-COMMANDED = "goal cmd target ctrl command commands commanded reference ref setpoint desired des action u ff feedforward"
-VELOCITY = "dq qd qvel vel velocity speed omega qdot"
-EFFORT = "torque tau effort current voltage pwm duty vir force"
-WORDS = (
-    ("kp", "kp"),
-    ("kd", "kd"),
-    ("enable", "enable enabled"),
-    ("temperature", "temp temperature"),
-    ("supply", "volts vin vbus supply battery"),
-    ("ctrl", COMMANDED),
-    ("time", "t time timestamp timestamps stamp clock seconds"),
-    ("qvel", VELOCITY),
-    ("qpos", "q qpos pos position angle theta state qm"),
-    ("effort", EFFORT),
-)
-TORQUE = frozenset(("torque", "tau", "effort"))
-OTHER_TORQUE = frozenset(("ext", "external", "gravity", "friction", "model", "limit", "max", "min", "error"))
-MEASURED = frozenset(("est", "estimated", "meas", "measured", "actual", "act", "sensor"))
-ACCELERATION = frozenset(("acc", "accel", "acceleration", "ddq", "qdd", "qacc"))
-JOINED = re.compile(r"(q|dq|qd|tau|pos|vel)(cmd|des|ref|ff|est|meas)")  # a word of two: qcmd
-BESIDE = ("ctrl_velocity", "ctrl_torque", "kp", "kd", "torque")  # what no recording needs, and few have
 SPELLINGS = {
     **{"sec": "s", "secs": "s", "seconds": "s", "degree": "deg", "degrees": "deg", "radians": "rad", "nm": "N m"},
     **{"dps": "deg/s", "deg_s": "deg/s", "rad_s": "rad/s", "radps": "rad/s", "mm_s": "mm/s", "m_s": "m/s"},
@@ -76,149 +55,26 @@ class Proposal:
         return [_shell(option) for option in (*columns, *units)]
 
 
-def propose(table: Table) -> Proposal:
-    """A guess at the signals of a table, from names and from numbers."""
+def propose(table: Table, joints: Sequence[str] = ()) -> Proposal:
+    """Guess at the signals of a table, from names and from numbers.
+
+    Args:
+        table: What a file holds.
+        joints: Names of the joints whose columns are wanted; none where they are not known.
+
+    Raises:
+        LogError: Headers name some of the joints and not all, or one of them twice.
+    """
     for known in ({signal: signal for signal in SIGNALS}, BAM):
         if all(known[signal] in table.columns for signal in ("time", "qpos", "ctrl")):
             columns = {signal: (header,) for signal, header in known.items() if header in table.columns}
-            columns = {signal: found for signal, found in columns.items() if _is_usable(table, signal, found)}
+            columns = {signal: found for signal, found in columns.items() if is_usable(table, signal, found)}
             units, reasons = _units(table, columns)
             reason = f"{', '.join(h for (h,) in columns.values())}: by their names"
             return Proposal(columns, units, (reason, *reasons), certain=not units)
-    columns, named = _find(table)
+    columns, named = find_columns(table, joints)
     units, reasons = _units(table, columns)
     return Proposal(columns, units, (*named, *reasons))
-
-
-def _find(table: Table) -> tuple[dict[str, tuple[str, ...]], list[str]]:
-    """For each signal the headers that speak for it, and a sentence on them."""
-    columns, reasons = {}, []
-    families = _families(table)
-    for signal in SIGNALS:
-        found = families.get(signal)
-        if found:
-            best = min(found, key=lambda key: key[0])
-            headers = tuple(found[best][:1] if signal == "time" else found[best])
-            if signal in BESIDE and len(headers) not in (1, len(columns.get("qpos", ()))):
-                continue
-            columns[signal] = headers
-            others = [headers[0] for key, headers in found.items() if key != best]
-            also = f"; {', '.join(others)} could be as well" if others else ""
-            reasons.append(f"{signal}: {', '.join(headers)}, by name{also}")
-    own = table.times.get(columns.get("qpos", ("",))[0])
-    return ({**columns, "time": (own,)} if own else columns), reasons
-
-
-Families = dict[tuple[int, str], list[str]]
-"""Headers that differ in the joint alone, by how plainly they speak of their signal, and what they have in common."""
-
-
-def _families(table: Table) -> dict[str, Families]:
-    """The headers that speak for each signal."""
-    families: dict[str, Families] = {}
-    joints = _find_joints(table)
-    for header in sorted(table.columns, key=lambda header: joints.get(header, ("", 0))[1]):
-        # Joints of one signal differ in their names, or in what stands in brackets, or in a number.
-        stem = joints[header][0] if header in joints else re.sub(r"\[[^]]*\]|\d+", "#", header)
-        if header not in table.times.values() and (role := _role(stem if header in joints else header)):
-            signal, rank = role
-            families.setdefault(signal, {}).setdefault((rank, stem), []).append(header)
-    efforts = families.pop("effort", {})
-    families |= {signal: _keep_usable(table, signal, families.get(signal, {})) for signal in ("kp", "kd")}
-    if "ctrl" not in families:  # a drive that is told a velocity or a torque, or whose torque is what drives it
-        commands = families.pop("ctrl_velocity", {}) | families.pop("ctrl_torque", {}) | efforts
-        return families | ({"ctrl": commands} if commands else {})
-    usable = {signal: _keep_usable(table, signal, families.get(signal, {})) for signal in BESIDE}
-    usable["torque"] = _keep_usable(table, "torque", _pick_torque(efforts))
-    return {**families, **usable}
-
-
-def _keep_usable(table: Table, signal: str, found: Families) -> Families:
-    return {key: headers for key, headers in found.items() if _is_usable(table, signal, headers)}
-
-
-def _is_usable(table: Table, signal: str, headers: Sequence[str]) -> bool:
-    """Whether a signal that no recording needs would not cost samples: of a torque, none may be missing."""
-    finite = [np.isfinite(table.columns[header]) for header in headers]
-    if signal not in BESIDE:
-        return True
-    # A gain that is said once, beside signals with samples, is none.
-    sampled = all(len(of) > 1 for of in finite)
-    return sampled and all(of.all() if signal == "torque" else of.any() for of in finite)
-
-
-def _pick_torque(efforts: Families) -> Families:
-    """What can only be the measured torque of the joints."""
-    found = {key: headers for key, headers in efforts.items() if TORQUE & {*_words(key[1])}}
-    found = {key: headers for key, headers in found.items() if not OTHER_TORQUE & {*_words(key[1])}}
-    plain = {key: headers for key, headers in found.items() if MEASURED & {*_words(key[1])}}
-    return found if len(found) == 1 else plain if len(plain) == 1 else {}
-
-
-def _find_joints(table: Table) -> dict[str, tuple[str, int]]:
-    """Of headers with a joint's name in them, what they have in common, and the joint's number in the order of qpos.
-
-    Names are what is left of headers of positions, if headers of commands have the same: FL_hip of qpos_FL_hip and
-    ctrl_FL_hip.
-    """
-    best: dict[str, tuple[str, int]] = {}
-    for names in _candidates(table).values():
-        shared = [_stems(table, name) for name in names]
-        stems = set.intersection(*map(set, shared))
-        told = {role[0] for role in map(_role, stems) if role}
-        if told & {"ctrl", "ctrl_velocity", "ctrl_torque", "effort"} and len(names) > 1:
-            found = {of[stem]: (stem, number) for number, of in enumerate(shared) for stem in stems}
-            best = found if len(found) > len(best) else best
-    return best
-
-
-def _candidates(table: Table) -> dict[str, list[str]]:
-    """What may be names of joints: what stands before or after the word of a position, by all else in the header."""
-    names: dict[str, list[str]] = {}
-    positions = dict(WORDS)["qpos"].split()
-    for header in table.columns:
-        role = _role(header)
-        for word in re.finditer(r"[A-Za-z]+", header) if role and role[0] == "qpos" else ():
-            if word.group().lower() in positions:
-                for part in (header[: word.start()], header[word.end() :]):
-                    name = part.strip("_ ./-")
-                    if re.fullmatch(r"[\w.-]*[A-Za-z][\w.-]*", name):
-                        names.setdefault(header.replace(name, "*", 1), []).append(name)
-    return names
-
-
-def _stems(table: Table, name: str) -> dict[str, str]:
-    """The headers with this name in them, by what they are without it."""
-    place = re.compile(rf"(?<![A-Za-z0-9]){re.escape(name)}(?![A-Za-z0-9])")
-    return {place.sub("*", header, count=1): header for header in table.columns if place.search(header)}
-
-
-def _words(header: str) -> list[str]:
-    words = re.findall(r"[a-z]+", re.sub(r"([a-z])([A-Z])", r"\1_\2", header).lower())
-    joined = {word: found.groups() for word in words if (found := JOINED.fullmatch(word))}
-    return [part for word in words for part in joined.get(word, (word,))]
-
-
-def _role(header: str) -> tuple[str, int] | None:
-    """The signal of which a header speaks, and how plainly: the lower the number, the plainer."""
-    words = _words(header)
-    if not ACCELERATION.isdisjoint(words):
-        return None
-    for place, (signal, telling) in enumerate(WORDS):
-        if set(words).isdisjoint(telling.split()) or (signal == "qpos" and not TORQUE.isdisjoint(words)):
-            continue  # state.tau_est is no position
-        signal = _commanded({*words}) if telling is COMMANDED else signal
-        return (signal, 10 * place + len(words)) if signal else None
-    return None
-
-
-def _commanded(words: set[str]) -> str | None:
-    """What a command is a command of; None where it is something that is fed forward, and what is not said."""
-    if not words.isdisjoint(VELOCITY.split()):
-        return "ctrl_velocity"
-    if TORQUE & words:
-        return "ctrl_torque"
-    return None if words & {"ff", "feedforward"} else "ctrl"
 
 
 @np.errstate(all="ignore")  # numbers as they come: what overflows or is infinite leaves no guess

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Real
 
+from frictionzoo.core.log import Columns
+
 COMMANDS = ("ctrl", "ctrl_velocity", "ctrl_torque", "kp", "kd")
 """What a drive was told: the command, and beside it desired velocity, feed-forward torque and gains."""
 
@@ -60,6 +62,7 @@ class Recording:
         sha256: Hash of what was read.
         simulated: Whether a simulator made it.
         notes: What was done to bring its signals together, a sentence each.
+        columns: Where the columns of signals come from, by the signal.
     """
 
     name: str
@@ -69,3 +72,4 @@ class Recording:
     sha256: str = ""
     simulated: bool = False
     notes: tuple[str, ...] = ()
+    columns: Mapping[str, Columns] = field(default_factory=dict)

@@ -1,6 +1,7 @@
 """The interface of a data source: recordings, divided into those that train and those that test."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 
 from frictionzoo.core.described import Described
 from frictionzoo.core.log import Dataset
@@ -18,6 +19,10 @@ class Source(Described, ABC):
         Raises:
             LogError: A path leads to no file.
         """
+
+    def for_joints(self, joints: Sequence[str]) -> "Source":
+        """Return the same source for a bench with these joints, whose columns it picks by name where it can."""
+        return self
 
     @abstractmethod
     def load(self) -> Dataset:

@@ -21,6 +21,7 @@ from frictionzoo.core.output import RESULT, to_json, write_atomically
 from frictionzoo.core.params import Param
 from frictionzoo.fit.link_inertia import LinkInertia
 from frictionzoo.fit.uncertainty import Uncertainty
+from frictionzoo.logs.pairing import describe_columns
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.result import run_types, types
 from frictionzoo.result.covariance import describe_covariance
@@ -33,7 +34,7 @@ from frictionzoo.result.values import list_values
 from frictionzoo.result.verdict import doubt_sizes, explain_failure, judge
 from frictionzoo.simulate.proof import Proof
 
-SCHEMA_VERSION: Final = 7
+SCHEMA_VERSION: Final = 8
 PACKAGES = ("frictionzoo", "mujoco", "mujoco-mjx", "jax", "torch", "optax", "lightning", "numpy")
 
 
@@ -111,6 +112,7 @@ def build_result(found: Findings) -> types.Result:
         "model": found.name,
         "joints": list(bench.joints),
         "data": describe_data(found.dataset),
+        "columns": cast(list[run_types.ColumnsRow], describe_columns(found.dataset.logs, bench.joints)),
         "parameters": [
             *_list_parameters("bench", bench, bench.params, found.values["bench"], uncertainty),
             *_list_parameters("friction", bench, found.model.params, found.values["friction"], uncertainty),

@@ -1,6 +1,6 @@
 """What `result.json` holds of how a run went, as types."""
 
-from typing import TypedDict
+from typing import Annotated, Literal, TypedDict
 
 from frictionzoo.result.kinds import Count, Natural, NotNegative, Text
 
@@ -34,6 +34,28 @@ class ChoiceRow(TypedDict):
     """What was chosen."""
     reason: Text
     """Why."""
+
+
+class PairedRow(TypedDict):
+    """One joint's columns."""
+
+    joint: Text
+    """Its name."""
+    columns: dict[str, str]
+    """Header of its column of each signal: `qpos`, `ctrl`, and others that were recorded. A column that serves all
+    joints stands with each of them."""
+
+
+class ColumnsRow(TypedDict):
+    """Logs with the same headers, and which column each joint got."""
+
+    logs: Annotated[list[str], ("minItems", 1)]
+    """Their names, as in `data.logs`."""
+    by: dict[str, Literal["name", "listed", "place"]]
+    """How the columns of each signal were matched. `name`: the headers name the joints. `listed`: the order of
+    `data.columns` counts. `place`: the headers have no names, and their order counts."""
+    joints: Annotated[list[PairedRow], ("minItems", 1)]
+    """Each joint, in the order of `joints`."""
 
 
 class TimingRow(TypedDict):

@@ -24,7 +24,7 @@ from frictionzoo.result.kinds import (
     WhereThere,
 )
 from frictionzoo.result.residual_types import ResidualRow
-from frictionzoo.result.run_types import ChoiceRow, FitRow, ProofRow, TimingRow, Versions
+from frictionzoo.result.run_types import ChoiceRow, ColumnsRow, FitRow, ProofRow, TimingRow, Versions
 from frictionzoo.result.torque_types import LinksRow, TorqueRow
 from frictionzoo.result.verdict_types import VerdictRow
 
@@ -277,13 +277,15 @@ class Result(TypedDict):
     fitted). A run writes this file last: where it exists, the run's other files do too.
     """
 
-    schema_version: Literal[7]
+    schema_version: Literal[8]
     """Raised by every change that a reader of this file could notice."""
     model: Text
     """The chosen model, a file of conf/model."""
     joints: Joints
     """Names of the identified joints, in the order of lists."""
     data: DataRow
+    columns: list[ColumnsRow]
+    """Which columns of the recordings belong to which joint; empty for recordings that came from no table."""
     parameters: list[ParameterRow]
     """Physical parameters of bench and friction law. A network's weights are in friction.safetensors."""
     indistinct: list[Annotated[list[str], ("minItems", 2)]]

@@ -17,6 +17,7 @@ from frictionzoo.show.text import escape_markdown, format_number, format_share
 Rows = Sequence[Sequence[str]]
 _format_value = partial(format_number, between=" ")
 
+COLUMNS = {"qpos": "position", "qvel": "velocity", "ctrl": "command", "torque": "torque"}
 ERRORS = {  # row of the table: key of the metrics, key of its unit
     "position MAE": ("position_mae", "unit"),
     "sigma of the MAE": ("position_mae_std", "unit"),
@@ -185,6 +186,13 @@ def _list_joints(result: Result) -> Rows:
         change = _format_change(error, without)
         rows.append((row["joint"], _format_value(error), _format_value(without), unit, change))
     return rows
+
+
+def list_columns(columns: Mapping[str, Any]) -> Rows:
+    """Return a table of which column each joint got, from an entry of `columns` of `result.json` or `inspect.json`."""
+    signals = sorted(columns["by"], key=[*COLUMNS, *columns["by"]].index)
+    rows = [("joint <-", *(COLUMNS.get(signal, signal) for signal in signals))]
+    return [*rows, *((row["joint"], *(row["columns"][signal] for signal in signals)) for row in columns["joints"])]
 
 
 def _list_torque(torque: TorqueRow) -> Rows:

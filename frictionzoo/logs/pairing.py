@@ -1,0 +1,276 @@
+"""Which column belongs to which joint: by the names in the headers, or by place where the headers have no names."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from functools import cache
+from typing import Any, Literal, NamedTuple
+
+from frictionzoo.core.errors import LogError
+from frictionzoo.core.log import Columns, Log
+from frictionzoo.logs.recording import Recording
+from frictionzoo.logs.words import GENERIC, KNOWN, list_words, split
+
+MOST_LISTED = 24  # headers in a message
+
+By = Literal["name", "listed", "place"]
+
+
+class Named(NamedTuple):
+    """A header that names a joint.
+
+    Attributes:
+        joint: Number of the joint.
+        words: What else it says.
+        stem: The same as one text, with `*` in the joint's place: headers of one signal have the same.
+    """
+
+    joint: int
+    words: tuple[str, ...]
+    stem: str
+
+
+class Pairing(NamedTuple):
+    """The columns of one signal, in the order of the joints.
+
+    Attributes:
+        order: For each joint the place of its header.
+        by: `name`: the headers name the joints. `listed`: they do not, and a user listed them in this order. `place`:
+            they name no joint, and their order counts.
+    """
+
+    order: tuple[int, ...]
+    by: By
+
+
+def arrange(name: str, columns: Mapping[str, Columns], joints: Sequence[str]) -> dict[str, Pairing]:
+    """Find the columns of each joint among those of all signals of one recording.
+
+    Headers that a user listed are matched by their names if these name each joint once, and are taken as listed
+    otherwise.
+
+    Args:
+        name: Of the recording, for messages.
+        columns: Of each signal, in the order of the file, or as listed.
+        joints: Names of the joints.
+
+    Raises:
+        LogError: As `pair`; or a signal without names stands beside one whose names have another order.
+    """
+    found = {signal: _arrange(name, signal, of, joints) for signal, of in columns.items()}
+    moved = [s for s, pairing in found.items() if not columns[s].listed and _moves(columns[s], pairing)]
+    placed = [s for s, (order, by) in found.items() if by == "place" and len(order) > 1]
+    if moved and placed:
+        raise LogError(
+            f"{name}: {placed[0]} has columns without names, {_list(columns[placed[0]].headers)}, and those of "
+            f"{moved[0]} name joints in another order than the model, {_list(columns[moved[0]].headers)}; set "
+            f"data.columns.{placed[0]} to one column a joint, in the order {_list(joints)}"
+        )
+    return found
+
+
+def _arrange(name: str, signal: str, of: Columns, joints: Sequence[str]) -> Pairing:
+    as_listed = Pairing(tuple(range(len(of.headers))), "listed")
+    try:
+        found = pair(of.headers, joints)
+    except LogError as error:
+        if of.listed:
+            return as_listed
+        needed = "" if signal in ("qpos", "ctrl") else f", to [] to do without {signal}"
+        raise LogError(f"{name}: {signal} {error}; set data.columns.{signal} to the columns{needed}") from None
+    return found if found.by == "name" or not of.listed else as_listed
+
+
+def reorder(columns: Mapping[str, Columns], found: Mapping[str, Pairing]) -> dict[str, Columns]:
+    """Return where the columns of signals come from once they are in the order that `arrange` gives."""
+    return {
+        signal: Columns(tuple(columns[signal].headers[place] for place in order), columns[signal].listed, by)
+        for signal, (order, by) in found.items()
+    }
+
+
+def say_order(columns: Mapping[str, Columns], found: Mapping[str, Pairing]) -> list[str]:
+    """Sentences on signals that `arrange` puts in order for the first time, and not simply by the joints' names."""
+    new = {signal: pairing for signal, pairing in found.items() if not columns[signal].by and len(pairing.order) > 1}
+    placed = [signal for signal, (_, by) in new.items() if by == "place"]
+    moved = [s for s, pairing in new.items() if columns[s].listed and _moves(columns[s], pairing)]
+    listed = [signal for signal, (_, by) in new.items() if by == "listed"]
+    lines = []
+    if placed:
+        lines.append(f"columns of {', '.join(placed)} have no joints' names; taken by position in the joints' order")
+    if listed:
+        lines.append(f"columns of {', '.join(listed)} do not name the joints; taken in the order of data.columns")
+    if moved:
+        lines.append(f"columns of {', '.join(moved)} name the joints; taken by name, not in the order of data.columns")
+    return lines
+
+
+def describe_columns(carriers: Sequence[Log] | Sequence[Recording], joints: Sequence[str]) -> list[dict[str, Any]]:
+    """Return which column each joint got, once for all logs or recordings with the same columns, ready for JSON.
+
+    Args:
+        carriers: With columns in the order of the joints; those without any are left out.
+        joints: Names of the joints.
+    """
+    names: dict[tuple[tuple[str, Columns], ...], list[str]] = {}
+    for each in carriers:
+        if each.columns:
+            names.setdefault(tuple(each.columns.items()), []).append(each.name)
+    return [
+        {
+            "logs": named,
+            "by": {signal: of.by for signal, of in columns},
+            "joints": [{"joint": joint, "columns": _pick(columns, place)} for place, joint in enumerate(joints)],
+        }
+        for columns, named in names.items()
+    ]
+
+
+def _pick(columns: Sequence[tuple[str, Columns]], joint: int) -> dict[str, str]:
+    """The header of a joint's column of each signal; one column serves all joints."""
+    return {signal: of.headers[joint if len(of.headers) > 1 else 0] for signal, of in columns}
+
+
+def _moves(of: Columns, pairing: Pairing) -> bool:
+    """Whether columns that name their joints are put in another order, or some left out."""
+    return pairing.by == "name" and pairing.order != tuple(range(len(of.headers)))
+
+
+def pair(headers: Sequence[str], joints: Sequence[str]) -> Pairing:
+    """Find the header of each joint among those of one signal.
+
+    A header names a joint whose name stands in it as whole words: in any case and with any separators, without words
+    such as `joint`, and without what the names of all joints have in common if the rest of the header is the signal's.
+    Headers of further joints are left out. Headers that differ in one number alone have no names, unless the joints'
+    names end in the same numbers.
+
+    Raises:
+        LogError: Some joints are named and others not, two headers name one joint, or the headers differ in names that
+            are no joint's. The text lists them, and goes on from the signal's name.
+    """
+    named = {place: found.joint for place, header in enumerate(headers) if (found := find_name(header, tuple(joints)))}
+    if not named:
+        return _pair_numbers(headers, joints)
+    counts = Counter(named.values())
+    if len(counts) == len(joints) and max(counts.values()) == 1:
+        places = {joint: place for place, joint in named.items()}
+        return Pairing(tuple(places[joint] for joint in range(len(joints))), "name")
+    raise LogError(_say_unpaired(headers, joints, named))
+
+
+def _pair_numbers(headers: Sequence[str], joints: Sequence[str]) -> Pairing:
+    """The headers of each joint where none names one: they differ in a number alone, or there is one."""
+    in_order = Pairing(tuple(range(len(headers))), "place")
+    if len(headers) == 1:
+        return in_order
+    if has_names(headers):
+        raise LogError(
+            f"has columns with names, {_list(headers)}, and none is a joint's ({_list(joints)}); expected the joints' "
+            "names"
+        )
+    numbers, own = _find_numbers(headers), _find_numbers(joints)
+    if numbers is None:
+        return in_order
+    if own is not None and {*numbers} == {*own}:
+        return Pairing(tuple(numbers.index(number) for number in own), "name")
+    if own is not None and list(own) != sorted(own):
+        raise LogError(
+            f"has columns with numbers, {_list(headers)}, other than those of the joints ({_list(joints)}), which do "
+            "not increase; expected the joints' names"
+        )
+    return Pairing(tuple(sorted(range(len(numbers)), key=numbers.__getitem__)), "place")
+
+
+def has_names(headers: Sequence[str]) -> bool:
+    """Whether headers differ in more than numbers."""
+    return len({tuple("#" if part.isdecimal() else part for part in split(header)) for header in headers}) > 1
+
+
+def _find_numbers(names: Sequence[str]) -> tuple[int, ...] | None:
+    """The numbers in which names differ, if each differs in one number and nothing else."""
+    parts = [split(name) for name in names]
+    if len(parts) < 2 or has_names(names):
+        return None
+    varying = [column for column in zip(*parts, strict=True) if len({*column}) > 1]
+    if len(varying) != 1 or len({*varying[0]}) < len(names):
+        return None
+    return tuple(map(int, varying[0]))
+
+
+def find_name(header: str, joints: tuple[str, ...]) -> Named | None:
+    """Find the joint that a header names, the longest name first; None for none, or for two alike."""
+    parts, forms = split(header), _list_forms(joints)
+    longest = max(map(len, forms), default=0)
+    found: list[tuple[int, int, int, int]] = []
+    for begin in range(len(parts)):
+        text = ""
+        for end in range(begin + 1, len(parts) + 1):
+            text += _join(parts[end - 1 : end])
+            if len(text) > longest:
+                break
+            for joint, alone in forms.get(text, {}).items():
+                rest = list_words((*parts[:begin], *parts[end:]))
+                if not alone or KNOWN.issuperset(rest):
+                    found.append((len(text), joint, begin, end))
+    best = [one for one in found if one[0] == max(found)[0]]
+    if len({joint for _, joint, *_ in best}) != 1:
+        return None
+    _, joint, begin, end = best[-1]
+    rest = list_words((*parts[:begin], *parts[end:])) or list_words(parts)
+    return Named(joint, tuple(rest), " ".join(("".join(parts[:begin]), "*", "".join(parts[end:]))))
+
+
+@cache
+def _list_forms(joints: tuple[str, ...]) -> dict[str, dict[int, bool]]:
+    """Forms of joints' names: for each the joint, and whether the rest of a header must be of known words alone.
+
+    A form that two joints share, or that is a number and not the whole name, is left out.
+    """
+    whole = [split(name) for name in joints]
+    short = [[part for part in parts if part not in GENERIC] for parts in whole]
+    before = _count_shared(short)
+    after = _count_shared([parts[before:][::-1] for parts in short])
+    bare = [parts[before : len(parts) - after] for parts in short]
+    found: dict[str, dict[int, bool]] = {}
+    for forms, alone in ((whole, False), (short, False), (bare, True)):
+        texts = [_join(parts) for parts in forms]
+        counts = Counter(texts)
+        for joint, text in enumerate(texts):
+            is_number = all(part.isdecimal() for part in forms[joint]) and forms[joint] != whole[joint]
+            if text and counts[text] == 1 and not is_number:
+                found.setdefault(text, {}).setdefault(joint, alone)
+    return found
+
+
+def _count_shared(names: Sequence[Sequence[str]]) -> int:
+    """How many parts all names begin with, as long as each keeps one more."""
+    count = 0
+    while len(names) > 1 and all(len(parts) > count + 1 for parts in names) and len({p[count] for p in names}) == 1:
+        count += 1
+    return count
+
+
+def _join(parts: Sequence[str]) -> str:
+    """Parts as one text, in which numbers stay apart."""
+    return "".join(f"<{part}>" if part.isdecimal() else part for part in parts)
+
+
+def _say_unpaired(headers: Sequence[str], joints: Sequence[str], named: Mapping[int, int]) -> str:
+    """What is wrong with names that are not one for each joint."""
+    columns = {
+        joint: [headers[place] for place, of in named.items() if of == number] for number, joint in enumerate(joints)
+    }
+    several = [f"{joint} <- {_list(of)}" for joint, of in columns.items() if len(of) > 1]
+    lacking = [joint for joint, of in columns.items() if not of]
+    parts = [f"two or more columns for a joint ({'; '.join(several)})"] if several else []
+    if lacking:
+        known = ", ".join(f"{joint} <- {of[0]}" for joint, of in columns.items() if len(of) == 1)
+        known = f" ({known})" if known else ""
+        parts.append(
+            f"columns for {len(joints) - len(lacking)} of {len(joints)} joints{known}, none for {_list(lacking)}"
+        )
+    return f"has {' and '.join(parts)}; expected one column for each joint"
+
+
+def _list(names: Sequence[str]) -> str:
+    more = f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else ""
+    return ", ".join(names[:MOST_LISTED]) + more
