@@ -10,7 +10,7 @@ from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
-from frictionzoo.bench import Bench
+from frictionzoo.bench import Bench, Robot
 from frictionzoo.card.hub import PREFIX, fetch_card
 from frictionzoo.card.read import read_card
 from frictionzoo.card.record import CARD
@@ -271,7 +271,7 @@ def identify(
     described = {name: value for name, value in describe(model).items() if name != "nv"}
     told = describe(bench)
     settings |= {
-        "bench": leave_open(told, settings["bench"]) if recipe == AUTO else told,
+        "bench": leave_open(told, settings["bench"], isinstance(bench, Robot)) if recipe == AUTO else told,
         "data": dict(recordings.section),
         "fit": describe(fit),
         "model": described,

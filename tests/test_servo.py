@@ -186,7 +186,7 @@ def test_what_the_law_needs_has_to_be_recorded(servo: Callable[..., Bench]) -> N
 
 
 def test_impossible_options_are_refused(servo: Callable[..., Bench]) -> None:
-    with pytest.raises(ConfigError, match=r"bench\.params\.delay\.low=-0\.01; expected 0 s or more"):
+    with pytest.raises(ConfigError, match=r"bench\.params\.delay\.low=-0\.01; expected 0 or more"):
         servo("bench.params.delay.low=-0.01")
     with pytest.raises(ConfigError, match=r"bench\.timestep=0\.0; expected a positive number"):
         servo("bench.timestep=0.0")

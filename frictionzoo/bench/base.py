@@ -18,7 +18,7 @@ from frictionzoo.bench.template import Template, in_full
 from frictionzoo.core.described import Described
 from frictionzoo.core.errors import BenchError, ConfigError, closest, refuse_unlike
 from frictionzoo.core.log import Dataset, Log, Payload
-from frictionzoo.core.params import AUTO, Param, group_joints, read_params, read_tie
+from frictionzoo.core.params import AUTO, Param, group_joints, read_params, read_tie, refuse_negative
 from frictionzoo.core.segments import Sampling
 from frictionzoo.core.state import DriveState
 
@@ -118,8 +118,7 @@ class Bench(Described):
         group_joints("bench.tie", self._tie, self.joints)  # refuses what fits no joint
         given = self._fill({**read_params("bench", _PARAMS, params or {}, _OPTIONAL, DEFAULTS), **actuator.params})
         self.params: dict[str, Param] = {name: param.for_joints(self.joints) for name, param in given.items()}
-        if "delay" in self.params and (earliest := float(self.params["delay"].each("low", self.nv).min())) < 0:
-            raise ConfigError(f"bench.params.delay.low={earliest:g}; expected 0 s or more")
+        refuse_negative("bench.params.", {name: param for name, param in self.params.items() if name in _PARAMS})
         model = self.compile(constraint=False)
         self._template.refuse_unfit(model, moved="position_offset" in self.params)
         self.joint_type: str = self._template.joint_type(model)

@@ -77,6 +77,9 @@ def rigid_inertia_at(model: mujoco.MjModel, qpos: Float[np.ndarray, "places nv"]
     """The same at these positions."""
     model, data = copy.copy(model), mujoco.MjData(model)
     model.dof_armature[:] = 0  # taken off afterwards, its rounding would stay
+    model.body_simple[:] = model.dof_simplenum[:] = (
+        0  # of simple bodies MuJoCo copies what it compiled, armature and all
+    )
     inertia = np.zeros((len(qpos), model.nv, model.nv))
     for matrix, data.qpos[:] in zip(inertia, qpos, strict=True):
         _write_inertia(model, data, matrix)

@@ -1,5 +1,6 @@
 """A robot's own model file, MJCF or URDF as its maker publishes it, as a bench."""
 
+import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -10,13 +11,16 @@ from jaxtyping import Float
 from frictionzoo.bench.actuators import Actuator
 from frictionzoo.bench.actuators.force import Force
 from frictionzoo.bench.actuators.joint_pd import JointPD
+from frictionzoo.bench.actuators.saturation import LIMITS, POSITIONS
 from frictionzoo.bench.base import DEFAULTS, Bench
 from frictionzoo.bench.robot_file import ReadActuator, RobotFile, read_robot
 from frictionzoo.bench.template import Template
-from frictionzoo.core.errors import BenchError, ConfigError
-from frictionzoo.core.params import AUTO, Param
+from frictionzoo.core.errors import BenchError, ConfigError, closest
+from frictionzoo.core.params import AUTO, LARGEST, Param, refuse_negative
 
 _OF_BRISTLES = {"stiffness", "rest_velocity"}  # parameters by which a law of bristles is told from others
+_RANGES = {"torque_limit": "ranges of torque", "torque_low": "ranges of torque"}
+_RANGES |= dict.fromkeys(POSITIONS, "ranges of desired positions")
 _INSIDE = 1e-3  # share of the bounds' distance, in the optimiser's coordinate, by which a fit starts inside
 
 
@@ -37,11 +41,13 @@ class Robot(Bench):
         joint: Names of joints, or regular expressions that match whole names; None for all with one degree of freedom.
         actuator: The law that turns commands into torque; None for that of the file: a position controller for its
             position actuators, a torque command for its motors.
-        params: As of `Bench`; `armature.init` of None for that of the file.
+        params: As of `Bench`; `armature.init` and `delay.init` of None for those of the file.
         base: `fixed`: a floating base is welded; `as_is`: it is refused.
         contacts: `leave_out` or `keep`.
         limits: `leave_out` or `keep`, of joints.
         others: `fixed`: joints that are not chosen stand at their reference position; `as_is`: they are refused.
+        ranges: `keep`: commands and torques end where `ctrlrange`, `forcerange` and `actuatorfrcrange` of the file do,
+            but for what the actuator law has an end of its own for; `leave_out`.
         solreffriction: As of `Bench`.
         payload: As of `Bench`.
         timestep: Simulation step [s]; None for the file's.
@@ -65,6 +71,7 @@ class Robot(Bench):
         contacts: str = "leave_out",
         limits: str = "leave_out",
         others: str = "fixed",
+        ranges: str = "keep",
         solreffriction: Sequence[float] = (0.02, 1.0),
         payload: str | None = None,
         timestep: float | str | None = None,
@@ -77,12 +84,18 @@ class Robot(Bench):
         step = None if timestep is None or timestep == AUTO else float(timestep)
         self.file: RobotFile = read_robot(mjcf, joint, **choices, keep=keep, timestep=step)
         sections = {**(params or {})}
-        sections["armature"] = {"init": None, **_section(sections.get("armature", {}))}
+        for name in ("armature", "delay"):
+            sections[name] = {"init": None, **_section(sections.get(name, {}))}
+        if ranges not in ("keep", "leave_out"):
+            raise ConfigError(f"bench.ranges={ranges}: no such choice; {closest(str(ranges), ('keep', 'leave_out'))}")
         actuator = _read_actuator(mjcf, self.file) if actuator is None else actuator
+        self._known = _list_known(self.file) | (_list_ranges(self.file) if ranges == "keep" else {})
+        self._said: list[str] = []  # where the bench begins otherwise than the file
+        actuator = self._with_ranges(actuator)
         more: dict[str, Any] = {"solreffriction": solreffriction, "payload": payload, "tie": tie, "inertia": inertia}
         more["gravity"] = gravity
         super().__init__(mjcf, self.file.joints, actuator=actuator, params=sections, **more)
-        self.notes = tuple(self.file.notes)
+        self.notes = (*self.file.notes, *dict.fromkeys(self._said))
         if limits == "leave_out":
             self.unlimited = self.file.ranges
 
@@ -90,29 +103,63 @@ class Robot(Bench):
         return Template.of(mjcf, self.file.root, self.file.joints)
 
     def _fill(self, params: Mapping[str, Param]) -> dict[str, Param]:
-        """The parameters with what the file says of those that have no value; a limit that it lacks is left out."""
-        known, filled = _list_known(self.file), dict[str, Param]()
-        armature = self.file.values["armature"]
-        known["armature"] = np.where(armature > 0, armature, DEFAULTS["armature"]["init"])
+        """The parameters with what the file says of those that have no value; what it lacks and may is left out."""
+        filled = dict[str, Param]()
         for name, param in params.items():
             if param.init is not None:
                 filled[name] = param
-            elif name in known:
-                filled[name] = self._begin(param, known[name])
-            elif name not in self.actuator.optional:
+            elif name == "delay" and not self._known[name].any():
+                filled |= {name: replace(param, init=0.0)} if param.is_identified else {}
+            elif name in self._known:
+                filled[name] = self._begin(param, self._known[name])
+                self._say_begun(filled[name])
+            elif name not in self.actuator.optional or param.is_identified:
                 raise ConfigError(f"{self.source}: no {name} in the file; give bench.actuator.params.{name}.init")
+        refuse_negative(f"{self.source}: ", filled)
         return filled
+
+    def _with_ranges(self, actuator: Actuator) -> Actuator:
+        """The law with the ends that the file states, but for those of which its own parameters say something."""
+        stated = [name for name in (*LIMITS, *POSITIONS) if name in self._known]
+        own = actuator.params.get("torque_limit")
+        if "torque_limit" in actuator.said and (own is None or own.init is not None):
+            stated = [name for name in stated if name not in LIMITS]
+        for name in stated:
+            if name not in actuator.dimensions and not isinstance(actuator, Force):  # whose commands are no positions
+                said = f"{_RANGES[name]} of the file are left out: {type(actuator).__name__} has no such parameters"
+                self._said.append(said)
+        added = [name for name in stated if name in actuator.optional and name not in actuator.said]
+        if not added:
+            return actuator
+        other, ends = copy.copy(actuator), {"low": -LARGEST, "high": LARGEST, "scale": 1.0, "identify": False}
+        given = {name: Param(name, actuator.dimensions[name], None, **ends) for name in added}
+        other.params = {**actuator.params, **given}
+        return other
+
+    def _say_begun(self, param: Param) -> None:
+        """Note where a fit, or a rollout with the initial values, begins otherwise than the file."""
+        begun, stated = param.each("init", self.nv), self._known[param.name]
+        moved = param.each("identify", self.nv) & ~np.isclose(begun, stated, rtol=1e-9, atol=0.0)
+        for index in np.flatnonzero(moved):
+            self._said.append(
+                f"{param.name} of joint {self.joints[index]} begins at {begun[index]:.4g}, where the file has "
+                f"{stated[index]:.4g}: a fit begins within its bounds, and where joints share a value, at their mean"
+            )
 
     def _begin(self, param: Param, values: Float[np.ndarray, "nv"]) -> Param:
         """A parameter that begins with these values, the mean of a group's, and inside its bounds."""
         bound = replace(param, init=0.0, low=-np.inf, high=np.inf, scale=1.0).for_joints(self.joints)
         groups, own = np.array(self.groups(bound)), np.array(param.members(self.nv))
-        shared = np.array([values[own][groups[own] == group].mean() for group in groups[own]])
+        free = bound.each("identify", self.nv)[own]
+        if param.name == "armature":
+            values = np.where((values > 0) | ~bound.each("identify", self.nv), values, DEFAULTS["armature"]["init"])
+        shared = values[own].astype(np.float64)
+        for group in set(groups[own][free]):  # known values stay as they are
+            shared[groups[own] == group] = shared[groups[own] == group].mean()
         limits = replace(param, init=param.low).for_joints(self.joints)
         low, high = (limits.to_coordinate(limits.each(side, self.nv)[own], np) for side in ("low", "high"))
         inside = _INSIDE * (high - low)
         nearest = (limits.from_coordinate(end, np) for end in (low + inside, high - inside))
-        free = limits.each("identify", self.nv)[own]
         return replace(limits, init=tuple(np.where(free, np.clip(shared, *nearest), shared).tolist()))
 
     def initial_friction(self, params: Mapping[str, Param]) -> dict[str, Float[np.ndarray, "nv"]]:
@@ -142,17 +189,26 @@ def _section(given: Any) -> dict[str, Any]:
 
 
 def _list_known(file: RobotFile) -> dict[str, Float[np.ndarray, "nv"]]:
-    """What the file says of parameters of actuator laws, where it says it of every joint."""
-    known: dict[str, np.ndarray] = {}
+    """What the file says of parameters of the bench and of actuator laws, where it says it of every joint."""
+    known: dict[str, np.ndarray] = {"armature": file.values["armature"], "delay": file.delays}
     read = [actuator for actuator in file.actuators if actuator is not None]
     if len(read) == len(file.joints):
         if all(actuator.kind == "position" for actuator in read):
-            known |= {"kp": np.array([a.gain for a in read]), "kd": np.array([-a.bias2 for a in read])}
+            known |= {"kp": np.array([-a.bias1 for a in read]), "kd": np.array([-a.bias2 for a in read])}
         if all(actuator.kind == "motor" for actuator in read):
             known["force_gain"] = np.array([actuator.gain for actuator in read])
-    limits = np.abs(file.forceranges).min(axis=1)
-    if np.isfinite(limits).all():
-        known["torque_limit"] = limits
+    return known
+
+
+def _list_ranges(file: RobotFile) -> dict[str, Float[np.ndarray, "nv"]]:
+    """The ends of torques and of desired positions, where the file states any; a joint without has far ones."""
+    known: dict[str, np.ndarray] = {}
+    for ranges, low, high in ((file.forceranges, "torque_low", "torque_limit"), (file.ctrlranges, *POSITIONS)):
+        if not np.isnan(ranges).all():
+            filled = np.where(np.isnan(ranges), [-LARGEST, LARGEST], ranges)
+            known |= {low: filled[:, 0], high: filled[:, 1]}
+    if "torque_low" in known and np.array_equal(known["torque_low"], -known["torque_limit"]):
+        del known["torque_low"]
     return known
 
 

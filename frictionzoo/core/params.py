@@ -44,6 +44,12 @@ UNITS: dict[str, dict[str, str]] = {
 """Unit of each dimension on a hinge (rotation) and on a slide (translation)."""
 
 
+_NOT_NEGATIVE = frozenset({"armature", "frictionloss", "damping", "delay", "kp", "kd", "torque_gain", "duty_gain"})
+_NOT_NEGATIVE |= {"torque_limit", "torque_saturation", "stall_torque", "no_load_velocity", "duty_limit"}
+_NOT_NEGATIVE |= {"kt_over_r", "kt2_over_r", "coulomb_torque", "static_torque", "kinetic_torque", "stiffness"}
+_NOT_NEGATIVE |= {"micro_damping", "viscous_coefficient", "stribeck_velocity", "smoothing_velocity"}
+"""Names of quantities that cannot be negative, whoever has them."""
+
 PerJoint = float | tuple[float, ...] | Mapping[str, float]
 """A number for all joints, one for each in their order, or one for each pattern of joints' names."""
 Tie = bool | Mapping[str, str] | None
@@ -71,7 +77,8 @@ class Param:
             for these alone. None: all.
 
     Raises:
-        ConfigError: The bounds are empty, `init` is outside them, or the scale does not fit them.
+        ConfigError: The bounds are empty, an identified value begins outside them, a known one is not finite, or the
+            scale does not fit them.
     """
 
     name: str
@@ -90,9 +97,12 @@ class Param:
         if not self.is_resolved:
             return
         low, high, init = (np.asarray(side, np.float64) for side in (self.low, self.high, self.init))
+        free = np.asarray(self.identify)
+        if not np.isfinite(init).all() and not free.any():
+            raise ConfigError(f"{self.name}: {_say(init)}; expected finite numbers")
         if not (low < high).all():
             raise ConfigError(f"{self.name}: bounds low={_say(low)}, high={_say(high)}; expected low < high")
-        if not ((low <= init) & (init <= high)).all():
+        if not (~free | ((low <= init) & (init <= high))).all():  # bounds are of a fit, which leaves known values alone
             bounds = f"low={_say(low)}, high={_say(high)}"
             raise ConfigError(f"{self.name}: init={_say(init)} lies outside {bounds}; start inside")
         if self.scale == "log" and not (low > 0).all():
@@ -188,7 +198,8 @@ class Param:
         """Whether a physical value, or each one of an array, has reached a bound; of shape (nv,) of several joints."""
         value = np.asarray(value, np.float64)
         ends = [self.each(side, len(value)) if value.ndim else getattr(self, side) for side in ("low", "high")]
-        at, low, high = (self.to_coordinate(np.asarray(x, np.float64), np) for x in (value, *ends))
+        with np.errstate(divide="ignore", invalid="ignore"):  # a known value may have no logarithm
+            at, low, high = (self.to_coordinate(np.asarray(x, np.float64), np) for x in (value, *ends))
         return np.minimum(at - low, high - at) <= AT_BOUND * (high - low)
 
     def unit(self, joint_type: str) -> str:
@@ -296,6 +307,7 @@ def read_params(
     config: Mapping[str, Any],
     optional: Collection[str] = (),
     defaults: Mapping[str, Mapping[str, Any]] | None = None,
+    ends: Collection[str] = (),
 ) -> dict[str, Param]:
     """The parameters that `owner` declares, from the configuration's section of the same names.
 
@@ -306,6 +318,7 @@ def read_params(
         optional: Those among them that need no section, and that are left out where they are known to be 0: what they
             stand for is not there.
         defaults: What a section need not say, of each parameter that has such.
+        ends: Those among `optional` that are there where they are 0.
 
     Raises:
         ConfigError: A parameter is missing or unknown.
@@ -317,7 +330,23 @@ def read_params(
     for name in set(dimensions) - set(config) - set(optional):
         raise ConfigError(f"{owner}: no parameter {name}; give its value, or params.{name} with init, low, high")
     params = {name: Param.from_config(name, dimensions[name], config[name]) for name in dimensions if name in config}
-    return {n: p for n, p in params.items() if n not in optional or p.is_identified or not _is_zero(p.init)}
+    absent = {*optional} - {*ends}
+    return {n: p for n, p in params.items() if n not in absent or p.is_identified or not _is_zero(p.init)}
+
+
+def refuse_negative(prefix: str, params: Mapping[str, Param]) -> None:
+    """ConfigError for a quantity below 0 that cannot be, or that a fit may make so; `prefix` stands before its name."""
+    for name, param in params.items():
+        if name.rpartition(".")[2] not in _NOT_NEGATIVE:
+            continue
+        for what in ("init", *(("low",) if param.is_identified else ())):
+            value: Any = getattr(param, what)
+            if value is None:
+                continue
+            numbers = np.array([*value.values()] if isinstance(value, Mapping) else value, np.float64)
+            if (numbers < 0).any():
+                said = name if what == "init" else f"{name}.low"
+                raise ConfigError(f"{prefix}{said}={_say(numbers)}; expected 0 or more; correct the sign")
 
 
 def _is_zero(given: Any) -> bool:

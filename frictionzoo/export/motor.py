@@ -161,10 +161,10 @@ def aim(fitted: Identified, drives: Sequence[Motor]) -> Callable[[Signals], Floa
     """Of a drive's signals, the desired positions [rad or m] with which these motors do what all commands ask for."""
     law = fitted.bench.actuator
     told = isinstance(law, JointPD | RecordedPD)
-    gains = _constant_gains(fitted) if isinstance(law, RecordedPD) else fitted.values["bench"]
+    gains = fitted.values["bench"] | (_constant_gains(fitted) if isinstance(law, RecordedPD) else {})
     pull = fitted.values["bench"].get("torque_offset", 0.0) if told else 0.0  # of OFFSET in joint_pd
     moved = pull / np.array([drive.stiffness for drive in drives])
-    return lambda signals: (aim_at(gains, signals.ctrl, signals.inputs) if told else signals.ctrl) + moved
+    return lambda signals: (aim_at(np, gains, signals.ctrl, signals.inputs) if told else signals.ctrl) + moved
 
 
 def _step(fitted: Identified, joints: Sequence[Joint]) -> Step:
@@ -242,6 +242,8 @@ def _say_commands(fitted: Identified) -> list[str]:
             f"The constant torque, {listed} {unit}, is not in the file: add it, divided by the stiffness, to position "
             "targets, as for the difference."
         )
+    if "torque_low" in values:
+        said.append("The torque's range is not symmetrical; limits in the file are those of its upper end.")
     if "torque_saturation" in values:
         said.append("It has no smooth saturation: the torque that this approaches is a hard limit in the file.")
     return said

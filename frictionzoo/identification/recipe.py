@@ -69,13 +69,15 @@ def refuse_unknown(recipe: str) -> None:
         raise ConfigError(f"recipe={recipe}: no such recipe; {closest(recipe, RECIPES)}")
 
 
-def leave_open(bench: Mapping[str, Any], plain: Mapping[str, Any]) -> dict[str, Any]:
+def leave_open(bench: Mapping[str, Any], plain: Mapping[str, Any], from_file: bool) -> dict[str, Any]:
     """A bench's section that leaves open what its maker said nothing of.
 
     Args:
         bench: The section.
         plain: That of a configuration with `recipe=auto`, which says what may be left open.
+        from_file: Whether a robot's file says by how much commands act late.
     """
-    perhaps = {name: plain["params"][name] for name in OPTIONAL}
+    perhaps = {name: dict(plain["params"][name]) for name in OPTIONAL}
+    perhaps["delay"] |= {"init": None} if from_file else {}
     timestep = plain["timestep"] if bench.get("timestep") is None else bench["timestep"]
     return {**bench, "params": {**perhaps, **(bench.get("params") or {})}, "timestep": timestep}

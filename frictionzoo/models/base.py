@@ -9,7 +9,7 @@ import torch
 
 from frictionzoo.core.described import Described
 from frictionzoo.core.errors import ConfigError
-from frictionzoo.core.params import Param, read_params
+from frictionzoo.core.params import Param, read_params, refuse_negative
 from frictionzoo.core.state import DriveState, FrictionTerms
 
 Values = Mapping[str, Any]
@@ -76,6 +76,7 @@ class FrictionModel(Described, torch.nn.Module, ABC):
             raise ConfigError(f"nv={nv!r}; expected the number of joints, a whole one from 1 on")
         self.nv = nv
         self.params: dict[str, Param] = read_params(type(self).__name__, self.dimensions, params or {})
+        refuse_negative(f"{type(self).__name__}: ", self.params)
         for name, param in self.params.items():
             self.register_parameter(name, torch.nn.Parameter(_initial(param, nv), requires_grad=param.is_identified))
 

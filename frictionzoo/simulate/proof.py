@@ -137,11 +137,13 @@ def _moved(bench: Bench, model: FrictionModel, values: Values) -> Values:
         for name, param in params.items():
             if not param.is_identified:
                 continue
-            at, low, high = (
-                param.to_coordinate(np.asarray(x), np) for x in (moved[owner][name], param.low, param.high)
-            )
+            own, value = param.members(bench.nv), np.array(moved[owner][name])
+            free = param.each("identify", bench.nv)[own]
+            low, high = (param.to_coordinate(param.each(side, bench.nv)[own], np)[free] for side in ("low", "high"))
+            at = param.to_coordinate(value[free], np)
             away = _MOVED * (high - low) * rng.uniform(-1, 1, np.shape(at))
-            moved[owner][name] = param.from_coordinate(np.clip(at + away, low, high), np)
+            value[free] = param.from_coordinate(np.clip(at + away, low, high), np)
+            moved[owner][name] = value
     return moved
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from frictionzoo.core.described import Described
 from frictionzoo.core.errors import ConfigError
-from frictionzoo.core.params import Param, read_params
+from frictionzoo.core.params import Param, read_params, refuse_negative
 from frictionzoo.core.registry import KINDS, Registry
 
 
@@ -40,12 +40,14 @@ class Actuator(Described, ABC):
         name: Set by `register_actuator`.
         dimensions: Dimension of each parameter, a key of `frictionzoo.core.params.UNITS`.
         optional: Parameters that need not be given, and that are left out then: what they stand for is not there.
+        ends: Those among `optional` that are there where they are 0.
         positive: Parameters that begin above 0 in each joint where they are there, and what else to do.
         defaults: Section of each parameter that is known where nothing is said of it.
         inputs: What the controller needs in each sample besides `ctrl`; recordings have it among their `extras`.
         optional_inputs: What those among them are that a recording may lack.
         commands: Those among them that are commands as `ctrl` is: they act as late.
         params: Each parameter's value or initial value, bounds and scale.
+        said: Names of those of which something was given, though it be that they are not there.
 
     Args:
         params: Section of each parameter: `init`, `low`, `high`, `scale`, `identify`.
@@ -60,6 +62,7 @@ class Actuator(Described, ABC):
     name: ClassVar[str]
     dimensions: ClassVar[Mapping[str, str]]
     optional: ClassVar[tuple[str, ...]] = ()
+    ends: ClassVar[tuple[str, ...]] = ()
     positive: ClassVar[Mapping[str, str]] = {}
     defaults: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     inputs: ClassVar[tuple[str, ...]] = ()
@@ -71,11 +74,15 @@ class Actuator(Described, ABC):
         for name in sections.keys() & values.keys():
             raise ConfigError(f"{owner}: {name} is given twice, expected a value or a section; leave one out")
         given = {**sections, **values}
-        self.params: dict[str, Param] = read_params(owner, self.dimensions, given, self.optional, self.defaults)
+        self.params: dict[str, Param] = read_params(
+            owner, self.dimensions, given, self.optional, self.defaults, self.ends
+        )
+        self.said: frozenset[str] = frozenset(given)
         for name, advice in self.positive.items():
             init: Any = self.params[name].init if name in self.params else None
             if init is not None and not np.all(np.array([*init.values()] if isinstance(init, Mapping) else init) > 0):
                 raise ConfigError(f"{owner}: {name}={init}; expected above 0; {advice}")
+        refuse_negative(f"{owner}: ", self.params)
 
     @property
     def has_controller(self) -> bool:

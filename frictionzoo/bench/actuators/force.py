@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from frictionzoo.bench.actuators.base import Actuator, Affine, register_actuator
-from frictionzoo.bench.actuators.saturation import LIMITS, POSITIVE, saturate
+from frictionzoo.bench.actuators.saturation import ENDS, LIMITS, POSITIVE, saturate
 
 
 @register_actuator("force")
@@ -17,6 +17,7 @@ class Force(Actuator):
 
     dimensions: ClassVar[Mapping[str, str]] = {"force_gain": "torque/command", "force_offset": "torque", **LIMITS}
     optional: ClassVar[tuple[str, ...]] = tuple(LIMITS)
+    ends: ClassVar[tuple[str, ...]] = ENDS
     positive: ClassVar[Mapping[str, str]] = POSITIVE
     defaults: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "force_gain": {"init": 1.0, "low": 0.1, "high": 10.0, "scale": "log", "identify": False},

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from frictionzoo.bench.actuators.base import Actuator, Affine, register_actuator
-from frictionzoo.bench.actuators.saturation import LIMITS, POSITIVE, saturate
+from frictionzoo.bench.actuators.saturation import ENDS, LIMITS, POSITIONS, POSITIVE, saturate, within_range
 
 GAIN: Mapping[str, Any] = {"init": 1.0, "low": 0.5, "high": 2.0, "scale": "log", "identify": False}
 """Section of a `torque_gain` of which nothing is said: the torque is what the controller asks for."""
@@ -23,7 +23,9 @@ class JointPD(Actuator):
     ctrl_velocity [rad/s or m/s] and the feed-forward torque ctrl_torque [N m or N], both 0 where recordings lack them.
     torque_gain [1] is what the joint gives of the torque that the controller asks for. Where parameters say so,
     torque_offset [N m or N] acts besides: a cable that pulls, a link that is heavier than the model's; and sat is
-    there: torque_saturation [N m or N] is kappa of kappa tanh(torque / kappa), torque_limit [N m or N] cuts off.
+    there: torque_saturation [N m or N] is kappa of kappa tanh(torque / kappa), torque_limit [N m or N] cuts off, below
+    at torque_low [N m or N] instead of -torque_limit if there is one. ctrl ends at ctrl_low and ctrl_high [rad or m]
+    if parameters say so. `bench=robot` has these ends from the file.
 
     MuJoCo's actuator is its position actuator with these gains; its `ctrl` is ctrl + (kd ctrl_velocity + ctrl_torque) /
     kp, and with a limit what makes it give the torque within. The integrator implicitfast treats kd as implicit at the
@@ -39,8 +41,10 @@ class JointPD(Actuator):
         "torque_gain": "1",
         **OFFSET,
         **LIMITS,
+        **POSITIONS,
     }
-    optional: ClassVar[tuple[str, ...]] = (*LIMITS, *OFFSET)
+    optional: ClassVar[tuple[str, ...]] = (*LIMITS, *OFFSET, *POSITIONS)
+    ends: ClassVar[tuple[str, ...]] = ENDS
     positive: ClassVar[Mapping[str, str]] = {
         "kp": "take Force for commands of torque alone, RecordedPD for gains that recordings have",
         **POSITIVE,
@@ -59,12 +63,13 @@ class JointPD(Actuator):
         self, xp: Any, values: Mapping[str, Any], qpos: Any, qvel: Any, command: Any, inputs: Mapping[str, Any]
     ) -> Any:
         """See `Actuator.control`."""
-        aim = aim_at(values, command, inputs)
+        aim = aim_at(xp, values, command, inputs)
         wanted = values["kp"] * (aim - qpos) - values["kd"] * qvel
         given = saturate(xp, values, wanted)
         return aim if given is wanted else aim + (given - wanted) / values["kp"]
 
 
-def aim_at(values: Mapping[str, Any], command: Any, inputs: Mapping[str, Any]) -> Any:
+def aim_at(xp: Any, values: Mapping[str, Any], command: Any, inputs: Mapping[str, Any]) -> Any:
     """The one desired position that asks for the same torque as all commands together."""
+    command = within_range(xp, values, command)
     return command + (values["kd"] * inputs["ctrl_velocity"] + inputs["ctrl_torque"]) / values["kp"]

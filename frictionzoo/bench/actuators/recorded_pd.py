@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 
 from frictionzoo.bench.actuators.base import Actuator, Affine, register_actuator
 from frictionzoo.bench.actuators.joint_pd import GAIN, OFFSET
-from frictionzoo.bench.actuators.saturation import LIMITS, POSITIVE, saturate
+from frictionzoo.bench.actuators.saturation import ENDS, LIMITS, POSITIONS, POSITIVE, saturate, within_range
 
 
 @register_actuator("recorded_pd")
@@ -20,8 +20,9 @@ class RecordedPD(Actuator):
     Source: as of `JointPD`.
     """
 
-    dimensions: ClassVar[Mapping[str, str]] = {"torque_gain": "1", **LIMITS, **OFFSET}
-    optional: ClassVar[tuple[str, ...]] = (*LIMITS, *OFFSET)
+    dimensions: ClassVar[Mapping[str, str]] = {"torque_gain": "1", **LIMITS, **OFFSET, **POSITIONS}
+    optional: ClassVar[tuple[str, ...]] = (*LIMITS, *OFFSET, *POSITIONS)
+    ends: ClassVar[tuple[str, ...]] = ENDS
     positive: ClassVar[Mapping[str, str]] = POSITIVE
     defaults: ClassVar[Mapping[str, Mapping[str, Any]]] = {"torque_gain": GAIN}
     inputs: ClassVar[tuple[str, ...]] = ("kp", "kd", "ctrl_velocity", "ctrl_torque")
@@ -38,4 +39,6 @@ class RecordedPD(Actuator):
     ) -> Any:
         """See `Actuator.control`."""
         damping = inputs["kd"] * (inputs["ctrl_velocity"] - qvel)
-        return saturate(xp, values, inputs["kp"] * (command - qpos) + damping + inputs["ctrl_torque"])
+        return saturate(
+            xp, values, inputs["kp"] * (within_range(xp, values, command) - qpos) + damping + inputs["ctrl_torque"]
+        )

@@ -1,6 +1,6 @@
 """A robot's own model file as a bench: MJCF or URDF as its maker publishes it."""
 
-from frictionzoo.bench.robot_file.actuators import ReadActuator
+from frictionzoo.bench.robot_file.actuator import ReadActuator
 from frictionzoo.bench.robot_file.links import Link
 from frictionzoo.bench.robot_file.read import RobotFile, read_robot
 from frictionzoo.bench.robot_file.source import look_at

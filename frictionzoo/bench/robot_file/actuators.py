@@ -1,13 +1,14 @@
 """What a robot's file says of the actuator of each joint."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
 
 import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from frictionzoo.bench.robot_file.actuator import Command, ReadActuator
+from frictionzoo.bench.robot_file.controllers import combine, without_others
 from frictionzoo.bench.robot_file.dc_motors import (
     has_input,
     is_dc_motor,
@@ -20,6 +21,7 @@ from frictionzoo.bench.robot_file.source import Source, listed
 
 _AT_JOINT = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)}
 _FILTERS = {int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT)}
+_ROUNDING = 1e-9  # of a step
 _ACTING = {  # how else than at a joint, in words
     int(mujoco.mjtTrn.mjTRN_SLIDERCRANK): "a slider-crank",
     int(mujoco.mjtTrn.mjTRN_TENDON): "a tendon",
@@ -28,39 +30,12 @@ _ACTING = {  # how else than at a joint, in words
 }
 
 
-@dataclass(frozen=True)
-class ReadActuator:
-    """An actuator as the file has it, in joint space: torque = gain ctrl + bias0 + bias1 qpos + bias2 qvel.
-
-    Attributes:
-        name: In the file; empty where it has none.
-        kind: `motor`, `position`, `velocity` by what its law comes down to, or `general`.
-        gain: Factor of the command; the gear is in it.
-        bias0: Constant torque [N m or N].
-        bias1: Factor of the position.
-        bias2: Factor of the velocity.
-        gear: As in the file.
-        ctrlrange: Ends of the command's range, in the command's unit; NaN where it has none.
-        forcerange: Ends of the torque's range at the joint [N m or N]; NaN where it has none.
-        delay: By which commands act late [s].
-    """
-
-    name: str
-    kind: str
-    gain: float
-    bias0: float
-    bias1: float
-    bias2: float
-    gear: float
-    ctrlrange: tuple[float, float]
-    forcerange: tuple[float, float]
-    delay: float
-
-
 def read_actuators(source: Source, joints: Sequence[int]) -> tuple[ReadActuator | None, ...]:
     """The actuator of each of these joints, None where it has none that can be read; what cannot is noted."""
     source.notes += _say_others(source, joints)
-    return tuple(_read_first(source, joint, _list_at(source.model, joint)) for joint in joints)
+    read = without_others(source, joints, [_read_joint(source, joint) for joint in joints])
+    source.notes += _say_commands(source, joints, read)
+    return read
 
 
 def read_friction(source: Source, joints: Sequence[int]) -> dict[str, Float[np.ndarray, "nv"]]:
@@ -93,9 +68,7 @@ def read_damping(source: Source, joints: Sequence[int]) -> Float[np.ndarray, "nv
     """Damping of each joint with that of its actuator [N m s/rad or N s/m]; what is no straight line is noted."""
     model = source.model
     bent = [j for j in joints if model.dof_dampingpoly[source.dof(j)].any()]
-    bent += [
-        j for j in joints if model.jnt_actuatorid[j] >= 0 and model.actuator_dampingpoly[model.jnt_actuatorid[j]].any()
-    ]
+    bent += [j for j in joints if model.actuator_dampingpoly[_list_at(model, j)].any()]
     if bent:
         names = listed([model.joint(joint).name for joint in bent])
         source.notes.append(f"damping that is no straight line: of joint {names} only the coefficient of qvel is kept")
@@ -110,9 +83,8 @@ def _list_windings(model: mujoco.MjModel, joint: int) -> list[int]:
 
 
 def _reflected(model: mujoco.MjModel, joint: int, ofactuators: np.ndarray) -> float:
-    """An actuator's own armature or damping, as its joint feels it through the gear."""
-    actuator = model.jnt_actuatorid[joint]
-    return 0.0 if actuator < 0 else float(model.actuator_gear[actuator, 0] ** 2 * ofactuators[actuator])
+    """Armature or damping of a joint's actuators, as the joint feels it through their gears."""
+    return float(sum(model.actuator_gear[index, 0] ** 2 * ofactuators[index] for index in _list_at(model, joint)))
 
 
 def _say_others(source: Source, joints: Sequence[int]) -> Iterator[str]:
@@ -130,34 +102,28 @@ def _say_others(source: Source, joints: Sequence[int]) -> Iterator[str]:
         yield f"left out: {len(elsewhere)} actuators of joints that are not chosen, {listed(elsewhere)}"
 
 
-def _read_first(source: Source, joint: int, actuators: Sequence[int]) -> ReadActuator | None:
+def _read_joint(source: Source, joint: int) -> ReadActuator | None:
     model, readable = source.model, list[ReadActuator]()
-    for index in actuators:
-        reason = _why_not(model, index)
+    for index in _list_at(model, joint):
+        reason, name = _why_not(model, index), _name(model, index)
         if reason:
-            name = model.joint(joint).name
-            source.notes.append(f"actuator {_name(model, index)} of joint {name} is left out: {reason}")
+            source.notes.append(f"actuator {name} of joint {model.joint(joint).name} is left out: {reason}")
             continue
         if not has_input(model, index):
             continue  # of a DC motor, whose bristles and back-EMF are friction of the joint
         if is_dc_motor(model, index):
             source.notes.append(
-                f"actuator {_name(model, index)} is a DC motor: its command is a voltage, and its back-EMF is taken as "
-                "damping of the joint"
+                f"actuator {name} is a DC motor: its command is a voltage, and its back-EMF is taken as damping of the "
+                "joint"
             )
         if int(model.actuator_dyntype[index]) in _FILTERS:
             constant = model.actuator_dynprm[index, 0]
             source.notes.append(
-                f"actuator {_name(model, index)}: its filter of {constant:g} s is left out, commands act at once; a "
-                "delay of the bench may stand for it"
+                f"actuator {name}: its filter of {constant:g} s is left out, commands act at once; a delay of the "
+                "bench may stand for it"
             )
-        readable.append(_read(model, index))
-    if len(readable) > 1:
-        source.notes.append(
-            f"joint {model.joint(joint).name} has {len(readable)} actuators, of which {readable[0].name} is read and "
-            f"{listed([actuator.name for actuator in readable[1:]])} left out"
-        )
-    return readable[0] if readable else None
+        readable.append(_read(source, index))
+    return combine(source, model.joint(joint).name, readable)
 
 
 def _why_not(model: mujoco.MjModel, index: int) -> str | None:
@@ -172,6 +138,9 @@ def _why_not(model: mujoco.MjModel, index: int) -> str | None:
     if dynamics != mujoco.mjtDyn.mjDYN_NONE and dynamics not in _FILTERS:
         return f"its activation ({_said(mujoco.mjtDyn(dynamics))}) is none that commands give at once"
     gain, bias = mujoco.mjtGain(model.actuator_gaintype[index]), mujoco.mjtBias(model.actuator_biastype[index])
+    if gain == mujoco.mjtGain.mjGAIN_PID:
+        of_position = int(model.actuator_ctrlspec[index]) & mujoco.mjtCtrlInput.mjINPUT_POS
+        return None if of_position else "its commands have no position, which is then held at 0"
     affine = gain == mujoco.mjtGain.mjGAIN_AFFINE and not model.actuator_gainprm[index, 1:3].any()
     if gain != mujoco.mjtGain.mjGAIN_FIXED and not affine:
         return f"its gain ({_said(gain)}) is no constant"
@@ -180,36 +149,100 @@ def _why_not(model: mujoco.MjModel, index: int) -> str | None:
     return None
 
 
-def _read(model: mujoco.MjModel, index: int) -> ReadActuator:
+def _read(source: Source, index: int) -> ReadActuator:
+    model = source.model
     gear = float(model.actuator_gear[index, 0])
-    gain = torque_per_volt(model, index) if is_dc_motor(model, index) else float(model.actuator_gainprm[index, 0])
     affine = model.actuator_biastype[index] == mujoco.mjtBias.mjBIAS_AFFINE
     bias0, bias1, bias2 = map(float, model.actuator_biasprm[index, :3] if affine else np.zeros(3))
-    kind = "general"
-    if bias0 == 0 and gain != 0:
-        kind = {(0.0, 0.0): "motor", (-gain, 0.0): "position", (0.0, -gain): "velocity"}.get((bias1, bias2), kind)
-        kind = "position" if bias1 == -gain else kind  # with kv
-    clamps = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
-    ctrl = int(model.actuator_ctrladr[index])  # an actuator may have several commands, or none
-    ctrlrange = _range(model.actuator_ctrlrange[ctrl], bool(model.actuator_ctrllimited[ctrl]) and clamps)
+    is_pid = model.actuator_gaintype[index] == mujoco.mjtGain.mjGAIN_PID
+    gain = -bias1 if is_pid else float(model.actuator_gainprm[index, 0])
+    gain = torque_per_volt(model, index) if is_dc_motor(model, index) else gain
+    kind = _kind(gain, bias0, bias1, bias2)
     low, high = _range(model.actuator_forcerange[index], bool(model.actuator_forcelimited[index]))
     forcerange = (low * gear, high * gear) if gear >= 0 else (high * gear, low * gear)
+    commands = tuple(_commands(model, index, kind))
+    source.notes += _say_ranges(model, index, commands)
     return ReadActuator(
-        model.actuator(index).name,
+        _name(model, index),
         kind,
         gear * gain,
         gear * bias0,
         gear**2 * bias1,
         gear**2 * bias2,
         gear,
-        ctrlrange,
+        _ctrlrange(model, commands[0].index),
         forcerange,
-        float(model.actuator_delay[index]),
+        _delay(source, index),
+        commands,
     )
+
+
+def _kind(gain: float, bias0: float, bias1: float, bias2: float) -> str:
+    if bias0 != 0 or gain == 0:
+        return "general"
+    if bias1 == -gain:
+        return "position"
+    return {(0.0, 0.0): "motor", (0.0, -gain): "velocity"}.get((bias1, bias2), "general")
+
+
+def _commands(model: mujoco.MjModel, index: int, kind: str) -> Iterator[Command]:
+    """What recordings call an actuator's commands."""
+    first, gear = int(model.actuator_ctrladr[index]), float(model.actuator_gear[index, 0])
+    yield Command(first, "ctrl", 1 / gear if kind == "position" and gear else 1.0)
+    if model.actuator_gaintype[index] != mujoco.mjtGain.mjGAIN_PID:
+        return
+    more = {mujoco.mjtCtrlInput.mjINPUT_VEL: ("ctrl_velocity", 1 / gear if gear else 1.0)}
+    more |= {mujoco.mjtCtrlInput.mjINPUT_FF: ("ctrl_torque", gear)}
+    having = [said for bit, said in more.items() if int(model.actuator_ctrlspec[index]) & bit]
+    for place, (signal, factor) in enumerate(having, first + 1):
+        yield Command(place, signal, factor)
+
+
+def _say_ranges(model: mujoco.MjModel, index: int, commands: Sequence[Command]) -> Iterator[str]:
+    """Of commands besides the first, whose range alone is read."""
+    signals = [command.signal for command in commands[1:] if not np.isnan(_ctrlrange(model, command.index)).all()]
+    if signals:
+        yield f"ranges of {listed(signals)} of actuator {_name(model, index)} are left out"
+
+
+def _ctrlrange(model: mujoco.MjModel, ctrl: int) -> tuple[float, float]:
+    clamps = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
+    return _range(model.actuator_ctrlrange[ctrl], bool(model.actuator_ctrllimited[ctrl]) and clamps)
+
+
+def _delay(source: Source, index: int) -> float:
+    """By how much commands act late in MuJoCo's steps, which hold them or interpolate between them; noted [s]."""
+    model = source.model
+    stated, step = float(model.actuator_delay[index]), float(model.opt.timestep)
+    if stated == 0:
+        return 0.0
+    samples, interpolation = map(int, model.actuator_history[index])
+    steps = max(stated / step, 1.0) if interpolation else float(np.ceil(stated / step - _ROUNDING))
+    acting = min(steps, samples) * step
+    if abs(acting - stated) > _ROUNDING * step:
+        source.notes.append(
+            f"delay of actuator {_name(model, index)}, {stated:g} s: {acting:g} s, as it acts in MuJoCo's steps of "
+            f"{step:g} s with nsample={samples}"
+        )
+    if interpolation > 1 and steps % 1 > _ROUNDING:
+        source.notes.append(f"delay of actuator {_name(model, index)}: interpolated linearly, not by a cubic")
+    return acting
 
 
 def _range(ends: np.ndarray, limited: bool) -> tuple[float, float]:
     return (float(ends[0]), float(ends[1])) if limited else (np.nan, np.nan)
+
+
+def _say_commands(source: Source, joints: Sequence[int], read: Sequence[ReadActuator | None]) -> Iterator[str]:
+    """Where a command of the file is another number than a recording's."""
+    found: dict[str, list[str]] = {}
+    for joint, actuator in zip(joints, read, strict=True):
+        others = [one for one in (actuator.commands if actuator else ()) if one.factor != 1]
+        for place, signal, factor in others:
+            text = f"{signal} is {factor:.6g} times the file's ctrl[{place}]"
+            found.setdefault(text, []).append(source.model.joint(joint).name)
+    for text, names in found.items():
+        yield f"command of joint {listed(names)}: {text}"
 
 
 def _name(model: mujoco.MjModel, index: int) -> str:

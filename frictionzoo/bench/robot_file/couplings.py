@@ -44,8 +44,6 @@ def _ties(source: Source, tree: Tree, joints: Sequence[int], index: int) -> bool
     sites = model.eq_objtype[index] == mujoco.mjtObj.mjOBJ_SITE
     if kind in (_EQ.mjEQ_CONNECT, _EQ.mjEQ_WELD):
         first, second = (int(model.site_bodyid[end]) if sites else max(end, 0) for end in ends)
-        if model.body_mocapid[first] >= 0 or model.body_mocapid[second] >= 0:
-            return False
         return not tree.together(first, second)
     return False
 
@@ -54,7 +52,7 @@ def _joint_equality(source: Source, joints: Sequence[int], index: int) -> ET.Ele
     model, name = source.model, source.model.equality(index).name or f"number {index}"
     if _EQ(model.eq_type[index]) != _EQ.mjEQ_JOINT:
         first = model.eq_type[index] == _EQ.mjEQ_TENDON
-        what = "ties tendons of chosen joints" if first else "closes a loop of bodies"
+        what = "ties tendons of chosen joints" if first else "closes a loop of bodies, or pulls at one from outside"
         source.fail(f"equality constraint {name} {what}, which is not supported; choose joints outside of it")
     ends = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
     if not all(joint in joints for joint in ends):

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from frictionzoo.bench.compiled import can_collide
+from frictionzoo.bench.robot_file.actuator import ReadActuator, clip_range
 from frictionzoo.bench.robot_file.actuators import (
-    ReadActuator,
     read_actuators,
     read_armature,
     read_damping,
@@ -26,6 +26,7 @@ from frictionzoo.bench.robot_file.tree import Tree
 from frictionzoo.core.errors import ConfigError, closest
 
 _DEFAULT_SOLREF = (0.02, 1.0)
+_IMPLICIT = {mujoco.mjtIntegrator.mjINT_IMPLICIT, mujoco.mjtIntegrator.mjINT_IMPLICITFAST}
 
 
 @dataclass(frozen=True)
@@ -42,8 +43,10 @@ class RobotFile:
             has none.
         actuators: Of each joint; None where the file has none that can be read.
         ranges: Limits of each joint's position [rad or m], of shape (nv, 2); NaN where it has none.
-        forceranges: Limits of each joint's drive [N m or N], the closer ones of joint and actuator, of shape (nv, 2);
+        forceranges: Limits of each joint's drive [N m or N], those of joint and actuator together, of shape (nv, 2);
             NaN where it has none.
+        ctrlranges: Limits of each joint's desired position [rad or m], of shape (nv, 2); NaN where it has none.
+        delays: By which each joint's commands act late [s], of shape (nv,); 0 where it has no actuator.
         links: All bodies that move, and those kept by name.
         notes: A line for each thing that was left out or changed.
     """
@@ -55,6 +58,8 @@ class RobotFile:
     actuators: tuple[ReadActuator | None, ...]
     ranges: Float[np.ndarray, "nv 2"]
     forceranges: Float[np.ndarray, "nv 2"]
+    ctrlranges: Float[np.ndarray, "nv 2"]
+    delays: Float[np.ndarray, "nv"]
     links: tuple[Link, ...]
     notes: tuple[str, ...]
 
@@ -107,6 +112,7 @@ def read_robot(
     values, bristles = _values(file, joints), read_friction(file, joints)
     actuators = read_actuators(file, joints)
     root = _write(file, tree, joints, contacts == "keep", limits == "keep", timestep)
+    file.notes += _say_damped_limits(joints, actuators, file)
     return RobotFile(
         root,
         tuple(file.model.joint(joint).name for joint in joints),
@@ -114,7 +120,9 @@ def read_robot(
         bristles,
         actuators,
         np.array([_limit(file.model, joint) for joint in joints]),
-        np.array([_force_limit(file.model, joint, read) for joint, read in zip(joints, actuators, strict=True)]),
+        np.array([_force_limit(file, joint, read) for joint, read in zip(joints, actuators, strict=True)]),
+        np.array([(np.nan, np.nan) if read is None else read.positions for read in actuators]),
+        np.array([0.0 if read is None else read.delay for read in actuators]),
         tree.links,
         tuple(dict.fromkeys(file.notes)),
     )
@@ -216,8 +224,29 @@ def _limit(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _force_limit(model: mujoco.MjModel, joint: int, actuator: ReadActuator | None) -> tuple[float, float]:
-    """The closer ones of a joint's own limits and of its actuator's."""
-    low, high = model.jnt_actfrcrange[joint] if model.jnt_actfrclimited[joint] else (np.nan, np.nan)
-    lower, higher = (np.nan, np.nan) if actuator is None else actuator.forcerange
-    return float(np.fmax(low, lower)), float(np.fmin(high, higher))
+def _force_limit(file: Source, joint: int, actuator: ReadActuator | None) -> tuple[float, float]:
+    """Where a joint's torque ends: what the actuator gives, cut off by the joint's own range."""
+    model, none = file.model, (np.nan, np.nan)
+    low, high = map(float, model.jnt_actfrcrange[joint]) if model.jnt_actfrclimited[joint] else none
+    if not np.isnan(low) and model.jnt_actgravcomp[joint]:
+        file.notes.append(
+            f"actuatorfrcrange of joint {model.joint(joint).name}: ends the torque of the controller alone, without "
+            "that of gravity compensation"
+        )
+    return clip_range(none if actuator is None else actuator.torques, (low, high))
+
+
+def _say_damped_limits(joints: Sequence[int], actuators: Sequence[ReadActuator | None], file: Source) -> Iterator[str]:
+    """Where MuJoCo's implicit integrators leave out the damping of an actuator whose torque is at its limit."""
+    if file.model.opt.integrator not in _IMPLICIT:
+        return
+    named = [
+        file.model.joint(joint).name
+        for joint, read in zip(joints, actuators, strict=True)
+        if read is not None and read.bias2 and not np.isnan(read.forcerange).all()
+    ]
+    if named:
+        yield (
+            f"forcerange of joint {listed(named)}: while the torque is at its limit, kd damps the step as if it were "
+            "not, which MuJoCo's implicit integrators leave out there"
+        )

@@ -22,6 +22,10 @@ _MESH_TYPES = {mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_SDF, mujoco.mjt
 _MESH_FILES = {".stl", ".obj", ".msh"}  # what MuJoCo opens
 _MASSLESS = {mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD}
 _FROM_GEOM = mujoco.mjtInertiaFromGeom
+_NO_NUMBERS = {"nan", "inf", "infinity"}
+_NAMING = {"name", "class", "childclass", "joint", "joint1", "joint2", "body", "body1", "body2", "link", "user", "file"}
+"""Attributes in which these words are no numbers."""
+_IDLE_SECTIONS = {"asset", "custom", "keyframe", "sensor", "statistic", "visual"}
 _LEAST = 1e-13  # kg or kg m^2, above what MuJoCo takes for none
 
 
@@ -89,7 +93,9 @@ def load(path: str, content: bytes | None = None) -> Source:
         meshes = sum(_needs_asset(geom) and bool(geom.contype or geom.conaffinity) for geom in spec.geoms)
         settled = _settle_inertia(spec, Path(path).parent)
         model = spec.compile()
-    source = _with_inertia(path, model, settled, meshes, notes)
+    with np.errstate(invalid="ignore"):
+        source = _with_inertia(path, model, settled, meshes, notes)
+    _refuse_no_numbers(source)
     if urdf:
         source.notes += _say_mass_of_shapes(spec, source)
     return source
@@ -153,6 +159,10 @@ def _parse(path: str, content: bytes | None, notes: list[str]) -> tuple[mujoco.M
         raise BenchError(f"{path}: cannot be read ({error.strerror}); set bench.mjcf to an MJCF or a URDF") from None
     except (ET.ParseError, UnicodeError, LookupError) as error:
         raise BenchError(f"{path}: not XML ({error}); set bench.mjcf to an MJCF or a URDF") from None
+    for element in (element for section in root if section.tag not in _IDLE_SECTIONS for element in section.iter()):
+        for name, text in element.attrib.items():
+            if name not in _NAMING and not {*text.lower().replace("-", " ").split()}.isdisjoint(_NO_NUMBERS):
+                raise BenchError(f'{path}: {name}="{text}" of <{element.tag}>, expected finite numbers; correct it')
     if root.tag == "mujoco" and content is None:
         return mujoco.MjSpec.from_file(path), False
     if root.tag == "mujoco":
@@ -309,6 +319,24 @@ def _with_inertia(path: str, model: mujoco.MjModel, settled: _Settled, meshes: i
         compiled[body.id] = False
     absent = {body.id: file for body, file in settled.absent.items()}
     return Source(path, model, mass, model.body_ipos.copy(), inertia, compiled, absent, meshes, notes)
+
+
+def _refuse_no_numbers(source: Source) -> None:
+    """BenchError for a body, joint or actuator with a number that is not finite."""
+    model, bodies = source.model, np.column_stack([source.mass, source.centre, source.inertia.reshape(-1, 9)])
+    kinds = {"body": ("body_", model.nbody), "joint": ("jnt_", model.njnt), "actuator": ("actuator_", model.nactuator)}
+    for kind, (prefix, count) in kinds.items():
+        fields = {name: np.asarray(getattr(model, name)) for name in dir(model) if name.startswith(prefix)}
+        rows = [field.reshape(count, -1) for field in fields.values() if count and field.shape[:1] == (count,)]
+        rows += [bodies] if kind == "body" else []
+        broken = [index for index in range(count) if not all(np.isfinite(row[index]).all() for row in rows)]
+        if broken:
+            name = getattr(model, kind)(broken[0]).name or f"number {broken[0]}"
+            source.fail(f"{kind} {name} has a number that is not finite (nan, inf); correct it")
+    others = ("qpos0", "qpos_spring", "dof_armature", "dof_damping", "dof_frictionloss", "tendon_stiffness", "eq_data")
+    numbers = [np.ravel(getattr(model, name)) for name in others]
+    if not np.isfinite(np.concatenate([*numbers, [model.opt.timestep], model.opt.gravity])).all():
+        source.fail("it has a number that is not finite (nan, inf) at a joint, a tendon or in <option>; correct it")
 
 
 def _say_mass_of_shapes(spec: mujoco.MjSpec, source: Source) -> Iterator[str]:

@@ -1,0 +1,139 @@
+"""Actuators of one joint that are one controller, and the check that their torque is what MuJoCo C gives."""
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+
+from frictionzoo.bench.robot_file.actuator import Command, ReadActuator
+from frictionzoo.bench.robot_file.dc_motors import is_dc_motor
+from frictionzoo.bench.robot_file.source import Source, listed
+
+_STATES = 20
+_SAME = 1e-9  # of a torque, as a share of its largest part
+
+
+def combine(source: Source, joint: str, read: Sequence[ReadActuator]) -> ReadActuator | None:
+    """The one controller that a joint's actuators are, else the first of them; noted. None where there is none."""
+    if len(read) < 2:
+        return read[0] if read else None
+    names = [actuator.name for actuator in read]
+    parts = {actuator.kind: actuator for actuator in read}
+    plain = len(parts) == len(read) and all(len(actuator.commands) == 1 for actuator in read)
+    if not plain or not {"position"} <= parts.keys() <= {"position", "velocity", "motor"}:
+        source.notes.append(
+            f"joint {joint} has {len(read)} actuators, of which {names[0]} is read and {listed(names[1:])} left out"
+        )
+        return read[0]
+    source.notes.append(f"joint {joint}: actuators {listed(names)} are one controller of position, velocity and torque")
+    if len({actuator.delay for actuator in read}) > 1:
+        late = parts["position"].delay
+        source.notes.append(f"delays of actuators {listed(names)} differ: all of their commands are {late:g} s late")
+    limited = [
+        one.name
+        for one in read
+        if not np.isnan(one.forcerange).all() or (one.kind != "position" and not np.isnan(one.ctrlrange).all())
+    ]
+    if limited:
+        source.notes.append(
+            f"ranges of actuators {listed(limited)} are left out: they end a part of the torque of joint {joint}"
+        )
+    return _together(parts, " + ".join(names))
+
+
+def _together(parts: Mapping[str, ReadActuator], name: str) -> ReadActuator:
+    position, velocity, motor = (parts.get(kind) for kind in ("position", "velocity", "motor"))
+    assert position is not None
+    damping = position.bias2 + (velocity.bias2 if velocity else 0.0)
+    commands = list(position.commands)
+    if velocity is not None:  # what a velocity is worth with the gain of both
+        factor = velocity.gain / -damping if damping else 0.0
+        commands.append(Command(velocity.commands[0].index, "ctrl_velocity", factor))
+    if motor is not None:
+        commands.append(Command(motor.commands[0].index, "ctrl_torque", motor.gain))
+    no_end = np.nan, np.nan
+    return replace(position, name=name, bias2=damping, forcerange=no_end, commands=tuple(commands))
+
+
+def without_others(
+    source: Source, joints: Sequence[int], read: Sequence[ReadActuator | None]
+) -> tuple[ReadActuator | None, ...]:
+    """The actuators whose torque, in random states and beyond their ranges, is that of MuJoCo C; others are noted."""
+    model = copy.copy(source.model)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
+    model.actuator_delay[:] = 0
+    for actuator in filter(None, read):
+        _lift_ranges(model, actuator)
+    data, rng = mujoco.MjData(model), np.random.default_rng(0)
+    worst = np.zeros(len(joints))
+    for _ in range(_STATES):
+        _draw(model, data, rng)
+        for place, (joint, actuator) in enumerate(zip(joints, read, strict=True)):
+            if actuator is not None:
+                worst[place] = max(worst[place], _compare(model, data, joint, actuator))
+    kept = list(read)
+    for place in np.flatnonzero(worst > _SAME):
+        actuator = read[place]
+        assert actuator is not None
+        source.notes.append(
+            f"actuator {actuator.name} of joint {model.joint(joints[place]).name} is left out: in MuJoCo its torque is "
+            "another than its coefficients say"
+        )
+        kept[place] = None
+    return tuple(kept)
+
+
+def _lift_ranges(model: mujoco.MjModel, actuator: ReadActuator) -> None:
+    """Without the ranges that were not read."""
+    for command in actuator.commands[1:]:
+        model.actuator_ctrllimited[command.index] = False
+    if len(_owners(model, actuator)) > 1:
+        model.actuator_forcelimited[_owners(model, actuator)] = False
+
+
+def _owners(model: mujoco.MjModel, actuator: ReadActuator) -> list[int]:
+    """Indices of the actuators of the file that this one stands for."""
+    commands = np.array([command.index for command in actuator.commands])
+    first, last = model.actuator_ctrladr, model.actuator_ctrladr + model.actuator_ctrlnum
+    return np.flatnonzero(((commands[:, None] >= first) & (commands[:, None] < last)).any(axis=0)).tolist()
+
+
+def _draw(model: mujoco.MjModel, data: mujoco.MjData, rng: np.random.Generator) -> None:
+    """A random state, commands to beyond their ranges, and what filters come to under them."""
+    data.qvel[:], data.qpos[:] = rng.normal(0, 3, model.nv), model.qpos0
+    straight = np.isin(model.jnt_type, [int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)])
+    data.qpos[model.jnt_qposadr[straight]] = rng.uniform(-2, 2, straight.sum())
+    low, high = np.where(model.actuator_ctrllimited[:, None], model.actuator_ctrlrange, [[-3.0, 3.0]]).T
+    data.ctrl[:] = (low + high) / 2 + (high - low) * rng.uniform(-1, 1, model.nu)
+    for index in np.flatnonzero((model.actuator_actnum == 1) & (model.actuator_ctrlnum > 0)):
+        clamps = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
+        place = model.actuator_ctrladr[index]
+        ends = (low[place], high[place]) if clamps and model.actuator_ctrllimited[place] else (np.nan, np.nan)
+        data.act[model.actuator_actadr[index]] = _within(data.ctrl[place], ends)
+    for stage in (mujoco.mj_fwdPosition, mujoco.mj_fwdVelocity, mujoco.mj_fwdActuation):
+        stage(model, data)
+
+
+def _compare(model: mujoco.MjModel, data: mujoco.MjData, joint: int, actuator: ReadActuator) -> float:
+    """Difference of the torque here from MuJoCo C's, as a share of its largest part."""
+    owners = _owners(model, actuator)
+    if any(is_dc_motor(model, index) for index in owners):
+        return 0.0  # whose friction and back-EMF are the joint's
+    place = int(model.jnt_dofadr[joint])
+    parts = [actuator.bias0, actuator.bias1 * data.qpos[model.jnt_qposadr[joint]], actuator.bias2 * data.qvel[place]]
+    for number, command in enumerate(actuator.commands):
+        gain = {"ctrl": actuator.gain, "ctrl_velocity": -actuator.bias2 * command.factor}.get(
+            command.signal, command.factor
+        )
+        given = data.ctrl[command.index]
+        parts.append(gain * (_within(given, actuator.ctrlrange) if number == 0 else given))
+    theirs = float(np.dot(model.actuator_gear[owners, 0], data.actuator_force[model.actuator_outadr[owners]]))
+    ours = _within(sum(parts), actuator.forcerange)
+    return abs(ours - theirs) / max(1.0, float(np.abs(parts).max()))
+
+
+def _within(value: float, ends: tuple[float, float]) -> float:
+    return float(np.fmin(np.fmax(value, ends[0]), ends[1]))
