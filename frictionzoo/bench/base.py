@@ -1,6 +1,7 @@
 """A bench: the MJCF around the drive, the joints that are identified, and the actuator that drives them."""
 
 import copy
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -27,7 +28,7 @@ _MOST_SUBSTEPS = 10_000  # simulation steps from sample to sample
 _MOST_HISTORY = 10_000  # samples by which commands may act late
 _PARAMS = {"armature": "inertia", "delay": "time", "position_offset": "position"}
 _OPTIONAL = ("delay", "position_offset")
-_ENCODER = ("position_offset",)
+_OF_ASSEMBLY = re.compile(r"(.*\.)?(\w+_offset|(sine|cosine)_\d+)")  # a sensor's or a cable's offset, a gear's phase
 DEFAULTS: dict[str, dict[str, Any]] = {
     "armature": {"init": 0.01, "low": 1e-5, "high": 1.0, "scale": "log", "identify": True},
     "delay": {"init": 0.0, "low": 0.0, "high": 0.1, "scale": 0.01, "identify": False},
@@ -74,8 +75,10 @@ class Bench(Described):
         inertia: Ten parameters of bodies by name, as `frictionzoo.bench.inertia` has them, in place of those of the
             template: what `fit=inverse_dynamics` found with `fit.links`, or another's identification.
         gravity: In the frame of the world [m/s^2], of a base that stands askew; None for the template's.
-        tie: Joints that share the values of every parameter but the position offset, which is an encoder's: pattern of
-            their names by the group's name, or true for all. A parameter's own `tie` comes first.
+        tie: Joints that share the values of every parameter that belongs to the motor and gear: pattern of their names
+            by the group's name, or true for all. Offsets (`position_offset`, `torque_offset`, `force_offset`) and the
+            phase of a ripple depend on how each joint was assembled and stay per joint. A parameter's own `tie` comes
+            first.
 
     Raises:
         BenchError: The template cannot be read or compiled, or does not have these joints.
@@ -168,14 +171,14 @@ class Bench(Described):
         return {name: np.array(param.each("init", self.nv)) for name, param in self.params.items()} | self._start
 
     def groups(self, param: Param) -> list[str]:
-        """Name of the group of each joint that shares the values of a parameter, if it has that; alone, its own name.
+        """Return each joint's group for a parameter; a joint that shares its value with none has its own name.
 
         Raises:
             ConfigError: A joint belongs to two groups, or a pattern fits none.
         """
         if param.tie is not None:
             return group_joints(f"{param.name}.tie", param.tie, self.joints)
-        return group_joints("bench.tie", None if param.name in _ENCODER else self._tie, self.joints)
+        return group_joints("bench.tie", None if _OF_ASSEMBLY.fullmatch(param.name) else self._tie, self.joints)
 
     @cached_property
     def branches(self) -> tuple[int, ...]:
