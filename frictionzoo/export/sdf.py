@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from frictionzoo.bench.template import in_full
 from frictionzoo.core.errors import ConfigError, ExportError
 from frictionzoo.export.base import Target, measure, register_target
-from frictionzoo.export.nearest import Nearest, find_nearest, say_exact
+from frictionzoo.export.nearest import Nearest, find_nearest, say_law
 from frictionzoo.export.skeleton import DRAKE, WORLD, Link, list_numbers, read_links, run_links, say_lacks
 from frictionzoo.export.written import Export
 from frictionzoo.result.identified import Identified
@@ -68,7 +68,7 @@ def write_sdf(fitted: Identified, nearest: Nearest, in_links: bool = False) -> s
         ExportError: The links cannot have it.
     """
     root = ET.Element("sdf", {"version": _VERSION, "xmlns:drake": DRAKE})
-    root.append(ET.Comment(f" frictionzoo: {nearest.remark or say_exact(fitted.model)} ".replace("--", "- -")))
+    root.append(ET.Comment(f" frictionzoo: {nearest.remark or say_law(fitted.model)} ".replace("--", "- -")))
     model = ET.SubElement(root, "model", name="bench")
     armature = dict(zip(fitted.bench.joints, nearest.bench["armature"], strict=True))
     links = read_links(fitted, nearest)

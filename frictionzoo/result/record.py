@@ -33,7 +33,7 @@ from frictionzoo.result.values import list_values
 from frictionzoo.result.verdict import doubt_sizes, explain_failure, judge
 from frictionzoo.simulate.proof import Proof
 
-SCHEMA_VERSION: Final = 7
+SCHEMA_VERSION: Final = 8
 PACKAGES = ("frictionzoo", "mujoco", "mujoco-mjx", "jax", "torch", "optax", "lightning", "numpy")
 
 
@@ -146,6 +146,7 @@ def build_result(found: Findings) -> types.Result:
         "device": found.device,
         "versions": _read_versions(),
         "settings": dict(found.settings),
+        "written": [],
         "not_identified": None,
         "verdict": {"grade": "nothing speaks against it", "findings": [], "commands": []},
     }

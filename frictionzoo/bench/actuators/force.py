@@ -3,6 +3,9 @@
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
+import numpy as np
+from jaxtyping import Float
+
 from frictionzoo.bench.actuators.base import Actuator, Affine, register_actuator
 from frictionzoo.bench.actuators.saturation import LIMITS, POSITIVE, saturate
 
@@ -28,6 +31,11 @@ class Force(Actuator):
         """See `Actuator.has_controller`: a limit is one."""
         return not LIMITS.keys().isdisjoint(self.params)
 
+    @property
+    def needs_state(self) -> bool:
+        """See `Actuator.needs_state`: MuJoCo's actuator has a limit, and no hyperbolic tangent."""
+        return "torque_saturation" in self.params
+
     def affine(self, values: Mapping[str, Any]) -> Affine:
         """See `Actuator.affine`."""
         zero = 0 * values["force_gain"]
@@ -40,3 +48,7 @@ class Force(Actuator):
         wanted = values["force_gain"] * command + values["force_offset"]
         given = saturate(xp, values, wanted)
         return command if given is wanted else command + (given - wanted) / values["force_gain"]
+
+    def force_range(self, values: Mapping[str, Any]) -> Float[np.ndarray, "nv 2"] | None:
+        """See `Actuator.force_range`."""
+        return values["torque_limit"][:, None] * [-1, 1] if "torque_limit" in values else None

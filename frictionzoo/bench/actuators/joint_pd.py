@@ -3,6 +3,9 @@
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
+import numpy as np
+from jaxtyping import Float
+
 from frictionzoo.bench.actuators.base import Actuator, Affine, register_actuator
 from frictionzoo.bench.actuators.saturation import LIMITS, POSITIVE, saturate
 
@@ -50,6 +53,11 @@ class JointPD(Actuator):
     optional_inputs: ClassVar[Mapping[str, float]] = {"ctrl_velocity": 0.0, "ctrl_torque": 0.0}
     commands: ClassVar[tuple[str, ...]] = inputs
 
+    @property
+    def needs_state(self) -> bool:
+        """See `Actuator.needs_state`: MuJoCo's actuator has a limit, and no hyperbolic tangent."""
+        return "torque_saturation" in self.params
+
     def affine(self, values: Mapping[str, Any]) -> Affine:
         """See `Actuator.affine`."""
         stiffness, damping = (values["torque_gain"] * values[name] for name in ("kp", "kd"))
@@ -63,6 +71,17 @@ class JointPD(Actuator):
         wanted = values["kp"] * (aim - qpos) - values["kd"] * qvel
         given = saturate(xp, values, wanted)
         return aim if given is wanted else aim + (given - wanted) / values["kp"]
+
+    def combine(self, values: Mapping[str, Any], command: Any, inputs: Mapping[str, Any]) -> Any:
+        """See `Actuator.combine`."""
+        return aim_at(values, command, inputs)
+
+    def force_range(self, values: Mapping[str, Any]) -> Float[np.ndarray, "nv 2"] | None:
+        """See `Actuator.force_range`."""
+        if "torque_limit" not in values:
+            return None
+        limit = values["torque_gain"] * values["torque_limit"]
+        return values.get("torque_offset", 0 * limit)[:, None] + limit[:, None] * [-1, 1]
 
 
 def aim_at(values: Mapping[str, Any], command: Any, inputs: Mapping[str, Any]) -> Any:
