@@ -11,22 +11,19 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-import torch
-from conftest import DATA, needs_data, trace_nothing
+from conftest import DATA, needs_data
+from fitted import fit
 from robot_texts import ARM, LEG, changed, save
 
-from frictionzoo.bench import Bench, JointPD, Robot
+from frictionzoo.bench import JointPD
 from frictionzoo.bench.robot_file import read_robot
 from frictionzoo.core.errors import ExportError, FrictionzooError
-from frictionzoo.core.segments import Segments
-from frictionzoo.core.state import Signals
 from frictionzoo.export.bench import Mjcf, write_bench, write_identified
 from frictionzoo.export.in_place import InPlace
 from frictionzoo.export.isaaclab import IsaacLab
 from frictionzoo.export.mjlab import Mjlab
 from frictionzoo.export.nearest import Nearest
 from frictionzoo.export.robot import Equipped, put_into, say_whole
-from frictionzoo.models import MujocoDefault
 from frictionzoo.result.identified import Identified
 
 EXACT = 1e-9  # N m or rad; rounding stays far below
@@ -36,25 +33,11 @@ ROBOT = changed(
     ('gear="6"', 'group="2" gear="6"'),
     ("</actuator></mujoco>", "</actuator>\n</mujoco>\n<!-- end -->\n"),
 )
-FREE = {"init": 0.1, "low": 1e-6, "high": 10.0, "scale": "log", "identify": True}
 
 
-def fit(path: str | Path, joint: Any = None, **more: Any) -> Identified:
-    """A drive as if identified, each joint another, and two rollouts of it."""
-    options: dict[str, Any] = {"actuator": JointPD({"kp": {"init": 20.0}, "kd": {"init": 1.0}}), **more}
-    bench: Bench = Robot(str(path), joint, **options)
-    law = MujocoDefault(bench.nv, {"frictionloss": FREE, "damping": FREE}).double()
-    one_each = 1 + np.arange(bench.nv) / 7
-    friction = {"frictionloss": 0.1 * one_each, "damping": 0.03 * one_each}
-    law.load_state_dict({name: torch.from_numpy(value) for name, value in friction.items()})
-    values = {"bench": bench.initial_values() | {"armature": 0.02 * one_each}, "friction": friction}
-    swings = np.sin(3 * bench.timestep * np.arange(30)[:, None] + np.arange(bench.nv))
-    signals = Signals(np.stack(2 * [swings]), {name: np.zeros((2, 30, bench.nv)) for name in bench.inputs})
-    qpos, qvel = np.random.default_rng(0).normal(scale=0.2, size=(2, 2, 31, bench.nv))
-    segments = Segments(qpos, qvel, signals, bench.timestep)
-    result: Any = {"settings": {}, "model": law.name}
-    sampling = bench.sampling(bench.timestep)
-    return Identified(None, result, bench, law, {}, values, segments, sampling, trace_nothing(segments))
+def written(fitted: Identified) -> dict[str, bytes]:
+    """What a run leaves behind, by file."""
+    return {file.name: file.content for file in write_identified(fitted)}
 
 
 def lines(before: str, after: str) -> tuple[list[str], list[str]]:
@@ -68,7 +51,7 @@ def lines(before: str, after: str) -> tuple[list[str], list[str]]:
 def test_a_robots_joints_have_the_drive_and_every_other_byte_is_the_makers(tmp_path: Path) -> None:
     source = save(tmp_path, ROBOT)
     fitted = fit(source)
-    files = write_identified(fitted)
+    files = written(fitted)
     assert set(files) == {"bench.xml", "identified.xml"}
     gone, come = lines(ROBOT, files["identified.xml"].decode())
     assert {re.split(r"[ >]", text)[0] for text in gone} == {"<joint", "<motor", "<position", "<velocity"}
@@ -93,10 +76,10 @@ def test_the_bench_beside_it_is_what_was_simulated(tmp_path: Path) -> None:
     folder.mkdir()
     export = Mjcf().write(fitted, folder, {})
     assert export.files == ("bench.xml", "identified.xml")
-    assert {name: (folder / name).read_bytes() for name in export.files} == write_identified(fitted)
-    moved, torque = export.differences
-    assert (moved.quantity, torque.quantity) == ("qpos", "torque")
-    assert moved.largest < EXACT
+    assert {name: (folder / name).read_bytes() for name in export.files} == written(fitted)
+    moved, loaded, torque = export.differences
+    assert (moved.quantity, loaded.quantity, torque.quantity) == ("qpos", "qpos", "torque")
+    assert max(moved.largest, loaded.largest) < EXACT
     assert torque.largest > 1 and any("limits of force" in limit for limit in export.limits)  # the hip's own
     assert mujoco.MjModel.from_xml_path(str(folder / "bench.xml")).nv == 2
     assert any("nor the original" in limit for limit in export.limits)  # its meshes are not there
@@ -108,7 +91,8 @@ def put(fitted: Identified) -> Equipped:
     friction = fitted.values["friction"]
     nearest = Nearest(dict(fitted.values["bench"]), friction["frictionloss"], friction["damping"])
     bench = write_bench(fitted, nearest)
-    return put_into(Path(fitted.bench.source), fitted.bench.joints, "identified", fitted, nearest, bench)
+    path = Path(fitted.bench.source)
+    return put_into(path, fitted.bench.joints, "identified", fitted, nearest, bench).commented()
 
 
 def actuators(robot: Equipped) -> list[dict[str, str]]:
@@ -149,7 +133,7 @@ def test_a_urdf_has_dynamics_and_the_armature_as_a_comment(tmp_path: Path) -> No
     text = changed(ARM, ('<transmission name="t1"/>', '<transmission name="t1"><joint name="elbow"/></transmission>'))
     source = save(tmp_path, text)
     fitted = fit(source)
-    files = write_identified(fitted)
+    files = written(fitted)
     assert set(files) == {"bench.xml", "identified.urdf"}
     gone, come = lines(text, files["identified.urdf"].decode())
     assert gone == ['<dynamics damping="0.7" friction="0.4"/>']
@@ -183,7 +167,7 @@ def test_a_file_that_cannot_hold_the_drive_leaves_the_bench(tmp_path: Path, capl
     (tmp_path / "more.xml").write_text('<mujoco><sensor><jointpos joint="hip"/></sensor></mujoco>')
     fitted = fit(save(tmp_path, changed(ROBOT, ("<sensor>", '<include file="more.xml"/><sensor>'))), "hip")
     with caplog.at_level(logging.WARNING, "frictionzoo"):
-        files = write_identified(fitted)
+        files = written(fitted)
     assert files["identified.xml"] == files["bench.xml"]
     (said,) = (record.getMessage() for record in caplog.records if "is the bench alone" in record.getMessage())
     assert "has an <include>" in said and "\n" not in said

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from frictionzoo.bench.actuators import Actuator
 from frictionzoo.bench.branches import number_branches
 from frictionzoo.bench.compiled import INERTIAL, NO_PAYLOAD, combine, put_inertial
+from frictionzoo.bench.delay import write_delay
 from frictionzoo.bench.signals import pair_log, pick_inputs, pick_observed, say_lacking
 from frictionzoo.bench.template import Template, in_full
 from frictionzoo.core.described import Described
@@ -258,6 +259,7 @@ class Bench(Described):
         frictionloss: np.ndarray | None = None,
         damping: np.ndarray | None = None,
         comments: Sequence[str] = (),
+        limited: bool = False,
     ) -> str:
         """The complete MJCF with these values, every number at full precision.
 
@@ -266,6 +268,8 @@ class Bench(Described):
             frictionloss: Dry-friction limit of each joint [N m or N], of shape (nv,); None for no friction constraint.
             damping: Damping of each joint [N m s/rad or N s/m], of shape (nv,).
             comments: Lines for the top of the file.
+            limited: Whether MuJoCo's actuators cut the torque themselves, where they can, for a `ctrl` that is what
+                `Actuator.combine` gives.
         """
         affine = self.actuator.affine(values)
         joints, actuators = [], []
@@ -284,6 +288,7 @@ class Bench(Described):
             joints.append(joint)
             gain, *bias = (in_full(coefficient[index]) for coefficient in affine)
             law = {"gainprm": gain, "biastype": "affine", "biasprm": " ".join(bias)}
+            law |= self._limited_actuator(values, index) if limited else {}
             actuators.append({"name": name, "joint": name, **law, **self._delayed(values, index)})
         return self._template.write(joints, actuators, comments)
 
@@ -400,15 +405,17 @@ class Bench(Described):
     def _substeps(self, interval: float) -> int:
         return max(1, round(interval / self.timestep))
 
+    def _limited_actuator(self, values: Mapping[str, np.ndarray], index: int) -> dict[str, str]:
+        """Attributes of MuJoCo's actuator that cut its torque."""
+        ends = self.actuator.force_range(values)
+        return {} if ends is None else {"forcelimited": "true", "forcerange": " ".join(map(in_full, ends[index]))}
+
     def _delayed(self, values: Mapping[str, np.ndarray], index: int) -> dict[str, str]:
         """Attributes of MuJoCo's actuator that make it act late.
 
-        None for an actuator law with a controller of its own: late commands meet the present state in it, and MuJoCo's
-        actuator must not delay what comes out.
+        None for an actuator law with a controller that needs the state: late commands meet the present state in it, and
+        MuJoCo's actuator must not delay what comes out.
         """
-        if "delay" not in values or self.actuator.has_controller:
+        if "delay" not in values or self.actuator.needs_state:
             return {}
-        delay = float(values["delay"][index])
-        # Between two steps MuJoCo interpolates: of a command that is held, that is the mean over the step.
-        samples = str(int(np.ceil(delay / self.timestep)) + 2)
-        return {"delay": in_full(delay), "nsample": samples, "interp": "linear"} if delay else {}
+        return write_delay(float(values["delay"][index]), self.timestep)

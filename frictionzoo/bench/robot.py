@@ -35,6 +35,7 @@ class Robot(Bench):
     Attributes:
         file: What was read.
         notes: What was left out or changed, a line each.
+        choices: The arguments `base`, `contacts`, `limits` and `others`.
 
     Args:
         mjcf: Path of the MJCF or URDF.
@@ -80,9 +81,9 @@ class Robot(Bench):
         gravity: Sequence[float | int] | None = None,
     ) -> None:
         keep = () if payload is None else (payload,)
-        choices = {"base": base, "contacts": contacts, "limits": limits, "others": others}
+        self.choices: Mapping[str, str] = {"base": base, "contacts": contacts, "limits": limits, "others": others}
         step = None if timestep is None or timestep == AUTO else float(timestep)
-        self.file: RobotFile = read_robot(mjcf, joint, **choices, keep=keep, timestep=step)
+        self.file: RobotFile = read_robot(mjcf, joint, **self.choices, keep=keep, timestep=step)
         sections = {**(params or {})}
         for name in ("armature", "delay"):
             sections[name] = {"init": None, **_section(sections.get(name, {}))}

@@ -56,9 +56,8 @@ def run_job(
         record = Record(folder, logger, _identify(name, problem), _list_hyperparameters(name, problem))
         origin = Origin.of_run(options, folder, None if teacher is None else teacher.place)
         found = solve(problem, name, device, record=record, measured=measured, origin=origin)
-    result = found.result
     tell(f"writing {folder}")
-    found.save(folder)
+    result = found.save(folder)
     figures = sorted((folder / "figures").glob("*.png"))
     logger.finish(result["fit"]["iterations"], pick_metrics(result), figures, summarise_in_markdown(result, folder))
     return result, found.complaint

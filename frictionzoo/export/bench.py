@@ -1,23 +1,27 @@
 """The target `mjcf`: the bench as a model that MuJoCo loads as it is."""
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
 
 from frictionzoo.bench import Robot
 from frictionzoo.core.errors import ConfigError, FrictionzooError
 from frictionzoo.core.params import UNITS
-from frictionzoo.export.base import Target, list_values, measure, register_target
-from frictionzoo.export.nearest import Nearest, find_nearest, say_exact
+from frictionzoo.export.base import Target, list_values, register_target
+from frictionzoo.export.loaded import ModelFile, list_lacks, play, say_delay, say_difference
+from frictionzoo.export.nearest import Nearest, find_nearest, say_law
 from frictionzoo.export.robot import ACTUATORS, Equipped, compare_torque, put_into, say_whole
-from frictionzoo.export.simulate import PAYLOADS, commands_before, simulate, step_with_control
-from frictionzoo.export.written import Export
+from frictionzoo.export.simulate import PAYLOADS
+from frictionzoo.export.stand import list_coupled, mount
+from frictionzoo.export.written import Difference, Export
+from frictionzoo.result.evaluate import Prediction
 from frictionzoo.result.identified import Identified
+from frictionzoo.result.names import name_some
 
 _log = logging.getLogger(__name__)
 FILE = "bench.xml"
@@ -41,53 +45,117 @@ class Mjcf(Target):
         for name in ("joint", "actuator"):
             if name in options and "into" not in options and not own:
                 raise ConfigError(f"{name}={options[name]} without into; give into=ROBOT.xml too")
-        nearest = find_nearest(fitted)
-        text = write_bench(fitted, nearest)
-        (folder / FILE).write_text(text)
-        model = mujoco.MjModel.from_xml_path(str(folder / FILE))
-        difference = measure("qpos", fitted, run_bench(model, fitted), fitted.rollout()[0], reason=nearest.lacks)
-        limits = say_limits(fitted, nearest)
-        if "into" not in options and not own:
-            return Export((FILE,), (difference,), limits)
-        path, actuators = Path(options.get("into", fitted.bench.source)), options.get("actuator", ACTUATORS[0])
         joints = options["joint"].split(",") if "joint" in options else fitted.bench.joints
-        try:
-            robot = put_into(path, joints, actuators, fitted, nearest, text)
-            whole = say_whole(path, robot)
-        except FrictionzooError as error:
-            if options.keys() & {"into", "joint", "actuator"}:
-                raise
-            return Export((FILE,), (difference,), (*limits, f"The robot's own file is not written: {error}."))
-        name = path.name if path.name != FILE else f"robot_{FILE}"
-        name = name if "into" in options else _name(robot)
-        (folder / name).write_bytes(robot.content)
-        torque, cut = compare_torque(robot, fitted, nearest, actuators == "identified" and not robot.urdf)
-        said = _say_robot(robot, fitted, nearest, actuators)
-        return Export((FILE, name), (difference, torque), (*limits, *whole, *robot.notes, *cut, *said))
+        path = Path(options.get("into", fitted.bench.source)) if "into" in options or own else None
+        robot = None if path is None else _Robot(path, tuple(joints), options.get("actuator", ACTUATORS[0]))
+        asked = bool(options.keys() & {"into", "joint", "actuator"})
+        written, torque = _write_models(fitted, robot, asked)
+        if "into" in options and path is not None:
+            written[1] = replace(written[1], name=path.name if path.name != FILE else f"robot_{FILE}")
+        for file in written:
+            (folder / file.name).write_bytes(file.content)
+        limits = dict.fromkeys(limit for file in written for limit in file.limits)
+        moved = (file.difference for file in written if file.difference)
+        return Export(tuple(file.name for file in written), (*moved, *torque), tuple(limits))
 
 
-def write_identified(fitted: Identified) -> dict[str, bytes]:
-    """What a run leaves behind for MuJoCo, by the file's name.
+class _Robot(NamedTuple):
+    """A robot's file that is to get the drive: its path, the joints' names, and one of `ACTUATORS`."""
+
+    path: Path
+    joints: tuple[str, ...]
+    actuators: str = ACTUATORS[0]
+
+
+def write_identified(fitted: Identified) -> list[ModelFile]:
+    """Write what a run leaves behind for MuJoCo.
 
     That is the bench; of a robot's own file, the bench that was simulated, and that file with the drive in it. Where it
     cannot hold the drive, a line of the log says why.
     """
-    nearest = find_nearest(fitted)
-    text = write_bench(fitted, nearest)
-    if not isinstance(fitted.bench, Robot):
-        return {f"{IDENTIFIED}.xml": text.encode()}
-    path = Path(fitted.bench.source)
+    own = isinstance(fitted.bench, Robot)
+    robot = _Robot(Path(fitted.bench.source), fitted.bench.joints) if own else None
+    (bench, *others), _ = _write_models(fitted, robot, asked=False)
+    if own and not others:
+        _log.warning("%s.xml is the bench alone, not the robot: %s", IDENTIFIED, bench.limits[-1])
+    return [*([bench] if own else []), *(others or [replace(bench, name=f"{IDENTIFIED}.xml")])]
+
+
+def _write_models(
+    fitted: Identified, robot: _Robot | None, asked: bool
+) -> tuple[list[ModelFile], tuple[Difference, ...]]:
+    """The bench with the drive, and a robot's file if there is one; and how far that file's torque is off.
+
+    A robot that cannot hold the drive is left out, which the last of the bench's limits says; with `asked` it raises.
+    """
+    nearest, expected = find_nearest(fitted), Prediction(*fitted.rollout())
+    bench = _write_bench_file(fitted, nearest, expected)
+    if robot is None:
+        return [bench], ()
     try:
-        robot = put_into(path, fitted.bench.joints, ACTUATORS[0], fitted, nearest, text)
+        file, torque = _write_robot_file(fitted, nearest, expected, robot)
     except FrictionzooError as error:
-        _log.warning("%s.xml is the bench alone, not the robot: %s", IDENTIFIED, error)
-        return {FILE: text.encode(), f"{IDENTIFIED}.xml": text.encode()}
-    return {FILE: text.encode(), _name(robot): robot.content}
+        if asked:
+            raise
+        return [replace(bench, limits=(*bench.limits, f"The robot's own file is not written: {error}."))], ()
+    return [bench, file], (torque,)
 
 
-def _name(robot: Equipped) -> str:
-    """Of the file of a robot that was itself the bench."""
-    return f"{IDENTIFIED}.urdf" if robot.urdf else f"{IDENTIFIED}.xml"
+def _write_bench_file(fitted: Identified, nearest: Nearest, expected: Prediction) -> ModelFile:
+    """The bench, played as it is loaded, which its comment says."""
+    model = mujoco.MjModel.from_xml_string(write_bench(fitted, nearest))
+    difference, more = play(model, fitted, expected, list_lacks(fitted, nearest, fitted.timestep))
+    limits = (*say_limits(fitted, nearest), *more)
+    content = write_bench(fitted, nearest, _list_remarks(fitted, nearest, difference, limits)).encode()
+    return ModelFile(FILE, content, fitted.timestep, difference, limits)
+
+
+def _write_robot_file(
+    fitted: Identified, nearest: Nearest, expected: Prediction, asked: _Robot
+) -> tuple[ModelFile, Difference]:
+    """A robot's file with the drive, played as it is loaded where it is the one that was recorded.
+
+    And the difference of its actuators' torque.
+    """
+    text, (path, joints, actuators) = write_bench(fitted, nearest), asked
+    robot = put_into(path, joints, actuators, fitted, nearest, text)
+    timestep = fitted.timestep if robot.urdf else float(robot.model.opt.timestep)
+    torque, cut = compare_torque(robot, fitted, nearest, actuators == "identified" and not robot.urdf)
+    difference, more = None, ()
+    if isinstance(fitted.bench, Robot) and asked == _Robot(Path(fitted.bench.source), fitted.bench.joints):
+        why = [*list_lacks(fitted, nearest, timestep), *(["limits of the robot's own actuators"] if cut else [])]
+        difference, more = _play_robot(robot, fitted, nearest, expected, path, text, why)
+    limits = [*say_limits(fitted, nearest, timestep), *say_whole(path, robot), *robot.notes, *cut]
+    limits = tuple(dict.fromkeys([*limits, *_say_robot(robot, fitted, nearest, actuators), *more]))
+    content = robot.commented(*_list_remarks(fitted, nearest, difference, limits)).content
+    name = f"{IDENTIFIED}.urdf" if robot.urdf else f"{IDENTIFIED}.xml"
+    return ModelFile(name, content, timestep, difference, limits), torque
+
+
+def _play_robot(
+    robot: Equipped, fitted: Identified, nearest: Nearest, expected: Prediction, path: Path, bench: str, why: list[str]
+) -> tuple[Difference | None, tuple[str, ...]]:
+    """See `play`."""
+    if robot.unknown:
+        bodies = name_some(robot.unknown)
+        return None, (f"It is not played: MuJoCo does not take the inertia of {bodies}, or does not find its mesh.",)
+    if coupled := list_coupled(robot):
+        joints = name_some(coupled)
+        return None, (f"It is not played: {joints} were not identified and are tied to other joints.",)
+    model, place = mount(robot, fitted, nearest, path, bench)
+    difference, why_not = play(model, fitted, expected, why, place)
+    over = ", the robot's own file on the bench's stand"
+    return difference and replace(difference, over=f"{difference.over}{over}"), why_not
+
+
+def _list_remarks(
+    fitted: Identified, nearest: Nearest, difference: Difference | None, limits: tuple[str, ...]
+) -> list[str]:
+    """What a file's comment says besides its friction law."""
+    return [
+        *([say_difference(fitted, difference)] if difference else []),
+        *(limit for limit in limits if limit != nearest.remark),
+    ]
 
 
 def _say_robot(robot: Equipped, fitted: Identified, nearest: Nearest, actuators: str) -> list[str]:
@@ -103,49 +171,31 @@ def _say_robot(robot: Equipped, fitted: Identified, nearest: Nearest, actuators:
     if "position_offset" in fitted.bench.params:
         offset = list_values(fitted.values["bench"]["position_offset"])
         limits.append(f"The recorded positions lack {offset} {units['position']}, which the robot's joints do not.")
+        if actuators == "identified" and not robot.urdf:
+            limits.append("The actuators' bias makes up for that: `ctrl` is the recorded command.")
     if not robot.urdf and not np.isclose(timestep, fitted.timestep, rtol=1e-6):
         limits.append(
-            f"The robot's time step is {timestep:g} s, that of the differences {fitted.timestep:g} s; export with "
-            f"timestep={timestep:g} to see what it changes."
+            f"The robot's time step is {timestep:g} s, the drive was identified in steps of {fitted.timestep:g} s."
         )
     if b"file=" in robot.content or b"filename=" in robot.content:
         limits.append("It refers to files (meshes) as the original does: put it where that lies.")
     return limits
 
 
-def write_bench(fitted: Identified, nearest: Nearest) -> str:
-    """The bench's MJCF with these values, in steps of the drive's length."""
+def write_bench(fitted: Identified, nearest: Nearest, remarks: Sequence[str] = ()) -> str:
+    """The bench's MJCF with these values, in steps of the drive's length, and remarks in its comments."""
     loss = nearest.frictionloss if nearest.frictionloss.any() else None  # 0 would be a constraint without effect
-    remark = nearest.remark or say_exact(fitted.model)
-    return fitted.bench.mjcf(nearest.bench, loss, nearest.damping, (remark,))
+    comments = (nearest.remark or say_law(fitted.model), *remarks)
+    return fitted.bench.mjcf(nearest.bench, loss, nearest.damping, comments, limited=True)
 
 
-def run_bench(
-    model: mujoco.MjModel, fitted: Identified, begin: Callable[[mujoco.MjData, int], None] = lambda *_: None
-) -> Float[np.ndarray, "batch time nv"]:
-    """Positions of the long test rollouts in MuJoCo C, the actuator law's controller computed by the caller.
-
-    Where the compiled bench delays the commands itself, it gets them as recorded. `begin` is called with a rollout's
-    number before it begins.
-    """
-
-    def fill_history(model: mujoco.MjModel, data: mujoco.MjData, rollout: int) -> None:
-        """Put the commands before the first state where MuJoCo's late actuators look for them."""
-        begin(data, rollout)
-        held = commands_before(fitted, rollout).ctrl
-        for actuator in range(model.nu):
-            if count := int(model.actuator_history[actuator, 0]):
-                steps = np.arange(-count, 0)
-                known = held[np.maximum(len(held) + steps, 0), actuator]
-                mujoco.mj_initCtrlHistory(model, data, actuator, model.opt.timestep * steps, known)
-
-    return simulate(model, fitted, step_with_control(fitted), fill_history, late=not model.nhistory)
-
-
-def say_limits(fitted: Identified, nearest: Nearest) -> tuple[str, ...]:
-    """What a user of the bench's MJCF has to know."""
+def say_limits(fitted: Identified, nearest: Nearest, timestep: float | None = None) -> tuple[str, ...]:
+    """What a user of an MJCF with the drive has to know, in steps of this length [s] or of the drive's."""
     law, limits = fitted.bench.actuator, [nearest.remark] if nearest.remark else []
-    if law.has_controller:
+    limits += say_delay(fitted, fitted.timestep if timestep is None else timestep)
+    if not law.needs_state and any(np.any(fitted.segments.signals.inputs[name]) for name in fitted.sampling.commands):
+        limits.append("`ctrl` is the command plus (kd ctrl_velocity + ctrl_torque) / kp, as the recordings have them.")
+    if law.needs_state:
         late = (
             f", from commands that are {list_values(fitted.values['bench']['delay'])} s late"
             if "delay" in fitted.bench.params

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from frictionzoo.bench.template import in_full
 from frictionzoo.core.errors import ExportError
 from frictionzoo.core.xml import write_xml
-from frictionzoo.export.bench import run_bench
+from frictionzoo.export.simulate import run_loaded
 from frictionzoo.export.skeleton import find_free_name
 from frictionzoo.result.identified import Identified
 
@@ -34,7 +34,9 @@ def write_native(fitted: Identified) -> str:
     values = fitted.values["friction"]
     spread = {name: values[name][param.members(bench.nv)] for name, param in model.params.items()}
     remark = f"{model.name}: by MuJoCo's dcmotor, whose act is the bend of the bristles, and damping. {REASON}."
-    root = ET.fromstring(bench.mjcf(fitted.values["bench"], None, spread["viscous_coefficient"], (remark,)))
+    root = ET.fromstring(
+        bench.mjcf(fitted.values["bench"], None, spread["viscous_coefficient"], (remark,), limited=True)
+    )
     section = root.find("actuator")
     assert section is not None
     taken = set(bench.joints)
@@ -61,4 +63,4 @@ def run_native(text: str, fitted: Identified) -> Float[np.ndarray, "batch time n
     def begin(data: mujoco.MjData, rollout: int) -> None:
         data.act[:] = bend[rollout]
 
-    return run_bench(mujoco.MjModel.from_xml_string(text), fitted, begin)
+    return run_loaded(mujoco.MjModel.from_xml_string(text), fitted, begin=begin)

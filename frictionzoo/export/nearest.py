@@ -274,7 +274,7 @@ def _take_exact(
     """A drive whose law is MuJoCo's own, for one value of what it looks at besides the state."""
     if not model.inputs:
         return Nearest(bench, loss, damping)
-    return Nearest(bench, loss, damping, say_exact(model), f"friction of one {', '.join(model.inputs)}")
+    return Nearest(bench, loss, damping, say_law(model), f"friction of one {', '.join(model.inputs)}")
 
 
 def _lack(fitted: Identified, exact: Bool[np.ndarray, "nv"]) -> str:
@@ -330,9 +330,9 @@ def evaluate_law(model: FrictionModel, samples: DriveState, values: Values | Non
     return FrictionTerms(*(None if term is None else np.broadcast_to(term.detach().numpy(), shape) for term in terms))
 
 
-def say_exact(model: FrictionModel) -> str:
-    """In words, that a frictionloss and a damping are the law, and where."""
-    return f"{model.name}: represented exactly by the frictionloss and damping below{_say_where(model)}."
+def say_law(model: FrictionModel) -> str:
+    """Say that a frictionloss and a damping are the law, and where."""
+    return f"{model.name}: its friction is the frictionloss and damping below{_say_where(model)}."
 
 
 def _say_where(model: FrictionModel) -> str:

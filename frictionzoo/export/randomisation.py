@@ -12,11 +12,12 @@ from frictionzoo.bench import Robot
 from frictionzoo.core.errors import ConfigError, FrictionzooError, closest
 from frictionzoo.core.params import UNITS
 from frictionzoo.export.base import Target, measure, read_number, register_target
-from frictionzoo.export.bench import run_bench, say_limits, write_bench
+from frictionzoo.export.bench import say_limits, write_bench
 from frictionzoo.export.events import ISAAC_LAB, MJLAB, OPERATIONS, write_events
 from frictionzoo.export.motor import INPUTS, read_inputs
 from frictionzoo.export.nearest import Nearest, find_nearest, find_nearest_each
 from frictionzoo.export.robot import ACTUATORS, put_into
+from frictionzoo.export.simulate import run_loaded
 from frictionzoo.export.variants import Quantity, Ranges, Variants, draw_variants, list_quantities, read_ranges
 from frictionzoo.export.written import Difference, Export
 from frictionzoo.result.identified import Identified
@@ -147,13 +148,13 @@ def _put_into_robot(drives: Sequence[Drive]) -> tuple[str, list[bytes], tuple[st
     said = robots[0].notes
     if b"file=" in robots[0].content or b"filename=" in robots[0].content:
         said += ("The robot's files refer to others (meshes) as the original does: put them where that lies.",)
-    return (".urdf" if robots[0].urdf else ".xml"), [robot.content for robot in robots], said
+    return (".urdf" if robots[0].urdf else ".xml"), [robot.commented().content for robot in robots], said
 
 
 def _run_benches(drives: Sequence[Drive]) -> tuple[tuple[Difference, ...], str]:
     """How far what was written is from the drives in MuJoCo C, and in words how far these are from each other."""
     fitted = drives[0][0]
-    came = [run_bench(mujoco.MjModel.from_xml_string(write_bench(*drive)), drive[0]) for drive in drives]
+    came = [run_loaded(mujoco.MjModel.from_xml_string(write_bench(*drive)), drive[0]) for drive in drives]
     laws = [fitted.rollout(values=drive.values)[0] for drive, _ in drives]
     drawn, of_laws = np.array(came[1:]), np.array(laws[1:])
     over = f"{len(drawn)} draws of them, each against itself"

@@ -2,7 +2,7 @@
 
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.parsers import expat
 
@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from frictionzoo.bench import Affine
+from frictionzoo.bench.delay import write_delay
 from frictionzoo.bench.robot_file.actuators import read_actuators, read_armature, read_damping, read_friction
 from frictionzoo.bench.robot_file.source import Source, load
 from frictionzoo.bench.template import in_full
@@ -18,13 +19,14 @@ from frictionzoo.core.errors import ConfigError, ExportError, closest
 from frictionzoo.core.state import DriveState
 from frictionzoo.export.base import measure
 from frictionzoo.export.in_place import InPlace, Tag
-from frictionzoo.export.nearest import Nearest, say_exact
+from frictionzoo.export.nearest import Nearest, say_law
 from frictionzoo.export.ranges import list_limits
 from frictionzoo.export.written import Difference
 from frictionzoo.result.identified import Identified
 
 _JOINT = ("armature", "solreffriction", "frictionloss", "damping")
 _PLAIN = {"dyntype": "none", "gaintype": "fixed", "gear": "1 0 0 0 0 0"}  # whatever the robot's defaults are
+_LATE = ("delay", "nsample", "interp")
 _STATES = 200  # recorded states in which torques are compared
 _NAMED = 3  # joints up to which a line names them
 _SAME = 1e-12  # share by which a value that is read back may differ
@@ -41,7 +43,9 @@ class Equipped:
         joints: Names of the joints that were identified.
         column: Column of the drive's values of each of them.
         model: The file compiled, with every joint and actuator; without meshes, sensors and keyframes.
+        remark: What was changed, for a comment of the file.
         notes: What a user has to know of what was changed, a sentence each.
+        unknown: Names of bodies that move with the joints and whose inertia the model does not have.
     """
 
     content: bytes
@@ -49,7 +53,15 @@ class Equipped:
     joints: tuple[str, ...]
     column: tuple[int, ...]
     model: mujoco.MjModel
+    remark: str
     notes: tuple[str, ...]
+    unknown: tuple[str, ...]
+
+    def commented(self, *sentences: str) -> "Equipped":
+        """Return the same with a comment at the top of the file: what was changed, and these sentences."""
+        file = InPlace.read(self.content)
+        file.remark(" ".join([self.remark, *sentences]))
+        return replace(self, content=file.write())
 
 
 def _refuse_inertia(path: Path, fitted: Identified) -> None:
@@ -73,7 +85,7 @@ def put_into(
 ) -> Equipped:
     """A robot's file with the drive in some of its joints; all else stays as it is, byte by byte.
 
-    Meshes need not be there. What was written is read back as the file of a bench is.
+    Meshes need not be there. What was written is read back as the file of a bench is. The file has no comment yet.
 
     Args:
         path: Of the robot, MJCF or URDF.
@@ -106,13 +118,15 @@ def put_into(
         own = next(element for element in template.iter("joint") if element.get("name") == general.get("joint"))
         file.set(tags[name], {attribute: own.get(attribute, "0") for attribute in _JOINT})
         if actuators == "identified":
-            notes += _write_actuator(file, path, name, general, before)
+            law = describe_law(fitted, nearest, column, general, float(before.model.opt.timestep))
+            notes += _write_actuator(file, path, name, law, before)
     what = "armature, frictionloss, damping, solreffriction" + (" and actuator" if actuators == "identified" else "")
-    remark = nearest.remark or say_exact(fitted.model)
-    file.remark(f"frictionzoo: {'dynamics' if urdf else what} of {_say_joints(joints)} identified. {remark}")
+    remark = nearest.remark or say_law(fitted.model)
+    said = f"frictionzoo: {'dynamics' if urdf else what} of {_say_joints(joints)} identified. {remark}"
     after = load(str(path), file.write())
     _refuse_keys(file, path, before.model, after.model)
-    robot = Equipped(file.write(), urdf, tuple(joints), columns, after.model, tuple(dict.fromkeys(notes)))
+    changes = said, tuple(dict.fromkeys(notes)), _list_unknown(after, joints)
+    robot = Equipped(file.write(), urdf, tuple(joints), columns, after.model, *changes)
     _refuse_unlike(after, robot, fitted, nearest, actuators == "identified" and not urdf)
     return robot
 
@@ -131,11 +145,17 @@ def compare_torque(
     data, column = mujoco.MjData(robot.model), list(robot.column)
     expected = -(nearest.damping + fitted.bench.own_damping) * states.qvel + (states.motor_torque if actuators else 0.0)
     rows = [states.map(lambda signal, row=row: signal[row, column]) for row in range(len(expected))]
+    rows = [state._replace(qpos=state.qpos + offset_of(fitted)[column]) for state in rows]
     came = [_torque_in(robot, data, state, actuators) for state in rows]
     what = "actuator and damping" if actuators else "damping"
     over = f"{what} of {_say_joints(robot.joints)} in {len(expected)} recorded states"
     said = _say_cut(robot, states.motor_torque[:, column]) if actuators else ()
     return measure("torque", fitted, np.array(came), expected[:, column], over), said
+
+
+def offset_of(fitted: Identified) -> Float[np.ndarray, "nv"]:
+    """Return what recorded positions lack [rad or m]: the robot's own joints have true positions."""
+    return fitted.values["bench"].get("position_offset", np.zeros(fitted.bench.nv))
 
 
 def _say_cut(robot: Equipped, torque: Float[np.ndarray, "states joints"]) -> tuple[str, ...]:
@@ -271,8 +291,35 @@ def _write_dynamics(file: InPlace, joint: Tag, nearest: Nearest, own_damping: np
     file.append(joint, ET.Comment(f" armature {armature}: URDF has no place for it "))
 
 
-def _write_actuator(file: InPlace, path: Path, joint: str, general: ET.Element, before: Source) -> list[str]:
-    """MJCF: the joint's actuator as the bench has it, within the limits of the robot's own."""
+def _meant(fitted: Identified, nearest: Nearest) -> Affine:
+    """Return the actuators' coefficients for true positions, where the bench's are those of the encoders."""
+    law = fitted.bench.actuator.affine(nearest.bench)
+    return law._replace(bias0=law.bias0 - law.bias1 * offset_of(fitted))
+
+
+def describe_law(
+    fitted: Identified, nearest: Nearest, column: int, general: ET.Element, timestep: float
+) -> dict[str, str]:
+    """Attributes of a joint's actuator, from those of the bench's, in the robot's own positions and time step [s]."""
+    law = {key: value for key, value in general.attrib.items() if key not in ("name", "joint", *_LATE)}
+    law["biasprm"] = " ".join(in_full(bias[column]) for bias in _meant(fitted, nearest)[1:])
+    if "delay" in nearest.bench and not fitted.bench.actuator.needs_state:
+        law |= write_delay(float(nearest.bench["delay"][column]), timestep)
+    return law
+
+
+def _list_unknown(after: Source, joints: Sequence[str]) -> tuple[str, ...]:
+    """Name the bodies that these joints move and whose inertia MuJoCo does not take, or finds no mesh for."""
+    model, ids, moved = after.model, {after.model.joint(name).id for name in joints}, np.zeros(after.model.nbody, bool)
+    for body in range(1, model.nbody):
+        first = model.body_jntadr[body]
+        own = ids & set(range(first, first + model.body_jntnum[body]))
+        moved[body] = moved[model.body_parentid[body]] or bool(own)
+    return tuple(after.name(body) for body in np.flatnonzero(moved & ~after.compiled).tolist())
+
+
+def _write_actuator(file: InPlace, path: Path, joint: str, law: dict[str, str], before: Source) -> list[str]:
+    """MJCF: the joint's actuator with the attributes of this law, within the limits of the robot's own."""
     sections = [tag for tag in file.tags if tag.path == ("mujoco",) and tag.name == "actuator"]
     inside = [tag for tag in file.tags if any(tag.owner is section for section in sections)]
     old = [tag for tag in inside if joint in (tag.attributes.get("joint"), tag.attributes.get("jointinparent"))]
@@ -282,9 +329,6 @@ def _write_actuator(file: InPlace, path: Path, joint: str, general: ET.Element, 
     old = [tag for tag in old if tag not in rubbing]
     if len(old) > 1:
         raise ConfigError(f"joint={joint}: {len(old)} actuators, expected one at most; set actuator=keep")
-    law = {key: value for key, value in general.attrib.items() if key not in ("name", "joint")}
-    if "delay" in law:
-        law["nsample"] = str(int(np.ceil(float(law["delay"]) / before.model.opt.timestep)) + 2)
     kept = {key: old[0].attributes[key] for key in ("name",) if key in old[0].attributes} if old else {"name": joint}
     limits, notes = list_limits(before, joint, law)
     if rubbing:
@@ -330,7 +374,7 @@ def _refuse_unlike(after: Source, robot: Equipped, fitted: Identified, nearest: 
     if not robot.urdf:
         pairs["armature"] = nearest.bench["armature"], read_armature(after, ids)
     if actuators:
-        law, read = fitted.bench.actuator.affine(nearest.bench), read_actuators(after, ids)
+        law, read = _meant(fitted, nearest), read_actuators(after, ids)
         for name in Affine._fields:
             found = np.array([getattr(actuator, name, np.nan) for actuator in read])
             pairs[f"{name} of the actuator"] = getattr(law, name), found

@@ -13,7 +13,7 @@ from frictionzoo.bench.template import in_full
 from frictionzoo.core.errors import ConfigError, ExportError
 from frictionzoo.core.xml import write_comment, write_xml
 from frictionzoo.export.base import Target, measure, register_target
-from frictionzoo.export.nearest import Nearest, find_nearest, say_exact
+from frictionzoo.export.nearest import Nearest, find_nearest, say_law
 from frictionzoo.export.skeleton import (
     DRAKE,
     WORLD,
@@ -78,7 +78,7 @@ def write_sdf(fitted: Identified, nearest: Nearest, in_links: bool = False) -> s
         ExportError: The links cannot have it.
     """
     root = ET.Element("sdf", {"version": _VERSION, "xmlns:drake": DRAKE})
-    root.append(write_comment(f"frictionzoo: {nearest.remark or say_exact(fitted.model)}"))
+    root.append(write_comment(f"frictionzoo: {nearest.remark or say_law(fitted.model)}"))
     model = ET.SubElement(root, "model", name="bench")
     armature = dict(zip(fitted.bench.joints, nearest.bench["armature"], strict=True))
     links = read_links(fitted, nearest)

@@ -12,8 +12,9 @@ from frictionzoo.bench.template import in_full
 from frictionzoo.core.errors import ExportError
 from frictionzoo.core.params import UNITS
 from frictionzoo.export.base import list_values
-from frictionzoo.export.bench import run_bench, say_limits, write_bench
+from frictionzoo.export.bench import say_limits, write_bench
 from frictionzoo.export.nearest import Nearest
+from frictionzoo.export.simulate import run_loaded
 from frictionzoo.result.identified import Identified
 
 WORLD = "world"
@@ -122,6 +123,7 @@ def run_links(
     """
     text = write_bench(fitted, nearest)
     bench, law = mujoco.MjModel.from_xml_string(text), fitted.bench.actuator.affine(nearest.bench)
+    ends = fitted.bench.actuator.force_range(nearest.bench)
     spec.option, spec.compiler.fusestatic = mujoco.MjSpec.from_string(text).option, 0
     for index, name in enumerate(fitted.bench.joints):
         joint = spec.joint(name)
@@ -129,6 +131,8 @@ def run_links(
         gain, *bias = (float(coefficient[index]) for coefficient in law)
         actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         actuator.gainprm[0], actuator.biastype, actuator.biasprm[:3] = gain, mujoco.mjtBias.mjBIAS_AFFINE, bias
+        if ends is not None:
+            actuator.forcelimited, actuator.forcerange = True, ends[index]
     model, payload = spec.compile(), fitted.bench.payload
     model.qpos0[:] = bench.qpos0
 
@@ -136,7 +140,7 @@ def run_links(
         if payload is not None and fitted.segments.load is not None:  # a payload is in the frame of the bench's body
             model.body_ipos[payload] -= _anchor(bench, payload)
 
-    return run_bench(model, fitted, begin)
+    return run_loaded(model, fitted, begin=begin, late=True)
 
 
 def list_numbers(values: Iterable[float]) -> str:
@@ -156,7 +160,7 @@ def say_lacks(fitted: Identified, nearest: Nearest, in_links: bool = False) -> t
         "Drake reads no dry friction: its joints have damping alone.",
         "Shapes are left out, and so are solreffriction, gravity and the time step.",
     ]
-    if "delay" in values and not fitted.bench.actuator.has_controller:  # whose limit says so
+    if "delay" in values and not fitted.bench.actuator.needs_state:  # whose limit says so
         said.append(
             f"Commands act {list_values(values['delay'])} s late, which the caller does, as for the difference."
         )

@@ -14,7 +14,7 @@ from frictionzoo.core.errors import ExportError
 from frictionzoo.core.xml import write_comment, write_xml
 from frictionzoo.export.base import Target, measure, register_target
 from frictionzoo.export.motor import INPUTS, Motor, list_lacks, motors, read_inputs
-from frictionzoo.export.nearest import Nearest, find_nearest, say_exact
+from frictionzoo.export.nearest import Nearest, find_nearest, say_law
 from frictionzoo.export.skeleton import DRAKE, WORLD, Link, list_numbers, read_links, run_links, say_lacks
 from frictionzoo.export.written import Export
 from frictionzoo.result.identified import Identified
@@ -48,7 +48,7 @@ class Urdf(Target):
 def write_urdf(fitted: Identified, nearest: Nearest, drives: list[Motor]) -> str:
     """The file; `drives` is empty where the command is no position."""
     robot = ET.Element("robot", {"name": "bench", "xmlns:drake": DRAKE})
-    robot.append(write_comment(f"frictionzoo: {nearest.remark or say_exact(fitted.model)}"))
+    robot.append(write_comment(f"frictionzoo: {nearest.remark or say_law(fitted.model)}"))
     ET.SubElement(robot, "link", name=WORLD)
     for link in read_links(fitted, nearest):
         _add_link(robot, link)

@@ -101,12 +101,15 @@ class Identified:
         values = {"bench": read_bench(result, bench), "friction": friction}
         return cls(folder, result, bench, model, state, values, segments, sampling, curves)
 
-    def save(self, folder: str | Path) -> None:
+    def save(self, folder: str | Path) -> Result:
         """Write figures, values, curves, MJCF and page, and `result.json` last: where that is, all is.
 
         Args:
             folder: Where to; it is made if it is missing, and an earlier run's files in it are replaced where nobody
                 changed them.
+
+        Returns:
+            What `result.json` holds: in `written`, how far each model file moves from the drive.
 
         Raises:
             OutputError: A foreign file is in the way, or a file cannot be written.
@@ -116,9 +119,9 @@ class Identified:
         began, folder = time.perf_counter(), Path(folder)
         with claim(folder, "run", RUN_FILES) as manifest:
             manifest.remove(RESULT)
-            self._write(folder, began)
+            return self._write(folder, began)
 
-    def _write(self, folder: Path, began: float) -> None:
+    def _write(self, folder: Path, began: float) -> Result:
         # Imported here, so that what reads a run does not wait for what draws one.
         from frictionzoo.export.bench import write_identified
         from frictionzoo.show.replay import record_replay
@@ -131,13 +134,16 @@ class Identified:
         write_atomically(folder / LAW, safetensors.torch.save(dict(self.state), header))
         write_curves(folder, self.curves)
         # What `python -m frictionzoo.export RUN target=mjcf` writes, too.
-        for name, content in write_identified(self).items():
-            write_atomically(folder / name, content)
+        models = write_identified(self)
+        for model in models:
+            write_atomically(folder / model.name, model.content)
         result = copy.deepcopy(self.result)
+        result["written"] = [model.describe(self) for model in models]
         result["timing"]["total"] += time.perf_counter() - began
         replay = record_replay(self.bench, self.values["bench"], self.curves, self.segments.timestep)
         write_report(folder / "report.html", result, self.curves, replay)
         write_result(folder / RESULT, result)
+        return result
 
     @property
     def place(self) -> str:

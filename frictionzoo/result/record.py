@@ -148,6 +148,7 @@ def build_result(found: Findings) -> types.Result:
         "device": found.device,
         "versions": _read_versions(),
         "settings": dict(found.settings),
+        "written": [],
         "not_identified": None,
         "verdict": {"grade": "nothing speaks against it", "findings": [], "commands": []},
     }

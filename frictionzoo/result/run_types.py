@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal, TypedDict
 
-from frictionzoo.result.kinds import Count, Natural, NotNegative, Text
+from frictionzoo.result.kinds import Count, Natural, NotNegative, Positive, Text
 
 
 class FitRow(TypedDict):
@@ -87,6 +87,37 @@ class ProofRow(TypedDict):
     """Rollouts."""
     steps: Count
     """Steps in each."""
+
+
+class WrittenRow(TypedDict):
+    """A model file that the run left behind, played in MuJoCo C beside the identified drive.
+
+    It is loaded as it is: its time step, integrator, actuators and their delay are those of the file, and `ctrl` is the
+    recorded command. A robot's own file is played on the bench's stand: base and other joints stand still, contacts and
+    limits act where the bench has them.
+    """
+
+    file: Text
+    """Its name in the run's folder."""
+    timestep: Positive
+    """Its time step [s]."""
+    mean: NotNegative | None
+    """Mean absolute difference of positions from the identified drive's in the long test rollouts [unit]; null where it
+    was not played, and `limits` say why."""
+    largest: NotNegative | None
+    """Largest absolute difference of positions [unit]."""
+    unit: Literal["rad", "m"]
+    """Unit of the differences."""
+    share: NotNegative | None
+    """`mean` as a share of the drive's own error, `metrics.test.position_mae`."""
+    exact: bool
+    """Whether the largest difference is rounding: at most 1e-9."""
+    over: str
+    """The rollouts, in words; empty where there were none."""
+    reason: str
+    """In a few words, why it moves differently; empty where it should not."""
+    limits: list[Text]
+    """What the file cannot hold and what its user has to know, a sentence each."""
 
 
 Versions = TypedDict(

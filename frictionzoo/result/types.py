@@ -24,7 +24,7 @@ from frictionzoo.result.kinds import (
     WhereThere,
 )
 from frictionzoo.result.residual_types import ResidualRow
-from frictionzoo.result.run_types import ChoiceRow, ColumnsRow, FitRow, ProofRow, TimingRow, Versions
+from frictionzoo.result.run_types import ChoiceRow, ColumnsRow, FitRow, ProofRow, TimingRow, Versions, WrittenRow
 from frictionzoo.result.torque_types import LinksRow, TorqueRow
 from frictionzoo.result.verdict_types import VerdictRow
 
@@ -344,6 +344,8 @@ class Result(TypedDict):
     result doubtful, a sentence each with what mends it."""
     notes: list[Text]
     """What a robot's file has that was left out or changed, a sentence each."""
+    written: list[WrittenRow]
+    """The model files that the run left behind; empty for a drive that was not saved."""
     not_identified: list[Text] | None
     """Null, or that the fit did not identify the drive: why that is said, and the likely reasons, the likeliest
     first."""

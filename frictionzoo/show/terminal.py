@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from frictionzoo.comparison.types import Comparison
+from frictionzoo.export.written import FAR
 from frictionzoo.result.names import merge_known
+from frictionzoo.result.run_types import WrittenRow
 from frictionzoo.result.torque_types import TorqueRow
 from frictionzoo.result.types import DataRow, MetricsRow, ParameterRow, Result, ValueRow
 from frictionzoo.result.verdict import say_finding
@@ -82,10 +84,11 @@ def _arrange(
         tabulate(_list_errors(metrics["test"], metrics["baseline"], ("this model", "no friction"))),
         *([tabulate(_list_joints(result))] if len(result["joints"]) > 1 else []),
         *([tabulate(_list_torque(result["torque"]))] if result["torque"] else []),
+        *([tabulate(_list_written(result)), tell(_list_limits(result))] if result["written"] else []),
         *([say(f"files: {folder}")] if folder else []),
         tell(_list_verdict(result)),
     ]
-    return "\n\n".join(blocks)
+    return "\n\n".join(filter(None, blocks))
 
 
 def summarise_distillation(student: Result, teacher: Result, note: Mapping[str, Any], folder: Path) -> str:
@@ -102,10 +105,11 @@ def summarise_distillation(student: Result, teacher: Result, note: Mapping[str, 
         align(_list_errors(test, expected, ("student", "teacher"))),
         align(rows),
         *note["notes"],
+        *([align(_list_written(student)), "\n".join(_list_limits(student))] if student["written"] else []),
         f"files: {folder}",
         "\n".join(_list_verdict(student)),
     ]
-    return "\n\n".join(blocks)
+    return "\n\n".join(filter(None, blocks))
 
 
 def summarise_comparison(comparison: Comparison, folder: Path | None) -> str:
@@ -191,7 +195,7 @@ def _list_joints(result: Result) -> Rows:
 def list_columns(columns: Mapping[str, Any]) -> Rows:
     """Return a table of which column each joint got, from an entry of `columns` of `result.json` or `inspect.json`."""
     signals = sorted(columns["by"], key=[*COLUMNS, *columns["by"]].index)
-    rows = [("joint <-", *(COLUMNS.get(signal, signal) for signal in signals))]
+    rows: list[Sequence[str]] = [("joint <-", *(COLUMNS.get(signal, signal) for signal in signals))]
     return [*rows, *((row["joint"], *(row["columns"][signal] for signal in signals)) for row in columns["joints"])]
 
 
@@ -205,6 +209,33 @@ def _list_torque(torque: TorqueRow) -> Rows:
             (row["joint"], _format_value(left), _format_value(whole), torque["unit"], format_share(left, whole))
         )
     return rows
+
+
+def _list_written(result: Result) -> Rows:
+    """A row a model file with its distance from the identified drive, as it moves where it is loaded."""
+    rows = [("loaded in MuJoCo, differs by", "mean", "largest", "unit", "of the test error")]
+    for row in result["written"]:
+        share = "" if row["share"] is None else f"{100 * row['share']:.2g} %"
+        rows.append((row["file"], _format_value(row["mean"]), _format_value(row["largest"]), row["unit"], share))
+    return rows
+
+
+def _list_limits(result: Result) -> list[str]:
+    """Why model files move differently, what they cannot hold and what their user has to know, a line each."""
+    said = [(row["file"], limit) for row in result["written"] for limit in _list_reasons(row)]
+    files: dict[str, list[str]] = {}
+    for file, limit in said:
+        files.setdefault(limit, []).append(file)
+    return [f"{', '.join(names)}: {limit}" for limit, names in files.items()]
+
+
+def _list_reasons(row: WrittenRow) -> list[str]:
+    """Whether a model file is the drive, and its limits."""
+    if row["exact"]:
+        return ["the identified drive, represented exactly", *row["limits"]]
+    far = row["share"] is not None and row["share"] > FAR
+    reason = row["reason"] or ("no known reason: do not use it" if far else "")
+    return [*([f"far from the identified drive: {reason}"] if far else [reason] if reason else []), *row["limits"]]
 
 
 def _list_errors(test: MetricsRow, reference: MetricsRow, names: tuple[str, str]) -> Rows:

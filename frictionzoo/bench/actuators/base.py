@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from frictionzoo.core.described import Described
 from frictionzoo.core.errors import ConfigError
@@ -89,6 +90,14 @@ class Actuator(Described, ABC):
         """Whether MuJoCo's actuator gets something else than the command."""
         return type(self).control is not Actuator.control
 
+    @property
+    def needs_state(self) -> bool:
+        """Whether a program has to compute in each step, from the state, what MuJoCo's actuator gets.
+
+        Where it does not, `combine` gives what the actuator gets, and `force_range` what limits its torque.
+        """
+        return self.has_controller
+
     @abstractmethod
     def affine(self, values: Mapping[str, Any]) -> Affine:
         """MuJoCo's coefficients for these parameter values, each of shape (nv,)."""
@@ -107,6 +116,17 @@ class Actuator(Described, ABC):
             inputs: Each of `inputs`.
         """
         return command
+
+    def combine(self, values: Mapping[str, Any], command: Any, inputs: Mapping[str, Any]) -> Any:
+        """Return the one command of a MuJoCo actuator that asks for the same torque as all recorded ones together.
+
+        Arguments are those of `control`. It is of no use where the law `needs_state`.
+        """
+        return command
+
+    def force_range(self, values: Mapping[str, Any]) -> Float[np.ndarray, "nv 2"] | None:
+        """Return the range of torque [N m or N] of a MuJoCo actuator that gets `combine`; None without a limit."""
+        return None
 
 
 REGISTRY = Registry(KINDS["actuators"], Actuator, "affine")

@@ -3,8 +3,11 @@
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
+import numpy as np
+from jaxtyping import Float
+
 from frictionzoo.bench.actuators.base import Actuator, Affine, register_actuator
-from frictionzoo.bench.actuators.saturation import ENDS, LIMITS, POSITIVE, saturate
+from frictionzoo.bench.actuators.saturation import ENDS, LIMITS, POSITIVE, beyond_mujoco, force_range, saturate
 
 
 @register_actuator("force")
@@ -29,6 +32,11 @@ class Force(Actuator):
         """See `Actuator.has_controller`: a limit is one."""
         return not LIMITS.keys().isdisjoint(self.params)
 
+    @property
+    def needs_state(self) -> bool:
+        """See `Actuator.needs_state`."""
+        return beyond_mujoco(self.params)
+
     def affine(self, values: Mapping[str, Any]) -> Affine:
         """See `Actuator.affine`."""
         zero = 0 * values["force_gain"]
@@ -41,3 +49,7 @@ class Force(Actuator):
         wanted = values["force_gain"] * command + values["force_offset"]
         given = saturate(xp, values, wanted)
         return command if given is wanted else command + (given - wanted) / values["force_gain"]
+
+    def force_range(self, values: Mapping[str, Any]) -> Float[np.ndarray, "nv 2"] | None:
+        """See `Actuator.force_range`."""
+        return force_range(values)

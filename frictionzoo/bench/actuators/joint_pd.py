@@ -3,8 +3,20 @@
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
+import numpy as np
+from jaxtyping import Float
+
 from frictionzoo.bench.actuators.base import Actuator, Affine, register_actuator
-from frictionzoo.bench.actuators.saturation import ENDS, LIMITS, POSITIONS, POSITIVE, saturate, within_range
+from frictionzoo.bench.actuators.saturation import (
+    ENDS,
+    LIMITS,
+    POSITIONS,
+    POSITIVE,
+    beyond_mujoco,
+    force_range,
+    saturate,
+    within_range,
+)
 
 GAIN: Mapping[str, Any] = {"init": 1.0, "low": 0.5, "high": 2.0, "scale": "log", "identify": False}
 """Section of a `torque_gain` of which nothing is said: the torque is what the controller asks for."""
@@ -54,6 +66,11 @@ class JointPD(Actuator):
     optional_inputs: ClassVar[Mapping[str, float]] = {"ctrl_velocity": 0.0, "ctrl_torque": 0.0}
     commands: ClassVar[tuple[str, ...]] = inputs
 
+    @property
+    def needs_state(self) -> bool:
+        """See `Actuator.needs_state`."""
+        return beyond_mujoco(self.params)
+
     def affine(self, values: Mapping[str, Any]) -> Affine:
         """See `Actuator.affine`."""
         stiffness, damping = (values["torque_gain"] * values[name] for name in ("kp", "kd"))
@@ -67,6 +84,15 @@ class JointPD(Actuator):
         wanted = values["kp"] * (aim - qpos) - values["kd"] * qvel
         given = saturate(xp, values, wanted)
         return aim if given is wanted else aim + (given - wanted) / values["kp"]
+
+    def combine(self, values: Mapping[str, Any], command: Any, inputs: Mapping[str, Any]) -> Any:
+        """See `Actuator.combine`."""
+        return aim_at(np, values, command, inputs)
+
+    def force_range(self, values: Mapping[str, Any]) -> Float[np.ndarray, "nv 2"] | None:
+        """See `Actuator.force_range`."""
+        ends, gain = force_range(values), values["torque_gain"]
+        return None if ends is None else values.get("torque_offset", 0 * gain)[:, None] + gain[:, None] * ends
 
 
 def aim_at(xp: Any, values: Mapping[str, Any], command: Any, inputs: Mapping[str, Any]) -> Any:

@@ -1,7 +1,10 @@
 """What a drive's command and torque do not exceed, for actuator laws that may have limits."""
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from typing import Any
+
+import numpy as np
+from jaxtyping import Float
 
 LIMITS: Mapping[str, str] = {"torque_limit": "torque", "torque_saturation": "torque", "torque_low": "torque"}
 """Dimension of each parameter of a limit; a law that may have one has them among its `optional`."""
@@ -41,6 +44,19 @@ def saturate(xp: Any, values: Mapping[str, Any], torque: Any) -> Any:
     elif "torque_limit" in values:
         torque = xp.maximum(torque, -values["torque_limit"])
     return xp.minimum(torque, values["torque_limit"]) if "torque_limit" in values else torque
+
+
+def beyond_mujoco(params: Container[str]) -> bool:
+    """Return whether a MuJoCo actuator cannot hold the limits: it has two ends, and no hyperbolic tangent."""
+    return "torque_saturation" in params or ("torque_low" in params and "torque_limit" not in params)
+
+
+def force_range(values: Mapping[str, Any]) -> Float[np.ndarray, "nv 2"] | None:
+    """Return the ends of `saturate` [N m or N] where a MuJoCo actuator can hold them; None where there are none."""
+    if "torque_limit" not in values:
+        return None
+    high = values["torque_limit"]
+    return np.stack([values.get("torque_low", -high), high], axis=1)
 
 
 def within_range(xp: Any, values: Mapping[str, Any], command: Any) -> Any:

@@ -4,7 +4,7 @@ import contextlib
 import re
 import warnings
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NoReturn
@@ -74,7 +74,7 @@ def listed(names: Sequence[str]) -> str:
     return ", ".join(names[:_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
-def load(path: str, content: bytes | None = None) -> Source:
+def load(path: str, content: bytes | None = None, equip: Callable[[mujoco.MjSpec], None] = lambda _: None) -> Source:
     """Read a robot's file, MJCF or URDF.
 
     No mesh is opened but where a body's inertia comes from it, and no texture.
@@ -82,6 +82,7 @@ def load(path: str, content: bytes | None = None) -> Source:
     Args:
         path: Of the file.
         content: What is to be read as if it were that file, without includes; None for the file itself.
+        equip: Adds to what was read before it is compiled.
 
     Raises:
         BenchError: The file cannot be read, or MuJoCo refuses it.
@@ -92,6 +93,7 @@ def load(path: str, content: bytes | None = None) -> Source:
         notes += _leave_out(spec)
         meshes = sum(_needs_asset(geom) and bool(geom.contype or geom.conaffinity) for geom in spec.geoms)
         settled = _settle_inertia(spec, Path(path).parent)
+        equip(spec)
         model = spec.compile()
     with np.errstate(invalid="ignore"):
         source = _with_inertia(path, model, settled, meshes, notes)

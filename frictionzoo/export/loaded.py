@@ -1,0 +1,133 @@
+"""Model files for MuJoCo: loaded as their users do, played beside the identified drive, and what they cannot hold."""
+
+from dataclasses import dataclass
+from typing import Literal, cast
+
+import mujoco
+import numpy as np
+
+from frictionzoo.bench.delay import round_delay
+from frictionzoo.core.params import UNITS
+from frictionzoo.export.base import measure
+from frictionzoo.export.nearest import Nearest
+from frictionzoo.export.simulate import Place, run_loaded
+from frictionzoo.export.written import Difference
+from frictionzoo.result.evaluate import Prediction
+from frictionzoo.result.identified import Identified
+from frictionzoo.result.names import name_some
+from frictionzoo.result.run_types import WrittenRow
+
+EXACT = 1e-9
+"""Largest difference of a position [rad or m] that counts as rounding."""
+
+
+@dataclass(frozen=True)
+class ModelFile:
+    """A model file that holds the drive.
+
+    Attributes:
+        name: Of the file.
+        content: The file.
+        timestep: Of the model as loaded [s].
+        difference: Of its positions from the identified drive's; None where it was not played, and `limits` say why.
+        limits: What it cannot hold and what a user has to know, a sentence each.
+    """
+
+    name: str
+    content: bytes
+    timestep: float
+    difference: Difference | None
+    limits: tuple[str, ...]
+
+    def describe(self, fitted: Identified) -> WrittenRow:
+        """Return its entry in `result.json`."""
+        difference, error = self.difference, read_error(fitted)
+        return {
+            "file": self.name,
+            "timestep": self.timestep,
+            "mean": difference and difference.mean,
+            "largest": difference and difference.largest,
+            "unit": cast(Literal["rad", "m"], UNITS[fitted.bench.joint_type]["position"]),
+            "share": difference.mean / error if difference and error else None,
+            "exact": difference is not None and difference.largest <= EXACT,
+            "over": difference.over if difference else "",
+            "reason": difference.reason if difference else "",
+            "limits": list(self.limits),
+        }
+
+
+def play(
+    model: mujoco.MjModel, fitted: Identified, expected: Prediction, why: list[str], place: Place | None = None
+) -> tuple[Difference | None, tuple[str, ...]]:
+    """Play a loaded model over the long test rollouts.
+
+    Args:
+        model: The file compiled; payloads are put into it.
+        fitted: The identified drive.
+        expected: Its rollouts.
+        why: What the file lacks of the drive, in a few words each.
+        place: Where the joints are in the model; None for the bench's own.
+
+    Returns:
+        The difference of positions, or None and a sentence why there is none.
+    """
+    sound = ~expected.diverged
+    if not sound.any():
+        return None, (f"It is not compared with the fitted drive, which diverges in all of its {fitted.over}.",)
+    came = run_loaded(model, fitted, place)
+    lost = sound & ~np.isfinite(came).all(axis=(1, 2))
+    if lost.any():
+        return None, (f"As loaded, it diverges in {lost.sum()} of {fitted.over}: do not use it.",)
+    over = fitted.over if sound.all() else f"{sound.sum()} of {fitted.over}, in which the drive does not diverge"
+    return measure("qpos", fitted, came[sound], expected.qpos[sound], over, ", ".join(why)), ()
+
+
+def read_error(fitted: Identified) -> float | None:
+    """Return the drive's own mean absolute position error in its held-out rollouts; None where there is none."""
+    return fitted.result["metrics"]["test"]["position_mae"]
+
+
+def say_difference(fitted: Identified, difference: Difference) -> str:
+    """Say how a file moves as loaded, for its comment."""
+    played = f"Loaded in MuJoCo as it is and played under held-out commands ({difference.over}):"
+    if difference.largest <= EXACT:
+        return f"{played} the identified drive is represented exactly, positions within {EXACT:g} {difference.unit}."
+    error = read_error(fitted)
+    share = f" ({100 * difference.mean / error:.2g} % of the drive's own test error)" if error else ""
+    reason = f": {difference.reason}" if difference.reason else ""
+    return (
+        f"{played} its positions differ from the identified drive's by {difference.mean:.3g} {difference.unit} in the "
+        f"mean{share} and {difference.largest:.3g} {difference.unit} at most{reason}."
+    )
+
+
+def list_lacks(fitted: Identified, nearest: Nearest, timestep: float) -> list[str]:
+    """List in a few words each what a file with steps of this length [s] lacks of the drive."""
+    lacks = [nearest.lacks] if nearest.lacks else []
+    if _list_rounded(fitted, timestep):
+        lacks.append("a delay is rounded to a whole step")
+    if not np.isclose(timestep, fitted.timestep, rtol=1e-6):
+        lacks.append(f"steps of {timestep:g} s in place of {fitted.timestep:g} s")
+    return lacks
+
+
+def say_delay(fitted: Identified, timestep: float) -> list[str]:
+    """Say which delays are rounded in steps of this length [s]."""
+    return [
+        f"MuJoCo's actuators delay commands by zero, or by one step or more: the identified delay of {delay:.4g} s is "
+        f"rounded to {rounded:.4g} s in steps of {timestep:g} s{whose}."
+        for delay, rounded, whose in _list_rounded(fitted, timestep)
+    ]
+
+
+def _list_rounded(fitted: Identified, timestep: float) -> list[tuple[float, float, str]]:
+    """Each delay that is rounded, what it becomes, and of which joints."""
+    delays = fitted.values["bench"].get("delay", np.empty(0))
+    if fitted.bench.actuator.needs_state:  # whose commands the caller delays
+        return []
+    found: dict[tuple[float, float], list[str]] = {}
+    for joint, delay in zip(fitted.bench.joints, map(float, delays), strict=False):
+        if not np.isclose(rounded := round_delay(delay, timestep), delay, rtol=1e-6, atol=0):
+            found.setdefault((delay, rounded), []).append(joint)
+    everywhere = len(found) == 1 and len(*found.values()) == fitted.bench.nv
+    return [(*pair, "" if everywhere else f" ({name_some(joints)})") for pair, joints in found.items()]

@@ -1,0 +1,121 @@
+"""A robot's own file on the test stand of its recordings: what the bench leaves out stands still or is switched off."""
+
+import copy
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from frictionzoo.bench import Robot
+from frictionzoo.bench.inertia import inertial_parameters, put_parameters
+from frictionzoo.bench.robot_file.source import load
+from frictionzoo.export.nearest import Nearest
+from frictionzoo.export.robot import Equipped, describe_law, offset_of
+from frictionzoo.export.simulate import Place
+from frictionzoo.result.identified import Identified
+
+_AT_JOINT = {mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT}
+_OFF = mujoco.mjtDisableBit
+
+
+def mount(
+    robot: Equipped, fitted: Identified, nearest: Nearest, path: Path, bench: str
+) -> tuple[mujoco.MjModel, Place]:
+    """Put a robot's file with the drive on the test stand of the recordings.
+
+    The file's time step, integrator, solver, joints and actuators are its own. As in the bench, the base and the joints
+    that were not identified stand still, and contacts and limits act where the bench has them. To a URDF are added what
+    it cannot hold: the options, armatures and actuators of the bench's MJCF.
+
+    Args:
+        robot: The file.
+        fitted: The drive, identified on a bench that is this robot.
+        nearest: What MuJoCo's joints can hold of it.
+        path: Of the robot, beside which its meshes lie.
+        bench: The bench's MJCF with these values.
+
+    Returns:
+        The compiled model, and where the joints are in it.
+    """
+    stand = fitted.bench
+    assert isinstance(stand, Robot)
+
+    def prepare(spec: mujoco.MjSpec) -> None:
+        if robot.urdf:
+            _equip(spec, fitted, nearest, bench)
+        _hold_others(spec, robot.joints)
+
+    model = load(str(path), robot.content, prepare).model
+    for choice, flag in (("contacts", _OFF.mjDSBL_CONTACT), ("limits", _OFF.mjDSBL_LIMIT)):
+        if stand.choices[choice] == "leave_out":
+            model.opt.disableflags |= int(flag)
+    joints = np.array([model.joint(name).id for name in robot.joints])
+    actuators = np.array([_actuator_of(model, int(joint)) for joint in joints])
+    dof, payload, bare = model.jnt_dofadr[joints], stand.payload, stand.compile(constraint=False)
+    name = None if payload is None else bare.body(payload).name
+    carried = None if name is None else inertial_parameters(model, [model.body(name).id])[0]
+
+    def put_load(model: mujoco.MjModel, load: Float[np.ndarray, "load"]) -> None:
+        if payload is None or name is None or carried is None or not len(load):
+            return
+        loaded = copy.copy(bare)
+        stand.put_load(loaded, load)
+        more = inertial_parameters(loaded, [payload]) - inertial_parameters(bare, [payload])
+        put_parameters(model, model.body(name).id, carried + more[0])
+
+    where = model.jnt_qposadr[joints], dof, model.actuator_ctrladr[actuators], actuators
+    return model, Place(*where, offset_of(fitted), put_load)
+
+
+def _actuator_of(model: mujoco.MjModel, joint: int) -> int:
+    """Return the index of the actuator that was written for a joint."""
+    at_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
+    return int(np.flatnonzero(at_joint & (model.actuator_trnid[:, 0] == joint))[0])
+
+
+def list_coupled(robot: Equipped) -> list[str]:
+    """Name the joints that were not identified and are tied to others by an equality or a tendon."""
+    model = robot.model
+    equalities = model.eq_type == mujoco.mjtEq.mjEQ_JOINT
+    ends = (model.eq_obj1id[equalities], model.eq_obj2id[equalities])
+    tied = {*np.concatenate([*ends, model.wrap_objid[model.wrap_type == mujoco.mjtWrap.mjWRAP_JOINT]]).tolist()}
+    return [name for joint in sorted(tied - {-1}) if (name := model.joint(joint).name) not in robot.joints]
+
+
+def _hold_others(spec: mujoco.MjSpec, joints: Sequence[str]) -> None:
+    """Let all joints but these stand still at their reference position, and leave out their actuators."""
+    others = [joint for joint in spec.joints if joint.name not in joints]
+    held = {joint.name for joint in others}
+    for actuator in list(spec.actuators):
+        if actuator.target in held and actuator.trntype in _AT_JOINT:
+            spec.delete(actuator)
+    for joint in others:
+        spec.delete(joint)
+
+
+def _equip(spec: mujoco.MjSpec, fitted: Identified, nearest: Nearest, bench: str) -> None:
+    """Add to a URDF what is in the bench's MJCF alone."""
+    spec.option = mujoco.MjSpec.from_string(bench).option
+    template = ET.fromstring(bench)
+    own = {element.get("name", ""): element.attrib for element in template.iter("joint")}
+    for column, general in enumerate(template.iterfind("./actuator/general")):
+        law, joint = (
+            describe_law(fitted, nearest, column, general, fitted.timestep),
+            spec.joint(general.attrib["joint"]),
+        )
+        joint.armature = float(own[joint.name]["armature"])
+        joint.solref_friction = _read(own[joint.name]["solreffriction"])
+        actuator = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        actuator.gainprm[0], actuator.biastype = float(law["gainprm"]), mujoco.mjtBias.mjBIAS_AFFINE
+        actuator.biasprm[:3] = _read(law["biasprm"])
+        if "forcerange" in law:
+            actuator.forcelimited, actuator.forcerange = True, _read(law["forcerange"])
+        if "delay" in law:
+            actuator.delay, actuator.nsample, actuator.interp = float(law["delay"]), int(law["nsample"]), 1  # linear
+
+
+def _read(numbers: str) -> list[float]:
+    return [float(number) for number in numbers.split()]
