@@ -1,5 +1,6 @@
 """What `import frictionzoo as fz` offers: laws by name, benches, and rollouts for torch."""
 
+import inspect
 import json
 import re
 import subprocess
@@ -8,25 +9,28 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import hypothesis.strategies as st
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import torch
 from conftest import ROOT
+from hypothesis import given, settings
 from test_torch_only import TorchConstraint, TorchStribeck
 
 import frictionzoo as fz
 from frictionzoo.bench.base import DEFAULTS
-from frictionzoo.core.errors import BenchError, ConfigError, RunError, UnknownModelError
+from frictionzoo.core.errors import BenchError, ConfigError, ModelError, RunError, UnknownModelError
 from frictionzoo.core.segments import Sampling
-from frictionzoo.core.state import Signals
-from frictionzoo.models import register_model
+from frictionzoo.core.state import FrictionTerms, Signals
+from frictionzoo.models import TorchFriction, register_model
 from frictionzoo.models.registry import REGISTRY
 from frictionzoo.result.curves import read_curves
 from frictionzoo.simulate.drive import Drive
 
 BATCH, TIME = 3, 40
+UNCHECKED = inspect.unwrap(fz.rollout)  # as users have it: tests check types at run time
 STEP = 1e-5  # of central differences, as a share
 
 
@@ -162,8 +166,17 @@ def test_what_else_was_recorded_is_given_by_name() -> None:
         ({"ctrl": torch.ones(BATCH, TIME, 2)}, BenchError, r"^ctrl has shape \(3, 40, 2\), expected \(3, 40, 1\)"),
         ({"qpos": torch.ones(BATCH)}, BenchError, r"^qpos of shape \(3,\) and ctrl of "),
         ({"law": 2}, BenchError, r"^a law of 2 joints on knee_rod\.xml with 1, expected as many"),
-        ({"interval": 0.0015}, BenchError, r"^rollout: 0\.0015 s per sample, expected 0\.001 s as in knee_rod\.xml"),
+        ({"interval": 0.0015}, BenchError, r"^interval: 0\.0015 s per sample, expected 0\.001 s as in knee_rod\.xml"),
+        *(
+            ({"interval": interval}, BenchError, "^interval")
+            for interval in (np.nan, np.inf, -np.inf, 0, -0.001, 1e-12, 1e300, True, "fast", torch.tensor(0.001))
+        ),
         ({"engine": "fast"}, ConfigError, r"^engine=fast: no such engine"),
+        ({"engine": ["mjx"]}, ConfigError, "^engine"),
+        ({"payload": 2.0}, ConfigError, "^payload"),
+        ({"parameters": [0.1]}, ConfigError, "^parameters: list"),
+        ({"signals": torch.ones(1)}, ConfigError, "^signals: Tensor"),
+        *(({"parameters": {"kp": value}}, ConfigError, r"^parameters\.kp") for value in ("stiff", None, True, [1.0])),
     ],
 )
 def test_what_does_not_fit_is_refused(bench: fz.Bench, changed: dict[str, Any], error: type, complaint: str) -> None:
@@ -171,7 +184,119 @@ def test_what_does_not_fit_is_refused(bench: fz.Bench, changed: dict[str, Any], 
     law = fz.law("coulomb_smooth", nv=changed.pop("law", 1))
     qpos, ctrl = changed.pop("qpos", qpos), changed.pop("ctrl", ctrl)
     with pytest.raises(error, match=complaint):
-        fz.rollout(bench, law, qpos, qvel, ctrl, **changed)
+        UNCHECKED(bench, law, qpos, qvel, ctrl, **changed)
+
+
+FLOATS = (torch.float64, torch.float32, torch.float16, torch.bfloat16)
+WHOLE = (torch.int64, torch.int32, torch.uint8)
+CONTAINERS: dict[str, Callable[[torch.Tensor], Any]] = {
+    **{str(dtype): lambda signal, dtype=dtype: signal.to(dtype) for dtype in FLOATS + WHOLE},
+    **{f"numpy {kind}": lambda signal, kind=kind: signal.numpy().astype(kind) for kind in ("f2", "f4", "f8", "i2")},
+    "numpy of another machine": lambda signal: signal.numpy().astype(">f8"),
+    "numpy turned round": lambda signal: signal.numpy()[::-1].copy()[::-1],
+    "numpy that cannot be written": lambda signal: np.broadcast_to(signal.numpy(), signal.shape),
+    "tensor in other strides": lambda signal: signal.T.contiguous().T if signal.ndim == 2 else signal.mT.mT,
+    "jax": lambda signal: jnp.asarray(signal.numpy()),
+    "tensor with a gradient": lambda signal: signal.clone().requires_grad_(),
+}
+NO_NUMBERS: tuple[Callable[[torch.Tensor], Any], ...] = (
+    lambda signal: signal > 0,
+    lambda signal: signal.to(torch.complex64),
+    lambda signal: signal.to_sparse(),
+    lambda signal: signal.tolist(),
+    lambda signal: signal.numpy().astype(str),
+    lambda signal: signal.numpy().astype(object),
+    lambda signal: signal.numpy() > 0,
+    lambda signal: "qpos",
+    lambda signal: None,
+)
+"""Of signals, what is none."""
+
+
+def whole(length: int = 5) -> list[torch.Tensor]:
+    """States and commands of two drives, in whole numbers, which all types hold."""
+    commands = torch.arange(2.0 * length, dtype=torch.float64).reshape(2, length, 1)
+    return [*torch.tensor([[[1.0], [2.0]], [[0.0], [3.0]]], dtype=torch.float64), commands]
+
+
+@pytest.fixture(scope="module")
+def smooth(bench: fz.Bench) -> tuple[fz.FrictionModel, dict[torch.dtype, tuple[torch.Tensor, ...]]]:
+    """A law, and the rollouts with it in each precision."""
+    law = fz.law("coulomb_smooth")
+    with torch.no_grad():
+        return law, {dtype: UNCHECKED(bench, law, *(part.to(dtype) for part in whole())) for dtype in FLOATS[:2]}
+
+
+@settings(deadline=None, max_examples=60, derandomize=True)
+@given(chosen=st.tuples(*[st.sampled_from(list(CONTAINERS))] * 3))
+def test_states_and_commands_of_any_type_are_computed_in_the_finest(
+    bench: fz.Bench, smooth: tuple[fz.FrictionModel, dict[torch.dtype, Any]], chosen: tuple[str, str, str]
+) -> None:
+    law, known = smooth
+    arrays = [CONTAINERS[name](part) for name, part in zip(chosen, whole(), strict=True)]
+    double = any(str(array.dtype) in ("float64", ">f8", "torch.float64") for array in arrays)
+    with torch.no_grad():
+        found = UNCHECKED(bench, law, *arrays)
+    for part, expected in zip(found, known[torch.float64 if double else torch.float32], strict=True):
+        assert part.dtype == expected.dtype and torch.equal(part, expected)
+
+
+@pytest.mark.parametrize("place", ["qpos", "qvel", "ctrl"])
+@pytest.mark.parametrize("spoil", NO_NUMBERS)
+def test_a_state_that_holds_no_numbers_is_refused_by_name(
+    bench: fz.Bench, place: str, spoil: Callable[[torch.Tensor], Any]
+) -> None:
+    arrays: dict[str, Any] = dict(zip(("qpos", "qvel", "ctrl"), whole(), strict=True))
+    arrays[place] = spoil(arrays[place])
+    with pytest.raises(ConfigError, match=f"^{place}: "):
+        UNCHECKED(bench, fz.law("coulomb_smooth"), **arrays)
+
+
+@pytest.mark.parametrize("batch", [0, 2])
+@pytest.mark.parametrize("length", [0, 5])
+def test_rollouts_of_no_samples_have_none(bench: fz.Bench, batch: int, length: int) -> None:
+    arrays = [part[:batch].requires_grad_() for part in whole(length)]
+    found = UNCHECKED(bench, fz.law("coulomb_smooth"), *arrays)
+    assert [part.shape for part in found] == [(batch, length, 1)] * 2 and found[0].requires_grad
+
+
+class Plain(torch.nn.Module):
+    def forward(self, state: torch.Tensor) -> torch.Tensor:
+        return 0.1 * state
+
+
+class OfTensors(TorchFriction):
+    """A law in torch whose answer is what it is given."""
+
+    def __init__(self, answer: Any) -> None:
+        super().__init__(1)
+        self.answer = answer
+
+    def forward(self, state: Any) -> Any:
+        return self.answer
+
+    def terms(self, xp: Any, values: Any, state: Any) -> Any:
+        return self.forward(state)
+
+
+@pytest.mark.parametrize("law", [Plain(), torch.nn.Linear(1, 1), Plain, "stribeck", None], ids=str)
+def test_a_law_that_is_no_friction_model_is_refused(bench: fz.Bench, law: Any) -> None:
+    with pytest.raises(
+        ConfigError, match="^law: .*FrictionModel" + (".*TorchFriction" if isinstance(law, torch.nn.Module) else "")
+    ):
+        UNCHECKED(bench, law, *whole())
+    with pytest.raises(ConfigError, match=r"^bench: "):
+        UNCHECKED(law, fz.law("coulomb_smooth"), *whole())
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [torch.ones(2, 1), None, 0.1, FrictionTerms(torque=0.1), FrictionTerms(torque=torch.ones(3, 1)), {"torque": 1.0}],
+    ids=str,
+)
+def test_an_answer_of_a_law_in_torch_that_is_none_is_refused(bench: fz.Bench, answer: Any) -> None:
+    with pytest.raises(ModelError, match=r"^OfTensors: "):
+        UNCHECKED(bench, OfTensors(answer), *whole())
 
 
 def test_a_law_that_is_none_and_an_option_that_it_lacks_are_refused() -> None:

@@ -1,16 +1,20 @@
 """Rollouts for PyTorch: torch tensors in, MuJoCo's dynamics between, torch tensors out, with autograd all the way."""
 
+import math
+import numbers
 from collections.abc import Mapping
 from functools import lru_cache
+from typing import Any
 
 import jax
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from frictionzoo.bench import Bench
 from frictionzoo.bench.compiled import NO_PAYLOAD
-from frictionzoo.core.errors import BenchError, ConfigError, closest
+from frictionzoo.core.errors import BenchError, ConfigError, closest, refuse_unlike
 from frictionzoo.core.log import Payload
 from frictionzoo.core.state import Signals
 from frictionzoo.models import FrictionModel
@@ -20,16 +24,19 @@ from frictionzoo.simulate.torch_rollout import TorchRollout
 
 _KEPT = 16  # compiled drives of this process
 
+Array = Tensor | np.ndarray
+"""What a rollout takes: a tensor, a NumPy array or another object that NumPy reads as one."""
+
 
 def rollout(
     bench: Bench,
     law: FrictionModel,
-    qpos: Tensor,
-    qvel: Tensor,
-    ctrl: Tensor,
+    qpos: Array,
+    qvel: Array,
+    ctrl: Array,
     *,
-    parameters: Mapping[str, Tensor] | None = None,
-    signals: Mapping[str, Tensor] | None = None,
+    parameters: Mapping[str, Array | float] | None = None,
+    signals: Mapping[str, Array] | None = None,
     interval: float | None = None,
     payload: Payload | None = None,
     engine: str = "auto",
@@ -37,15 +44,20 @@ def rollout(
     """Open-loop rollouts of a drive, differentiable by torch.
 
     Autograd leads to the initial states, to the commands, to the law's parameters and to those of the bench that are
-    given as tensors. All is computed in the type of `qpos`, float32 or float64, on JAX's device, and comes back to that
-    of `qpos`. Second derivatives are not available. The drives used last stay compiled, each for the shapes it has met.
+    given as tensors. Second derivatives are not available. The drives used last stay compiled, each for the shapes it
+    has met.
+
+    States, commands and signals are tensors or NumPy arrays of floating-point or whole numbers. If one of them is
+    float64, all are computed in float64, otherwise in float32, which half precision and whole numbers become. The
+    parameters follow. JAX's device computes; the results are in that precision on the device of `qpos`.
 
     Args:
         bench: The test stand.
-        law: The friction law, a torch module; one with a memory begins as if the first state had lasted.
+        law: The friction law, a `FrictionModel`; one with a memory begins as if the first state had lasted.
         qpos: Initial position [rad or m], of shape (batch, nv).
         qvel: Initial velocity [rad/s or m/s], of shape (batch, nv).
         ctrl: Command of each joint's actuator, of shape (batch, time, nv); sample i acts from state i to state i + 1.
+            Without samples, the rollouts have none either.
         parameters: Values of the bench's parameters, of shape (nv,) or a single one, by name; the others are as the
             bench has them.
         signals: What the actuator law needs besides the command and what the friction law looks at (`bench.inputs`,
@@ -60,11 +72,23 @@ def rollout(
 
     Raises:
         BenchError: Shapes, joints, signals or the interval do not fit the bench, or MJX lacks something that it has.
-        ConfigError: No such parameter or engine, or a gradient is asked of an engine that has none for this bench.
+        ConfigError: No such parameter or engine, an argument of another kind, or a gradient is asked of an engine that
+            has none for this bench.
+        ModelError: The law's answer in torch is none.
     """
-    bench, function, reverse, history = _compile(bench, law, engine, interval)  # first: it may change the law's type
+    _refuse_others(bench, law, parameters, signals, payload, engine)
+    interval = bench.timestep if interval is None else _to_interval(interval)
+    arrays = {"qpos": qpos, "qvel": qvel, "ctrl": ctrl, **{f"signals.{name}": v for name, v in (signals or {}).items()}}
+    tensors = _to_tensors(arrays)
+    qpos, qvel, ctrl = (tensors.pop(name) for name in ("qpos", "qvel", "ctrl"))
+    precision = qpos.dtype, bool(jax.config.read("jax_enable_x64"))
+    # First, because it may change the law's type.
+    bench, function, reverse, history = _compile(bench, law, engine, interval, precision)
     values = _values(bench, law, parameters or {}, qpos)
-    driven = _name(bench, law, qpos, qvel, ctrl, dict(signals or {}))
+    given = {name.removeprefix("signals."): tensor for name, tensor in tensors.items()}
+    driven = _name(bench, law, qpos, qvel, ctrl, given)
+    if not ctrl.numel():
+        return qpos[:, None].expand(ctrl.shape).clone(), qvel[:, None].expand(ctrl.shape).clone()
     if history:
         driven = driven.map(lambda signal: torch.cat([signal[:, :1].expand(-1, history, -1), signal], dim=1))
     load = torch.as_tensor(bench.load(payload or NO_PAYLOAD)).to(qpos).expand(len(qpos), -1)
@@ -78,11 +102,15 @@ def rollout(
 
 
 @lru_cache(_KEPT)
-def _compile(bench: Bench, law: FrictionModel, engine: str, interval: float | None) -> tuple:
-    """The bench as the law sees it, the function, whether it has a gradient, and how many samples act before."""
+def _compile(
+    bench: Bench, law: FrictionModel, engine: str, interval: float, precision: tuple[torch.dtype, bool]
+) -> tuple:
+    """The bench as the law sees it, the function, whether it has a gradient, and how many samples act before.
+
+    A drive is assembled for each precision: engines keep what they have traced.
+    """
     bench = bench.observing(law.inputs)
-    interval = bench.timestep if interval is None else interval
-    bench.check_interval(interval, "rollout")
+    bench.check_interval(interval, "interval")
     sampling = bench.sampling(interval)
     drive = Drive.assemble(bench, law, engine, sampling)
     found = drive.rollout
@@ -91,12 +119,54 @@ def _compile(bench: Bench, law: FrictionModel, engine: str, interval: float | No
     return bench, as_torch_function(found.function, found.compiler_options), found.reverse, sampling.history
 
 
-def _values(
-    bench: Bench, law: FrictionModel, given: Mapping[str, Tensor], like: Tensor
-) -> dict[str, dict[str, Tensor]]:
+def _refuse_others(bench: Any, law: Any, parameters: Any, signals: Any, payload: Any, engine: Any) -> None:
+    """Refuse arguments of another kind."""
+    refuse_unlike("bench", bench, Bench, "a Bench, as in Bench('stand.xml', actuator=PositionPD(kp=15, kd=0.5))")
+    expected = "a FrictionModel, as fz.law('stribeck') is"
+    if isinstance(law, torch.nn.Module):
+        derived = "derive yours from frictionzoo.models.TorchFriction"
+        expected += f"; {derived}, with a forward(state) from DriveState to FrictionTerms"
+    refuse_unlike("law", law, FrictionModel, expected)
+    for name, value in {"parameters": parameters, "signals": signals}.items():
+        refuse_unlike(name, value, (Mapping, type(None)), "a mapping from name to tensor, or None")
+    refuse_unlike("payload", payload, (Payload, type(None)), "a Payload, or None")
+    refuse_unlike("engine", engine, str, "auto, specialised or mjx")
+
+
+def _to_interval(interval: Any) -> float:
+    if isinstance(interval, numbers.Real) and not isinstance(interval, bool) and 0 < float(interval) < math.inf:
+        return float(interval)
+    raise BenchError(f"interval={interval}: expected a time in s, a whole number of simulation steps, or None for one")
+
+
+def _to_tensors(arrays: Mapping[str, Any]) -> dict[str, Tensor]:
+    """The arrays by name as tensors of one precision on the first one's device."""
+    tensors = {name: _to_tensor(name, array) for name, array in arrays.items()}
+    double = any(tensor.dtype == torch.float64 for tensor in tensors.values())
+    device = next(iter(tensors.values())).device
+    return {name: tensor.to(device, torch.float64 if double else torch.float32) for name, tensor in tensors.items()}
+
+
+def _to_tensor(name: str, value: Any) -> Tensor:
+    """A tensor, or a copy of an array as one; ConfigError where it is neither or holds no real numbers."""
+    if not isinstance(value, Tensor):
+        if not hasattr(value, "__array__"):
+            raise ConfigError(f"{name}: {type(value).__name__}, expected a torch tensor or a NumPy array")
+        array = np.asarray(value)
+        kinds = {"f": np.float64 if array.dtype.itemsize > 4 else np.float32, "i": np.int64, "u": np.int64}
+        if array.dtype.kind not in kinds:
+            raise ConfigError(f"{name}: an array of {array.dtype}, expected floating-point or whole numbers")
+        return torch.from_numpy(np.array(array, kinds[array.dtype.kind], order="C"))
+    if value.dtype.is_complex or value.dtype == torch.bool or value.is_quantized or value.layout != torch.strided:
+        came = f"{value.dtype} in the layout {value.layout}"
+        raise ConfigError(f"{name}: a tensor of {came}, expected floating-point or whole numbers, strided")
+    return value
+
+
+def _values(bench: Bench, law: FrictionModel, given: Mapping[str, Any], like: Tensor) -> dict[str, dict[str, Tensor]]:
     known = bench.initial_values()
     for name in given.keys() - known.keys():
-        raise ConfigError(f"parameters.{name}: no such parameter of the bench; {closest(name, known)}")
+        raise ConfigError(f"parameters.{name}: no such parameter of the bench; {closest(str(name), known)}")
     friction = law.state_dict(keep_vars=True).items()
     return {
         "bench": {name: _of_joints(bench, name, given.get(name, value), like) for name, value in known.items()},
@@ -104,8 +174,9 @@ def _values(
     }
 
 
-def _of_joints(bench: Bench, name: str, value: object, like: Tensor) -> Tensor:
-    tensor = torch.as_tensor(value).to(like)
+def _of_joints(bench: Bench, name: str, value: Any, like: Tensor) -> Tensor:
+    is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+    tensor = _to_tensor(f"parameters.{name}", np.asarray(value) if is_number else value).to(like)
     if tensor.shape not in ((), (1,), (bench.nv,)):
         raise BenchError(f"parameters.{name}: shape {tuple(tensor.shape)}, expected ({bench.nv},), one a joint")
     return tensor.expand(bench.nv)
@@ -122,7 +193,7 @@ def _name(
         )
     batch, time = len(qpos), ctrl.shape[1]
     for name in signals.keys() - set(bench.inputs):
-        raise BenchError(f"signals.{name}: neither law looks at it; {closest(name, bench.inputs)}")
+        raise BenchError(f"signals.{name}: neither law looks at it; {closest(str(name), bench.inputs)}")
     shapes = {"qpos": (batch, bench.nv), "qvel": (batch, bench.nv)}
     parts = {"ctrl": ctrl}
     without = {**bench.actuator.optional_inputs, **law.inputs}

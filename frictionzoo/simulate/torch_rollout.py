@@ -76,7 +76,7 @@ def make_torch_rollout(engine: Engine, model: TorchFriction, sampling: Sampling 
         states = []
         for now, following in zip(steps, [*steps[1:], steps[-1]], strict=True):
             seen = DriveState(qpos, qvel, now.ctrl, *torques, **now.observed)
-            terms = _whole(model.terms(torch, values["friction"], seen), qvel)
+            terms = _whole(label, model.terms(torch, values["friction"], seen), qvel)
             qpos, qvel, *torques = step(known, terms, qpos, qvel, now, following, load)
             states.append((qpos, qvel))
         positions, velocities = zip(*states[sampling.substeps - 1 :: sampling.substeps], strict=True)
@@ -123,6 +123,18 @@ def _step(
     return qpos, qvel, *_observe(engine, bench, qpos, qvel, following, load)
 
 
-def _whole(terms: FrictionTerms, qvel: torch.Tensor) -> dict[str, torch.Tensor]:
-    """The terms that the law answers with, one row a segment."""
-    return {name: term.broadcast_to(qvel.shape) for name, term in terms.given().items()}
+def _whole(label: str, terms: Any, qvel: torch.Tensor) -> dict[str, torch.Tensor]:
+    """The terms that the law answers with, one row a segment; ModelError where they are none."""
+    if not isinstance(terms, FrictionTerms):
+        expected = "expected FrictionTerms, as in FrictionTerms(torque=torque)"
+        raise ModelError(f"{label}: its answer is a {type(terms).__name__}, {expected}")
+    for name, term in terms.given().items():
+        if not isinstance(term, torch.Tensor) or not _broadcasts(term.shape, qvel.shape):
+            came = f"shape {tuple(term.shape)}" if isinstance(term, torch.Tensor) else type(term).__name__
+            raise ModelError(f"{label}: {came} of its {name}, expected a tensor of shape {tuple(qvel.shape)}")
+    return {name: term.to(qvel.dtype).broadcast_to(qvel.shape) for name, term in terms.given().items()}
+
+
+def _broadcasts(shape: torch.Size, whole: torch.Size) -> bool:
+    pairs = zip(reversed(shape), reversed(whole), strict=False)
+    return len(shape) <= len(whole) and all(one in (1, other) for one, other in pairs)
