@@ -13,7 +13,7 @@ from frictionzoo.bench.actuators.joint_pd import JointPD
 from frictionzoo.bench.base import DEFAULTS, Bench
 from frictionzoo.bench.robot_file import ReadActuator, RobotFile, read_robot
 from frictionzoo.bench.template import Template
-from frictionzoo.core.errors import BenchError, ConfigError
+from frictionzoo.core.errors import BenchError, MissingValueError
 from frictionzoo.core.params import AUTO, Param
 
 _OF_BRISTLES = {"stiffness", "rest_velocity"}  # parameters by which a law of bristles is told from others
@@ -100,7 +100,8 @@ class Robot(Bench):
             elif name in known:
                 filled[name] = self._begin(param, known[name])
             elif name not in self.actuator.optional:
-                raise ConfigError(f"{self.source}: no {name} in the file; give bench.actuator.params.{name}.init")
+                option = f"bench.actuator.params.{name}.init"
+                raise MissingValueError(f"{self.source}: no {name} in the file; give {option}")
         return filled
 
     def _begin(self, param: Param, values: Float[np.ndarray, "nv"]) -> Param:

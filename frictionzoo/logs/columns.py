@@ -20,7 +20,9 @@ STEPS = (5e-6, 100.0)  # s between samples: 0.2 s counted in days is below, 1 ms
 Headers = dict[str, tuple[str, ...]]
 
 
-def to_recording(table: Table, columns: Mapping[str, Any], units: Mapping[str, str], simulated: bool) -> Recording:
+def to_recording(
+    table: Table, columns: Mapping[str, Any], units: Mapping[str, str], simulated: bool | None
+) -> Recording:
     """The signals of a recording, in SI units and at the times of `qpos`.
 
     Time starts at 0. Signals that were recorded at times of their own are brought to those of `qpos`: commands and
@@ -32,7 +34,7 @@ def to_recording(table: Table, columns: Mapping[str, Any], units: Mapping[str, s
         columns: Header, or list of headers, of each signal. Without those of `qpos` and `ctrl`, and of `time` where
             the table does not know it, the columns are taken by their names if these leave no doubt.
         units: Unit of each signal; SI, or what the format lays down, where there is none.
-        simulated: Whether a simulator made it.
+        simulated: Whether a simulator made it; None: not stated.
 
     Raises:
         ConfigError: A signal or a unit is unknown, or headers are no list of names.
