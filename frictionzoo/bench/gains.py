@@ -92,9 +92,11 @@ def _regress(logs: Sequence[Log]) -> tuple[dict[str, list[float]], str]:
         return {}, ""
     rows = [_regress_joint(logs, joint) for joint in range(logs[0].qpos.shape[1])]
     worst = min(rows, key=lambda row: row.explained)
-    if worst.explained < _EXPLAINED or any(row.error > _KNOWN or row.kp <= 0 for row in rows):
+    if worst.explained < _EXPLAINED:
         share = f"{100 * max(worst.explained, 0):.0f} % explained, expected {100 * _EXPLAINED:.0f} %"
         return {}, f", and the recorded torque is not kp (ctrl - qpos) - kd qvel ({share})"
+    if any(row.error > _KNOWN or row.kp <= 0 for row in rows):
+        return {}, ", and the motion is too plain for the recorded torque to tell kp from kd"
     found = {
         "kp": [float(f"{row.kp:.4g}") for row in rows],
         "kd": [float(f"{max(row.kd, _LEAST * row.kp):.4g}") for row in rows],
