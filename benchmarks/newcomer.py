@@ -215,7 +215,7 @@ def run(hidden: Hidden, folder: Path, speeds: Float[np.ndarray, "2"], recipe: st
     """One command, from its start to its end, and how far its result is from the truth."""
     out = folder / recipe
     command = [sys.executable, "-m", "frictionzoo.run", "data=files", f"data.train=[{folder / 'log.csv'}]"]
-    command += [f"bench.mjcf={folder / 'stand.xml'}", "bench.joint=motor", f"hydra.run.dir={out}"]
+    command += [f"bench.mjcf={folder / 'stand.xml'}", "bench=knee", "bench.joint=motor", f"hydra.run.dir={out}"]
     command += [] if recipe == "auto" else [f"recipe={recipe}"]
     command += [f"compilation_cache={out}-cache"]  # a newcomer's is empty
     began, before = time.perf_counter(), _processor()

@@ -35,11 +35,14 @@ COMMANDS = {  # what a user does: command, exit status
     "no such recording": ("data=files data.train=[none.csv]", 2),
     "no such column": ("data=files data.train=[a.csv] data.columns.qpos=angle", 2),
     "text in a recording": ("data=files data.train=[text.csv]", 2),
-    "no such joint": ("data=files data.train=[a.csv] bench.joint=elbow", 2),
-    "impossible bounds": ("data=files data.train=[a.csv] model.params.static_torque.high=-3", 2),
+    "no such joint": ("data=files bench=knee data.train=[a.csv] bench.joint=elbow", 2),
+    "impossible bounds": ("data=files bench=knee data.train=[a.csv] model.params.static_torque.high=-3", 2),
     "no such run": ("export none target=mjcf", 2),
     "inspect": ("inspect a.csv", 0),
-    "short run": ("model=mujoco_default fit=lm recipe=given data=files data.train=[a.csv] hydra.run.dir=run", 0),
+    "short run": (
+        "model=mujoco_default fit=lm recipe=given data=files bench=knee data.train=[a.csv] hydra.run.dir=run",
+        0,
+    ),
 }
 PROGRAM = "from frictionzoo.cli.commands import main; main()"  # the console script, of whatever is on the path
 COLUMNS = {

@@ -40,7 +40,7 @@ def find_drives(runs: Path) -> Iterator[tuple[str, Path]]:
             continue
         found, failures = read_runs([folder / "0" if "folds" in read_expected(folder.name) else folder])
         recommended = compare_runs(found, failures)["recommendation"]
-        if recommended and not found[0].result["data"]["simulated"]:
+        if recommended and found[0].result["data"]["origin"] != "simulated":
             yield folder.name, next(run.folder for run in found if run.label == recommended["run"])
 
 

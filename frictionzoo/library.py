@@ -149,7 +149,7 @@ def read(
     inputs: Mapping[str, str | float] | None = None,
     payload: Sequence[Any] = (),
     clean: Cleaning = AS_IT_IS,
-    simulated: bool = False,
+    origin: str | None = None,
 ) -> Logs:
     """Recordings as logs in SI units, of any format that `data=files` reads.
 
@@ -170,7 +170,7 @@ def read(
         inputs: Signals that the actuator law needs besides the command: a number, or the field that holds it.
         payload: What the drive carried in each recording, as `data.payload` has it.
         clean: How recordings become logs.
-        simulated: Whether a simulator made them.
+        origin: `hardware` or `simulated`, where they come from; None: not stated.
 
     Returns:
         The logs; what was repaired in each is in its `repairs`, and is shown with them.
@@ -188,7 +188,7 @@ def read(
     tests = [str(path) for path in ([test] if isinstance(test, str | Path) else test)]
     options = {"format": format, "columns": columns, "units": units, "sign": sign, "fields": fields, "where": where}
     options |= {"fields_from_name": fields_from_name, "exclude": exclude, "inputs": inputs, "payload": payload}
-    return Files(name, paths, tests, clean=clean, simulated=simulated, **options).read(tables)
+    return Files(name, paths, tests, clean=clean, origin=origin, **options).read(tables)
 
 
 @_naming_arguments()

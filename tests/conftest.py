@@ -213,7 +213,14 @@ def _record(path: Path) -> None:
 def tiny(recording: Path) -> tuple[str, ...]:
     """Overrides of a job of seconds. Its rollouts have one shape, so that little is compiled."""
     return (
-        *("data=files", "recipe=given", f"data.train=[{recording}]", "data.split.gap=0.05", "dtype=float64"),
+        *(
+            "data=files",
+            "bench=knee",
+            "recipe=given",
+            f"data.train=[{recording}]",
+            "data.split.gap=0.05",
+            "dtype=float64",
+        ),
         *("segments.count=20", "loop.chunk=2", "loop.progress=false", "discretisation=false"),
         *(f"{option}={value}" for option, value in BRIEF.items()),
     )
@@ -442,7 +449,7 @@ def _make_result(place: int, label: str, curves: Curves, grid: bool) -> dict[str
         "model": label.split()[0],
         "joints": names,
         "data": {
-            **{"name": "waves", "sha256": 64 * "a", "simulated": True, "timestep": 0.01, "samples": 1000},
+            **{"name": "waves", "sha256": 64 * "a", "origin": "simulated", "timestep": 0.01, "samples": 1000},
             "logs": [{"name": part, "part": part, **log} for part in ("train", "test")],
         },
         "parameters": [

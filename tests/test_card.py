@@ -244,7 +244,7 @@ def settings(card: dict[str, Any]) -> dict[str, Any]:
     [
         (lambda folder: (folder / CARD).write_text("{"), "not JSON"),
         (lambda folder: (folder / CARD).write_text("[" * 100_000), "not JSON"),
-        (lambda folder: (folder / CARD).write_text('{"schema_version": 3}'), "schema_version 3, expected 2"),
+        (lambda folder: (folder / CARD).write_text('{"schema_version": 4}'), "schema_version 4, expected 3"),
         (
             lambda folder: (folder / MODEL).write_bytes((folder / MODEL).read_bytes()[:-8]),
             "SHA-256 .* get the card anew",

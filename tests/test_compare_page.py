@@ -111,12 +111,19 @@ def test_the_page_answers_the_three_questions(runs, tmp_path):
     assert f"−{changes[LABELS[0]]} %" in text and "within noise" in text and "simulated data" in text
 
 
+def suggest(run: Run, law: str, recording: str, grade: str = "use it with care") -> None:
+    """Let a run's verdict have these commands."""
+    commands = {"law": law, "recording": recording, "export": "export"}
+    rows = [{"kind": kind, "command": command} for kind, command in commands.items()]
+    run.result["verdict"] = {"grade": grade, "findings": [], "commands": rows}  # pyright: ignore[reportGeneralTypeIssues]
+
+
 def test_the_page_opens_with_what_to_take_and_what_to_do(runs, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for run in runs:
         run.folder.mkdir()
         (run.folder / RESULT).touch()
-        run.result["verdict"] = {"commands": [f"{RUN} data=twin model=lugre", "python -m frictionzoo.excite", "export"]}
+        suggest(run, f"{RUN} data=twin model=lugre", "python -m frictionzoo.excite")
     source, comparison = show(tmp_path / "comparison.html", runs)
     text, chosen = plain(source), comparison["recommendation"]["run"]
     place = next(run.folder.name for run in runs if run.label == chosen)
@@ -140,14 +147,13 @@ def test_what_is_next_fits_what_was_found(runs, result):  # noqa: F811
     """More rollouts where they may tell laws apart, and no law that was tried."""
     close = replace(runs[1], label="coulomb_smooth")
     for run in (runs[0], close):
-        commands = [f"{RUN} 'data.train=[a b.csv]' evaluation.rollouts=3 model=coulomb_smooth", "record", "export"]
-        run.result["verdict"] = {"commands": commands}
+        suggest(run, f"{RUN} 'data.train=[a b.csv]' evaluation.rollouts=3 model=coulomb_smooth", "record")
     swept = f"{RUN} -m 'data.train=[a b.csv]' model=coulomb_smooth,coulomb_stribeck evaluation.rollouts=40"
     steps = list_next_steps(compare_runs([runs[0], close], []), runs[0])
     assert [step.command for step in steps] == [swept, "record"]
     steps = list_next_steps(compare_runs([runs[0], runs[2]], []), runs[0])
     assert steps[0].command.endswith("model=coulomb_smooth") and len(steps) == 2
-    runs[0].result["verdict"]["commands"] = ["fz.identify(bench, 'baseline', logs)", "excite(drive)", "export"]
+    suggest(runs[0], "fz.identify(bench, 'baseline', logs)", "excite(drive)")
     steps = list_next_steps(compare_runs([runs[0], runs[2]], []), runs[0])
     assert [step.command for step in steps] == ["excite(drive)"]
 

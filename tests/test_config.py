@@ -69,7 +69,8 @@ def test_every_choice_composes_resolves_and_builds(number: int, monkeypatch: pyt
     """With each law a file of each other group; but for data, which choose their bench, no group looks at another."""
     monkeypatch.setattr(loggers, "_require", lambda *packages: None)  # loggers whose package is not installed
     chosen = {group: names[number % len(names)] for group, names in CHOICES.items() if group != "bench"}
-    config = OmegaConf.to_container(compose_config(*map("=".join, chosen.items())), resolve=True)
+    gains = [f"bench.actuator.params.{name}.init=2" for name in ("kp", "kd") if chosen["data"] == "files"]
+    config = OmegaConf.to_container(compose_config(*map("=".join, chosen.items()), *gains), resolve=True)
     assert set(config) >= {*CHOICES, "seed", "segments", "loss", "loop", "evaluation"}
     assert isinstance(config["seed"], int)
     for group, home in HOMES.items():

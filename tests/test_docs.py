@@ -92,7 +92,7 @@ def test_the_picture_shows_a_run(finished_run: Callable, monkeypatch: pytest.Mon
     picture = load("draw_landing", monkeypatch)
     fit = fz.load(finished_run("mujoco_default")[0])
     position, error = picture.draw(
-        replace(fit, result=fit.result | {"data": fit.result["data"] | {"simulated": True}})
+        replace(fit, result=fit.result | {"data": fit.result["data"] | {"origin": "simulated"}})
     ).axes
     measured, without, found = (line.get_ydata() for line in position.lines)
     assert np.array_equal(measured, fit.curves.measured_qpos[0, 1 :: picture.EVERY, 0])

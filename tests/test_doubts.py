@@ -14,6 +14,7 @@ from conftest import needs_data
 from frictionzoo.bench import Bench, Force, PositionPD
 from frictionzoo.checkup import check_up, find_all
 from frictionzoo.checkup.commands import takes_energy
+from frictionzoo.checkup.findings import Repair
 from frictionzoo.checkup.following import Followed, check_following
 from frictionzoo.checkup.lags import compare
 from frictionzoo.checkup.motion import check_motion
@@ -62,7 +63,8 @@ def recorded(make: Callable) -> tuple[Log, Bench]:
 
 
 def doubts(log: Log, bench: Bench) -> str:
-    return "\n".join(check_up(Dataset("one", (bench.accept(log),), (bench.accept(log),)), bench, "strict"))
+    told = check_up(Dataset("one", (bench.accept(log),), (bench.accept(log),)), bench, "strict")
+    return "\n".join(doubt.text for doubt in told)
 
 
 def test_a_clean_recording_raises_no_doubt(recorded: tuple[Log, Bench]) -> None:
@@ -165,7 +167,8 @@ def test_what_is_certain_is_a_warning_if_the_user_says_so(recorded: tuple[Log, B
     with pytest.raises(LogError, match=r"if it is right all the same, set checkup=warn$"):
         check_up(dataset, bench, "strict")
     (told,) = check_up(dataset, bench, "warn")
-    assert "data.sign.ctrl=-1" in told and told.endswith("(1 of 2 logs)")
+    assert "data.sign.ctrl=-1" in told.text and told.text.endswith("(1 of 2 logs)")
+    assert told.repairs == (Repair("data.sign.ctrl", -1, 0, is_factor=True),)
     with pytest.raises(ConfigError, match=r"checkup=lenient: unknown; .*strict"):
         check_up(dataset, bench, "lenient")
 

@@ -85,7 +85,7 @@ def test_recordings_come_raw_and_in_order(files: Callable[..., Files]) -> None:
 
 
 def test_a_simulator_s_files_are_called_simulated(files: Callable[..., Files]) -> None:
-    assert all(log.simulated for log in files("data.train=a.csv", "data.simulated=true").load().logs)
+    assert all(log.simulated for log in files("data.train=a.csv", "data.origin=simulated").load().logs)
 
 
 def test_one_file_is_split_by_time(files: Callable[..., Files]) -> None:

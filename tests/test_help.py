@@ -55,7 +55,7 @@ TELL = """
 import sys
 from frictionzoo.cli.commands import main
 for options in sys.argv[1:]:
-    sys.argv = ["frictionzoo", "data=files", *options.split()]
+    sys.argv = ["frictionzoo", "data=files", "bench=knee", *options.split()]
     try:
         main()
     except SystemExit as ended:

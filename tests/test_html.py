@@ -97,7 +97,7 @@ def test_links_at_the_top_lead_to_sections(record, tmp_path, joints):
 
 
 def test_the_page_opens_with_what_to_do(record, tmp_path):
-    record["verdict"] = record["verdict"] | {"commands": ["frictionzoo model=stribeck", "excite", "export"]}
+    record["verdict"] = record["verdict"] | {"commands": [{"kind": "law", "command": "frictionzoo model=stribeck"}]}
     text = Page(report(tmp_path / "report.html", record)).text
     change = format_change(*(record["metrics"][part]["position_mae"] for part in ("test", "baseline")))
     asked = (change, "Verdict: ", "How it is used", "fz.load(", "What to do next", "model=stribeck", "Best")
@@ -107,7 +107,9 @@ def test_the_page_opens_with_what_to_do(record, tmp_path):
 
 def test_no_absolute_path_is_on_the_page(record, tmp_path):
     home = "/home/somebody/logs"
-    record["verdict"] = record["verdict"] | {"commands": [f"frictionzoo data.train=[{home}/a.csv,{home}/b.csv]"]}
+    record["verdict"] = record["verdict"] | {
+        "commands": [{"kind": "law", "command": f"frictionzoo data.train=[{home}/a.csv,{home}/b.csv]"}]
+    }
     record["warnings"] = [f"{home}/a.csv: 3 samples are missing"]
     record["notes"] = [f"read from {home}/robot.xml; N m/rad, 1/2, and/or"]
     record["data"]["logs"][0]["name"] = f"{home}/a.csv"
@@ -335,7 +337,8 @@ def test_no_doubts_about_a_good_run(record):
 @pytest.mark.parametrize(
     ("change", "title", "state", "text"),
     [
-        ({"data.simulated": False}, "Real data", "good", "recorded on hardware"),
+        ({"data.origin": "hardware"}, "Hardware data", "good", "stated to be recorded on hardware"),
+        ({"data.origin": None}, "Origin", "note", "Your recordings"),
         ({"fit.stopped": "converged"}, "Fit", "good", "converged after 3"),
         ({"fit.stopped": "patience"}, "Fit", "good", "fell no more"),
         ({"fit.stopped": "diverged"}, "Fit", "bad", "diverged after 3"),

@@ -69,7 +69,7 @@ def faulty():
 def test_what_is_in_order_is_good():
     found = findings(swing(), swing("b.csv"))
     states = {title: finding["state"] for title, finding in found.items()}
-    titles = ("Real data", "Clock", "Completeness", "Spikes", "Velocity", "Excitation", "Resolution")
+    titles = ("Hardware data", "Clock", "Completeness", "Spikes", "Velocity", "Excitation", "Resolution")
     assert states == dict.fromkeys(titles, "good") | {"Command": "note"}
     assert all(finding["option"] is None for finding in found.values())
 

@@ -72,7 +72,7 @@ def check_record(run: Path, finished: Finished, name: str, module: FrictionModel
     assert re.search(r"\[test\] from 1\.\d+ s on", page)  # of 1.5 s, the last part is the test's
     assert not [path for path in run.rglob("*") if path.suffix == ".part"]
 
-    assert f"{name} on files. The data are real" in finished.out
+    assert f"{name} on files. Your recordings." in finished.out
     assert all(f"{entry['owner']}.{entry['name']}" in finished.out for entry in result["parameters"])
     assert "no friction" in finished.out and str(run) in finished.out
 

@@ -269,7 +269,7 @@ def test_doubts_look_at_all_commands(leg: Any) -> None:
         turned = replace(log, extras={**log.extras, "ctrl_torque": -9 * log.extras["ctrl_torque"]})
         turned = bench.accept(turned)
         told_of = check_up(Dataset("robot", (turned,), (turned,)), bench, "warn")
-        assert any("takes energy from the drive" in doubt for doubt in told_of)
+        assert any("takes energy from the drive" in doubt.text for doubt in told_of)
     follows = bench.accept(read(move(told, GAINS)))
     assert check_up(Dataset("robot", (follows,), (follows,)), bench, "strict") == []
 

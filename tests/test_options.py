@@ -90,7 +90,9 @@ def test_a_value_of_another_kind_is_refused_by_its_name(key: str, value: Any, li
     ],
 )
 def test_an_option_of_files_and_the_bench_is_refused_by_its_name(key: str, value: Any, line: str) -> None:
-    assert refuse(compose_once("data=files", "recipe=given"), key, value, "bench", "data").startswith(line)
+    assert refuse(compose_once("data=files", "bench=knee", "recipe=given"), key, value, "bench", "data").startswith(
+        line
+    )
 
 
 @pytest.mark.parametrize(
@@ -184,13 +186,18 @@ def judge(posing: type[Exception], tmp_path: Path) -> Callable[..., str | None]:
 def test_a_problem_of_an_absurd_size_is_refused_by_its_option(
     judge: Callable, tiny: tuple[str, ...], key: str, value: Any, fragment: str | None
 ) -> None:
-    line = judge(compose_config(*tiny), compose_once("data=files", "recipe=given"), key, value)
+    line = judge(compose_config(*tiny), compose_once("data=files", "bench=knee", "recipe=given"), key, value)
     assert line is None if fragment is None else fragment in str(line)
 
 
 def test_a_grid_of_too_many_combinations_is_refused(judge: Callable, tiny: tuple[str, ...]) -> None:
     grid = ("fit=grid", "model=mujoco_default")
-    line = judge(compose_config(*tiny, *grid), compose_once("data=files", "recipe=given", *grid), "fit.points", 10**9)
+    line = judge(
+        compose_config(*tiny, *grid),
+        compose_once("data=files", "bench=knee", "recipe=given", *grid),
+        "fit.points",
+        10**9,
+    )
     assert "fit.points=1000000000: 1e+27 combinations of 3 parameters" in str(line)
 
 
@@ -314,7 +321,10 @@ def test_no_value_of_any_option_is_a_traceback(
     monkeypatch.setattr(loggers, "_require", lambda *packages: None)  # loggers whose package is not installed
     simulated = choices[0].startswith("data=t")
     small = [option for option in tiny if not (simulated and option.startswith("data"))]
-    config, plain = compose_config(*small, *choices), compose_once("data=files", "recipe=given", choices[0])
+    config, plain = (
+        compose_config(*small, *choices),
+        compose_once("data=files", "bench=knee", "recipe=given", choices[0]),
+    )
     for key, value in absurd_values(prefix, config):
         line = judge(config, plain, key, value)
         # A number may be refused by what it leads to; what is none, only as itself.

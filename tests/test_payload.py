@@ -140,7 +140,15 @@ def test_one_drive_is_found_from_recordings_with_different_payloads(
     listed = ",".join(f"[{','.join(map(str, row))}]" for row in numbers)
     files = [str(tmp_path / f"{index}.csv") for index in range(3)]
     config = compose(
-        *("model=mujoco_default", "data=files", "recipe=given", "fit=lm", "dtype=float64", "compilation_cache=null"),
+        *(
+            "model=mujoco_default",
+            "data=files",
+            "bench=knee",
+            "recipe=given",
+            "fit=lm",
+            "dtype=float64",
+            "compilation_cache=null",
+        ),
         *(f"data.train=[{files[0]},{files[1]}]", f"data.test=[{files[2]}]", f"data.payload=[{listed}]"),
         *(f"bench.mjcf={bench.source}", "bench.joint=j0", "bench.payload=carrier", "segments.length=10"),
         *("evaluation.horizons=[0.5]", "evaluation.trajectory=1.0"),

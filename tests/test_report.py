@@ -156,7 +156,7 @@ def test_result_is_valid(result, tmp_path):
 
 def test_result_says_what_was_done(result, bench):
     assert result["model"] == "coulomb_stribeck"
-    assert result["data"]["simulated"] is True
+    assert result["data"]["origin"] == "simulated"
     assert result["data"]["samples"] == 800
     assert result["data"]["timestep"] == TIMESTEP
     assert [(log["part"], log["samples"]) for log in result["data"]["logs"]] == [("train", 400), ("test", 400)]
@@ -340,7 +340,7 @@ def test_summary_holds_the_numbers(result):
 def test_summary_says_real(bench, model, evaluation):
     dataset = Dataset("encoder", (make_log("a", 400, simulated=False),), (make_log("b", 400, simulated=False),))
     text = summarise(build(bench, model, dataset, evaluation, VALUES), Path("run"))
-    assert "encoder. The data are real" in text and "simulated" not in text
+    assert "encoder. The data are stated to be recorded on hardware." in text and "simulated" not in text
 
 
 def test_summary_warns_at_a_bound(bench, model, dataset, evaluation):

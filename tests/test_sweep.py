@@ -25,6 +25,7 @@ from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.manifest import MANIFEST, Manifest
 from frictionzoo.core.output import write_atomically
 from frictionzoo.core.threads import count_cores, limit_threads
+from frictionzoo.result.verdict import DO_NOT_USE
 
 ROOT = Path(__file__).parent.parent
 SWEEP = ("-m", "hydra.sweep.dir=sweep")
@@ -43,8 +44,9 @@ def read_result(folder: Path) -> dict:
     assert result.pop("timing")
     verdict = result["verdict"]
     named = f"{folder.parent.name}/{folder.name}"
-    assert any(named in command for command in verdict["commands"])
-    return result | {"verdict": verdict | {"commands": [line.replace(named, "RUN") for line in verdict["commands"]]}}
+    commands = [row["command"] for row in verdict["commands"]]
+    assert any(named in command for command in commands) or verdict["grade"] == DO_NOT_USE
+    return result | {"verdict": verdict | {"commands": [command.replace(named, "RUN") for command in commands]}}
 
 
 def read_comparison(folder: Path) -> dict:

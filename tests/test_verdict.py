@@ -123,7 +123,9 @@ def test_three_commands_can_be_copied(finished_run: Run, tiny: tuple[str, ...]) 
     """They are read by what reads the command line."""
     folder, finished = finished_run("mujoco_default")
     result = json.loads((folder / "result.json").read_text())
-    run, excite, export = (shlex.split(command) for command in result["verdict"]["commands"])
+    rows = result["verdict"]["commands"]
+    assert [row["kind"] for row in rows] == ["law", "recording", "export"]
+    run, excite, export = (shlex.split(row["command"]) for row in rows)
     assert run[:3] == ["python", "-m", "frictionzoo.run"] and {*tiny} <= {*run[3:]}
     config = compose_config(*run[3:])
     assert "fit=lm" in run and config.model._target_ != compose_config("model=mujoco_default").model._target_
@@ -140,7 +142,7 @@ def test_three_commands_can_be_copied(finished_run: Run, tiny: tuple[str, ...]) 
     parsed = parse_export(export[3:])
     assert export[:3] == ["python", "-m", "frictionzoo.export"] and Path(folder.parent, parsed.folder) == folder
     assert parsed.options == ["target=mjcf"] and "mjcf" in TARGETS.names()
-    assert finished.out.rstrip().splitlines()[-3:] == [f"  {each}" for each in result["verdict"]["commands"]]
+    assert finished.out.rstrip().splitlines()[-3:] == [f"  {row['command']}" for row in rows]
 
 
 def test_options_of_the_law_and_of_the_folder_are_not_those_of_the_next() -> None:

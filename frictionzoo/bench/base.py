@@ -15,9 +15,11 @@ from frictionzoo.bench.actuators import Actuator
 from frictionzoo.bench.branches import number_branches
 from frictionzoo.bench.compiled import INERTIAL, NO_PAYLOAD, combine, put_inertial
 from frictionzoo.bench.delay import write_delay
+from frictionzoo.bench.sections import put_options
 from frictionzoo.bench.signals import pair_log, pick_inputs, pick_observed, say_lacking
 from frictionzoo.bench.template import Template, in_full
-from frictionzoo.core.described import Described
+from frictionzoo.core.build import build
+from frictionzoo.core.described import Described, describe
 from frictionzoo.core.errors import BenchError, ConfigError, closest, refuse_unlike
 from frictionzoo.core.log import Dataset, Log, Payload
 from frictionzoo.core.params import AUTO, Param, group_joints, read_params, read_tie, refuse_negative
@@ -217,6 +219,17 @@ class Bench(Described):
         args, kwargs = getattr(self, "_given")  # noqa: B009 - of `Described`, so that a record tells it
         object.__setattr__(self, "_given", (args, kwargs | given))
         return self
+
+    def with_options(self, options: Mapping[str, Any]) -> "Bench":
+        """Return the same test stand with other options.
+
+        Args:
+            options: By name, as the command line has them after `bench.`: `{"actuator.params.kp.init": 15.0}`.
+
+        Raises:
+            FrictionzooError: There is no such option, or it cannot have this value.
+        """
+        return build(put_options(describe(self), options))
 
     def restarted(self, values: Mapping[str, Float[np.ndarray, "nv"]]) -> "Bench":
         """The same test stand for another law in place of one that was fitted: the armature alone is free.

@@ -5,7 +5,10 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from frictionzoo.bench.base import Bench
+from frictionzoo.bench.gains import find_gains, stand_in
+from frictionzoo.bench.sections import put_options
 from frictionzoo.core.build import build
+from frictionzoo.core.errors import MissingValueError
 from frictionzoo.core.log import Dataset
 from frictionzoo.core.params import Param
 
@@ -17,15 +20,19 @@ class Given(NamedTuple):
         bench: The test stand.
         dataset: Recordings, train and test.
         seconds: What reading them took [s].
+        settings: All options of the run, with gains that the recordings state.
     """
 
     bench: Bench
     dataset: Dataset
     seconds: float
+    settings: Mapping[str, Any]
 
     @classmethod
     def read(cls, settings: Mapping[str, Any]) -> "Given":
-        """The bench and the recordings that the sections `bench` and `data` describe.
+        """Return the bench and the recordings that the sections `bench` and `data` describe.
+
+        Gains of a controller that have no value are taken from the recordings, where these tell them.
 
         Raises:
             FrictionzooError: One of them is not there, or not what was expected, or a parameter of the law is none.
@@ -34,6 +41,13 @@ class Given(NamedTuple):
         # Which law has it, and of what dimension it is, is asked when the law is built.
         for name, section in (settings.get("model", {}).get("params") or {}).items():
             Param.from_config(name, "1", section)
-        bench = build(settings["bench"])
-        dataset = build(settings["data"]).for_joints(bench.joints).load()
-        return cls(bench, dataset, time.perf_counter() - began)
+        source, section = build(settings["data"]), settings["bench"]
+        try:
+            bench = build(section)
+            dataset = source.for_joints(bench.joints).load()
+        except MissingValueError as missing:
+            joints = build(put_options(section, stand_in(section))).joints
+            dataset = source.for_joints(joints).load()
+            section = put_options(section, find_gains(section, dataset, missing))
+            bench = build(section)
+        return cls(bench, dataset, time.perf_counter() - began, {**settings, "bench": section})

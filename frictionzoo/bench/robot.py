@@ -15,7 +15,7 @@ from frictionzoo.bench.actuators.saturation import LIMITS, POSITIONS
 from frictionzoo.bench.base import DEFAULTS, Bench
 from frictionzoo.bench.robot_file import ReadActuator, RobotFile, read_robot
 from frictionzoo.bench.template import Template
-from frictionzoo.core.errors import BenchError, ConfigError, closest
+from frictionzoo.core.errors import BenchError, ConfigError, MissingValueError, closest
 from frictionzoo.core.params import AUTO, LARGEST, Param, refuse_negative
 
 _OF_BRISTLES = {"stiffness", "rest_velocity"}  # parameters by which a law of bristles is told from others
@@ -115,7 +115,8 @@ class Robot(Bench):
                 filled[name] = self._begin(param, self._known[name])
                 self._say_begun(filled[name])
             elif name not in self.actuator.optional or param.is_identified:
-                raise ConfigError(f"{self.source}: no {name} in the file; give bench.actuator.params.{name}.init")
+                option = f"bench.actuator.params.{name}.init"
+                raise MissingValueError(f"{self.source}: no {name} in the file; give {option}")
         refuse_negative(f"{self.source}: ", filled)
         return filled
 

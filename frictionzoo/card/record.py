@@ -23,7 +23,7 @@ CARD = "card.json"
 MODEL = "model.safetensors"
 PICTURE = "friction.png"
 PAGE = "README.md"
-CARD_VERSION: Final = 2
+CARD_VERSION: Final = 3
 STATED = ("supply", "temperature", "payload")
 _OVERRIDES = Path(".hydra", "overrides.yaml")
 

@@ -69,7 +69,7 @@ class Card(TypedDict):
     It names files and no folder: no path of the machine on which it was made is in it.
     """
 
-    schema_version: Literal[2]
+    schema_version: Literal[3]
     """Raised by every change that a reader of this file could notice."""
     name: Text
     """Title of the card."""

@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float, Int
 
 from frictionzoo.bench import Bench
 from frictionzoo.bench.regressor import inverse_torque
+from frictionzoo.bench.torque import actuator_torque
 from frictionzoo.core.errors import ConfigError, LogError
 from frictionzoo.core.log import Log
 from frictionzoo.logs.signals import smooth
@@ -77,21 +78,18 @@ class Explained(NamedTuple):
     inertia_error: float
 
 
-def actuator_torque(
+def commanded_torque(
     log: Log, bench: Bench, qvel: Float[np.ndarray, "time nv"] | None = None
 ) -> Float[np.ndarray, "time nv"]:
-    """Torque of the actuators at recorded states [N m or N], with initial values and what `enable` lets through.
+    """Return the actuators' torque at recorded states [N m or N], with initial values and commands that act at once.
 
     Args:
         log: Accepted by the bench.
         bench: The test stand.
         qvel: Velocities in place of the recorded ones [rad/s or m/s].
     """
-    values, qvel = bench.initial_values(), log.qvel if qvel is None else qvel
-    ctrl = bench.actuator.control(np, values, log.qpos, qvel, log.ctrl, log.inputs)
-    affine = bench.actuator.affine(values)
-    torque = affine.gain * ctrl + affine.bias0 + affine.bias1 * log.qpos + affine.bias2 * qvel
-    return np.asarray(log.inputs.get("enable", 1.0) * torque)
+    values = {name: value for name, value in bench.initial_values().items() if name != "delay"}
+    return actuator_torque(bench, log, values, qvel)
 
 
 def balance(log: Log, bench: Bench, model: mujoco.MjModel) -> Balance | None:
@@ -107,7 +105,7 @@ def balance(log: Log, bench: Bench, model: mujoco.MjModel) -> Balance | None:
     try:
         qpos, torque = (
             smooth(values, log.timestep, cutoff, ORDER, log.name, "")
-            for values in (log.qpos, actuator_torque(log, bench))
+            for values in (log.qpos, commanded_torque(log, bench))
         )
     except (LogError, ConfigError):
         return None

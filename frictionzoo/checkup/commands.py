@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Float
 
 from frictionzoo.bench import Bench
-from frictionzoo.checkup.balance import actuator_torque
+from frictionzoo.checkup.balance import commanded_torque
+from frictionzoo.checkup.findings import Said, turn
 from frictionzoo.core.log import Log
 from frictionzoo.logs.signals import Signal
 
@@ -44,7 +45,7 @@ def check_command(of: str, ctrl: Signal, follows: Float[np.ndarray, "on"] | None
         )
 
 
-def check_work(of: str, bench: Bench, joint: int, share: float) -> Iterator[tuple[str, bool, str]]:
+def check_work(of: str, bench: Bench, joint: int, share: float) -> Iterator[Said]:
     """A command that takes energy; of a joint that others move and that gravity may drive, that is only doubtful."""
     if not takes_energy(bench, joint, share):
         return
@@ -56,6 +57,7 @@ def check_work(of: str, bench: Bench, joint: int, share: float) -> Iterator[tupl
             f"{took}, expected to give it; set data.sign.ctrl=-1, or the sign of both qpos and qvel, or look whether "
             "qpos and ctrl are swapped, have other units or another zero, or belong to other times (data.columns, "
             "data.units, data.clean.command_lag)",
+            turn(joint, "ctrl"),
         )
     else:
         yield (
@@ -81,5 +83,5 @@ def work(log: Log, bench: Bench) -> Float[np.ndarray, "nv"]:
     friction and damping take what the commands give, but for what the drive stores between its first and its last
     state; so the net work is not negative, however late the drive follows, up to half a period.
     """
-    power = actuator_torque(log, bench, np.zeros_like(log.qvel)) * log.qvel
+    power = commanded_torque(log, bench, np.zeros_like(log.qvel)) * log.qvel
     return power.sum(axis=0) / np.maximum(np.abs(power).sum(axis=0), 1e-300)

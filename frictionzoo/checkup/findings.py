@@ -1,12 +1,44 @@
 """What a check-up finds: of which kind, how sure, in words; and what becomes of it."""
 
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from frictionzoo.core.errors import ConfigError, LogError, closest
 
 CHECKUPS = ("strict", "warn")
 """What becomes of what is certainly wrong: it is refused, or told as all that is only likely is."""
+
+
+class Repair(NamedTuple):
+    """An option that mends what a finding says.
+
+    Attributes:
+        option: Its name.
+        value: Its new value, or the factor of the present one.
+        joint: Index of the joint whose entry it is; None for all joints.
+        is_factor: Whether `value` is a factor of the present value.
+    """
+
+    option: str
+    value: Any
+    joint: int | None = None
+    is_factor: bool = False
+
+
+Said = tuple[str, bool, str] | tuple[str, bool, str, tuple[Repair, ...]]
+"""Kind, certainty, text and repairs of a finding, of whichever recording and joint."""
+
+
+class Doubt(NamedTuple):
+    """A sentence on what is likely to be wrong, with the options that mend it.
+
+    Attributes:
+        text: The sentence.
+        repairs: All of them are needed; empty where nobody but the user can tell.
+    """
+
+    text: str
+    repairs: tuple[Repair, ...] = ()
 
 
 class Finding(NamedTuple):
@@ -18,6 +50,7 @@ class Finding(NamedTuple):
         text: A sentence: what came, what was expected, and the option that mends it.
         log: Name of the recording; empty where it is in all of them together.
         joint: Name of the joint; empty where it is of none in particular.
+        repairs: Options that mend it, all of them; empty where `text` leaves a choice.
     """
 
     kind: str
@@ -25,6 +58,12 @@ class Finding(NamedTuple):
     text: str
     log: str = ""
     joint: str = ""
+    repairs: tuple[Repair, ...] = ()
+
+    @classmethod
+    def of(cls, said: Said, log: str, joint: str = "") -> "Finding":
+        """Return what was said of a recording's joint, of one or of no joint in particular."""
+        return cls(*said[:3], log, joint, said[3] if len(said) > 3 else ())
 
 
 def say_sign(joint: int, count: int) -> str:
@@ -33,8 +72,18 @@ def say_sign(joint: int, count: int) -> str:
     return "-1" if count == 1 else f"-1 (of this joint alone: [{alone}])"
 
 
-def settle(findings: Iterable[Finding], checkup: str, count: int) -> list[str]:
-    """Refuse what is certain, and tell the rest, each kind once.
+def turn(joint: int, *signals: str) -> tuple[Repair, ...]:
+    """Return the options that turn these signals of a joint round."""
+    return tuple(Repair(f"data.sign.{signal}", -1, joint, is_factor=True) for signal in signals)
+
+
+def identify_delay(lag: float) -> tuple[Repair, ...]:
+    """Return the options that let a delay of up to one and a half times this lag [s] be identified."""
+    return Repair("bench.params.delay.identify", True), Repair("bench.params.delay.high", float(f"{1.5 * lag:.2g}"))
+
+
+def settle(findings: Iterable[Finding], checkup: str, count: int) -> list[Doubt]:
+    """Refuse what is certain, and return the rest, each kind once a joint.
 
     Args:
         findings: In the order in which they matter.
@@ -53,7 +102,7 @@ def settle(findings: Iterable[Finding], checkup: str, count: int) -> list[str]:
             raise LogError(f"{_say(finding)}; if it is right all the same, set checkup=warn")
         told.setdefault((finding.kind, finding.joint), (finding, set()))[1].add(finding.log)
     return [
-        _say(first) + (f" ({len(logs)} of {count} logs)" if count > 1 and first.log else "")
+        Doubt(_say(first) + (f" ({len(logs)} of {count} logs)" if count > 1 and first.log else ""), first.repairs)
         for first, logs in told.values()
     ]
 

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from frictionzoo.bench import Bench
 from frictionzoo.checkup.commands import takes_energy
-from frictionzoo.checkup.findings import say_sign
+from frictionzoo.checkup.findings import Repair, Said, identify_delay, say_sign, turn
 from frictionzoo.checkup.lags import SHORTEST, WINDOWS, Likeness, compare, find_drift, pick_lag, say_drift
 from frictionzoo.core.log import Log
 from frictionzoo.logs.signals import Signal
@@ -71,7 +71,7 @@ def settling(log: Log, bench: Bench, joint: int, on: Bool[np.ndarray, "time"]) -
 
 def check_following(
     log: Log, of: str, bench: Bench, joint: int, found: Followed, drifts: bool, swapped: int | None
-) -> Iterator[tuple[str, bool, str]]:
+) -> Iterator[Said]:
     """What speaks against a command of position: kind, whether it is certain, and a sentence.
 
     Args:
@@ -100,6 +100,7 @@ def check_following(
             True,
             f"qpos{of} does the opposite of what ctrl asks for (correlation {opposed:.2f}), expected to follow it; set "
             f"data.sign.ctrl={say_sign(joint, bench.nv)}, or the sign of both qpos and qvel",
+            turn(joint, "ctrl"),
         )
     elif found.likeness.correlation[best] < IGNORES:
         yield (
@@ -165,7 +166,7 @@ def check_drift(log: Log, found: Followed) -> Iterator[tuple[str, bool, str]]:
         yield "drift", False, say_drift(drift)
 
 
-def _check_time(of: str, found: Followed, least: float) -> Iterator[tuple[str, bool, str]]:
+def _check_time(of: str, found: Followed, least: float) -> Iterator[Said]:
     """Columns of other times: a position that is ahead of its command, or late by more than the drive can be."""
     likeness, lag = found.likeness, float(found.likeness.lags[found.likeness.best])
     late = LATE + GAINS * found.settles
@@ -178,6 +179,7 @@ def _check_time(of: str, found: Followed, least: float) -> Iterator[tuple[str, b
             True,
             f"qpos{of} is ahead of ctrl by {-1e3 * lag:.3g} ms, expected to follow it: ctrl was recorded late; set "
             f"data.clean.command_lag={-lag + found.settles:.2g} (s), or as late as it was recorded",
+            (Repair("data.clean.command_lag", float(f"{-lag + found.settles:.2g}")),),
         )
     elif lag > late and better < MUCH_BETTER and poor:
         yield (
@@ -185,7 +187,8 @@ def _check_time(of: str, found: Followed, least: float) -> Iterator[tuple[str, b
             False,
             f"qpos{of} is late by {1e3 * lag:.3g} ms against ctrl, of which the controller's gains explain "
             f"{1e3 * found.settles:.3g} ms: let bench.params.delay be identified (bench.params.delay.identify=true and "
-            f"bench.params.delay.high={lag:.2g}), or look whether the columns are of the same times",
+            f"bench.params.delay.high={1.5 * lag:.2g}), or look whether the columns are of the same times",
+            identify_delay(lag),
         )
 
 

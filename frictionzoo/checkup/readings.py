@@ -7,7 +7,7 @@ import numpy as np
 
 from frictionzoo.bench import Bench
 from frictionzoo.checkup.balance import balance, mismatch
-from frictionzoo.checkup.findings import Finding
+from frictionzoo.checkup.findings import Finding, Repair, turn
 from frictionzoo.core.log import Log
 
 SHORT = 100  # samples; fewer tell nothing
@@ -26,29 +26,30 @@ def check_readings(log: Log, bench: Bench) -> Iterator[Finding]:
     left = np.zeros(1) if found is None else mismatch(found)
     if left.max() < WORTH:
         return
-    branches, better = np.array(bench.branches), list[tuple[float, float, str]]()
-    for joint, sentence, change in _other_readings(bench):
+    branches, better = np.array(bench.branches), list[tuple[float, float, str, tuple[Repair, ...]]]()
+    for joint, sentence, change, repairs in _other_readings(bench):
         of_branch = branches == branches[joint]
         other = balance(change(log), bench, model) if left[of_branch].max() > WORTH else None
         if other is not None:
             before, after = float(left[of_branch].sum()), float(mismatch(other)[of_branch].sum())
             if after < MUCH_BETTER * before and before - after > GAINED:
-                better.append((after, before, sentence))
+                better.append((after, before, sentence, repairs))
     if better:
-        after, before, _ = min(better)
+        after, before, _, repairs = min(better)
         # A leg that hangs down moves as its mirror image does: several readings may be as good.
-        said = [sentence for rest, whole, sentence in sorted(better) if rest < AS_GOOD * after and whole == before]
+        said = [sentence for rest, whole, sentence, _ in sorted(better) if rest < AS_GOOD * after and whole == before]
         yield Finding(
             "reading",
             False,
             f"what the links need agrees with the actuators' torque much better ({before:.2g} of it unexplained, then "
             f"{after:.2g}, summed over joints that move each other) if {'; or if '.join(said)}",
             log.name,
+            repairs=repairs,
         )
 
 
-def _other_readings(bench: Bench) -> Iterator[tuple[int, str, Callable[[Log], Log]]]:
-    """A joint of each, the sentence that ends with what mends it, and what it makes of a recording."""
+def _other_readings(bench: Bench) -> Iterator[tuple[int, str, Callable[[Log], Log], tuple[Repair, ...]]]:
+    """Yield a joint, the sentence that ends with what mends it, the changed recording, and the options if any do it."""
     for joint, name in enumerate(bench.joints):
         sign = np.where(np.arange(bench.nv) == joint, -1, 1)
         listed = f"[{','.join(map(str, sign))}]"
@@ -57,6 +58,7 @@ def _other_readings(bench: Bench) -> Iterator[tuple[int, str, Callable[[Log], Lo
             f"{name} turns the other way: set data.sign.qpos, data.sign.qvel and data.sign.ctrl={listed}, or turn its "
             "axis in the MJCF",
             _turning(sign),
+            turn(joint, "qpos", "qvel", "ctrl"),
         )
         for other in range(joint):
             order = np.arange(bench.nv)
@@ -67,11 +69,13 @@ def _other_readings(bench: Bench) -> Iterator[tuple[int, str, Callable[[Log], Lo
                     joint,
                     f"{pair} are swapped: put them in that order in bench.joint or data.columns",
                     _ordering(order, True),
+                    (),
                 )
                 yield (
                     joint,
                     f"ctrl of {pair} are swapped: put data.columns.ctrl into that order",
                     _ordering(order, False),
+                    (),
                 )
 
 

@@ -15,7 +15,7 @@ from frictionzoo.checkup.balance import balance, explain
 from frictionzoo.checkup.commands import check_command, check_work, work
 from frictionzoo.checkup.declared import check_declared
 from frictionzoo.checkup.excitation import check_excitation
-from frictionzoo.checkup.findings import Finding, settle
+from frictionzoo.checkup.findings import Doubt, Finding, Repair, Said, settle
 from frictionzoo.checkup.following import Followed, check_asked, check_drift, check_following, find_swaps, settling
 from frictionzoo.checkup.lags import compare
 from frictionzoo.checkup.motion import check_motion
@@ -40,11 +40,9 @@ CLOSELY = 40  # recordings, spread evenly, that are looked at in all ways; the o
 
 READ = 1  # recording of which other readings are tried
 
-Said = tuple[str, bool, str]
 
-
-def check_up(dataset: Dataset, bench: Bench, checkup: str) -> list[str]:
-    """What is likely to be wrong with recordings, or with the bench for them, a sentence each with what mends it.
+def check_up(dataset: Dataset, bench: Bench, checkup: str) -> list[Doubt]:
+    """Return what is likely to be wrong with recordings, or with the bench for them, each with what mends it.
 
     Args:
         dataset: Recordings that the bench has accepted.
@@ -89,9 +87,9 @@ def _check_log(log: Log, bench: Bench, to_position: bool, closely: bool) -> Iter
     cleaned = {name: getattr(log, name).copy() for name in ("qpos", "qvel", "ctrl")}
     broken = False
     for joint, name in enumerate(bench.joints):
-        for kind, certain, text in _check_signals(log, _of(bench, joint), bench, joint, cleaned):
-            broken |= certain
-            yield Finding(kind, certain, text, log.name, name)
+        for said in _check_signals(log, _of(bench, joint), bench, joint, cleaned):
+            broken |= said[1]
+            yield Finding.of(said, log.name, name)
     if not broken:
         yield from _check_together(log, bench, to_position, closely, cleaned)
 
@@ -103,12 +101,13 @@ def _check_signals(
     for name, values in cleaned.items():
         far = find_isolated(name, values[:, joint])
         if far.any():
-            yield f"outliers {name}", False, say_outliers(log, f"{name}{of}", values[:, joint], far)
+            repairs = (Repair("data.clean.spikes", "repair"),)
+            yield f"outliers {name}", False, say_outliers(log, f"{name}{of}", values[:, joint], far), repairs
         values[:, joint] = leave_out(values[:, joint], far)
     qpos, qvel, ctrl = (cleaned[name][:, joint] for name in ("qpos", "qvel", "ctrl"))
     found = list(check_position(of, qpos, ctrl, bench))
     yield from found
-    if not any(certain for _, certain, _ in found):
+    if not any(said[1] for said in found):
         yield from check_velocity(log, of, joint, qpos, qvel)
         yield from check_stroke(of, qpos, qvel) if bench.joint_type == "slide" else ()
 
@@ -126,13 +125,13 @@ def _check_together(
         best = max(followed, key=lambda joint: followed[joint].likeness.correlation.max())
         drift = list(check_drift(log, followed[best]))
         drifts = bool(drift)
-        yield from (Finding(kind, certain, text, log.name) for kind, certain, text in drift)
+        yield from (Finding.of(said, log.name) for said in drift)
     swaps, named, wrong = find_swaps(log, followed), {name for name in bench.joints if drifts}, False
     for joint, name in enumerate(bench.joints):
         beside = (followed.get(joint), drifts, swaps.get(joint))
-        for kind, certain, text in _check_commands(log, bench, joint, to_position, closely, *beside):
-            named, wrong = named | {name}, wrong or certain
-            yield Finding(kind, certain, text, log.name, name)
+        for said in _check_commands(log, bench, joint, to_position, closely, *beside):
+            named, wrong = named | {name}, wrong or said[1]
+            yield Finding.of(said, log.name, name)
     if log.samples > SHORT and not wrong:
         yield from _check_forces(log, bench, to_position, closely, works, named)
 
@@ -155,8 +154,8 @@ def _check_forces(
     named = named | {one.joint or name for one in told for name in bench.joints}
     for joint, name in enumerate(bench.joints):
         if name not in named and _is_told(log, bench, joint) and not agrees(explained[joint]):
-            for kind, certain, text in check_work(_of(bench, joint), bench, joint, float(works[joint])):
-                yield Finding(kind, certain, text, log.name, name)
+            for said in check_work(_of(bench, joint), bench, joint, float(works[joint])):
+                yield Finding.of(said, log.name, name)
 
 
 def _follow(log: Log, bench: Bench, works: Float[np.ndarray, "nv"]) -> dict[int, Followed]:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from frictionzoo.bench import Bench
-from frictionzoo.checkup.findings import Finding
+from frictionzoo.checkup.findings import Finding, Repair, Said
 from frictionzoo.checkup.lags import compare
 from frictionzoo.core.log import Log
 from frictionzoo.logs.signals import (
@@ -80,9 +80,9 @@ def leave_out(values: Signal, far: Bool[np.ndarray, "time"]) -> Signal:
     return np.interp(np.arange(len(values)), kept, values[kept]) if far.any() else values
 
 
-def check_position(of: str, qpos: Signal, ctrl: Signal, bench: Bench) -> Iterator[tuple[str, bool, str]]:
+def check_position(of: str, qpos: Signal, ctrl: Signal, bench: Bench) -> Iterator[Said]:
     """What the position says alone: kind, whether it is certain, and a sentence. After what is certain, no more."""
-    found = _find_still(of, qpos, ctrl) or _find_noise(of, qpos)
+    found: Said | None = _find_still(of, qpos, ctrl) or _find_noise(of, qpos)
     if found is None and bench.joint_type == "hinge":
         found = _find_wrapping(of, qpos)
     if found is not None:
@@ -118,7 +118,7 @@ def _find_noise(of: str, qpos: Signal) -> tuple[str, bool, str] | None:
     )
 
 
-def _find_wrapping(of: str, qpos: Signal) -> tuple[str, bool, str] | None:
+def _find_wrapping(of: str, qpos: Signal) -> Said | None:
     steps = np.diff(qpos)
     turns = np.abs(np.abs(steps) - 2 * np.pi) < 0.1 * np.pi
     if not turns.any() or np.median(np.abs(steps)) >= 0.1:
@@ -128,6 +128,7 @@ def _find_wrapping(of: str, qpos: Signal) -> tuple[str, bool, str] | None:
         True,
         f"qpos{of} jumps by a whole turn {turns.sum()} times, first at sample {int(np.argmax(turns)) + 1}, "
         "expected an angle that goes on; set data.clean.wrap=6.283185307179586",
+        (Repair("data.clean.wrap", math.tau),),
     )
 
 
@@ -210,16 +211,21 @@ def check_stroke(of: str, qpos: Signal, qvel: Signal) -> Iterator[tuple[str, boo
         )
 
 
-def check_velocity(log: Log, of: str, joint: int, qpos: Signal, qvel: Signal) -> Iterator[tuple[str, bool, str]]:
+def check_velocity(log: Log, of: str, joint: int, qpos: Signal, qvel: Signal) -> Iterator[Said]:
     """Compare the measured velocity of a joint that moves with the derivative of its position."""
-    estimate = "set data.clean.velocity=estimated"
+    estimate, repairs = "set data.clean.velocity=estimated", (Repair("data.clean.velocity", "estimated"),)
     if joint in log.without_velocity:
         if not log.velocity_estimated:
             other = "if another column holds it, name that in data.columns.qvel"
             yield "velocity", False, f"the recorded velocity{of} shows no motion: it is estimated from qpos; {other}"
         return
     if not np.ptp(qvel) > 0:
-        yield "velocity", True, f"qvel{of} is constant, expected the velocity of a joint that moves; {estimate}"
+        yield (
+            "velocity",
+            True,
+            f"qvel{of} is constant, expected the velocity of a joint that moves; {estimate}",
+            repairs,
+        )
         return
     found = find_velocity_lag(log.time, qpos, qvel)
     if found is None and find_velocity_lag(log.time, qpos, -qvel) is not None:
@@ -240,13 +246,14 @@ def check_velocity(log: Log, of: str, joint: int, qpos: Signal, qvel: Signal) ->
             bool(alike < UNLIKE and _apart(qpos) < SMOOTH),
             f"qvel{of} is no copy of the position's derivative: look whether columns are swapped (data.columns.qvel), "
             f"or {estimate}",
+            repairs,
         )
     elif found is not None:
         yield from _find_late_velocity(log, of, found[0])
         yield from _find_velocity_unit(of, found[1])
 
 
-def _find_late_velocity(log: Log, of: str, lag: float) -> Iterator[tuple[str, bool, str]]:
+def _find_late_velocity(log: Log, of: str, lag: float) -> Iterator[Said]:
     if abs(lag) > max(LAGGING, 0.75 * log.timestep):
         late, other = ("qvel", "qpos") if lag > 0 else ("qpos", "qvel")
         yield (
@@ -254,16 +261,19 @@ def _find_late_velocity(log: Log, of: str, lag: float) -> Iterator[tuple[str, bo
             False,
             f"{late}{of} is late by {1e3 * abs(lag):.3g} ms against {other}; set data.clean.velocity_lag=auto or "
             f"data.clean.velocity=estimated{', and let bench.params.delay be identified' if late == 'qpos' else ''}",
+            (Repair("data.clean.velocity_lag", "auto") if lag > 0 else Repair("data.clean.velocity", "estimated"),),
         )
 
 
-def _find_velocity_unit(of: str, scale: float) -> Iterator[tuple[str, bool, str]]:
+def _find_velocity_unit(of: str, scale: float) -> Iterator[Said]:
     if abs(scale - 1) > UNITS:
+        other = _suggest(scale)
         yield (
             "units",
             not 1 / OTHER_UNITS < scale < OTHER_UNITS,
             f"qvel{of} is {scale:.4g} times the position's derivative: look at the units of time, qpos and qvel "
-            f"(data.units{_suggest(scale)}), or set data.clean.velocity=estimated",
+            f"(data.units{other}), or set data.clean.velocity=estimated",
+            () if other else (Repair("data.clean.velocity", "estimated"),),
         )
 
 

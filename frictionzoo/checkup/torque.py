@@ -6,7 +6,7 @@ import numpy as np
 
 from frictionzoo.bench import Bench
 from frictionzoo.checkup.balance import Balance, Explained, delayed
-from frictionzoo.checkup.findings import Finding, say_sign
+from frictionzoo.checkup.findings import Finding, Repair, Said, identify_delay, say_sign, turn
 from frictionzoo.checkup.lags import WINDOWS, find_drift, pick_lag, say_drift
 from frictionzoo.core.log import Log
 
@@ -43,17 +43,18 @@ def check_torque(
     yield from times
     for joint, one in enumerate(explained):
         if one is not None and not times:
-            for kind, certain, text in _check_joint(bench, joint, one, to_position):
-                yield Finding(kind, certain, text, log.name, bench.joints[joint])
+            for said in _check_joint(bench, joint, one, to_position):
+                yield Finding.of(said, log.name, bench.joints[joint])
 
 
-def _check_joint(bench: Bench, joint: int, one: Explained, to_position: bool) -> Iterator[tuple[str, bool, str]]:
+def _check_joint(bench: Bench, joint: int, one: Explained, to_position: bool) -> Iterator[Said]:
     """Sign and size of a joint's torque against what its links need, or of its inertia."""
     of = f" of {bench.joints[joint]}" if bench.nv > 1 else ""
     if any(param.is_identified for name, param in bench.actuator.params.items() if name not in OFFSETS):
         return  # its size is not known yet
     if one.error < KNOWN * abs(one.share):
         if one.share < 0:
+            turned = ("qpos", "qvel", "ctrl") if to_position else ("ctrl",)
             signals = "data.sign.qpos, data.sign.qvel and data.sign.ctrl" if to_position else "data.sign.ctrl"
             yield (
                 "opposed",
@@ -61,6 +62,7 @@ def _check_joint(bench: Bench, joint: int, one: Explained, to_position: bool) ->
                 f"ctrl{of} gives a torque opposite to what gravity and inertia need ({one.share:.3g} times), expected "
                 f"the same sign; set {signals}={say_sign(joint, bench.nv)}, or look at gravity and the joint's axis in "
                 "the MJCF",
+                turn(joint, *turned),
             )
         elif not 1 / TIMES < one.share < TIMES:
             yield (
@@ -68,21 +70,37 @@ def _check_joint(bench: Bench, joint: int, one: Explained, to_position: bool) ->
                 not 1 / TIMES**2 < one.share < TIMES**2,
                 f"the actuator{of} gives {one.share:.3g} times the torque that gravity and inertia need: a gear's "
                 f"ratio is left out, or ctrl has another unit; set {_torque_option(bench, 1 / one.share)}",
+                _scale_torque(bench, joint, 1 / one.share),
             )
     elif np.isnan(one.share) and one.left < PLAIN and one.inertia_error < KNOWN * abs(one.inertia):
         yield from _check_inertia(bench, joint, of, one.inertia)
 
 
+def _name_gains(bench: Bench) -> tuple[str, ...]:
+    """Return the parameters of an actuator to which its torque is proportional."""
+    proportional = (("force_gain",), ("kp", "kd"), ("torque_gain",), ("kt_over_r", "kt2_over_r"))
+    return next((names for names in proportional if {*names} <= bench.actuator.params.keys()), ())
+
+
 def _torque_option(bench: Bench, factor: float) -> str:
-    """What makes an actuator's torque so many times as large."""
-    if "force_gain" in bench.actuator.params:
+    """Return what makes an actuator's torque so many times as large."""
+    names = _name_gains(bench)
+    if names == ("force_gain",):
         return (
             f"bench.actuator.params.force_gain.init to {factor:.3g} times what it is, or data.units.ctrl={factor:.3g}"
         )
-    return f"bench.actuator.params.kp and kd to {factor:.3g} times what they are, or data.units"
+    if not names:
+        return f"the actuator's gains to {factor:.3g} times what they are, or data.units"
+    are = "they are" if len(names) > 1 else "it is"
+    return f"bench.actuator.params.{' and '.join(names)} to {factor:.3g} times what {are}, or data.units"
 
 
-def _check_inertia(bench: Bench, joint: int, of: str, inertia: float) -> Iterator[tuple[str, bool, str]]:
+def _scale_torque(bench: Bench, joint: int, factor: float) -> tuple[Repair, ...]:
+    rounded = float(f"{factor:.3g}")
+    return tuple(Repair(f"bench.actuator.params.{n}.init", rounded, joint, is_factor=True) for n in _name_gains(bench))
+
+
+def _check_inertia(bench: Bench, joint: int, of: str, inertia: float) -> Iterator[Said]:
     """The inertia of a joint without a load, which is its armature."""
     armature = bench.params["armature"]
     low, high, began = (float(armature.each(side, bench.nv)[joint]) for side in ("low", "high", "init"))
@@ -93,6 +111,7 @@ def _check_inertia(bench: Bench, joint: int, of: str, inertia: float) -> Iterato
             True,
             f"ctrl{of} gives a torque opposite to the acceleration, expected the same sign; set data.sign.ctrl="
             f"{say_sign(joint, bench.nv)}, or the sign of both qpos and qvel",
+            turn(joint, "ctrl"),
         )
     elif not low / OUTSIDE < inertia < high * OUTSIDE or not 1 / FAR < inertia / began < FAR:
         unit = "kg" if slide else "kg m^2"
@@ -128,6 +147,7 @@ def _check_time(log: Log, found: Balance, explained: Sequence[Explained | None])
             f"the motion is ahead of ctrl by {-1e3 * lag:.3g} ms, expected to follow it: ctrl was recorded late; set "
             f"data.clean.command_lag={-lag:.2g} (s)",
             log.name,
+            repairs=(Repair("data.clean.command_lag", float(f"{-lag:.2g}")),),
         )
     elif lag > LATE and misfit.min() < MUCH_BETTER * usual.min():
         yield Finding(
@@ -137,6 +157,7 @@ def _check_time(log: Log, found: Balance, explained: Sequence[Explained | None])
             f"(bench.params.delay.identify=true and bench.params.delay.high={1.5 * lag:.2g}), or look whether the "
             "columns are of the same times",
             log.name,
+            repairs=identify_delay(lag),
         )
 
 

@@ -27,7 +27,7 @@ from frictionzoo.result.names import label_values, name_unidentifiable
 from frictionzoo.result.types import Result
 from frictionzoo.result.verdict import doubt_reference
 
-SCHEMA_VERSION: Final = 5
+SCHEMA_VERSION: Final = 6
 LONGEST_LAG = 0.5  # s, of the residuals' autocorrelation
 FEW = 8  # rollouts below which an interval over them says little
 

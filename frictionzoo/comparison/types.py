@@ -213,7 +213,7 @@ class Comparison(TypedDict):
     position MAE in `unit`.
     """
 
-    schema_version: Literal[5]
+    schema_version: Literal[6]
     """Raised by every change that a reader of this file could notice."""
     data: DataRow
     joints: Joints

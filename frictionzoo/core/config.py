@@ -48,6 +48,7 @@ _TAKES: dict[str, tuple[Any, ...]] = {
     "bench.joint": ("", [""], None),
     "bench.payload": ("", None),
     "bench.timestep": (0.1, None),
+    "bench.actuator.params.k[pd].init": (0.1, [0.1], None),
     "*.params.*.scale": ("", 0.1),
     "*.params.*.identify": (True, [True]),
     **{f"*.params.*.{part}": (0.1, [0.1]) for part in ("init", "low", "high")},

@@ -28,6 +28,10 @@ class ConfigError(FrictionzooError):
     """An option that is unknown or has an impossible value."""
 
 
+class MissingValueError(ConfigError):
+    """A parameter has no value and no file that states one."""
+
+
 class FitError(FrictionzooError):
     """A fit that cannot go on."""
 

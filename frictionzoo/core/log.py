@@ -1,8 +1,8 @@
 """Recordings in SI units, and data sets of them."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -12,6 +12,16 @@ from frictionzoo.core.state import Signals
 
 ABSURD = 1e9  # of any signal in SI units; a drive's are far below
 JITTER = 0.05  # largest deviation of a sample interval from the median, as a share of it, that still counts as uniform
+
+Origin = Literal["hardware", "simulated"]
+ORIGINS: dict[str | None, bool | None] = {None: None, "hardware": False, "simulated": True}
+"""Whether a simulator made recordings, by what `data.origin` states."""
+
+
+def pool_origins(simulated: Iterable[bool | None]) -> Origin | None:
+    """Return the origin of several recordings: one that a simulator made makes them simulated; None: not stated."""
+    stated = {*simulated}
+    return "simulated" if True in stated else "hardware" if stated == {False} else None
 
 
 class Payload(NamedTuple):
@@ -53,7 +63,7 @@ class Log:
         qvel: Joint velocity [rad/s or m/s], measured or estimated.
         ctrl: Command, one column an actuator, in the actuator law's unit.
         sha256: Hash of what was read or made.
-        simulated: Whether a simulator made it.
+        simulated: Whether a simulator made it; False: recorded on hardware; None: not stated.
         payload: What the drive carried; None for nothing.
         load: What that changes in the bench's model, of shape (load,); `Bench.accept` computes it.
         extras: Other signals that were recorded with it, by name: supply [V], enable (0 or 1), temperature [degC], each
@@ -79,7 +89,7 @@ class Log:
     qvel: Float[np.ndarray, "time nv"]
     ctrl: Float[np.ndarray, "time nu"]
     sha256: str
-    simulated: bool
+    simulated: bool | None
     payload: Payload | None = None
     load: Float[np.ndarray, "load"] = field(default_factory=lambda: np.zeros(0))
     extras: Mapping[str, Float[np.ndarray, "time _"]] = field(default_factory=dict)

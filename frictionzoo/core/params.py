@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from frictionzoo.core.errors import ConfigError, closest
+from frictionzoo.core.errors import ConfigError, MissingValueError, closest
 
 AT_BOUND = 1e-4
 """Share of the bounds' distance, in the optimiser's coordinate, that counts as reaching a bound."""
@@ -268,7 +268,7 @@ def read_tie(option: str, given: Any) -> Tie:
 
 def _resolve(option: str, given: Any, joints: Sequence[str | None]) -> Any:
     if given is None:
-        raise ConfigError(f"{option}: null, expected a value; only bench=robot takes one from its file; give it")
+        raise MissingValueError(f"{option}: null, expected a value; give it, as in {option}=1.5")
     if isinstance(given, tuple) and len(given) != len(joints):
         raise ConfigError(f"{option}: {len(given)} values, expected {len(joints)}, one a joint, or one for all")
     if not isinstance(given, Mapping):

@@ -1,26 +1,27 @@
-"""What to do after a run, as three commands to copy: the law to try, the recording to make, the export."""
+"""Commands to copy after a run: a repair, the law to try, the recording to make, the export."""
 
 import re
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
-import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from frictionzoo.checkup.findings import Repair
 from frictionzoo.core.errors import ConfigError
-from frictionzoo.core.state import DriveState
 from frictionzoo.excite.limits import Limits, refuse_unholdable
+from frictionzoo.excite.recorded import recorded_limits, usual_inputs
 from frictionzoo.identification.problem import Problem
+from frictionzoo.identification.repairs import bench_call, complete_options, logs_call
 from frictionzoo.models import TorchFriction
 from frictionzoo.models.by_joint import ByJoint
 from frictionzoo.models.sees import SEES, observe, simpler_law, suggest_law
 from frictionzoo.result.residual_types import ResidualRow
+from frictionzoo.result.verdict_types import CommandRow
 
-LEAST_TORQUE = 1.5  # times what holds the drive at rest, of a torque that a recording may take
 FIRST_LAW = "mujoco_default"  # to try where nothing is to be compared with
 TARGET = "mjcf"
 _RUN, _EXCITE = "python -m frictionzoo.run", "python -m frictionzoo.excite"
@@ -40,17 +41,20 @@ class Origin:
         options: `KEY=VALUE` each, those that choose the law and its parameters left out; of a call from Python the
             arguments that are not as they are where nothing is said, `NAME=VALUE` each.
         folder: The run's; None for one that is in memory only.
+        law: Options that choose the law and its parameters, of a shell.
     """
 
     command: str | None = None
     options: tuple[str, ...] = ()
     folder: Path | None = None
+    law: tuple[str, ...] = ()
 
     @classmethod
     def of_run(cls, options: Sequence[str], folder: Path, teacher: str | None = None) -> "Origin":
         """Of the command line, by the options of the job, and the folder of the drive that it follows, if any."""
         kept = [each for each in options if not _OF_THE_LAW.match(each) and not _OF_THE_FOLDER.match(each)]
-        return cls(_RUN if teacher is None else f"{_DISTILL} {shlex.quote(teacher)}", tuple(kept), folder)
+        law = tuple(each for each in options if _OF_THE_LAW.match(each))
+        return cls(_RUN if teacher is None else f"{_DISTILL} {shlex.quote(teacher)}", tuple(kept), folder, law)
 
     @classmethod
     def of_call(cls, arguments: Mapping[str, Any]) -> "Origin":
@@ -71,8 +75,8 @@ IN_MEMORY = Origin()
 
 def suggest_commands(
     problem: Problem, values: Mapping[str, Any], residual: ResidualRow | None, origin: Origin
-) -> list[str]:
-    """Three commands for a shell, or calls for Python.
+) -> list[CommandRow]:
+    """Return commands for a shell, or calls for Python, before the verdict has left any out.
 
     Args:
         problem: What was identified.
@@ -81,20 +85,63 @@ def suggest_commands(
         origin: How it was asked for.
     """
     law = choose_law(problem, residual)
-    limits = limits_of(problem, values)
+    limits = recorded_limits(problem.bench, values, problem.dataset.train)
+    repairs = complete_options(_list_repairs(problem), problem.bench, problem.settings)
+    excitable, found = _excitable(problem, values, limits), dict[str, str]()
     if origin.command is None:
-        named = ", ".join([f"bench, {law!r}, logs", *origin.options])
-        return [
-            f"fz.identify({named})",
-            _excite_in_python(problem, values, limits),
-            f'drive.export("{TARGET}", "export")',
-        ]
+        if repairs:
+            found["repair"] = _repair_in_python(problem, repairs, origin)
+        found["inspect"] = f"logs{'' if excitable else _NO_DESIGN}"
+        found["law"] = f"fz.identify({', '.join([f'bench, {law!r}, logs', *origin.options])})"
+        if excitable and _has_parameters(problem):
+            found["recording"] = _excite_in_python(limits)
+        found["export"] = f'drive.export("{TARGET}", "export")'
+        return _rows(found)
+    if repairs:
+        found["repair"] = _repair_in_shell(repairs, origin)
+    found["inspect"] = _inspect_in_shell(origin) + ("" if excitable else _NO_DESIGN)
     chosen = _choose_in_shell(problem, law, residual)
-    return [
-        shlex.join([*shlex.split(origin.command), *origin.options, *chosen]),
-        _excite_in_shell(problem, values, limits, law, origin),
-        f"python -m frictionzoo.export {origin.place} target={TARGET}",
-    ]
+    found["law"] = shlex.join([*shlex.split(origin.command), *origin.options, *chosen])
+    if excitable:
+        found["recording"] = _excite_in_shell(problem, limits, law, origin)
+    found["export"] = f"python -m frictionzoo.export {origin.place} target={TARGET}"
+    return _rows(found)
+
+
+def _rows(commands: Mapping[str, str]) -> list[CommandRow]:
+    return [cast(CommandRow, {"kind": kind, "command": command}) for kind, command in commands.items()]
+
+
+def _list_repairs(problem: Problem) -> list[Repair]:
+    """Return the repairs of the first finding that has any, and of all others that set the same options."""
+    first = next((doubt.repairs for doubt in problem.doubts if doubt.repairs), ())
+    options = {repair.option for repair in first}
+    alike = [doubt.repairs for doubt in problem.doubts if {repair.option for repair in doubt.repairs} == options]
+    return [repair for repairs in alike for repair in repairs]
+
+
+def _repair_in_shell(repairs: Mapping[str, Any], origin: Origin) -> str:
+    """Return the same run with these options in place of its own."""
+    kept = [each for each in (*origin.options, *origin.law) if each.partition("=")[0].lstrip("+~") not in repairs]
+    changed = [f"{name}={_plain(value)}" for name, value in repairs.items()]
+    return shlex.join([*shlex.split(origin.command or _RUN), *kept, *changed])
+
+
+def _repair_in_python(problem: Problem, repairs: Mapping[str, Any], origin: Origin) -> str:
+    model = problem.drive.model
+    law: Any = model.name
+    if isinstance(model, ByJoint):
+        law = {re.escape(name): model.of_joint(at)[0].name for at, name in enumerate(problem.bench.joints)}
+    logs = logs_call(repairs, problem.settings["data"])
+    if logs is None:
+        wanted = ", ".join(f"{name}={_plain(value)}" for name, value in repairs.items() if name.startswith("data."))
+        return f"logs  # they are in no file: change them as {wanted} would"
+    return f"fz.identify({', '.join([bench_call(repairs), repr(law), logs, *origin.options])})"
+
+
+def _inspect_in_shell(origin: Origin) -> str:
+    data = [each for each in origin.options if _OF_THE_DATA.match(each)]
+    return shlex.join(["python", "-m", "frictionzoo.inspect", *(data or ["data=twin"])])
 
 
 def choose_law(problem: Problem, residual: ResidualRow | None) -> str:
@@ -108,34 +155,6 @@ def choose_law(problem: Problem, residual: ResidualRow | None) -> str:
     further = [suggest_law(model, sees, what) for what in SEES if what not in sees and _is_recorded(problem, what)]
     richer = next((law for law, whole in further if law and whole), None)
     return richer or simpler_law(model, sees) or FIRST_LAW
-
-
-def limits_of(problem: Problem, values: Mapping[str, Any]) -> dict[str, Any]:
-    """What the training recordings show that the drive may do: `position`, `velocity` and `torque` of each joint.
-
-    The torque is as large at least as the drive needs to be held.
-    """
-    seen: DriveState = problem.samples
-    low, high = (np.quantile(seen.qpos, share, axis=0) for share in (0.001, 0.999))
-    speed, torque = (np.quantile(np.abs(signal), 0.999, axis=0) for signal in (seen.qvel, seen.motor_torque))
-    torque = np.maximum(torque, LEAST_TORQUE * _hold(problem, (low + high) / 2))
-    several = problem.bench.nv > 1
-    pairs = [[_round(a), _round(b)] for a, b in zip(low, high, strict=True)]
-    speeds, torques = ([_round(each) for each in of] for of in (speed, torque))
-    return {
-        "position": pairs if several else pairs[0],
-        "velocity": speeds if several else speeds[0],
-        "torque": torques if several else torques[0],
-    }
-
-
-def _hold(problem: Problem, qpos: Float[np.ndarray, "nv"]) -> Float[np.ndarray, "nv"]:
-    """Torque that holds the drive at a position [N m or N]."""
-    model = problem.bench.compile(constraint=False)
-    data = mujoco.MjData(model)
-    data.qpos[:] = qpos
-    mujoco.mj_forward(model, data)
-    return np.abs(data.qfrc_bias - data.qfrc_passive)
 
 
 def _is_recorded(problem: Problem, what: str) -> bool:
@@ -153,19 +172,18 @@ def _choose_in_shell(problem: Problem, law: str, residual: ResidualRow | None) -
     return ["model=by_joint", f"model.laws={{{', '.join(f'{name}: {own}' for name, own in laws.items())}}}"]
 
 
-def _inputs(problem: Problem) -> dict[str, Float[np.ndarray, "nv"]]:
-    """What the actuator law usually gets besides the command."""
-    signals = problem.segments.signals.inputs
-    return {name: np.median(signal, axis=(0, 1)) for name, signal in signals.items() if name != "ctrl_velocity"}
-
-
 def _excitable(problem: Problem, values: Mapping[str, Any], limits: Mapping[str, Any]) -> bool:
     """Whether a command of positions can be designed for the drive."""
     try:
-        refuse_unholdable(problem.bench, values, _inputs(problem), Limits.read(problem.bench.nv, **limits))
+        inputs = {name: np.zeros(problem.bench.nv) for name in problem.bench.actuator.inputs} | _usual(problem)
+        refuse_unholdable(problem.bench, values, inputs, Limits.read(problem.bench.nv, **limits))
     except ConfigError:
         return False
     return problem.drive.rollout.reverse
+
+
+def _usual(problem: Problem) -> dict[str, Float[np.ndarray, "nv"]]:
+    return usual_inputs(problem.bench, problem.dataset.train)
 
 
 def _has_parameters(problem: Problem) -> bool:
@@ -174,33 +192,29 @@ def _has_parameters(problem: Problem) -> bool:
     return bool(space.params) and not space.weights and not isinstance(problem.drive.model, TorchFriction)
 
 
-def _excite_in_shell(
-    problem: Problem, values: Mapping[str, Any], limits: Mapping[str, Any], law: str, origin: Origin
-) -> str:
-    if not _excitable(problem, values, limits):
-        data = [each for each in origin.options if _OF_THE_DATA.match(each)]
-        return shlex.join(["python", "-m", "frictionzoo.inspect", *(data or ["data=twin"])]) + _NO_DESIGN
+def _excite_in_shell(problem: Problem, limits: Mapping[str, Any], law: str, origin: Origin) -> str:
     stated = [f"{name}={_plain(value)}" for name, value in limits.items()]
     if _has_parameters(problem):
         return f"{_EXCITE} {origin.place} {shlex.join(stated)}"
     about = [each for each in origin.options if _OF_THE_DRIVE.match(each)]
-    inputs = [f"inputs.{name}={_round(np.median(usual))}" for name, usual in _inputs(problem).items()]
+    inputs = [f"inputs.{name}={_round(np.median(usual))}" for name, usual in _usual(problem).items()]
     return shlex.join([*_EXCITE.split(), *about, f"model={law}", *stated, *inputs])
 
 
-def _excite_in_python(problem: Problem, values: Mapping[str, Any], limits: Mapping[str, Any]) -> str:
-    if not _excitable(problem, values, limits) or not _has_parameters(problem):
-        return f"logs{_NO_DESIGN}"
-    stated = {name: _plain(value) for name, value in limits.items()}
-    return f'from frictionzoo.excite.excitation import excite; excite({stated!r}, drive).save("excitation")'
+def _excite_in_python(limits: Mapping[str, Any]) -> str:
+    return f'from frictionzoo.excite.excitation import excite; excite({_texts(limits)!r}, drive).save("excitation")'
 
 
-_NO_DESIGN = "  # what there is: record more of what it lacks; no command can be designed for this drive"
+def _texts(limits: Mapping[str, Any]) -> dict[str, str]:
+    return {name: _plain(value) for name, value in limits.items()}
+
+
+_NO_DESIGN = "  # no command can be designed for this drive; record more of the motion that is missing"
 
 
 def _plain(value: Any) -> str:
-    """A limit as an option has it."""
-    return str(value).replace(" ", "")
+    """Return a value as an option has it."""
+    return str(value).lower() if isinstance(value, bool) else str(value).replace(" ", "")
 
 
 def _round(value: float | np.floating) -> float:

@@ -14,6 +14,7 @@ from frictionzoo.bench import Bench
 from frictionzoo.bench.given import Given
 from frictionzoo.bench.signals import pair_all
 from frictionzoo.checkup import check_up
+from frictionzoo.checkup.findings import Doubt
 from frictionzoo.core.build import build
 from frictionzoo.core.described import describe
 from frictionzoo.core.errors import RunError
@@ -60,7 +61,7 @@ class Parts(NamedTuple):
     dataset: Dataset
     model: FrictionModel
     fit: Fit
-    doubts: list[str]
+    doubts: list[Doubt]
     seconds: float
 
     @classmethod
@@ -75,8 +76,8 @@ class Parts(NamedTuple):
             FrictionzooError: The input is at fault.
         """
         began = time.perf_counter()
+        bench, dataset, earlier, settings = given or Given.read(settings)._replace(seconds=0.0)
         settings = {**settings, "model": complete_laws(settings["model"], settings)}
-        bench, dataset, earlier = given or Given.read(settings)._replace(seconds=0.0)
         model = build(settings["model"], nv=bench.nv)
         model.bind(bench.joints)
         model.begin(bench.initial_friction(model.params))
@@ -148,7 +149,7 @@ class Problem:
 
     bench: Bench
     dataset: Dataset
-    doubts: list[str]
+    doubts: list[Doubt]
     sampling: Sampling
     segments: Segments
     evaluation: Evaluation

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from frictionzoo.bench import Bench
+from frictionzoo.checkup.findings import Doubt
 from frictionzoo.core.errors import ConfigError, closest
 from frictionzoo.core.log import Dataset
 from frictionzoo.core.params import AUTO
@@ -36,7 +37,7 @@ class Settled:
     bench: Bench
     choices: tuple[Choice, ...] = ()
     start: Found | None = None
-    doubts: tuple[str, ...] = ()
+    doubts: tuple[Doubt, ...] = ()
 
 
 def settle(settings: Mapping[str, Any], bench: Bench, dataset: Dataset, model: FrictionModel, fit: Fit) -> Settled:

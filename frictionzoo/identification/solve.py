@@ -95,7 +95,7 @@ def solve(
         settings=problem.settings,
         engine=problem.drive.engine.name,
         proof=problem.proof,
-        warnings=problem.doubts,
+        warnings=[doubt.text for doubt in problem.doubts],
         device=device,
         uncertainty=uncertainty,
         commands=suggest_commands(problem, outcome.values["bench"], residual, origin),

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from frictionzoo.bench import Bench
+from frictionzoo.checkup.findings import Doubt
 from frictionzoo.core.described import remake
 from frictionzoo.core.errors import FitError
 from frictionzoo.core.log import Dataset, Log
@@ -45,7 +46,7 @@ class Stages:
         self, settings: Mapping[str, Any], bench: Bench, dataset: Dataset, model: FrictionModel, fit: Fit
     ) -> None:
         self.settings: dict[str, Any] = copy.deepcopy(dict(settings))
-        self.doubts: list[str] = []
+        self.doubts: list[Doubt] = []
         self.start: Found | None = None
         self._given, self._plain, self._train, self._model, self._fit = settings, bench, dataset.train, model, fit
         self._free = {name: is_open(settings["bench"]["params"], name) for name in OPTIONAL}
@@ -332,8 +333,10 @@ class Stages:
             halvings = min(math.ceil(math.log2(largest / _MOVES)), math.floor(math.log2(step / shortest)))
             if halvings < 1 or not left:
                 self.doubts.append(
-                    f"bench.timestep={step:.3g} s: {reason}, expected at most {_MOVES:.2g}; shorter steps take long: "
-                    "set bench.timestep, and fewer segments with segments.count"
+                    Doubt(
+                        f"bench.timestep={step:.3g} s: {reason}, expected at most {_MOVES:.2g}; shorter steps take "
+                        "long: set bench.timestep, and fewer segments with segments.count"
+                    )
                 )
                 break
             self._set_step(step / 2**halvings)

@@ -53,9 +53,12 @@ def _find_in_joint(joint: Mapping[str, Any], survey: Mapping[str, Any]) -> Itera
 
 
 def _find_origin(data: Mapping[str, Any]) -> Check:
-    if data["simulated"]:
+    if data["origin"] == "simulated":
         return Check("note", "Simulated data", "A simulator made these data; they say nothing about hardware.")
-    return Check("good", "Real data", "The data were recorded on hardware.")
+    if data["origin"] == "hardware":
+        return Check("good", "Hardware data", "The data are stated to be recorded on hardware.")
+    text = "Your recordings. Whether they are of hardware or of a simulator is not stated."
+    return Check("note", "Origin", text, "data.origin=hardware")
 
 
 def _find_jitter(survey: Mapping[str, Any]) -> Check:

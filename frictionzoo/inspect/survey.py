@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from frictionzoo import __version__
-from frictionzoo.core.log import Log
+from frictionzoo.core.log import Log, pool_origins
 from frictionzoo.core.output import to_json
 from frictionzoo.core.params import UNITS
 from frictionzoo.inspect.findings import list_findings
@@ -19,7 +19,7 @@ from frictionzoo.logs.diagnose import SLOWEST, Diagnosis, diagnose
 from frictionzoo.logs.recording import Recording
 from frictionzoo.logs.signals import TOP, derive_velocity, repair_spikes
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 
 Survey = dict[str, Any]
 """What `inspect.json` holds."""
@@ -88,7 +88,7 @@ def _as_recording(log: Log) -> Recording:
 def _describe_data(name: str, recordings: Sequence[Recording]) -> dict[str, Any]:
     return {
         "name": name,
-        "simulated": any(recording.simulated for recording in recordings),
+        "origin": pool_origins(recording.simulated for recording in recordings),
         "recordings": len(recordings),
         "samples": sum(len(recording.time) for recording in recordings),
         "duration": sum(float(np.maximum(np.diff(recording.time), 0).sum()) for recording in recordings),

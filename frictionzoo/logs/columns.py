@@ -25,7 +25,7 @@ def to_recording(
     table: Table,
     columns: Mapping[str, Any],
     units: Mapping[str, str],
-    simulated: bool,
+    simulated: bool | None,
     listed: Collection[str] = (),
 ) -> Recording:
     """The signals of a recording, in SI units and at the times of `qpos`.
@@ -39,7 +39,7 @@ def to_recording(
         columns: Header, or list of headers, of each signal. Without those of `qpos` and `ctrl`, and of `time` where
             the table does not know it, the columns are taken by their names if these leave no doubt.
         units: Unit of each signal; SI, or what the format lays down, where there is none.
-        simulated: Whether a simulator made it.
+        simulated: Whether a simulator made it; None: not stated.
         listed: Signals whose headers a user listed.
 
     Raises:

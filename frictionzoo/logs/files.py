@@ -10,7 +10,7 @@ import numpy as np
 
 from frictionzoo.core.described import describe
 from frictionzoo.core.errors import ConfigError, LogError, closest
-from frictionzoo.core.log import Dataset, Log, Payload
+from frictionzoo.core.log import ORIGINS, Dataset, Log, Payload
 from frictionzoo.logs.clean import Cleaning, clean, summarise_repairs
 from frictionzoo.logs.columns import Proposal, list_names, propose, to_recording
 from frictionzoo.logs.formats import find_files, format_names, read_tables
@@ -58,10 +58,12 @@ class Files(Source):
         payload: Sequence[Any] = (),
         inputs: Any = None,
         split: Mapping[str, Any] | None = None,
-        simulated: bool = False,
+        origin: str | None = None,
     ) -> None:
         if format not in ("auto", *format_names()):
             raise ConfigError(f"data.format={format}: no such format; {closest(format, ('auto', *format_names()))}")
+        if origin not in ORIGINS:
+            raise ConfigError(f"data.origin={origin}: unknown; {closest(str(origin), filter(None, ORIGINS))}, or null")
         self.name, self.folder, self.source, self.format = name, folder, source, format
         self.train, self.test = (
             [] if given in (None, "") else list(list_names(option, given))
@@ -77,7 +79,7 @@ class Files(Source):
         )
         self.selection = Selection(fields, fields_from_name, where, exclude)
         self.inputs = _mapping("inputs", inputs)
-        self.clean, self.payload, self.simulated = clean, payload, simulated
+        self.clean, self.payload, self.simulated = clean, payload, ORIGINS[origin]
         self.joints: tuple[str, ...] = ()
         self.split = Split(**(split or {}))
         if self.test and self.split.by != "time":

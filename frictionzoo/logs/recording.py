@@ -60,7 +60,7 @@ class Recording:
             temperature [degC].
         fields: What the source says of the whole recording.
         sha256: Hash of what was read.
-        simulated: Whether a simulator made it.
+        simulated: Whether a simulator made it; False: recorded on hardware; None: not stated.
         notes: What was done to bring its signals together, a sentence each.
         columns: Where the columns of signals come from, by the signal.
     """
@@ -70,6 +70,6 @@ class Recording:
     signals: Mapping[str, Float[np.ndarray, "time columns"]]
     fields: Mapping[str, Any] = field(default_factory=dict)
     sha256: str = ""
-    simulated: bool = False
+    simulated: bool | None = None
     notes: tuple[str, ...] = ()
     columns: Mapping[str, Columns] = field(default_factory=dict)

@@ -16,7 +16,7 @@ import numpy as np
 from frictionzoo.bench.base import Bench
 from frictionzoo.core.errors import RunError
 from frictionzoo.core.jobs import read_json, refuse_unfinished
-from frictionzoo.core.log import Dataset, Log
+from frictionzoo.core.log import Dataset, Log, pool_origins
 from frictionzoo.core.output import RESULT, to_json, write_atomically
 from frictionzoo.core.params import Param
 from frictionzoo.fit.link_inertia import LinkInertia
@@ -32,6 +32,7 @@ from frictionzoo.result.names import label_values
 from frictionzoo.result.residual_types import ResidualRow
 from frictionzoo.result.values import list_values
 from frictionzoo.result.verdict import doubt_sizes, explain_failure, judge
+from frictionzoo.result.verdict_types import CommandRow
 from frictionzoo.simulate.proof import Proof
 
 SCHEMA_VERSION: Final = 8
@@ -93,7 +94,7 @@ class Findings:
     uncertainty: Uncertainty
     recipe: Sequence[types.ChoiceRow] = ()
     residual: ResidualRow | None = None
-    commands: Sequence[str] = ()
+    commands: Sequence[CommandRow] = ()
 
 
 def build_result(found: Findings) -> types.Result:
@@ -223,7 +224,7 @@ def describe_data(dataset: Dataset) -> types.DataRow:
     return {
         "name": dataset.name,
         "sha256": hashes[0] if len(hashes) == 1 else joined,
-        "simulated": any(log.simulated for log in dataset.logs),
+        "origin": pool_origins(log.simulated for log in dataset.logs),
         "timestep": round(dataset.logs[0].timestep, 9),
         "samples": sum(log.samples for log in dataset.logs),
         "logs": [_describe_log(log, part) for part in ("train", "test") for log in getattr(dataset, part)],

@@ -6,6 +6,7 @@
 
 from typing import Annotated, Any, Literal, TypedDict
 
+from frictionzoo.core.log import Origin
 from frictionzoo.result.kinds import (
     Carried,
     Count,
@@ -52,8 +53,8 @@ class DataRow(TypedDict):
     sha256: Sha256
     """Hash of what was read: the source's where there is one; for several sources, the hash of their distinct hashes
     in the order of `logs`, joined by line feeds."""
-    simulated: bool
-    """True: a simulator made the data. False: recorded on hardware."""
+    origin: Origin | None
+    """What `data.origin` states: recorded on hardware, or made by a simulator, if only in part; null: not stated."""
     timestep: Positive
     """Sample interval [s]."""
     samples: Samples

@@ -15,8 +15,18 @@ from frictionzoo.result.names import name_some, name_unidentifiable, name_where,
 from frictionzoo.result.residual_types import JointResidualRow, PlaceRow, ResidualRow
 from frictionzoo.result.run_types import FitRow
 from frictionzoo.result.types import MetricsRow, ParameterRow, PartsRow, ReferenceRow, Result
-from frictionzoo.result.verdict_types import FindingRow, VerdictRow
+from frictionzoo.result.verdict_types import CommandRow, FindingRow, VerdictRow
 
+DO_NOT_USE = "do not use it"
+"""Grade of a result of which no value is to be used."""
+PURPOSES = {
+    "repair": "the repair",
+    "inspect": "the recordings to look at",
+    "law": "the law to try",
+    "recording": "the recording to make",
+    "export": "the export",
+}
+"""What a suggested command does, by its kind."""
 BOUNDS = 2  # identified parameters at bounds from which on that is doubted
 LITTLE = 1 / 3  # of the test error without friction; a law that identifies a drive leaves less
 NOTHING = 2 / 3  # of that error; a law that leaves more explains next to nothing
@@ -45,17 +55,39 @@ PLACES = {
 _MORE = "raise fit.iterations"
 
 
-def judge(result: Result, commands: Sequence[str] = ()) -> VerdictRow:
-    """The verdict on a result by what it holds besides, with these commands to copy.
+def judge(result: Result, commands: Sequence[CommandRow] = ()) -> VerdictRow:
+    """Return the verdict on a result by what else it holds, with those of these commands that it allows.
 
     Args:
-        result: The record; what it has under `verdict` is not looked at.
-        commands: As `VerdictRow` has them.
+        result: The record; its `verdict` is not looked at.
+        commands: As `VerdictRow` has them, before the verdict.
     """
     findings = sorted(find_doubts(result), key=lambda finding: not finding["severe"])
     worst = [finding["severe"] for finding in findings[:1]]
-    grade = "do not use it" if True in worst else "use it with care" if worst else "nothing speaks against it"
-    return cast(VerdictRow, {"grade": grade, "findings": findings, "commands": list(commands)})
+    grade = DO_NOT_USE if True in worst else "use it with care" if worst else "nothing speaks against it"
+    allowed = _allow(commands, grade, identified=not result["not_identified"])
+    return cast(VerdictRow, {"grade": grade, "findings": findings, "commands": allowed})
+
+
+def _allow(commands: Sequence[CommandRow], grade: str, identified: bool) -> list[CommandRow]:
+    """Return the commands that are safe to suggest: values that are wrong belong neither on hardware nor in exports."""
+    kinds = {row["kind"] for row in commands}
+    left_out: set[str] = {"recording"} if "repair" in kinds else set()
+    if grade == DO_NOT_USE:
+        left_out |= {"recording", "export"} | ({"law"} if "repair" in kinds or not identified else set())
+    elif "repair" in kinds or "recording" in kinds:
+        left_out |= {"inspect"}
+    return [row for row in commands if row["kind"] not in left_out]
+
+
+def is_usable(result: Result) -> bool:
+    """Return whether the verdict on a result lets it be exported or used to design a recording."""
+    return result["verdict"]["grade"] != DO_NOT_USE
+
+
+def say_purposes(commands: Sequence[CommandRow]) -> str:
+    """Return what suggested commands do, in their order."""
+    return ", ".join(PURPOSES[row["kind"]] for row in commands)
 
 
 def say_finding(finding: FindingRow) -> str:

@@ -1,6 +1,6 @@
 """What `result.json` holds of its verdict, as types."""
 
-from typing import Annotated, Literal, TypedDict
+from typing import Literal, TypedDict
 
 from frictionzoo.result.kinds import Text
 
@@ -34,6 +34,16 @@ class FindingRow(TypedDict):
     """The law of the zoo that has what this one lacks; null: it is no matter of the law, or there is none."""
 
 
+class CommandRow(TypedDict):
+    """A command to copy."""
+
+    kind: Literal["repair", "inspect", "law", "recording", "export"]
+    """What it does: mend what a finding says, look at the recordings, try another law, design the next recording, or
+    export the drive."""
+    command: Text
+    """For a shell; of a run from Python, a call with the names bench, logs and drive, which stands for the result."""
+
+
 class VerdictRow(TypedDict):
     """What speaks against a result, and what to do next."""
 
@@ -41,6 +51,6 @@ class VerdictRow(TypedDict):
     """In plain words."""
     findings: list[FindingRow]
     """The worst first; empty: nothing speaks against it."""
-    commands: Annotated[list[Text], ("maxItems", 3)]
-    """To copy: the law to try on the same data with the same options, the recording to make, the export. Of a run from
-    Python, calls with the names bench, logs and drive, which stands for the result."""
+    commands: list[CommandRow]
+    """To copy, in this order. A result that is not to be used suggests neither a recording nor an export; neither does
+    a result with a repair suggest a recording."""

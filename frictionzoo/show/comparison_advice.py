@@ -9,6 +9,7 @@ from frictionzoo.comparison.statistics import MATTERS
 from frictionzoo.comparison.types import Comparison, PairRow
 from frictionzoo.core.output import RESULT
 from frictionzoo.core.telling import say_percent
+from frictionzoo.result.verdict import is_usable
 from frictionzoo.show.page import Check
 from frictionzoo.show.run_page import list_uses
 
@@ -74,27 +75,32 @@ def _say_next(comparison: Comparison) -> str:
 
 def list_steps_to_use(run: Run, place: str) -> list[str]:
     """How the run to take is used, by its folder, or as the object that `fz.compare` gave where it was not saved."""
+    usable = is_usable(run.result)
     if (run.folder / RESULT).exists():
-        return list_uses(place)
+        return list_uses(place, usable)
     return [
         "drive = compared.recommended  # of what fz.compare gave",
         "drive.parameters, drive.rollout()",
-        'drive.export("mjcf", "export")',
+        *(['drive.export("mjcf", "export")'] if usable else []),
         f'drive.save("{run.result["model"]}")',
     ]
 
 
 def list_next_steps(comparison: Comparison, chosen: Run) -> list[Step]:
     """What to do after the comparison: tell apart what it could not, try what it has not, record, go on."""
-    law, recording = [*chosen.result["verdict"]["commands"], "", ""][:2]
-    steps = []
+    commands = {row["kind"]: row["command"] for row in reversed(chosen.result["verdict"]["commands"])}
+    law, steps = commands.get("law", ""), list[Step]()
+    if repair := commands.get("repair"):
+        steps.append(Step("The repair of what its run found", repair))
     if again := _judge_again(comparison, law):
         steps.append(Step("To tell apart what these rollouts do not: more of them", again))
     tried = {entry["model"] for entry in comparison["runs"]}
     if law and not any(_names_law(law, model) for model in tried):
         steps.append(Step("A law that has what this one lacks, or does with less, and that is not among these", law))
-    if recording:
+    if recording := commands.get("recording"):
         steps.append(Step("The recording to make", recording))
+    elif inspect := commands.get("inspect"):
+        steps.append(Step("A look at the recordings", inspect))
     return steps
 
 

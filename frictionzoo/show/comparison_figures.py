@@ -9,6 +9,7 @@ from frictionzoo.core.output import remove_written
 from frictionzoo.show.comparison_plots import plot_comparison
 from frictionzoo.show.figure import Sheet
 from frictionzoo.show.run_plots import COLUMNS
+from frictionzoo.show.text import say_origin
 from frictionzoo.show.with_matplotlib import LINE, draw, save_figure
 
 FORMATS = ("png", "pdf")
@@ -32,7 +33,7 @@ def write_figures(folder: Path, comparison: Comparison, runs: Sequence[Run]) -> 
 def arrange(comparison: Comparison, runs: Sequence[Run]) -> dict[str, Sheet]:
     """What is drawn on which file; a sheet without figures has nothing to show."""
     drawn, evaluation, joints = plot_comparison(comparison, runs), comparison["evaluation"], len(comparison["joints"])
-    data = f"{comparison['data']['name']} ({'simulated' if comparison['data']['simulated'] else 'real'} data)"
+    data = f"{comparison['data']['name']} ({say_origin(comparison['data']['origin'])})"
     fits = f"Fits to the training part of {data}\nred: the best iteration and what it identified; from the lower "
     fits += "bound of each parameter to the upper one, in decades where both are positive"
     one = f"One rollout of the test part of {data}"

@@ -17,7 +17,7 @@ from frictionzoo.comparison.types import Comparison, DifferenceRow, RolloutsRow,
 from frictionzoo.core.anonymous import list_paths_of, without_paths
 from frictionzoo.core.output import RESULT, write_atomically
 from frictionzoo.result.names import pick_value, read_values
-from frictionzoo.result.verdict import judge
+from frictionzoo.result.verdict import is_usable, judge
 from frictionzoo.show.colors import DARK
 from frictionzoo.show.comparison_advice import check_order, list_next_steps, list_steps_to_use, name_runs
 from frictionzoo.show.comparison_plots import Look, choose_looks, plot_comparison
@@ -125,6 +125,7 @@ def _advise(comparison: Comparison, chosen: Run, place: str) -> dict[str, Any]:
     """How the run to take is used, and what to do next."""
     return {
         "place": place if (chosen.folder / RESULT).exists() else None,
+        "usable": is_usable(chosen.result),
         "uses": list_steps_to_use(chosen, place),
         "next": list_next_steps(comparison, chosen),
     }

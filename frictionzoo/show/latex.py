@@ -4,6 +4,7 @@ import math
 
 from frictionzoo.comparison.statistics import MATTERS
 from frictionzoo.comparison.types import Comparison, RunRow
+from frictionzoo.show.text import say_origin
 
 SPECIAL = str.maketrans(
     {
@@ -97,11 +98,11 @@ def _describe(comparison: Comparison) -> str:
     """The caption: what was measured on what, and what the signs mean."""
     data, evaluation, reference = comparison["data"], comparison["evaluation"], comparison["reference"]
     against = escape(reference) if reference else "the same drive identified without friction"
-    origin = "simulated" if data["simulated"] else "real"
     return (
-        f"Friction models identified from {escape(data['name'])} ({origin} data): mean absolute error (MAE) of the "
-        f"position in open-loop rollouts of {evaluation['horizon']:g}~s from measured states, {evaluation['rollouts']} "
-        r"of them on test data; $\sigma$: its standard deviation over them. Change: of the test error against "
+        f"Friction models identified from {escape(data['name'])} ({say_origin(data['origin'])}): mean absolute error "
+        f"(MAE) of the position in open-loop rollouts of {evaluation['horizon']:g}~s from measured states, "
+        rf"{evaluation['rollouts']} of them on test data; $\sigma$: its standard deviation over them. Change: of the "
+        "test error against "
         rf"{against}. Fit: without compiling. Bold: the lowest test error; {NOISE}: within noise of it, as the 95~\% "
         rf"interval of the paired difference holds~0 or the difference is below {100 * MATTERS:g}~\% of the error; "
         rf"{RECOMMENDED}: recommended, the fewest values within noise."

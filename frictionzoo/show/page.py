@@ -18,7 +18,7 @@ from frictionzoo.result.types import ParameterRow, ValueRow
 from frictionzoo.show import with_plotly
 from frictionzoo.show.colors import DARK
 from frictionzoo.show.figure import Figure
-from frictionzoo.show.text import format_change, format_number, format_share, format_unit
+from frictionzoo.show.text import format_change, format_number, format_share, format_unit, say_origin
 
 
 @dataclass(frozen=True)
@@ -142,5 +142,6 @@ _FILTERS = {
         "share": format_share,
         "percent": say_percent,
         "certainty": _say_certainty,
+        "say_origin": say_origin,
     },
 }

@@ -14,7 +14,7 @@ from frictionzoo.core.jobs import read_begun
 from frictionzoo.core.output import write_atomically
 from frictionzoo.result.curves import Curves
 from frictionzoo.result.types import DataRow, FitRow, ParameterRow, PartsRow, Result, TimingRow, ValueRow
-from frictionzoo.result.verdict import doubt_reference, judge, list_rollouts, say_finding
+from frictionzoo.result.verdict import doubt_reference, is_usable, judge, list_rollouts, say_finding, say_purposes
 from frictionzoo.show.page import Check, pack_library, render_page
 from frictionzoo.show.rollouts import say_where
 from frictionzoo.show.run_plots import choose_rollouts, plot_run
@@ -128,7 +128,9 @@ def render_run(
         "links": [(key, text) for key, text in links.items() if key not in absent],
         "teacher": teacher.result if teacher else None,
         "place": place,
-        "uses": list_uses(place),
+        "uses": list_uses(place, is_usable(result)),
+        "usable": is_usable(result),
+        "purposes": say_purposes(result["verdict"]["commands"]),
         "command": command,
         "step": _say_step(result["settings"].get("bench", {}).get("timestep")),
         "ranks": _say_ranks(curves),
@@ -153,13 +155,19 @@ def render_run(
     )
 
 
-def list_uses(place: str) -> list[str]:
-    """How the result in this folder is used: in a shell, and line by line in Python."""
+def list_uses(place: str, usable: bool = True) -> list[str]:
+    """Return how the result in this folder is used: in a shell, and line by line in Python.
+
+    Args:
+        place: The folder.
+        usable: Whether the verdict allows an export; else the result is read only.
+    """
+    export = [f"python -m frictionzoo.export {shlex.quote(place)} target=mjcf"] if usable else []
+    read = ["import frictionzoo as fz", f"drive = fz.load({place!r})"]
     return [
-        f"python -m frictionzoo.export {shlex.quote(place)} target=mjcf",
-        "import frictionzoo as fz",
-        f"drive = fz.load({place!r})",
-        "drive.parameters, drive.rollout()",
+        *export,
+        *read,
+        "drive.parameters, drive.rollout()" if usable else 'drive.parameters, drive.result["verdict"]',
     ]
 
 
@@ -344,11 +352,13 @@ def _capitalise(text: str) -> str:
 
 
 def check_origin(data: DataRow) -> Check:
-    """Whether the numbers say anything about hardware; `data` as in `result.json`."""
-    if data["simulated"]:
+    """Return whether the numbers say anything about hardware; `data` as in `result.json`."""
+    if data["origin"] == "simulated":
         text = "A simulator made these data. The numbers say how well the law imitates it, and nothing about hardware."
         return Check("note", "Simulated data", text)
-    return Check("good", "Real data", "The data were recorded on hardware.")
+    if data["origin"] == "hardware":
+        return Check("good", "Hardware data", "The data are stated to be recorded on hardware.")
+    return Check("note", "Origin", "Your recordings. data.origin does not state whether they are of hardware.")
 
 
 def _say_headline(result: Result) -> str:

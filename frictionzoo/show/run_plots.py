@@ -16,7 +16,7 @@ from frictionzoo.show.colors import BASELINE, BEST, JOINTS, MODEL, TEACHER, TRAI
 from frictionzoo.show.figure import Axis, Bars, Curve, Figure, Mark, Panel, Sheet, Stripe, frame, scale_values
 from frictionzoo.show.friction_plots import find_units, plot_left, plot_portraits
 from frictionzoo.show.rollouts import Drive, draw_errors, draw_motion, say_where
-from frictionzoo.show.text import format_number, format_unit
+from frictionzoo.show.text import format_number, format_unit, say_origin
 
 COLUMNS = 4  # joints beside each other on a sheet
 PHASE = 5.0  # s of a rollout; of more, curves hide each other
@@ -90,8 +90,7 @@ def _arrange(result: Result, curves: Curves) -> Sheet:
 
 
 def _describe(result: Result, what: str) -> str:
-    kind = "simulated" if result["data"]["simulated"] else "real"
-    return f"{result['model']}, {what} of {result['data']['name']} ({kind} data)"
+    return f"{result['model']}, {what} of {result['data']['name']} ({say_origin(result['data']['origin'])})"
 
 
 def plot_history(result: Result, curves: Curves, color: str = MODEL) -> Iterator[Figure]:

@@ -13,7 +13,7 @@ from frictionzoo.result.names import merge_known
 from frictionzoo.result.run_types import WrittenRow
 from frictionzoo.result.torque_types import TorqueRow
 from frictionzoo.result.types import DataRow, MetricsRow, ParameterRow, Result, ValueRow
-from frictionzoo.result.verdict import say_finding
+from frictionzoo.result.verdict import say_finding, say_purposes
 from frictionzoo.show.text import escape_markdown, format_number, format_share
 
 Rows = Sequence[Sequence[str]]
@@ -159,8 +159,8 @@ def _list_runs(comparison: Comparison) -> Rows:
 
 
 def _say_data(data: DataRow) -> str:
-    kind = "The data are simulated." if data["simulated"] else "The data are real, recorded on hardware."
-    return f"{data['name']}. {kind}"
+    kinds = {"simulated": "The data are simulated.", "hardware": "The data are stated to be recorded on hardware."}
+    return f"{data['name']}. {kinds.get(data['origin'] or '', 'Your recordings.')}"
 
 
 def _list_parameters(result: Result) -> Rows:
@@ -195,7 +195,7 @@ def _list_joints(result: Result) -> Rows:
 def list_columns(columns: Mapping[str, Any]) -> Rows:
     """Return a table of which column each joint got, from an entry of `columns` of `result.json` or `inspect.json`."""
     signals = sorted(columns["by"], key=[*COLUMNS, *columns["by"]].index)
-    rows: list[Sequence[str]] = [("joint <-", *(COLUMNS.get(signal, signal) for signal in signals))]
+    rows = [("joint <-", *(str(COLUMNS.get(signal, signal)) for signal in signals))]
     return [*rows, *((row["joint"], *(row["columns"][signal] for signal in signals)) for row in columns["joints"])]
 
 
@@ -261,8 +261,8 @@ def _list_verdict(result: Result) -> list[str]:
         lines.append(f"this did not identify the drive: {why}. Likely reasons, the likeliest first:")
         lines += [f"  {number}. {reason}" for number, reason in enumerate(reasons, 1)]
     if verdict["commands"]:
-        lines += ["next: the law to try, the recording to make, the export"]
-        lines += [f"  {command}" for command in verdict["commands"]]
+        lines += [f"next: {say_purposes(verdict['commands'])}"]
+        lines += [f"  {row['command']}" for row in verdict["commands"]]
     return lines
 
 

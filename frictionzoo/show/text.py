@@ -15,6 +15,11 @@ def format_number(value: float | Sequence[float] | None, between: str = ", ") ->
     return f"{value:.4g}" if isinstance(value, int | float) else between.join(f"{joint:.4g}" for joint in value)
 
 
+def say_origin(origin: str | None) -> str:
+    """Return where data come from, as `data.origin` of a result states it."""
+    return "your recordings" if origin is None else f"{origin} data"
+
+
 def format_unit(unit: str) -> str:
     """A unit as it is printed; nothing for a pure number."""
     return "" if unit == "1" else unit.replace("^2", "²")

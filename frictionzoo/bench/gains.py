@@ -1,0 +1,153 @@
+"""A controller's gains that nobody stated, from what recordings hold: their own columns, or the recorded torque."""
+
+import logging
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from frictionzoo.core.errors import ConfigError, MissingValueError
+from frictionzoo.core.log import Dataset, Log
+
+GAINS = ("kp", "kd")
+_OPTION = "actuator.params.{}.init"
+_CONSTANT = 1e-6  # share by which a gain may vary and still be one value
+_EXPLAINED = 0.95  # share of a recorded torque's variance that a controller's law explains
+_KNOWN = 0.1  # standard error of kp, as a share of it, up to which the torque tells it
+_LATEST, _LAGS = 0.1, 50  # s, by which a command may act late, and how many lags are tried at most
+_CORRELATED = 15.0  # neighbouring samples that are as good as one
+_LEAST = 1e-3  # share of kp times 1 s, of a kd that the torque does not show
+_log = logging.getLogger(__name__)
+
+
+class _Regression(NamedTuple):
+    """Gains of a joint, the share of the torque's variance that they explain, and the relative error of kp."""
+
+    kp: float
+    kd: float
+    explained: float
+    error: float
+
+
+def stand_in(section: Mapping[str, Any]) -> dict[str, float]:
+    """Return options that give a bench's missing gains any value, so that it can be built to name its joints."""
+    return {_OPTION.format(name): 1.0 for name in _list_missing(section)}
+
+
+def _list_missing(section: Mapping[str, Any]) -> list[str]:
+    params = section.get("actuator", {}).get("params") or {}
+    return [name for name in GAINS if isinstance(params.get(name), Mapping) and params[name].get("init", 0) is None]
+
+
+def find_gains(section: Mapping[str, Any], dataset: Dataset, missing: MissingValueError) -> dict[str, Any]:
+    """Return the options of a bench that its recordings state, by name after `bench.`, and log where they come from.
+
+    Args:
+        section: Of the bench.
+        dataset: Recordings.
+        missing: What building the bench raised.
+
+    Raises:
+        ConfigError: The missing value is no gain, or the recordings do not tell it.
+    """
+    wanted = _list_missing(section)
+    if not wanted:
+        raise missing
+    found, why = _read_columns(wanted, dataset), ""
+    if left := [name for name in wanted if name not in found]:
+        regressed, why = _regress(dataset.train)
+        found |= {name: regressed[name] for name in left if name in regressed}
+    if left := [name for name in wanted if name not in found]:
+        _ask(left, why)
+    return {_OPTION.format(name): values if len(values) > 1 else values[0] for name, values in found.items()}
+
+
+def _ask(names: Sequence[str], why: str) -> None:
+    example = {"kp": "15", "kd": "0.5"}
+    options = " ".join(f"bench.{_OPTION.format(name)}={example[name]}" for name in names)
+    columns = " and ".join(f"data.columns.{name}" for name in names)
+    raise ConfigError(
+        f"{' and '.join(names)} of the controller: no value{why}; state your controller's, as in {options}, or map the "
+        f"columns that have them ({columns}) or the joint's torque (data.columns.torque), from which they are found"
+    )
+
+
+def _read_columns(wanted: Sequence[str], dataset: Dataset) -> dict[str, list[float]]:
+    """Return gains that all recordings have as columns, one a joint.
+
+    Raises:
+        ConfigError: A gain varies.
+    """
+    found: dict[str, list[float]] = {}
+    for name in wanted:
+        if not all(name in log.extras for log in dataset.logs):
+            continue
+        values = np.concatenate([log.extras[name] for log in dataset.logs])
+        if (np.ptp(values, axis=0) > _CONSTANT * np.abs(values).max(axis=0)).any():
+            leave_out = " ".join(f"~bench.actuator.params.{gain}" for gain in wanted)
+            raise ConfigError(
+                f"{name} varies in the recordings, from {values.min():.4g} to {values.max():.4g}, expected one value a "
+                f"joint; take the recorded gains: bench.actuator._target_=frictionzoo.bench.RecordedPD {leave_out}"
+            )
+        found[name] = values[0].tolist()
+        _tell(name, found[name], "as recorded")
+    return found
+
+
+def _regress(logs: Sequence[Log]) -> tuple[dict[str, list[float]], str]:
+    """Return gains by the recorded torque, one a joint, and why there are none."""
+    if not all("torque" in log.extras and log.extras["torque"].shape == log.qpos.shape for log in logs):
+        return {}, ""
+    rows = [_regress_joint(logs, joint) for joint in range(logs[0].qpos.shape[1])]
+    worst = min(rows, key=lambda row: row.explained)
+    if worst.explained < _EXPLAINED:
+        share = f"{100 * max(worst.explained, 0):.0f} % explained, expected {100 * _EXPLAINED:.0f} %"
+        return {}, f", and the recorded torque is not kp (ctrl - qpos) - kd qvel ({share})"
+    if any(row.error > _KNOWN or row.kp <= 0 for row in rows):
+        return {}, ", and the motion is too plain for the recorded torque to tell kp from kd"
+    found = {
+        "kp": [float(f"{row.kp:.4g}") for row in rows],
+        "kd": [float(f"{max(row.kd, _LEAST * row.kp):.4g}") for row in rows],
+    }
+    for name, values in found.items():
+        _tell(name, values, f"from the recorded torque, {100 * worst.explained:.1f} % of which both gains explain")
+    return found, ""
+
+
+def _regress_joint(logs: Sequence[Log], joint: int) -> _Regression:
+    """Return the best of several lags of the command."""
+    step = max(1, round(_LATEST / logs[0].timestep / _LAGS))
+    lags = range(0, round(_LATEST / logs[0].timestep) + 1, step)
+    tried = (_solve(*_equations(logs, joint, lag)) for lag in lags if all(log.samples > lag + 100 for log in logs))
+    return max(tried, key=lambda row: row.explained, default=_Regression(0.0, 0.0, 0.0, np.inf))
+
+
+def _equations(
+    logs: Sequence[Log], joint: int, lag: int
+) -> tuple[Float[np.ndarray, "rows 3"], Float[np.ndarray, "rows"]]:
+    """Return torque = kp (ctrl - qpos) + kd (ctrl_velocity - qvel) + ctrl_torque + offset of all samples."""
+    columns, torques = [], []
+    for log in logs:
+        still = np.zeros_like(log.qpos)
+        speed, fed = (np.broadcast_to(log.extras.get(n, still), still.shape) for n in ("ctrl_velocity", "ctrl_torque"))
+        end = log.samples - lag
+        error, rate = log.ctrl[:end] - log.qpos[lag:], speed[:end] - log.qvel[lag:]
+        columns.append(np.column_stack([error[:, joint], rate[:, joint], np.ones(end)]))
+        torques.append(log.extras["torque"][lag:, joint] - fed[:end, joint])
+    return np.concatenate(columns), np.concatenate(torques)
+
+
+def _solve(columns: Float[np.ndarray, "rows 3"], torque: Float[np.ndarray, "rows"]) -> _Regression:
+    size = np.maximum(np.abs(columns).max(axis=0), 1e-300)
+    values = np.linalg.lstsq(columns / size, torque, rcond=None)[0]
+    rest, spread = torque - columns / size @ values, max(float(np.var(torque)), 1e-300)
+    covariance = _CORRELATED * np.var(rest) * np.linalg.pinv((columns / size).T @ (columns / size))
+    error = float(np.sqrt(covariance[0, 0]) / max(abs(values[0]), 1e-300))
+    kp, kd, _ = (values / size).tolist()
+    return _Regression(kp, kd, float(1 - np.var(rest) / spread), error)
+
+
+def _tell(name: str, values: Sequence[float], why: str) -> None:
+    said = values[0] if len(values) == 1 else f"[{','.join(f'{value:g}' for value in values)}]"
+    _log.info("bench.%s=%s: %s", _OPTION.format(name), said, why)

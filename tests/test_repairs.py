@@ -1,0 +1,162 @@
+"""A finding's repair is the first command, complete and runnable; a result that is not to be used goes nowhere."""
+
+import copy
+import json
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import Finished
+from omegaconf import OmegaConf
+
+import frictionzoo as fz
+from frictionzoo.bench import Bench, PositionPD
+from frictionzoo.bench.given import Given
+from frictionzoo.checkup import check_up
+from frictionzoo.checkup.findings import Repair
+from frictionzoo.core.config import compose_config
+from frictionzoo.identification.repairs import bench_call, complete_options, logs_call
+from frictionzoo.logs.files import Files
+from frictionzoo.result.verdict import DO_NOT_USE, is_usable, judge
+from frictionzoo.show.run_page import list_uses
+from frictionzoo.show.terminal import summarise
+
+KP, KD = 20 * 0.151, 0.151  # N m/rad, N m s/rad
+HARDWARE = ("frictionzoo.export", ".export(", "frictionzoo.excite", "excite(")
+Run = Callable[[str], tuple[Path, Finished]]
+
+
+@pytest.fixture(scope="module")
+def weak(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six seconds of the paper's rod under a controller whose gains are 0.151 times the published ones."""
+    timestep, finer, inertia = 1e-3, 10, 0.0011 + 0.26 * 0.1127**2 + 0.02
+    time = timestep * np.arange(6001)
+    ctrl = 0.7 * np.sin(2 * np.pi * 0.7 * time) + 0.4 * np.sin(2 * np.pi * 1.7 * time + 1)
+    states, q, v = np.empty((len(time), 2)), float(ctrl[0]), 0.0
+    for state, command in zip(states, ctrl, strict=True):
+        state[:] = q, v
+        for _ in range(finer):
+            friction = 0.03 * np.tanh(v / 0.01) + 0.02 * v
+            torque = KP * (command - q) - KD * v - 0.26 * 9.81 * 0.1127 * np.sin(q) - friction
+            v += timestep / finer * torque / inertia
+            q += timestep / finer * v
+    path = tmp_path_factory.mktemp("weak") / "a.csv"
+    table = np.column_stack([time, states, ctrl])
+    np.savetxt(path, table, fmt="%.9g", delimiter=",", header="time,qpos,qvel,ctrl", comments="")
+    return path
+
+
+def options_of(recording: Path, *more: str) -> list[str]:
+    return ["data=files", "bench=knee", f"data.train=[{recording}]", "data.split.gap=0.05", "recipe=given", *more]
+
+
+def doubts_of(options: list[str]) -> tuple[Any, Bench, dict[str, Any]]:
+    settings: Any = OmegaConf.to_container(compose_config(*options), resolve=True)
+    given = Given.read(settings)
+    return check_up(given.bench.accept_all(given.dataset), given.bench, "warn"), given.bench, given.settings
+
+
+def test_a_factor_of_the_gains_is_a_repair_that_ends_the_finding(weak: Path) -> None:
+    doubts, bench, settings = doubts_of(options_of(weak))
+    (doubt,) = [doubt for doubt in doubts if "kp and kd to" in doubt.text]
+    options = complete_options(doubt.repairs, bench, settings)
+    assert list(options) == ["bench.actuator.params.kp.init", "bench.actuator.params.kd.init"]
+    assert [*options.values()] == pytest.approx([KP, KD], rel=0.1)
+    repaired, _, _ = doubts_of(options_of(weak, *(f"{name}={value}" for name, value in options.items())))
+    assert not any(doubt.repairs for doubt in repaired)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("in_haste")
+def test_the_first_command_is_the_repair_and_runs(call: Callable[..., Finished], weak: Path, tmp_path: Path) -> None:
+    evaluation = ("evaluation.horizons=[0.2]", "evaluation.trajectory=0.5", "evaluation.places=2")
+    small = ("model=mujoco_default", "fit=lm", "dtype=float64", "segments.count=60", "segments.length=20")
+    more = (*small, *evaluation, "discretisation=false", "loop.progress=false")
+    first = call(*options_of(weak, *more), "hydra.run.dir=first")
+    verdict = json.loads((tmp_path / "first" / "result.json").read_text())["verdict"]
+    kinds = [row["kind"] for row in verdict["commands"]]
+    assert kinds[0] == "repair" and "recording" not in kinds
+    assert any("kp and kd to 0.15" in finding["text"] for finding in verdict["findings"])
+    command = verdict["commands"][0]["command"]
+    assert first.out.partition("next: the repair")[2].splitlines()[1].strip() == command
+    again = call(*shlex.split(command)[3:], "hydra.run.dir=second")
+    assert again.status == 0, again.err
+    result = json.loads((tmp_path / "second" / "result.json").read_text())
+    assert not any("kp and kd to" in finding["text"] for finding in result["verdict"]["findings"])
+    assert result["verdict"]["commands"][0]["kind"] != "repair" and result["model"] == "mujoco_default"
+    armature = next(row["value"] for row in result["parameters"] if row["name"] == "armature")
+    assert armature == pytest.approx(0.02, rel=0.3)
+
+
+def spoil(finished_run: Run) -> dict[str, Any]:
+    """A run whose drive ended at bounds, and the commands that it would suggest otherwise."""
+    result = json.loads((finished_run("mujoco_default")[0] / "result.json").read_text())
+    spoilt = copy.deepcopy(result) | {"not_identified": ["friction ended at its bounds", "gains"]}
+    rows = {"inspect": "python -m frictionzoo.inspect", "law": "python -m frictionzoo.run model=ripple"}
+    rows |= {"recording": "python -m frictionzoo.excite a torque=8.4", "export": "python -m frictionzoo.export a"}
+    commands: Any = [{"kind": kind, "command": command} for kind, command in rows.items()]
+    return spoilt | {"verdict": judge(spoilt, commands)}  # pyright: ignore
+
+
+@pytest.mark.parametrize("repair", [False, True])
+def test_what_is_not_to_be_used_goes_neither_to_hardware_nor_elsewhere(finished_run: Run, repair: bool) -> None:
+    result: Any = spoil(finished_run)
+    assert result["verdict"]["grade"] == DO_NOT_USE and not is_usable(result)
+    assert [row["kind"] for row in result["verdict"]["commands"]] == ["inspect"]
+    if repair:
+        mended = {"kind": "repair", "command": "python -m frictionzoo.run bench.actuator.params.kp.init=3"}
+        result["verdict"] = judge(result, [mended, *result["verdict"]["commands"]])  # pyright: ignore
+        assert [row["kind"] for row in result["verdict"]["commands"]] == ["repair", "inspect"]
+    for shown in (summarise(result, None), "\n".join(list_uses("a", is_usable(result)))):
+        assert not any(word in shown for word in HARDWARE)
+    assert any("frictionzoo.export" in line for line in list_uses("a"))
+
+
+def test_a_run_with_a_repair_designs_no_recording(finished_run: Run) -> None:
+    result: Any = json.loads((finished_run("mujoco_default")[0] / "result.json").read_text())
+    kinds = ("repair", "inspect", "law", "recording", "export")
+    rows: Any = [{"kind": kind, "command": kind} for kind in kinds]
+    usable = result | {"not_identified": None}
+    grade = judge(usable, rows)
+    assert grade["grade"] != DO_NOT_USE
+    assert [row["kind"] for row in grade["commands"]] == ["repair", "law", "export"]
+
+
+def test_a_repair_of_one_joint_keeps_what_the_others_have(two_joints: Bench) -> None:
+    settings = {"data": {"sign": {"ctrl": [1, -1], "qpos": 1}}, "bench": {}}
+    repairs = [
+        Repair("data.sign.ctrl", -1, 1, is_factor=True),
+        Repair("data.sign.qpos", -1, 0, is_factor=True),
+        Repair("bench.actuator.params.kp.init", 0.5, 1, is_factor=True),
+        Repair("data.clean.spikes", "repair"),
+    ]
+    assert complete_options(repairs, two_joints, settings) == {
+        "data.sign.ctrl": [1, 1],
+        "data.sign.qpos": [-1, 1],
+        "bench.actuator.params.kp.init": [20.0, 10.0],
+        "data.clean.spikes": "repair",
+    }
+
+
+def test_a_value_outside_its_bounds_takes_the_bounds_along(two_joints: Bench) -> None:
+    params = {"actuator": {"params": {"kp": {"init": 20.0, "low": 1.0, "high": 100.0}}}}
+    repairs = [Repair("bench.actuator.params.kp.init", 30.0, joint, is_factor=True) for joint in (0, 1)]
+    options = complete_options(repairs, two_joints, {"bench": params, "data": {}})
+    assert options["bench.actuator.params.kp.init"] == [600.0, 600.0]
+    assert options["bench.actuator.params.kp.high"] == 6000.0
+
+
+def test_a_repair_in_python_is_a_call(weak: Path) -> None:
+    bench = Bench("knee_rod.xml", actuator=PositionPD(kp=20, kd=1))
+    options = {"bench.actuator.params.kp.init": 3.02, "bench.params.delay.identify": True, "data.sign.ctrl": -1}
+    options |= {"data.clean.spikes": "repair"}
+    repaired: Bench = eval(bench_call(options), {"bench": bench})
+    assert repaired.initial_values()["kp"].tolist() == [3.02] and repaired.params["delay"].is_identified
+    section = dict(Files(train=[str(weak)]).read().section)
+    logs = eval(logs_call(options, section) or "", {"fz": fz})
+    (log,), (plain,) = list(logs), list(fz.read(weak))
+    np.testing.assert_array_equal(log.ctrl, -plain.ctrl)
+    assert logs.section["clean"]["spikes"] == "repair"
