@@ -26,7 +26,7 @@ _TOKEN = re.compile(r"[0-9a-f]{16}")
 _PART = r"\.[^/]+\.TOKEN\.part"
 _UNFINISHED = (
     r"tensorboard/events\.out\.tfevents\.[^/]*\.TOKEN",
-    r"wandb/offline-run-[\d_]+-TOKEN/(run-TOKEN\.wandb|logs/debug[\w-]*\.log|tmp/.*)",
+    r"wandb/offline-run-[\d_]+-TOKEN/(run-TOKEN\.wandb(\.synced)?|logs/debug[\w-]*\.log|tmp/.*)",
     r"wandb/offline-run-[\d_]+-TOKEN/files/(media/.*|requirements\.txt|config\.yaml|output\.log|wandb-[^/]*)",
 )
 """Names that other programs choose for what they go on writing; `TOKEN` stands for one that the manifest lists."""
