@@ -109,6 +109,7 @@ class Manifest:
         try:
             with saying(path, len(content)):
                 path.parent.mkdir(parents=True, exist_ok=True)
+                self.begin()  # by its token the temporary file is known
                 self.record({name: State.of(content)})
                 with open(temporary, "xb") as file:
                     file.write(content)
@@ -244,7 +245,9 @@ class Manifest:
             return "not a folder"
         if path.is_dir():
             return "a folder"
-        return "changed since it was written" if name in self._states else "not written by this program"
+        if name in self._states:
+            return "changed since it was written"
+        return "written by another command" if name in self._listed else "not written by this program"
 
     def _walk(self, folder: str) -> Iterator[str]:
         """Names of all files and links in a subfolder, and of what lies in its folders; never through a link."""
