@@ -30,6 +30,7 @@ from frictionzoo.cli.card import main
 from frictionzoo.core.anonymous import find_paths, list_paths, without_paths
 from frictionzoo.core.described import describe
 from frictionzoo.core.errors import ConfigError, FrictionzooError, OutputError, RunError
+from frictionzoo.core.manifest import MANIFEST
 from frictionzoo.result.identified import Identified
 
 EXACT = 1e-9  # rad, rad/s
@@ -58,7 +59,7 @@ def own(card: Path, tmp_path: Path) -> Path:
 
 def test_it_says_what_the_run_found(card: Path, run: Path) -> None:
     files = {path.name for path in card.iterdir()}
-    assert files == {PAGE, *FILES} - {"identified.urdf", "bench.xml"}
+    assert files == {PAGE, MANIFEST, *FILES} - {"identified.urdf", "bench.xml"}
     record, result = json.loads((card / CARD).read_text()), json.loads((run / "result.json").read_text())
     jsonschema.Draft202012Validator(read_schema()).validate(record)
     assert record["result"]["parameters"] == result["parameters"]
@@ -66,7 +67,7 @@ def test_it_says_what_the_run_found(card: Path, run: Path) -> None:
     assert {log["sha256"] for log in record["result"]["data"]["logs"]} == {
         log["sha256"] for log in result["data"]["logs"]
     }
-    assert {*record["files"]} == files - {PAGE, CARD}
+    assert {*record["files"]} == files - {PAGE, CARD, MANIFEST}
     (visited,), drive = record["conditions"]["visited"], fz.load(run)
     assert visited["position"] == [drive.segments.qpos.min(), drive.segments.qpos.max()]
     assert visited["speed"] == np.abs(drive.segments.qvel).max()
@@ -347,8 +348,8 @@ def test_a_foreign_card_is_one_line_and_nothing_of_it_runs(own: Path, change: Ca
         ({"licence": "CC BY 4.0\n- evil: 1"}, ConfigError, r"expected one line of text$"),
         ({"licence": "CC BY 4.0"}, ConfigError, r"^licence=CC BY 4\.0: expected an identifier in lower case"),
         ({"license": "mit"}, ConfigError, r"^license: unknown option; did you mean licence\?"),
-        (LICENCE | {"output": "taken"}, OutputError, r"^taken: it holds something else than a card"),
-        (LICENCE | {"output": "taken/a.txt/card"}, OutputError, r"set output to a folder that can be written$"),
+        (LICENCE | {"output": "taken"}, OutputError, r"^taken/README\.md: not written by this program"),
+        (LICENCE | {"output": "taken/README.md/card"}, OutputError, r"set output to a folder that can be written$"),
     ],
 )
 def test_what_cannot_be_written_leaves_nothing(
@@ -356,7 +357,7 @@ def test_what_cannot_be_written_leaves_nothing(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "taken").mkdir()
-    (tmp_path / "taken" / "a.txt").write_text("mine")
+    (tmp_path / "taken" / "README.md").write_text("mine")
     before = {*tmp_path.rglob("*"), *run.iterdir()}
     with pytest.raises(error, match=expected):
         write_card(run, options)
@@ -436,7 +437,7 @@ def hub(card: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator
 def test_a_card_comes_by_name(hub: type[Hub], card: Path, tmp_path: Path) -> None:
     drive, same = fz.load("hub:maker/knee"), fz.load(card)
     assert drive.folder and drive.folder.is_relative_to(tmp_path / "cache") and drive.folder.name == hub.commit
-    assert {path.name for path in drive.folder.iterdir()} == {path.name for path in card.iterdir()} - {PAGE}
+    assert {path.name for path in drive.folder.iterdir()} == {path.name for path in card.iterdir()} - {PAGE, MANIFEST}
     assert repr(drive).replace(str(drive.folder), "") == repr(same).replace(str(card), "")
     assert fz.load("hub:maker/knee@v1").folder == drive.folder
 

@@ -23,6 +23,7 @@ from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config
 from frictionzoo.core.errors import ConfigError, ExportError, FrictionzooError
 from frictionzoo.core.log import Payload
+from frictionzoo.core.manifest import MANIFEST
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import DriveState, FrictionTerms, Signals
 from frictionzoo.export.base import get_target, target_names
@@ -461,7 +462,7 @@ def test_the_command_writes_a_run_and_a_note(run_folder, tmp_path, capsys):
         status, out, err = export(capsys, run_folder, "target=mjcf", f"output={place}")
         assert (status, err) == (0, "")
     assert "mjcf" in out and "qpos [rad]" in out and str(place) in out
-    assert sorted(path.name for path in place.iterdir()) == ["bench.xml", "export.json"]
+    assert sorted(path.name for path in place.iterdir()) == [MANIFEST, "bench.xml", "export.json"]
     note = json.loads((place / "export.json").read_text())
     assert note["target"] == "mjcf" and note["files"] == ["bench.xml"] and note["timestep"] == 0.001
     assert note["versions"]["mujoco"] == mujoco.__version__
@@ -493,19 +494,19 @@ def test_another_time_step_says_what_it_changes(run_folder, tmp_path, capsys):
         (["target=mujoco", "into=robot.xml"], "into: unknown option of target=mujoco"),
         (["target=mjcf", "timestep=fast"], "timestep=fast; expected a number"),
         (["target=mjcf", "timestep=-1"], "timestep=-1; expected a whole part"),
-        (["target=mjcf", "output=taken"], "taken: it holds something else than an export"),
+        (["target=mjcf", "output=taken"], "taken/export.json: not written by this program"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else None,
 )
 def test_a_mistake_is_one_line_and_leaves_nothing(run_folder, tmp_path, capsys, monkeypatch, arguments, message):
     monkeypatch.chdir(tmp_path)
     Path("taken").mkdir()
-    Path("taken/thesis.tex").write_text("years")
+    Path("taken/export.json").write_text("years")
     before = sorted(path.name for path in run_folder.iterdir())
     status, out, err = export(capsys, run_folder, *arguments)
     assert (status, out) == (2, "") and err.startswith(f"frictionzoo: {message}") and err.count("\n") == 1
     assert sorted(path.name for path in run_folder.iterdir()) == before
-    assert Path("taken/thesis.tex").exists()
+    assert Path("taken/export.json").read_text() == "years"
 
 
 @pytest.mark.parametrize(

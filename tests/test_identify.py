@@ -27,6 +27,7 @@ from frictionzoo import library
 from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config
 from frictionzoo.core.errors import ConfigError, LogError, RunError
+from frictionzoo.core.manifest import MANIFEST
 from frictionzoo.fit import Adam
 from frictionzoo.identification.choices import OPTIONAL, is_open
 from frictionzoo.logs.logs import Logs
@@ -169,9 +170,9 @@ def stand(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def names_in(folder: Path) -> set[str]:
-    """What a run leaves, but for its logger's record, its checkpoints and Hydra's."""
+    """What a run leaves, but for its logger's record, its checkpoints, how it began and its list of files."""
     names = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
-    return {name for name in names if name.partition("/")[0] not in ("tensorboard", "checkpoints", ".hydra")}
+    return {name for name in names if name.partition("/")[0] not in ("tensorboard", "checkpoints", ".hydra", MANIFEST)}
 
 
 def hold(folder: Path, run: Path) -> None:
@@ -382,8 +383,8 @@ FAULTS = {
     "fz.PositionPD(kp='15', kd=1)": "kp='15'; expected a number, or a section with ",
     "fz.law('lugre', hidden=[3])": r"hidden: unknown option; ",
     "fz.load('gone')": "gone: .*expected the folder of a finished run",
-    "saved.save('a.csv')": r"a\.csv: Not a directory; expected a folder that can be written, name another",
-    "saved.save('a.csv/run')": "a.csv/run: Not a directory; expected a folder that can be written, name another",
+    "saved.save('a.csv')": r"a\.csv: not a folder, expected one to write into; name another",
+    "saved.save('a.csv/run')": "a.csv/run/.*: Not a directory.*, expected a folder that can be written; .*name another",
 }
 FAULTY = """\
 import json, sys

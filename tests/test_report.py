@@ -18,6 +18,7 @@ from matplotlib.image import imread
 from frictionzoo.bench import Bench, PositionPD
 from frictionzoo.core.errors import OutputError
 from frictionzoo.core.log import Dataset, Log
+from frictionzoo.core.manifest import MANIFEST
 from frictionzoo.core.output import write_atomically
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import Signals
@@ -300,21 +301,21 @@ def test_write_atomically(tmp_path):
     for content in (b"first", b"second"):
         write_atomically(path, content)
         assert path.read_bytes() == content
-    assert list(path.parent.iterdir()) == [path]
+    assert {*path.parent.iterdir()} == {path, path.with_name(MANIFEST)}
 
 
 @pytest.mark.parametrize("before", [None, b"older"])
 def test_full_disk_leaves_nothing_half_written(tmp_path, before):
     path = tmp_path / "result.json"
     if before:
-        path.write_bytes(before)
+        write_atomically(path, before)
     with smallest_files(1000), pytest.raises(OutputError) as caught:
         write_atomically(path, 5000 * b"x")
     assert str(caught.value).startswith(f"{path}: ")
     assert "5000 bytes" in str(caught.value)
     assert "\n" not in str(caught.value)
     assert (path.read_bytes() if path.exists() else None) == before
-    assert list(tmp_path.iterdir()) == ([path] if before else [])
+    assert {*tmp_path.iterdir()} == ({path, path.with_name(MANIFEST)} if before else set())
 
 
 def test_unwritable_folder_is_one_line(tmp_path):
@@ -521,7 +522,7 @@ def test_figures_are_written(result, tmp_path):
     values = {"bench.armature": np.ones(3), "friction.static_torque": np.arange(3.0)}
     write_figures(tmp_path, result, curves_of(make_rollout(), **values))
     names = ["figure3_parameters.png", "figure4_trajectory.png", "figure5_error.png"]
-    assert sorted(path.name for path in tmp_path.iterdir()) == names
+    assert sorted(path.name for path in tmp_path.iterdir()) == [MANIFEST, *names]
     for name in names:
         image = imread(tmp_path / name, format="png")
         assert image.shape[1] == 1200
@@ -533,4 +534,4 @@ def test_known_values_have_no_course_to_draw(result, tmp_path):
     record["fit"]["best_iteration"] = 1
     curves = curves_of(make_rollout())
     write_figures(tmp_path, record, replace(curves, history={k: v[:1] for k, v in curves.history.items()}))
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["figure4_trajectory.png", "figure5_error.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [MANIFEST, "figure4_trajectory.png", "figure5_error.png"]

@@ -26,7 +26,7 @@ _TOKEN = re.compile(r"[0-9a-f]{16}")
 _PART = r"\.[^/]+\.TOKEN\.part"
 _UNFINISHED = (
     r"tensorboard/events\.out\.tfevents\.[^/]*\.TOKEN",
-    r"wandb/offline-run-[\d_]+-TOKEN/(run-TOKEN\.wandb|logs/debug[\w-]*\.log|tmp/.*)",
+    r"wandb/offline-run-[\d_]+-TOKEN/(run-TOKEN\.wandb(\.synced)?|logs/debug[\w-]*\.log|tmp/.*)",
     r"wandb/offline-run-[\d_]+-TOKEN/files/(media/.*|requirements\.txt|config\.yaml|output\.log|wandb-[^/]*)",
 )
 """Names that other programs choose for what they go on writing; `TOKEN` stands for one that the manifest lists."""
@@ -85,8 +85,8 @@ class Manifest:
             self._read()  # another process may have written it meanwhile
             if (path := self._in_the_way(name)) is not None:
                 raise OutputError(
-                    f"{path}: {self._describe(name, path)}, expected nothing there or an unchanged file of this kind "
-                    "of output; move it away or write to another folder"
+                    f"{show_path(path)}: {self._describe(name, path)}, expected nothing there or an unchanged file of "
+                    "this kind of output; move it away or write to another folder"
                 )
 
     def refuse_inside(self, folder: str) -> None:
@@ -109,6 +109,7 @@ class Manifest:
         try:
             with saying(path, len(content)):
                 path.parent.mkdir(parents=True, exist_ok=True)
+                self.begin()  # by its token the temporary file is known
                 self.record({name: State.of(content)})
                 with open(temporary, "xb") as file:
                     file.write(content)
@@ -244,7 +245,9 @@ class Manifest:
             return "not a folder"
         if path.is_dir():
             return "a folder"
-        return "changed since it was written" if name in self._states else "not written by this program"
+        if name in self._states:
+            return "changed since it was written"
+        return "written by another command" if name in self._listed else "not written by this program"
 
     def _walk(self, folder: str) -> Iterator[str]:
         """Names of all files and links in a subfolder, and of what lies in its folders; never through a link."""
@@ -266,7 +269,9 @@ class Manifest:
         lines = path.read_bytes().splitlines() if stat.S_ISREG(os.lstat(path).st_mode) else []
         entries = [entry for line in lines if (entry := _parse(line))]
         if not entries:
-            raise OutputError(f"{path}: not a list of files of this program; move it away or write to another folder")
+            raise OutputError(
+                f"{show_path(path)}: not a list of files of this program; move it away or write to another folder"
+            )
         self._listed = {entry["file"] for entry in entries if "file" in entry}
         for entry in entries:
             if entry["kind"] != self.kind:
@@ -363,6 +368,11 @@ def _read_at(path: Path, at: int, size: int) -> bytes:
         return file.read(size)
 
 
+def show_path(path: Path) -> str:
+    """A path for a message of one line, whatever characters are in it."""
+    return str(path) if str(path).isprintable() else ascii(str(path))
+
+
 def remove_if_empty(path: Path) -> None:
     """Remove a folder, unless something is in it."""
     with contextlib.suppress(OSError):
@@ -377,5 +387,6 @@ def saying(path: Path, size: int | None = None) -> Iterator[None]:
     except OSError as error:
         doing = "" if size is None else f" while writing {size} bytes"
         raise OutputError(
-            f"{path}: {error.strerror}{doing}, expected a folder that can be written; free space or name another folder"
+            f"{show_path(path)}: {error.strerror}{doing}, expected a folder that can be written; free space or name "
+            "another folder"
         ) from error

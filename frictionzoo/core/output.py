@@ -16,7 +16,7 @@ import numpy as np
 from filelock import FileLock, Timeout
 
 from frictionzoo.core.errors import OutputError, RunError
-from frictionzoo.core.manifest import ABANDONED, Manifest, State, remove_if_empty, saying
+from frictionzoo.core.manifest import ABANDONED, Manifest, State, remove_if_empty, saying, show_path
 
 # Files by which the folder of a job tells how it stands.
 RESULT = "result.json"  # done
@@ -54,6 +54,8 @@ def claim(
     Raises:
         OutputError: Something is in the way.
     """
+    if os.path.lexists(folder) and not folder.is_dir():
+        raise OutputError(f"{show_path(folder)}: not a folder, expected one to write into; name another")
     manifest = manifest_of(folder, kind)
     manifest.refuse(names)
     for subfolder in inside:
@@ -131,8 +133,8 @@ def occupy(folder: Path, *, wait: bool, names: Iterable[str] = (), inside: Colle
     except Timeout:
         if not wait:
             raise RunError(
-                f"{folder}: another process works in it, expected a folder of this run's own; wait until that one has "
-                "ended, or set hydra.run.dir to another folder"
+                f"{show_path(folder)}: another process works in it, expected a folder of this run's own; wait until "
+                "that one has ended, or set hydra.run.dir to another folder"
             ) from None
         _log.info("waiting for the process that works in %s", folder)
         lock.acquire()
@@ -198,7 +200,9 @@ def take_place(place: Path, kind: str, names: Sequence[str]) -> Iterator[Path]:
         OutputError: A foreign file is in the way, before or after the work; or the folder cannot be written.
     """
     if (place / RESULT).exists():
-        raise OutputError(f"{place}: a run is in it, expected a folder of its own for this; set output to another")
+        raise OutputError(
+            f"{show_path(place)}: a run is in it, expected a folder of its own for this; set output to another"
+        )
     with claim(place, kind, names) as manifest:
         try:
             place.parent.mkdir(parents=True, exist_ok=True)
@@ -229,7 +233,7 @@ def _put_in_place(fresh: Path, manifest: Manifest, last: str) -> None:
 
 
 def _no_folder(place: Path, error: OSError) -> OutputError:
-    return OutputError(f"{place}: {error.strerror}; set output to a folder that can be written")
+    return OutputError(f"{show_path(place)}: {error.strerror}; set output to a folder that can be written")
 
 
 def to_json(value: Any) -> Any:

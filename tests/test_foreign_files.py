@@ -1,0 +1,422 @@
+"""Other people's files in an output folder: each stays as it is, byte for byte, or the command refuses."""
+
+import ast
+import builtins
+import contextlib
+import itertools
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import RUNS, finish
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import frictionzoo as fz
+from frictionzoo.card.write import write_card
+from frictionzoo.cli.excite import main as excite
+from frictionzoo.cli.inspect import inspect_data
+from frictionzoo.cli.resume import recorded
+from frictionzoo.comparison.files import FILES as COMPARISON
+from frictionzoo.comparison.files import write_comparison as write_real_comparison
+from frictionzoo.core.config import compose_config
+from frictionzoo.core.errors import OutputError
+from frictionzoo.core.manifest import MANIFEST, Manifest
+from frictionzoo.core.output import (
+    LOGGERS,
+    RUN_FILES,
+    RUNNING,
+    claim,
+    occupy,
+    remove_written,
+    take_place,
+    write_atomically,
+)
+from frictionzoo.distill.distillation import distill
+from frictionzoo.export.write import write_exports
+from frictionzoo.fit.loggers import Csv, TensorBoard
+
+PACKAGE = Path(__file__).parent.parent / "frictionzoo"
+EXAMPLES = settings(deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+LICENCE = {"licence": "cc-by-4.0"}
+PART = ".result.json.0123456789abcdef.part"
+
+
+@dataclass(frozen=True)
+class Foreign:
+    """Something of the user's under a name in an output folder: `file`, `empty`, `folder`, `link` or `away`."""
+
+    name: str
+    what: str
+
+
+def put(folder: Path, outside: Path, foreign: list[Foreign]) -> None:
+    """Lay the user's files into a folder, as far as they do not exclude each other; links lead out of it."""
+    for each in foreign:
+        path = folder / each.name
+        with contextlib.suppress(FileExistsError, NotADirectoryError):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if path.is_dir() and not path.is_symlink():
+                continue
+            path.unlink(missing_ok=True)
+            if each.what == "folder":
+                path.mkdir()
+            elif each.what in ("link", "away"):
+                path.symlink_to(outside if each.what == "away" else outside / "notes.txt")
+            else:
+                path.write_text("" if each.what == "empty" else f"mine: {each.name}")
+
+
+def see(folder: Path) -> dict[str, Any]:
+    """All that is in a folder: content of files, text of links, None for folders."""
+    found: dict[str, Any] = {}
+    for place, folders, files in os.walk(folder):
+        for name in [*folders, *files]:
+            path = Path(place, name)
+            kept = os.readlink(path) if path.is_symlink() else None if path.is_dir() else path.read_bytes()
+            found[path.relative_to(folder).as_posix()] = kept
+    return found
+
+
+@contextlib.contextmanager
+def kept(folder: Path, outside: Path, foreign: list[Foreign]) -> Iterator[None]:
+    """What the user put there is the same afterwards, whether the command refused or not."""
+    (outside / "notes.txt").write_text("outside")
+    put(folder, outside, foreign)
+    before, mine = see(folder), {each.name for each in foreign}
+    try:
+        yield
+    except OutputError as error:
+        assert "\n" not in str(error)
+    after = see(folder)
+    for name, content in before.items():
+        if name in mine or any(each.startswith(f"{name}/") for each in mine):
+            assert name in after and after[name] == content, name
+    assert see(outside) == {"notes.txt": b"outside"}
+
+
+@pytest.fixture(scope="module")
+def outputs(finished_run: Callable, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A finished folder of each command that is quick."""
+    run, home = finished_run("coulomb_stribeck")[0], tmp_path_factory.mktemp("outputs")
+    write_card(run, LICENCE | {"output": str(home / "card")})
+    write_exports(run, {"target": "mjcf", "output": str(home / "export")})
+    comparison = finished_run("sweep")[0] / "comparison"
+    return {"run": run, "comparison": comparison, "card": home / "card", "export": home / "export"}
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """What a command wrote, by name, as its folder says; what loggers wrote themselves is not among it."""
+    return {
+        name: (folder / name).read_bytes()
+        for name in sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
+        if not name.startswith(("tensorboard/", MANIFEST)) and "/export/" not in name
+    }
+
+
+def write_run(folder: Path, files: dict[str, bytes]) -> None:
+    """What a job does with its folder, in its order, with the files of a finished one."""
+    record = {folder / name: content for name, content in files.items() if name.startswith(".hydra/")}
+    with occupy(folder, wait=False, names=RUN_FILES, inside=LOGGERS - {"wandb"}) as manifest, recorded(record):
+        for logger in (TensorBoard(), Csv()):
+            log = logger.start(folder, {"model": "lugre"})
+            log.log_metrics({"loss": 1.0}, 0)
+            log.save()
+            log.log_metrics({"loss": 0.5}, 1)
+            logger.finish(2, {"fit/loss": 0.5}, [], "all of it")
+        manifest.remove("result.json")
+        for name, content in files.items():
+            write_atomically(folder / name, content)
+
+
+def write_comparison(folder: Path, files: dict[str, bytes]) -> None:
+    with claim(folder, "comparison", COMPARISON):
+        for name, content in files.items():
+            write_atomically(folder / name, content)
+        remove_written(folder / "figures" / "differences.png")
+
+
+def write_staged(kind: str, last: str) -> Callable[[Path, dict[str, bytes]], None]:
+    def write(folder: Path, files: dict[str, bytes]) -> None:
+        with take_place(folder, kind, [last]) as fresh:
+            for name, content in files.items():
+                write_atomically(fresh / name, content)
+
+    return write
+
+
+WRITERS = {
+    "run": write_run,
+    "comparison": write_comparison,
+    "card": write_staged("card", "card.json"),
+    "export": write_staged("export", "export.json"),
+}
+
+
+def names_of(outputs: dict[str, Path]) -> list[str]:
+    """Every name that the program uses, files and folders, and a few that look like them."""
+    used = {name for folder in outputs.values() for name in see(folder)}
+    return sorted({*used, *RUN_FILES, *COMPARISON, RUNNING, MANIFEST, PART, "csv", "csv/metrics.csv", "csv/a.csv"})
+
+
+def draw_foreign(draw: Callable, names: list[str]) -> list[Foreign]:
+    characters = st.characters(codec="utf-8", exclude_characters="/\0", exclude_categories=["Cs"])
+    random = st.text(characters, min_size=1, max_size=8)
+    name = st.sampled_from(names) | random.filter(lambda text: text not in (".", ".."))
+    places = st.sampled_from(["figures", "tensorboard", "csv", ".git", "checkpoints"])
+    inside = st.builds("{}/{}".format, places, random)
+    inside = inside.filter(lambda text: not text.endswith(("/.", "/..")))
+    what = st.sampled_from(["file", "file", "empty", "folder", "link", "away"])
+    return draw(st.lists(st.builds(Foreign, name | inside, what), min_size=1, max_size=4))
+
+
+@pytest.mark.parametrize("examples", [12, pytest.param(100, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("command", WRITERS)
+def test_foreign_files_stay_or_the_command_refuses(
+    outputs: dict[str, Path], tmp_path: Path, command: str, examples: int
+) -> None:
+    files, names = contents(outputs[command]), names_of(outputs)
+    files.pop("figures/differences.png", None)  # as of a comparison in which there is none to show
+
+    @settings(EXAMPLES, max_examples=examples)
+    @given(st.data())
+    def check(data: st.DataObject) -> None:
+        foreign, again = draw_foreign(data.draw, names), data.draw(st.booleans())
+        with tempfile.TemporaryDirectory(dir=tmp_path) as place:
+            folder, outside = Path(place, "out"), Path(place, "outside")
+            folder.mkdir()
+            outside.mkdir()
+            if again:
+                WRITERS[command](folder, files)
+            with kept(folder, outside, foreign):
+                WRITERS[command](folder, files)
+                assert contents(folder).items() >= files.items()
+
+    check()
+
+
+@pytest.mark.parametrize("command", WRITERS)
+def test_each_name_of_a_command_is_refused_and_named(outputs: dict[str, Path], tmp_path: Path, command: str) -> None:
+    files = contents(outputs[command])
+    for number, name in enumerate(files):
+        folder = tmp_path / str(number)
+        put(folder, tmp_path, [Foreign(name, "file")])
+        before = see(folder)
+        with pytest.raises(OutputError, match=f"^{folder / name}: not written by this program"):
+            WRITERS[command](folder, files)
+        assert see(folder) == before  # before the work
+        if number < 3:
+            (folder / name).unlink()
+            WRITERS[command](folder, files)
+            with open(folder / name, "ab") as file:
+                file.write(b"my notes")
+            with pytest.raises(OutputError, match=f"^{folder / name}: changed since it was written"):
+                WRITERS[command](folder, files)
+
+
+def test_a_finished_folder_holds_what_is_refused_beforehand(outputs: dict[str, Path]) -> None:
+    assert {*contents(outputs["run"])} <= {*RUN_FILES} and {*contents(outputs["comparison"])} <= {*COMPARISON}
+    for command, folder in outputs.items():
+        manifest = Manifest(folder, command)
+        assert [name for name in contents(folder) if not manifest.owns(name)] == []
+
+
+def test_a_card_in_a_clone_is_updated_and_all_else_stays(outputs: dict[str, Path], tmp_path: Path) -> None:
+    run, repo = outputs["run"], tmp_path / "repo"
+    shutil.copytree(outputs["card"], repo)
+    mine = [
+        Foreign(name, "file") for name in (".git/HEAD", ".git/objects/ab/cd", "notes.md", "photo.jpg", ".gitignore")
+    ]
+    put(repo, tmp_path, mine)
+    before = {each.name: (repo / each.name).read_bytes() for each in mine}
+    write_card(run, LICENCE | {"output": str(repo), "name": "Another title"})
+    assert before == {each.name: (repo / each.name).read_bytes() for each in mine}
+    assert "Another title" in (repo / "README.md").read_text()
+    fz.load(repo)
+    (repo / "README.md").write_text("mine")
+    with pytest.raises(OutputError, match=r"repo/README\.md: changed since it was written"):
+        write_card(run, LICENCE | {"output": str(repo)})
+    assert (repo / "README.md").read_text() == "mine"
+
+
+def test_one_export_replaces_another_and_nothing_else(outputs: dict[str, Path], tmp_path: Path) -> None:
+    folder = shutil.copytree(outputs["card"], tmp_path / "folder")
+    (folder / "bench.py").write_text("mine")
+    before = see(folder)
+    write_staged("export", "export.json")(folder, {"a.py": b"a", "export.json": b"{}"})
+    write_staged("export", "export.json")(folder, {"deep/b.py": b"b", "export.json": b"{}"})
+    after = see(folder)
+    assert {name: content for name, content in after.items() if name in before and name != MANIFEST} == {
+        name: content for name, content in before.items() if name != MANIFEST
+    }
+    assert after.keys() - before.keys() == {"deep", "deep/b.py", "export.json"}
+
+
+def test_what_a_killed_process_left_is_known(tmp_path: Path) -> None:
+    """At each write of a file and of a manifest, the process ends there; the next one goes on."""
+
+    class Killed(BaseException):
+        pass
+
+    def work(folder: Path) -> None:
+        manifest = Manifest(folder, "run")
+        manifest.remove_parts()
+        manifest.write("figures/a.png", b"a" * 9)
+        manifest.write("csv/metrics.csv", b"loss\n")
+        manifest.append("csv/metrics.csv", b"1\n")
+        manifest.write("figures/a.png", b"b" * 7)
+
+    for owner, name in ((os, "replace"), (os, "fsync"), (builtins, "open"), (Path, "mkdir")):
+        for moment in itertools.count():
+            folder, left, real = tmp_path / name / str(moment), [moment], getattr(owner, name)
+
+            def kill(*arguments: Any, real: Any = real, left: list[int] = left, **more: Any) -> Any:
+                left[0] -= 1
+                if left[0] < 0:
+                    raise Killed
+                return real(*arguments, **more)
+
+            with pytest.MonkeyPatch.context() as patch, contextlib.suppress(Killed):
+                patch.setattr(owner, name, kill)
+                patch.setattr(Path, "unlink", lambda *_, **__: None)  # a killed process cleans nothing up
+                work(folder)
+            work(folder)
+            assert (folder / "figures" / "a.png").read_bytes() == b"b" * 7
+            assert not list(folder.glob("*.part"))
+            if left[0] >= 0:  # it came to its end
+                break
+
+
+def test_an_append_that_was_cut_short_is_known_and_a_longer_file_is_not(tmp_path: Path) -> None:
+    manifest, path = Manifest(tmp_path, "run"), tmp_path / "metrics.csv"
+    manifest.write("metrics.csv", b"loss\n")
+    manifest.append("metrics.csv", b"1\n2\n")
+    for content, ours in (
+        *((b"loss\n1\n2\n"[:size], size >= 5) for size in range(10)),
+        (b"loss\n1\n2\n3\n", False),
+        (b"mine\n1\n", False),
+    ):
+        path.write_bytes(content)
+        assert Manifest(tmp_path, "run").owns("metrics.csv") == ours, content
+    with (tmp_path / MANIFEST).open("ab") as file:
+        file.write(b'{"kind": "run", "fi')  # a killed process's
+    path.write_bytes(b"loss\n")
+    Manifest(tmp_path, "run").write("metrics.csv", b"anew")
+    assert Manifest(tmp_path, "run").owns("metrics.csv")
+
+
+ALLOWED = {  # who may write or remove: the layer itself, and what export targets put into a scratch folder
+    "core/manifest.py",
+    "core/output.py",
+    *(path.relative_to(PACKAGE).as_posix() for path in (PACKAGE / "export").glob("*.py")),
+}
+MORE = [("tensorboard", name) for name in (*RUN_FILES, MANIFEST, "tensorboard/notes.txt", "figures", "checkpoints")]
+WRITING = {"write_text", "write_bytes", "unlink", "rmdir", "rmtree", "rename", "savefig", "savetxt", "touch"}
+
+
+def test_files_are_written_and_removed_in_one_place() -> None:
+    for path in PACKAGE.rglob("*.py"):
+        if path.relative_to(PACKAGE).as_posix() in ALLOWED:
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            name = getattr(node.func, "attr", getattr(node.func, "id", "")) if isinstance(node, ast.Call) else ""
+            if name not in (*WRITING, "replace", "copy", "move", "open"):
+                continue
+            assert isinstance(node, ast.Call)
+            called, given_to = ast.unparse(node.func), [ast.unparse(each) for each in node.args]
+            where = f"{path}: {ast.unparse(node)}"
+            assert name not in WRITING or "buffer" in given_to, where
+            assert called not in ("os.replace", "shutil.copy", "shutil.move"), where
+            assert name != "open" or not {"'w'", "'wb'", "'a'", "'ab'", "'xb'"} & {*given_to}, where
+
+
+@pytest.mark.parametrize(
+    ("logger", "name"),
+    [("csv", "csv/a.csv"), ("csv", "csv/metrics.csv"), ("tensorboard", "report.html"), ("tensorboard", ".running")]
+    + [pytest.param(*each, marks=pytest.mark.slow) for each in MORE],
+)
+def test_a_run_refuses_a_folder_with_such_a_file_before_it_begins(
+    call: Callable, recording: Path, tmp_path: Path, logger: str, name: str
+) -> None:
+    put(tmp_path, tmp_path, [Foreign(name, "file")])
+    shutil.copy(recording, tmp_path / "csv" / "a.csv" if name.startswith("csv/") else tmp_path / "a.csv")
+    before = see(tmp_path)
+    (log,) = tmp_path.rglob("a.csv")
+    refused = call("data=files", f"data.train=[{log.relative_to(tmp_path)}]", f"logger={logger}", "hydra.run.dir=.")
+    assert refused.status == 2 and refused.err.count("\n") == 1
+    named = "csv/a.csv" if logger == "csv" else name
+    assert refused.err.startswith(f"frictionzoo: {tmp_path / named}: not written by this program"), refused.err
+    assert see(tmp_path) == before
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("in_haste")
+@pytest.mark.parametrize("logger", ["csv", "tensorboard"])
+def test_a_run_beside_other_files_leaves_them_and_goes_on(
+    call: Callable, tiny: tuple[str, ...], tmp_path: Path, logger: str
+) -> None:
+    other = "csv" if logger == "tensorboard" else "tensorboard"
+    names = (f"{other}/a.csv", "figures/mine.png", "checkpoints/best.ckpt", ".a.csv.1.part", ".git/HEAD", "notes.md")
+    mine = [Foreign(name, "file") for name in names]
+    put(tmp_path, tmp_path, mine)
+    before = {name: (tmp_path / name).read_bytes() for name in names}
+    options = (*RUNS["coulomb_smooth"], *tiny, f"logger={logger}", "hydra.run.dir=.")
+    for arguments in (options, ("resume=.",)):
+        done = call(*arguments)
+        assert done.status == 0, done.err
+        assert {name: (tmp_path / name).read_bytes() for name in names} == before
+    with open(tmp_path / "report.html", "a") as file:
+        file.write("my notes")
+    refused = call("resume=.")
+    assert refused.status == 2 and f"{tmp_path}/report.html: changed since it was written" in refused.err
+
+
+@pytest.mark.slow
+def test_a_sweep_refuses_foreign_files(call: Callable, tmp_path: Path) -> None:
+    put(tmp_path, tmp_path, [Foreign("sweep/multirun.yaml", "file"), Foreign("other/0_baseline/result.json", "file")])
+    before = see(tmp_path)
+    options = ("-m", "model=baseline", "data=files", "data.train=[a.csv]")
+    refused = call(*options, "hydra.sweep.dir=sweep")
+    assert refused.status == 2 and "sweep/multirun.yaml: not written by this program" in refused.err
+    assert see(tmp_path) == before
+    refused = call(*options, "hydra.sweep.dir=other")
+    assert refused.status == 2 and "other/0_baseline/result.json: not written by this program" in refused.err
+    assert see(tmp_path).items() >= before.items()
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("unrendered")
+@pytest.mark.parametrize("command", ["save", "card", "export", "compare", "inspect", "excite", "distill"])
+def test_foreign_files_stay_whatever_a_command_does(
+    finished_run: Callable, outputs: dict[str, Path], recording: Path, tmp_path: Path, command: str
+) -> None:
+    run, names = outputs["run"], [*names_of(outputs), "inspect.html", "inspect.json", "excitation.json", "command.csv"]
+    drive, limits = fz.load(run), ("position=1.5", "velocity=4", "torque=2")
+    inspected = compose_config("data=files", f"data.train=[{recording}]")
+    commands: dict[str, Callable[[Path], Any]] = {
+        "save": drive.save,
+        "card": lambda folder: write_card(run, LICENCE | {"output": str(folder)}),
+        "export": lambda folder: write_exports(run, {"target": "torchscript", "output": str(folder)}),
+        "compare": lambda folder: write_real_comparison([finished_run("sweep")[0]], folder),
+        "inspect": lambda folder: inspect_data(inspected, folder),
+        "excite": lambda folder: finish(lambda: excite([str(run), *limits, f"output={folder}"])),
+        "distill": lambda folder: distill(run, {"model": "mujoco_default", "output": str(folder)}),
+    }
+
+    @settings(EXAMPLES, max_examples=8)
+    @given(st.data())
+    def check(data: st.DataObject) -> None:
+        foreign = draw_foreign(data.draw, names)
+        with tempfile.TemporaryDirectory(dir=tmp_path) as place:
+            folder, outside = Path(place, "out"), Path(place, "outside")
+            folder.mkdir()
+            outside.mkdir()
+            with kept(folder, outside, foreign):
+                commands[command](folder)
+
+    check()
