@@ -141,7 +141,7 @@ def _play_robot(
         return None, (f"It is not played: MuJoCo does not take the inertia of {bodies}, or does not find its mesh.",)
     if coupled := list_coupled(robot):
         joints = name_some(coupled)
-        return None, (f"It is not played: {joints} were not identified and are tied to other joints.",)
+        return None, (f"It is not played: {joints} were not identified and pull at a tendon.",)
     model, place = mount(robot, fitted, nearest, path, bench)
     difference, why_not = play(model, fitted, expected, why, place)
     over = ", the robot's own file on the bench's stand"
