@@ -178,10 +178,11 @@ def check_run(drive: Identified, folder: Path, foot: str) -> None:
         check(row, (folder / row["file"]).read_text(), drive, foot, own=row["file"] == "identified.xml")
         assert row["exact"] and row["share"] < 0.1
         assert any("Payloads" in limit for limit in row["limits"])
-        assert f"{row['file']}: the identified drive, represented exactly" in summarise(result, folder)
+    assert "bench.xml, identified.xml: the identified drive, represented exactly" in summarise(result, folder)
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("in_haste")
 @pytest.mark.parametrize(("text", "foot"), [(LEG, "knee_foot"), (QUADRUPED, "FL_foot")], ids=["leg", "quadruped"])
 def test_a_robots_run_leaves_files_that_move_as_it(text: str, foot: str, tmp_path: Path) -> None:
     check_run(identify(tmp_path, text, foot), tmp_path / "run", foot)
@@ -265,6 +266,14 @@ def test_a_file_that_cannot_be_played_says_why(tmp_path: Path) -> None:
         if not played:
             assert row["mean"] is row["largest"] is row["share"] is None
             assert any("not played: knee0" in limit and limit in text for limit in row["limits"])
+
+
+def test_the_makers_range_of_commands_is_named(tmp_path: Path) -> None:
+    (tmp_path / "leg.xml").write_text(LEG.replace('kv="0.3"', 'kv="0.3" ctrlrange="-0.5 0.5"'))
+    drive = fit(tmp_path / "leg.xml", length=60)
+    _, (row, text) = describe(drive)
+    check(row, text, drive, own=True)
+    assert not row["exact"] and "ctrlrange" in row["reason"] and row["reason"] in text
 
 
 @given(st.floats(0, 0.1), st.floats(1e-4, 0.02))
