@@ -27,13 +27,14 @@ from frictionzoo.core.manifest import MANIFEST
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import DriveState, FrictionTerms, Signals
 from frictionzoo.export.base import get_target, target_names
-from frictionzoo.export.bench import Mjcf, run_bench, write_bench
+from frictionzoo.export.bench import Mjcf, write_bench
 from frictionzoo.export.mjx_module import Mjx
 from frictionzoo.export.module import load_module, write_module
 from frictionzoo.export.mujoco_c import MujocoC
 from frictionzoo.export.native import run_native, write_native
 from frictionzoo.export.nearest import find_nearest
 from frictionzoo.export.sdf import Sdf
+from frictionzoo.export.simulate import run_loaded
 from frictionzoo.export.skeleton import DRAKE
 from frictionzoo.export.urdf import Urdf
 from frictionzoo.export.write import summarise_exports, write_exports
@@ -128,7 +129,7 @@ def make_fitted(model: str | FrictionModel, *overrides: str, steps: int = 150) -
     observed = {name: recorded.pop(name) for name in law.inputs}
     segments = Segments(*states, Signals(swings, recorded, observed), interval, load)
     values = {"bench": bench.initial_values(), "friction": {k: v.detach().numpy() for k, v in law.state_dict().items()}}
-    result = {"settings": compose(*overrides), "model": law.name}
+    result = {"settings": compose(*overrides), "model": law.name, "metrics": {"test": {"position_mae": 0.01}}}
     sampling = bench.sampling(interval)
     return Identified(Path("run"), result, bench, law, {}, values, segments, sampling, trace_nothing(segments))
 
@@ -264,7 +265,7 @@ def test_another_law_is_refitted_and_says_what_that_costs(tmp_path):
     (row,) = [line for line in summarise_exports([written]).splitlines() if "far from the drive" in line]
     assert row.startswith("mjcf") and row.endswith("of its own error: frictionloss and damping are no lugre")
     assert "far from the drive" not in summarise_exports([replace(written, error=100 * before)])
-    came = run_bench(mujoco.MjModel.from_xml_path(str(tmp_path / "bench.xml")), fitted)
+    came = run_loaded(mujoco.MjModel.from_xml_path(str(tmp_path / "bench.xml")), fitted)
     rms = np.sqrt(np.mean(np.square(came - fitted.rollout()[0])))
     assert rms == pytest.approx(after, rel=1e-2)  # three digits are printed
 

@@ -12,9 +12,16 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from fitted import fit
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from jaxtyping import Float
 
 import frictionzoo as fz
+from frictionzoo.bench import Bench, JointPD, PositionPD
+from frictionzoo.bench.delay import round_delay, write_delay
+from frictionzoo.core.log import Payload
+from frictionzoo.export.bench import write_identified
 from frictionzoo.models import MujocoDefault
 from frictionzoo.result.identified import Identified
 from frictionzoo.show.terminal import summarise
@@ -27,8 +34,8 @@ PAYLOADS = [[0.3, 0.01, 0.02, -0.03, 2e-4, 3e-4, 2.5e-4], [0.0] * 7, [0.2, 0.0, 
 
 def leg(name: str, joints: int = 3, at: str = "0 0 0") -> str:
     """Links of a leg, the last with a foot."""
-    foot = '<inertial pos="0 0 0" mass="0.05" diaginertia="2e-5 2e-5 2e-5"/>'
-    text = f'<body name="{name}_foot" pos="0 0 -0.2">{foot}</body>'
+    inertial = '<inertial pos="0 0 0" mass="0.05" diaginertia="2e-5 2e-5 2e-5"/>'
+    text = f'<body name="{name}_foot" pos="0 0 -0.2">{inertial}</body>'
     for number in reversed(range(joints)):
         axis, place = ("1 0.1 0", at) if number == 0 else ("0 1 0", "0.01 0.02 -0.2")
         inertial = '<inertial pos="0.01 0 -0.1" mass="0.5" diaginertia="0.003 0.003 0.0006"/>'
@@ -51,7 +58,8 @@ def robot(legs: str, floating: bool) -> str:
 LEG = robot(leg("knee"), floating=False)
 QUADRUPED = robot(
     "".join(
-        leg(f"{x}{y}", at=f"{0.2 * i} {0.1 * j} 0") for x, i in (("F", 1), ("R", -1)) for y, j in (("L", 1), ("R", -1))
+        leg(name, at=place)
+        for name, place in {"FL": "0.2 0.1 0", "FR": "0.2 -0.1 0", "RL": "-0.2 0.1 0", "RR": "-0.2 -0.1 0"}.items()
     ),
     floating=True,
 )
@@ -75,10 +83,8 @@ def record(
     text: str, foot: str, encoders: np.ndarray, pulls: np.ndarray, payload: list[float]
 ) -> dict[str, np.ndarray]:
     """A recording with the controller in the loop, fine steps, and friction that is larger than what is known of it."""
-    fine, seconds = 4, 1.6
-    model = load(
-        re.sub("<actuator>.*</actuator>", "", text), payload, foot, armature=0.02, frictionloss=0.12, damping=0.06
-    )
+    fine, seconds, bare = 4, 1.6, re.sub("<actuator>.*</actuator>", "", text)
+    model = load(bare, payload, foot, armature=0.02, frictionloss=0.12, damping=0.06)
     model.opt.timestep = STEP / fine
     data, rng = mujoco.MjData(model), np.random.default_rng(len(encoders) + round(10 * payload[0]))
     times = STEP * SUBSTEPS * np.arange(round(seconds / STEP / SUBSTEPS))
@@ -103,13 +109,7 @@ def identify(folder: Path, text: str, foot: str) -> Identified:
     count = load(text).nv
     encoders, pulls = 0.03 * np.sin(1 + np.arange(count)), 0.2 * np.cos(np.arange(count))
     logs = [fz.read(record(text, foot, encoders, pulls, payload), payload=[payload]) for payload in PAYLOADS]
-    law = MujocoDefault(
-        count,
-        {
-            name: {"init": 0.1, "low": 1e-3, "high": 1.0, "identify": False, "scale": "log"}
-            for name in ("frictionloss", "damping")
-        },
-    )
+    size = {"init": 0.1, "low": 1e-3, "high": 1.0, "identify": False, "scale": "log"}
     bench = fz.Robot(
         str(path),
         actuator=fz.JointPD(kp=KP, kd=KD, torque_gain=GAIN, torque_offset=pulls.tolist()),
@@ -117,24 +117,13 @@ def identify(folder: Path, text: str, foot: str) -> Identified:
         payload=foot,
     )
     how: dict[str, Any] = {
-        "method": "known",
-        "recipe": "given",
-        "dtype": "float64",
-        "checkup": "warn",
-        "discretisation": False,
+        **{"method": "known", "recipe": "given", "dtype": "float64", "checkup": "warn", "discretisation": False},
+        "evaluation": {"horizons": [0.4], "rollouts": 4, "places": 1, "trajectory": 0.4, "window": 0.02},
+        "segments": {"count": 20, "length": 5},
+        "loop": {"progress": False},
     }
-    judging = {"horizons": [0.4], "rollouts": 4, "places": 1, "trajectory": 0.4, "window": 0.02}
-    logs = [next(iter(log)) for log in logs]
-    return fz.identify(
-        bench,
-        law,
-        logs,
-        test=0.4,
-        evaluation=judging,
-        segments={"count": 20, "length": 5},
-        loop={"progress": False},
-        **how,
-    )
+    law = MujocoDefault(count, {"frictionloss": size, "damping": size})
+    return fz.identify(bench, law, [next(iter(each)) for each in logs], test=fz.Split(test_share=0.5, gap=0.05), **how)
 
 
 def play(model: mujoco.MjModel, drive: Identified, rollout: int, offset: np.ndarray) -> Float[np.ndarray, "time nv"]:
@@ -161,42 +150,151 @@ def judge(text: str, drive: Identified, foot: str = "", own: bool = False) -> tu
     expected, found = drive.rollout()[0], []
     offset = drive.values["bench"].get("position_offset", np.zeros(drive.bench.nv)) if own else np.zeros(drive.bench.nv)
     for rollout in range(drive.segments.count):
-        payload = None
-        if drive.segments.load is not None:
-            (payload,) = (
-                each
-                for each in PAYLOADS
-                if np.allclose(drive.segments.load[rollout], drive.bench.load(as_payload(each)))
-            )
+        payload, loads = None, drive.segments.load
+        for each in PAYLOADS:
+            carried = Payload(each[0], (each[1], each[2], each[3]), (each[4], each[5], each[6]))
+            if loads is not None and np.array_equal(loads[rollout], drive.bench.load(carried)):
+                payload = each
         found.append(play(load(text, payload, foot), drive, rollout, offset))
     distance = np.abs(np.array(found) - expected)
     return float(distance.mean()), float(distance.max())
 
 
-def as_payload(numbers: list[float]) -> Any:
-    return fz.Payload(numbers[0], tuple(numbers[1:4]), tuple(numbers[4:]))
+def check(row: Any, text: str, drive: Identified, foot: str = "", own: bool = False) -> None:
+    """An entry of `result.json` has the judge's numbers, and the file's comment says what they are."""
+    mean, largest = judge(text, drive, foot, own)
+    assert (row["mean"], row["largest"]) == pytest.approx((mean, largest), abs=EXACT)
+    error = drive.result["metrics"]["test"]["position_mae"]
+    assert error and row["share"] == pytest.approx(mean / error, abs=1e-6)
+    assert row["exact"] == (largest < EXACT) == ("represented exactly" in text)
+    assert row["exact"] or f"{mean:.3g} rad in the mean" in text
 
 
 def check_run(drive: Identified, folder: Path, foot: str) -> None:
-    """The numbers of `result.json`, of the printed text and of the files' comments are the judge's."""
+    """What a run says of a robot's files is so, in its `result.json` and where it is printed."""
     result = drive.save(folder)
     assert json.loads((folder / "result.json").read_text())["written"] == result["written"]
     assert [row["file"] for row in result["written"]] == ["bench.xml", "identified.xml"]
-    said, error = summarise(result, folder), result["metrics"]["test"]["position_mae"]
-    assert error and error > 1e-3
     for row in result["written"]:
-        text = (folder / row["file"]).read_text()
-        mean, largest = judge(text, drive, foot, own=row["file"] == "identified.xml")
-        assert (row["mean"], row["largest"]) == pytest.approx((mean, largest), abs=EXACT)
-        assert row["share"] == pytest.approx(mean / error, abs=1e-6) and row["share"] < 0.1
-        assert row["exact"] and "represented exactly" in text
-        assert row["file"] in said and any("Payloads" in limit for limit in row["limits"])
-
-
-def test_a_leg_leaves_a_file_that_moves_as_it(tmp_path: Path) -> None:
-    check_run(identify(tmp_path, LEG, "knee_foot"), tmp_path / "run", "knee_foot")
+        check(row, (folder / row["file"]).read_text(), drive, foot, own=row["file"] == "identified.xml")
+        assert row["exact"] and float(row["share"] or 0) < 0.1
+        assert any("Payloads" in limit for limit in row["limits"])
+    assert "bench.xml, identified.xml: the identified drive, represented exactly" in summarise(result, folder)
 
 
 @pytest.mark.slow
-def test_a_quadruped_leaves_a_file_that_moves_as_it(tmp_path: Path) -> None:
-    check_run(identify(tmp_path, QUADRUPED, "FL_foot"), tmp_path / "run", "FL_foot")
+@pytest.mark.usefixtures("in_haste")
+@pytest.mark.parametrize(("text", "foot"), [(LEG, "knee_foot"), (QUADRUPED, "FL_foot")], ids=["leg", "quadruped"])
+def test_a_robots_run_leaves_files_that_move_as_it(text: str, foot: str, tmp_path: Path) -> None:
+    check_run(identify(tmp_path, text, foot), tmp_path / "run", foot)
+
+
+@pytest.mark.parametrize("name", ["mujoco_default", "coulomb_stribeck"])
+def test_a_run_says_how_far_its_file_is_from_the_drive(finished_run: Any, name: str) -> None:
+    folder, finished = finished_run(name)
+    drive = Identified.load(folder)
+    (row,) = drive.result["written"]
+    check(row, (folder / row["file"]).read_text(), drive)
+    assert re.search(rf"^identified.xml +{row['mean']:.4g} ", finished.out, re.MULTILINE)
+
+
+def describe(drive: Identified) -> list[tuple[Any, str]]:
+    """Each file's entry in `result.json`, and the file."""
+    return [(file.describe(drive), file.content.decode()) for file in write_identified(drive)]
+
+
+@pytest.mark.parametrize("steps", [0.0, 0.3, 0.8, 1.0, 2.4])
+@pytest.mark.parametrize("substeps", [1, 2])
+def test_a_single_joint_is_late_by_any_delay(steps: float, substeps: int) -> None:
+    late = {"init": steps * 1e-3, "low": 0.0, "high": 0.01, "identify": True, "scale": 0.01}
+    options: dict[str, Any] = {"actuator": PositionPD(kp=20.0, kd=1.0), "params": {"armature": 0.01, "delay": late}}
+    drive = fit("knee_rod.xml", kind=Bench, length=200, substeps=substeps, **options)
+    ((row, text),) = describe(drive)
+    check(row, text, drive)
+    assert row["exact"] == (steps in (0, 1, 2.4))
+    rounded = f"delay of {steps * 1e-3:g} s is rounded to {round(steps) * 1e-3:g} s in steps of 0.001 s"
+    for said in (text, " ".join(row["limits"])):
+        assert (rounded in said) == (not row["exact"])
+
+
+PULLED = {
+    "params": {"armature": 0.02, "delay": LATE, "position_offset": [0.03, -0.05]},
+    "actuator": {"kp": KP, "kd": KD, "torque_gain": GAIN, "torque_offset": [0.3, -0.2]},
+}
+
+
+def pulled(path: Path, text: str, **more: Any) -> Identified:
+    """A leg of two joints with a delay, offsets of encoders and torque, a torque gain and a payload."""
+    path.write_text(text)
+    loads = [Payload(each[0], (each[1], each[2], each[3]), (each[4], each[5], each[6])) for each in PAYLOADS[:2]]
+    actuator = JointPD(**PULLED["actuator"], **more)
+    return fit(path, actuator=actuator, params=PULLED["params"], length=60, payload="knee_foot", load=loads)
+
+
+@pytest.mark.parametrize("floating", [False, True])
+def test_a_leg_has_delay_offsets_gain_and_payload(floating: bool, tmp_path: Path) -> None:
+    drive = pulled(tmp_path / "leg.xml", robot(leg("knee", 2), floating))
+    for row, text in describe(drive):
+        check(row, text, drive, "knee_foot", own=row["file"] == "identified.xml")
+        assert row["exact"]
+
+
+def test_a_limit_of_torque_is_the_actuators_range(tmp_path: Path) -> None:
+    drive = pulled(tmp_path / "leg.xml", robot(leg("knee", 2), False), torque_limit=2.0)
+    for row, text in describe(drive):
+        check(row, text, drive, "knee_foot", own=row["file"] == "identified.xml")
+        assert row["exact"] and 'forcerange="-1.5 2.1"' in text
+
+
+def test_a_file_in_longer_steps_says_so(tmp_path: Path) -> None:
+    (tmp_path / "leg.xml").write_text(LEG)
+    drive = fit(tmp_path / "leg.xml", timestep=STEP / 4, substeps=6, length=40, params={"delay": STEP / 2})
+    (_, _), (row, text) = describe(drive)
+    assert row["timestep"] == STEP
+    assert row["mean"] > EXACT and "steps of 0.004 s in place of 0.001 s" in row["reason"] and row["reason"] in text
+    assert any("0.002 s is rounded to 0 s in steps of 0.004 s" in limit for limit in row["limits"])
+
+
+def test_a_file_that_cannot_be_played_says_why(tmp_path: Path) -> None:
+    """Joints that stand still may be tied to each other, and not by a tendon to one that moves."""
+    pair = '<joint joint="knee0" coef="1"/><joint joint="knee1" coef="1"/>'
+    tendon = f'<tendon><fixed name="t" stiffness="0">{pair}</fixed></tendon><actuator>'
+    tie = '<equality><joint joint1="knee0" joint2="knee1"/></equality><actuator>'
+    for coupled, joints, played in ((tie, "knee2", True), (tendon, ["knee1", "knee2"], False)):
+        (tmp_path / "leg.xml").write_text(LEG.replace("<actuator>", coupled))
+        _, (row, text) = describe(fit(tmp_path / "leg.xml", joints))
+        assert row["exact"] == played == ("represented exactly" in text)
+        if not played:
+            assert row["mean"] is row["largest"] is row["share"] is None
+            assert any("not played: knee0" in limit and limit in text for limit in row["limits"])
+
+
+def test_the_makers_range_of_commands_is_named(tmp_path: Path) -> None:
+    (tmp_path / "leg.xml").write_text(LEG.replace('kv="0.3"', 'kv="0.3" ctrlrange="-0.5 0.5"'))
+    drive = fit(tmp_path / "leg.xml", length=60)
+    _, (row, text) = describe(drive)
+    check(row, text, drive, own=True)
+    assert not row["exact"] and "ctrlrange" in row["reason"] and row["reason"] in text
+
+
+@given(st.floats(0, 0.1), st.floats(1e-4, 0.02))
+@settings(max_examples=200, deadline=None)
+def test_a_delay_is_rounded_to_the_nearest_that_mujoco_has(delay: float, timestep: float) -> None:
+    """In MuJoCo itself: a command that steps from 0 to 1 acts with the rounded delay."""
+    attributes = " ".join(f'{name}="{value}"' for name, value in write_delay(delay, timestep).items())
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><option timestep="{timestep!r}"/><worldbody><body><joint name="j"/><geom size="1"/></body>'
+        f'</worldbody><actuator><general joint="j" {attributes}/></actuator></mujoco>'
+    )
+    data, rounded, acted = mujoco.MjData(model), round_delay(delay, timestep), []
+    steps = int(np.ceil(rounded / timestep)) + 2
+    if steps > 300:
+        return
+    for _ in range(steps):
+        data.ctrl[0] = 1
+        mujoco.mj_step(model, data)
+        acted.append(data.actuator_force[0])
+    expected = np.clip(np.arange(steps) + 1 - rounded / timestep, 0, 1)
+    np.testing.assert_allclose(acted, expected, atol=1e-6)
+    others = [0.0, timestep] if delay < timestep else [delay]
+    assert abs(rounded - delay) <= min(abs(other - delay) for other in others) + 1e-9 * timestep

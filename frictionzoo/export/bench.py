@@ -13,7 +13,7 @@ from frictionzoo.bench import Robot
 from frictionzoo.core.errors import ConfigError, FrictionzooError
 from frictionzoo.core.params import UNITS
 from frictionzoo.export.base import Target, list_values, register_target
-from frictionzoo.export.loaded import ModelFile, list_lacks, play, say_delay, say_difference
+from frictionzoo.export.loaded import ModelFile, is_clipped, list_lacks, play, say_delay, say_difference
 from frictionzoo.export.nearest import Nearest, find_nearest, say_law
 from frictionzoo.export.robot import ACTUATORS, Equipped, compare_torque, put_into, say_whole
 from frictionzoo.export.simulate import PAYLOADS
@@ -54,7 +54,7 @@ class Mjcf(Target):
             written[1] = replace(written[1], name=path.name if path.name != FILE else f"robot_{FILE}")
         for file in written:
             (folder / file.name).write_bytes(file.content)
-        limits = dict.fromkeys(limit for file in written for limit in file.limits)
+        limits = dict.fromkeys(limit for file in written for limit in (*file.limits, *file.notes))
         moved = (file.difference for file in written if file.difference)
         return Export(tuple(file.name for file in written), (*moved, *torque), tuple(limits))
 
@@ -125,11 +125,11 @@ def _write_robot_file(
     if isinstance(fitted.bench, Robot) and asked == _Robot(Path(fitted.bench.source), fitted.bench.joints):
         why = [*list_lacks(fitted, nearest, timestep), *(["limits of the robot's own actuators"] if cut else [])]
         difference, more = _play_robot(robot, fitted, nearest, expected, path, text, why)
-    limits = [*say_limits(fitted, nearest, timestep), *say_whole(path, robot), *robot.notes, *cut]
+    limits = [*say_limits(fitted, nearest, timestep), *robot.notes, *cut]
     limits = tuple(dict.fromkeys([*limits, *_say_robot(robot, fitted, nearest, actuators), *more]))
     content = robot.commented(*_list_remarks(fitted, nearest, difference, limits)).content
     name = f"{IDENTIFIED}.urdf" if robot.urdf else f"{IDENTIFIED}.xml"
-    return ModelFile(name, content, timestep, difference, limits), torque
+    return ModelFile(name, content, timestep, difference, limits, say_whole(path, robot)), torque
 
 
 def _play_robot(
@@ -141,9 +141,10 @@ def _play_robot(
         return None, (f"It is not played: MuJoCo does not take the inertia of {bodies}, or does not find its mesh.",)
     if coupled := list_coupled(robot):
         joints = name_some(coupled)
-        return None, (f"It is not played: {joints} were not identified and are tied to other joints.",)
+        return None, (f"It is not played: {joints} were not identified and pull at a tendon.",)
     model, place = mount(robot, fitted, nearest, path, bench)
-    difference, why_not = play(model, fitted, expected, why, place)
+    clipped = ["ctrlrange of the robot's own actuators"] if is_clipped(model, fitted, place) else []
+    difference, why_not = play(model, fitted, expected, [*why, *clipped], place)
     over = ", the robot's own file on the bench's stand"
     return difference and replace(difference, over=f"{difference.over}{over}"), why_not
 

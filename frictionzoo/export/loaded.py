@@ -31,6 +31,7 @@ class ModelFile:
         timestep: Of the model as loaded [s].
         difference: Of its positions from the identified drive's; None where it was not played, and `limits` say why.
         limits: What it cannot hold and what a user has to know, a sentence each.
+        notes: What is so on this machine alone, likewise; neither the file nor `result.json` says it.
     """
 
     name: str
@@ -38,6 +39,7 @@ class ModelFile:
     timestep: float
     difference: Difference | None
     limits: tuple[str, ...]
+    notes: tuple[str, ...] = ()
 
     def describe(self, fitted: Identified) -> WrittenRow:
         """Return its entry in `result.json`."""
@@ -80,6 +82,16 @@ def play(
         return None, (f"As loaded, it diverges in {lost.sum()} of {fitted.over}: do not use it.",)
     over = fitted.over if sound.all() else f"{sound.sum()} of {fitted.over}, in which the drive does not diverge"
     return measure("qpos", fitted, came[sound], expected.qpos[sound], over, ", ".join(why)), ()
+
+
+def is_clipped(model: mujoco.MjModel, fitted: Identified, place: Place) -> bool:
+    """Return whether the model's actuators clip the recorded commands."""
+    law, signals = fitted.bench.actuator, fitted.segments.signals
+    if law.needs_state:
+        return False
+    command = law.combine(fitted.values["bench"], signals.ctrl, signals.inputs)
+    low, high = model.actuator_ctrlrange[place.actuator].T
+    return bool((model.actuator_ctrllimited[place.actuator] & ((command < low) | (command > high))).any())
 
 
 def read_error(fitted: Identified) -> float | None:

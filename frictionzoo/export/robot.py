@@ -29,6 +29,7 @@ _PLAIN = {"dyntype": "none", "gaintype": "fixed", "gear": "1 0 0 0 0 0"}  # what
 _LATE = ("delay", "nsample", "interp")
 _STATES = 200  # recorded states in which torques are compared
 _NAMED = 3  # joints up to which a line names them
+_ROUNDING = 1e-9  # share of a limit that was identified, up to which torque is within
 _SAME = 1e-12  # share by which a value that is read back may differ
 ACTUATORS = ("identified", "keep")
 
@@ -168,7 +169,7 @@ def _say_cut(robot: Equipped, torque: Float[np.ndarray, "states joints"]) -> tup
         for (low, high), acts, joint in zip(ranges, limited, owners, strict=True):
             if acts and joint in ids:
                 own = torque[:, ids.index(joint)]
-                cut |= (own < low) | (own > high)
+                cut |= (own < low - _ROUNDING * abs(low)) | (own > high + _ROUNDING * abs(high))
     lasting = "the robot's own limits of force, which bench.xml has not"
     return (f"In {cut.sum()} of {len(cut)} recorded states {lasting}, cut the torque.",) if cut.any() else ()
 

@@ -77,21 +77,20 @@ def _actuator_of(model: mujoco.MjModel, joint: int) -> int:
 
 
 def list_coupled(robot: Equipped) -> list[str]:
-    """Name the joints that were not identified and are tied to others by an equality or a tendon."""
-    model = robot.model
-    equalities = model.eq_type == mujoco.mjtEq.mjEQ_JOINT
-    ends = (model.eq_obj1id[equalities], model.eq_obj2id[equalities])
-    tied = {*np.concatenate([*ends, model.wrap_objid[model.wrap_type == mujoco.mjtWrap.mjWRAP_JOINT]]).tolist()}
-    return [name for joint in sorted(tied - {-1}) if (name := model.joint(joint).name) not in robot.joints]
+    """Name the joints that were not identified and pull at a tendon."""
+    pulling = robot.model.wrap_objid[robot.model.wrap_type == mujoco.mjtWrap.mjWRAP_JOINT]
+    names = (robot.model.joint(joint).name for joint in np.unique(pulling).tolist())
+    return [name for name in names if name not in robot.joints]
 
 
 def _hold_others(spec: mujoco.MjSpec, joints: Sequence[str]) -> None:
-    """Let all joints but these stand still at their reference position, and leave out their actuators."""
+    """Let all joints but these stand still at their reference position, without actuators and ties among themselves."""
     others = [joint for joint in spec.joints if joint.name not in joints]
     held = {joint.name for joint in others}
-    for actuator in list(spec.actuators):
-        if actuator.target in held and actuator.trntype in _AT_JOINT:
-            spec.delete(actuator)
+    acting = [one for one in spec.actuators if one.target in held and one.trntype in _AT_JOINT]
+    tied = [one for one in spec.equalities if one.type == mujoco.mjtEq.mjEQ_JOINT and one.name1 in held]
+    for element in (*acting, *tied):
+        spec.delete(element)
     for joint in others:
         spec.delete(joint)
 
