@@ -25,6 +25,7 @@ from frictionzoo.export.written import Difference, Export
 from frictionzoo.models.base import sliding_torque
 from frictionzoo.result.identified import Identified
 
+_LONGEST = 200  # characters of a file's name
 _AT_ONCE = 1e3  # rad/s, faster than any command: BAM's STS3215 else follows commands at its default speed
 _INPUTS = "Supply and gain are not in the file: BAM takes them from its logs, or as vin and kp."
 _KT = "Only kt / R and kt^2 / R are identified: kt and R are those that give them, not a data sheet's."
@@ -53,6 +54,10 @@ class Bam(Target):
         # A joint's name may have a "/" in it, which a file's name has not.
         prefixes = [f"{quote(name, safe='')}_" for name in fitted.bench.joints] if fitted.bench.nv > 1 else [""]
         files = tuple(f"{prefix}{law['model']}.json" for prefix, law in zip(prefixes, laws, strict=True))
+        if long := [file for file in files if len(file) > _LONGEST]:
+            raise ExportError(
+                f"target=bam: {long[0][:40]}... as name of a file, expected shorter names of joints; rename it"
+            )
         for joint, (file, law) in enumerate(zip(files, laws, strict=True)):
             # BAM's controllers replace the robot's damping.
             law["friction_viscous"] += float(fitted.bench.own_damping[joint])

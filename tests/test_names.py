@@ -1,0 +1,471 @@
+"""Names of a robot in files for other programs: data there, whatever they are, and nothing else."""
+
+import ast
+import csv
+import functools
+import io
+import itertools
+import json
+import re
+import tokenize
+import warnings
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+import yaml
+from conftest import slow_but, trace_nothing
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import frictionzoo as fz
+from frictionzoo.bench import Robot, VoltageServo
+from frictionzoo.card.write import write_card
+from frictionzoo.core.build import build
+from frictionzoo.core.errors import ExportError
+from frictionzoo.core.segments import Segments
+from frictionzoo.core.state import DriveState, Signals
+from frictionzoo.core.templates import Code, write_literal, write_yaml
+from frictionzoo.core.xml import write_comment, write_xml
+from frictionzoo.excite.write import table
+from frictionzoo.export.base import get_target, match_joint, target_names
+from frictionzoo.export.in_place import InPlace
+from frictionzoo.export.module import write_module
+from frictionzoo.export.native import write_native
+from frictionzoo.fit.uncertainty import Uncertainty
+from frictionzoo.models import Dahl, MujocoDefault
+from frictionzoo.result.identified import Identified
+from frictionzoo.result.values import list_values
+
+PLAIN = ("plain_one", "plain_two")
+SLOW = ("mjx", "onnx")  # compile for seconds
+TARGETS = target_names()
+OPTIONS = {
+    "randomisation": {"ranges": "{bench.armature: [0.8, 1.2], friction.damping: [0.5, 2]}", "count": "3", "files": "1"},
+    "bam": {"servo": "xl330"},
+}
+EVERYTHING = (
+    "/leg/a.b \"\"\" ''' \\ {{ 7 }} {% x %} ${HOME} %s */ --> ---- ]]> </script> <a b='c'> & # $ ^ ( 膝 \U0001f600"
+)
+HOSTILE = [
+    (EVERYTHING, "a---"),
+    ('",),)\nimport os; os.abort()\n#', f"{EVERYTHING}\r\n\t"),
+    ("/leg/knee", r"C:\x"),
+    ("~/a", "../../a"),
+    ('"""\nimport os; os.abort()\n"""', "'''"),
+    ('$",),)\nimport os; os.abort()\n#', "a\\"),
+    ("{{ 7 * 7 }}{% raise %}{# #}", "${oc.env:HOME} %s %(x)s {0} {x}"),
+    ("*/ int main(){} /*", "// \\\n#include <x>"),
+    ("-->", "a---b--"),
+    ("]]></a><b/>", "<![CDATA[ </script><script>alert(1)</script>"),
+    ("a armature=\"9\" b='8' damping='1", "&quot; &#10; &amp;"),
+    ("left.knee", "leftXknee"),
+    ("^.*$", "[a-z]+|(?i)\\d{2}"),
+    ("膝 \U0001f600 e\u0301\u202e\u2028", "\u00a0\ufeff"),
+    ("\t", "\r\n"),
+    (" knee ", "knee"),
+    ("joint_b_fixed", "joint_b"),
+    ("joint_b_link", "joint_b"),
+    ("world", "link1"),
+    ("__model__", "leg::knee"),
+    ("x" * 300, "y"),
+]
+XML = st.characters(exclude_categories=("Cs", "Cc"), exclude_characters="\ufffe\uffff", include_characters="\t\r\n")
+MARKS = [
+    '"',
+    "'",
+    "'''",
+    "{",
+    "}",
+    "{{",
+    "}}",
+    "{%",
+    "*/",
+    "-->",
+    "]]>",
+    "</script>",
+    "${",
+    "%s",
+    ".",
+    "$",
+    "^",
+    "(",
+    "#",
+    "/",
+    "..",
+    "--",
+    "=",
+    "&",
+    "<",
+    ">",
+    "é",
+    "joint",
+    "_",
+    "\\",
+]
+PIECES = st.sampled_from([*MARKS, '"""', "\n", "\r", " ", "\U0001f600"])
+NAME = st.one_of(st.text(XML, min_size=1, max_size=12), st.lists(PIECES, min_size=1, max_size=6).map("".join))
+TWO_NAMES = st.lists(NAME, min_size=2, max_size=2, unique=True).map(tuple)
+
+
+class Still(Identified):
+    """A drive in random states that does not move: nothing is compiled."""
+
+    @cached_property
+    def samples(self) -> DriveState:
+        return DriveState(*np.random.default_rng(0).normal(scale=2.0, size=(5, 20, self.bench.nv)))
+
+    @property
+    def place(self) -> str:
+        return f"runs/{self.result['data']['name']}"
+
+    def rollout(self, segments: Any = None, timestep: Any = None, values: Any = None) -> tuple[np.ndarray, np.ndarray]:
+        return self.segments.qpos[:, 1:], self.segments.qvel[:, 1:]
+
+
+def write_robot(path: Path, names: Sequence[str]) -> None:
+    """An MJCF of a chain whose bodies, joints and motors have these names, and a body without one."""
+    root = ET.Element("mujoco")
+    ET.SubElement(root, "option", timestep="0.002", integrator="implicitfast")
+    body = ET.SubElement(root, "worldbody")
+    for name in names:
+        body = ET.SubElement(body, "body", name="world_" if name == "world" else name, pos="0 0 -0.2")
+        ET.SubElement(body, "joint", name=name, axis="0 1 0")
+        ET.SubElement(body, "inertial", pos="0 0 -0.1", mass="1", diaginertia="0.01 0.01 0.01")
+    ET.SubElement(ET.SubElement(body, "body"), "inertial", pos="0 0 0", mass="1", diaginertia="0.1 0.1 0.1")
+    section = ET.SubElement(root, "actuator")
+    for name in names:
+        ET.SubElement(section, "motor", name=name, joint=name)
+    path.write_bytes(ET.tostring(root))
+
+
+def make_drive(
+    path: Path, names: Sequence[str], kind: type[Identified] = Still, law: Any = MujocoDefault
+) -> Identified:
+    """A drive as if identified, its data and its run called like its first joint."""
+    write_robot(path, names)
+    servo = VoltageServo(kt_over_r=0.3, kt2_over_r=0.2, duty_gain=0.01, duty_limit=0.9)
+    bench = Robot(str(path), list(names), actuator=servo)
+    model = law(
+        2, {name: {"init": 0.1, "low": 1e-6, "high": 9.0, "scale": "log", "identify": True} for name in law.dimensions}
+    ).double()
+    friction = {name: value.detach().numpy() for name, value in model.state_dict().items()}
+    values = {"bench": bench.initial_values() | {"armature": np.array([0.02, 0.03])}, "friction": friction}
+    inputs = {name: np.full((1, 20, 2), value) for name, value in (("gain", 16.0), ("supply", 12.0), ("enable", 1.0))}
+    rest = np.zeros((1, 21, 2))
+    segments = Segments(rest, rest, Signals(np.zeros((1, 20, 2)), inputs), bench.timestep)
+    rows = [_describe(bench, owner, p, values[owner]) for owner, of in _owners(bench, model) for p in of.values()]
+    result: Any = {"settings": {}, "model": model.name, "data": {"name": names[0]}, "parameters": rows}
+    result |= {"no_intervals": None, "metrics": {"test": {"position_mae": None}}}
+    known = bench.sampling(bench.timestep), trace_nothing(segments)
+    return kind(None, result, bench, model, {}, values, segments, *known)
+
+
+def _owners(bench: Any, model: Any) -> tuple[tuple[str, Any], ...]:
+    return ("bench", bench.params), ("friction", model.params)
+
+
+def _describe(bench: Any, owner: str, param: Any, values: Any) -> dict[str, Any]:
+    value = param.spread(np.asarray(values[param.name], float), 2)
+    by_joint = list_values(bench, param, f"{owner}.{param.name}", values[param.name], Uncertainty())
+    told = {"name": param.name, "owner": owner, "value": value.tolist(), "unit": "1", "interval": None}
+    for row in by_joint:
+        row["identified"] = False
+    return told | {"identified": False, "identifiable": None, "by_joint": by_joint}
+
+
+def write(target: str, folder: Path, names: Sequence[str], kind: type[Identified] = Still) -> Path:
+    """The folder of what a target wrote."""
+    folder.mkdir(parents=True, exist_ok=True)
+    place = folder / "written"
+    place.mkdir()
+    drive = make_drive(folder / "robot.xml", names, kind)
+    export = get_target(target)().write(drive, place, OPTIONS.get(target, {}))
+    assert {*export.files} == {str(path.relative_to(place)) for path in _list_files(place)}
+    assert not any("\n" in limit or "\r" in limit for limit in export.limits if "\n" not in "".join(names))
+    return place
+
+
+def _list_files(place: Path) -> list[Path]:
+    return sorted(path for path in place.rglob("*") if path.is_file() and path.suffix != ".pyc")
+
+
+def blank(text: str) -> tuple[str, list[str | None], list[str]]:
+    """The syntax tree of a Python file without its constants; its docstrings; its comments."""
+    tree = ast.parse(text)
+    documented = (ast.Module, ast.ClassDef, ast.FunctionDef)
+    docstrings = [ast.get_docstring(node) for node in ast.walk(tree) if isinstance(node, documented)]
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant):
+            node.value = type(node.value).__name__
+    tokens = tokenize.generate_tokens(io.StringIO(text).readline)
+    return ast.dump(tree), docstrings, [token.string for token in tokens if token.type == tokenize.COMMENT]
+
+
+def rename(value: Any, names: Sequence[str]) -> Any:
+    """A JSON value with these names in place of the plain ones."""
+    if isinstance(value, dict):
+        return {rename(key, names): rename(part, names) for key, part in value.items()}
+    if isinstance(value, list):
+        return [rename(part, names) for part in value]
+    new: dict[str, str] = dict(zip(PLAIN, names, strict=True))
+    return re.sub("|".join(PLAIN), lambda match: new[match[0]], value) if isinstance(value, str) else value
+
+
+def list_constants(text: str) -> Iterator[Any]:
+    """All text in a Python file's constants."""
+    return (node.value for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Constant))
+
+
+def judge_python(plain: Path, written: Path, names: Sequence[str]) -> None:
+    before, after = (path.read_text(encoding="utf-8") for path in (plain, written))
+    assert blank(before) == blank(after)
+    patterns = {match_joint(old): match_joint(new) for old, new in zip(PLAIN, names, strict=True)}
+    for was, now in zip(list_constants(before), list_constants(after), strict=True):
+        assert now == patterns.get(was, rename(was, names))
+
+
+def matched(pattern: str, names: Sequence[str]) -> list[str]:
+    return [name for name in dict.fromkeys(names) if re.fullmatch(pattern, name)]
+
+
+def near(name: str) -> Iterator[str]:
+    """Names that differ from this one in a character."""
+    for at in range(min(len(name), 40)):
+        yield from (name[:at] + other + name[at + 1 :] for other in ("", "x", "\n", name[at].swapcase()))
+    yield from (name + end for end in ("x", "\n", " ", "$", "_"))
+    yield from (start + name for start in ("x", " ", "^"))
+
+
+def judge_xml(plain: Path, written: Path, names: Sequence[str]) -> None:
+    before, after = (list(ET.fromstring(path.read_bytes()).iter()) for path in (plain, written))
+    assert [element.tag for element in before] == [element.tag for element in after]
+    for was, now in zip(before, after, strict=True):
+        assert now.attrib.keys() == was.attrib.keys()
+        pairs = [*((was.attrib[key], value) for key, value in now.attrib.items()), (was.text or "", now.text or "")]
+        for old, new in pairs:  # a name that another one has gets an underscore
+            assert new.strip() in (rename(old, names).strip(), rename(old, names).strip() + "_")
+    if written.suffix != ".sdf":  # MuJoCo reads no SDFormat; `read_sdf` did
+        model = mujoco.MjSpec.from_string(written.read_text(encoding="utf-8")).compile()
+        assert [model.joint(joint).name for joint in range(model.njnt)] == list(names)
+
+
+def judge_json(plain: Path, written: Path, names: Sequence[str]) -> None:
+    assert json.loads(written.read_text()) == rename(json.loads(plain.read_text()), names)
+
+
+def judge_arrays(plain: Path, written: Path, names: Sequence[str]) -> None:
+    with np.load(plain, allow_pickle=False) as before, np.load(written, allow_pickle=False) as after:
+        assert before["joints"].tolist() == list(PLAIN) and after["joints"].tolist() == list(names)
+        assert sorted(before) == sorted(after)
+
+
+def judge_graph(plain: Path, written: Path, names: Sequence[str]) -> None:
+    import onnx
+
+    if written.suffix == ".onnx":
+        facts = {fact.key: fact.value for fact in onnx.load(written).metadata_props}
+    else:
+        extra = {"frictionzoo.json": ""}
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", r"`torch\.jit", DeprecationWarning)
+            torch.jit.load(written, _extra_files=extra)
+        facts = json.loads(extra["frictionzoo.json"])
+    assert json.loads(facts["joints"]) == list(names)
+
+
+JUDGES: dict[str, Callable[[Path, Path, Sequence[str]], None]] = {
+    ".py": judge_python,
+    **dict.fromkeys((".xml", ".urdf", ".sdf"), judge_xml),
+    ".json": judge_json,
+    ".npz": judge_arrays,
+    **dict.fromkeys((".onnx", ".pt"), judge_graph),
+}
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """What a target writes of harmless names."""
+    return functools.cache(lambda target: write(target, tmp_path_factory.mktemp(target), PLAIN))
+
+
+def judge(target: str, plain: Path, folder: Path, names: Sequence[str]) -> None:
+    """A target has refused names that its format lacks, in a line, or differs from the harmless file in them alone."""
+    try:
+        written = write(target, folder, names)
+    except ExportError as error:
+        assert any(map({"sdf": lacks_sdf, "bam": lambda name: len(name) > 60}[target], names)), error
+        assert str(error).isprintable()
+        return
+    expected = {str(path.relative_to(plain)): path for path in _list_files(plain)}
+    renamed = {rename(name, [quote(name, safe="") for name in names]): path for name, path in expected.items()}
+    assert {str(path.relative_to(written)) for path in _list_files(written)} == renamed.keys()
+    for name, path in renamed.items():
+        JUDGES[path.suffix](path, written / name, names)
+
+
+def lacks_sdf(name: str) -> bool:
+    """Whether SDFormat has no such name."""
+    outer = name != name.strip() or any(blank in name for blank in "\t\r\n")
+    return outer or name == "world" or "::" in name or (name[:2] == name[-2:] == "__")
+
+
+CHEAP = [target for target in TARGETS if target not in SLOW]
+QUICK = [*itertools.product(CHEAP, HOSTILE[:2])]
+
+
+@pytest.mark.parametrize(
+    ("target", "names"),
+    slow_but(QUICK, [*itertools.product(CHEAP, HOSTILE), *itertools.product(SLOW, HOSTILE[:2])]),
+)
+def test_a_target_writes_names_as_data(
+    target: str, names: tuple[str, str], plain: Callable[[str], Path], tmp_path: Path
+) -> None:
+    judge(target, plain(target), tmp_path, names)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("target", CHEAP)
+def test_a_target_writes_any_name_as_data(
+    target: str, plain: Callable[[str], Path], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    @settings(
+        max_examples=40, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    )
+    @given(TWO_NAMES)
+    def writes(names: tuple[str, str]) -> None:
+        judge(target, plain(target), tmp_path_factory.mktemp(target), names)
+
+    writes()
+
+
+@settings(max_examples=100, deadline=None, derandomize=True)
+@given(
+    st.one_of(NAME, st.text(), st.lists(NAME), st.tuples(st.text(), st.floats(allow_nan=False, allow_infinity=False)))
+)
+def test_a_literal_is_the_value_on_one_line(value: Any) -> None:
+    text = write_literal(value)
+    assert ast.literal_eval(text) == value and "\n" not in text and "\r" not in text
+
+
+def test_literals_are_as_a_programmer_writes_them() -> None:
+    assert write_literal("knee") == '"knee"' and write_literal('a"b') == "'a\"b'" and write_literal("it's") == '"it\'s"'
+    assert write_literal(("knee",)) == '("knee",)' and write_literal({"a": [1, 0.5]}) == '{"a": [1, 0.5]}'
+    assert write_literal(np.float64(0.1)) == "0.1" and write_literal(Code("np.pi")) == "np.pi"
+
+
+@settings(max_examples=100, deadline=None, derandomize=True)
+@given(NAME, NAME)
+def test_a_regular_expression_matches_one_joint(name: str, other: str) -> None:
+    assert matched(match_joint(name), [name, other, *near(name)]) == [name]
+
+
+@settings(max_examples=200, deadline=None, derandomize=True)
+@given(st.one_of(NAME, st.text()))
+def test_xml_holds_a_name_or_refuses_it_in_a_line(name: str) -> None:
+    root = ET.Element("a", name=name)
+    root.append(write_comment(name))
+    ET.SubElement(root, "b")
+    try:
+        text = write_xml(root)
+    except ExportError as error:
+        assert str(error).isprintable() and not re.fullmatch(
+            "[\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]*", name
+        )
+        return
+    read = ET.fromstring(text)
+    assert read.attrib == {"name": name} and [part.tag for part in read] == ["b"]
+
+
+@settings(max_examples=100, deadline=None, derandomize=True)
+@given(NAME)
+def test_an_attribute_is_set_where_it_is(name: str) -> None:
+    root = ET.Element("a")
+    ET.SubElement(root, "b", name=name, armature="1")
+    file = InPlace.read(ET.tostring(root))
+    file.set(file.tags[1], {"armature": "2", "damping": name})
+    file.remark(name)
+    read = ET.fromstring(file.write())
+    assert read[0].attrib == {"name": name, "armature": "2", "damping": name} and len(read) == 1
+
+
+@settings(max_examples=100, deadline=None, derandomize=True)
+@given(st.lists(st.one_of(NAME, st.text()), min_size=1, max_size=3))
+def test_yaml_and_tables_hold_names(names: list[str]) -> None:
+    assert yaml.safe_load(f"joint_names: {write_yaml(names)}\nlast: 1\n") == {"joint_names": names, "last": 1}
+    text = table(names, np.zeros(2), {"qpos": np.zeros((2, len(names)))}).decode()
+    headers = [f"qpos_{name}" for name in names] if len(names) > 1 else ["qpos"]
+    assert next(csv.reader(io.StringIO(text, newline=""))) == ["time", *headers]
+
+
+def test_a_law_s_name_is_data_in_a_module(tmp_path: Path) -> None:
+    drive, more = make_drive(tmp_path / "robot.xml", PLAIN), {"example_install": "", "late_remark": ""}
+    texts = []
+    for name in ("mujoco_default", '"""\nimport os; os.abort()\n"""'):
+        drive.model.name = name  # pyright: ignore[reportAttributeAccessIssue] - of the class
+        for template in ("mujoco_drive.py.jinja", "mjx_drive.py.jinja"):
+            write_module(drive, tmp_path, template, "drive.py", **more)
+            texts.append((tmp_path / "drive.py").read_text())
+    for plain, written in zip(texts[:2], texts[2:], strict=True):
+        assert blank(plain) == blank(written)
+
+
+@pytest.mark.parametrize("names", [("knee", "knee_friction"), *HOSTILE[:4]])
+def test_bristles_of_joints_have_names_of_their_own(names: tuple[str, str], tmp_path: Path) -> None:
+    model = mujoco.MjModel.from_xml_string(write_native(make_drive(tmp_path / "robot.xml", names, law=Dahl)))
+    assert [model.joint(joint).name for joint in range(2)] == list(names)
+    assert len({model.actuator(actuator).name for actuator in range(model.nactuator)}) == 4
+
+
+def call(drive: Identified, path: Path, name: str) -> Identified:
+    """A run's drive with another name of its joint, of its data and in its own file."""
+    root = ET.fromstring(drive.bench.template())
+    for joint in root.iter("joint"):
+        joint.set("name", name)
+    path.write_bytes(ET.tostring(root))
+    section = {**drive.result["settings"]["bench"], "mjcf": str(path), "joint": name}
+
+    def renamed(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: renamed(part) for key, part in value.items()}
+        return [renamed(part) for part in value] if isinstance(value, list) else name if value == "knee" else value
+
+    result = renamed(drive.result)
+    result["settings"] = {**drive.result["settings"], "bench": section}
+    return replace(drive, bench=build(section), result=result)
+
+
+CARDS = ["/leg/knee", "a|b`c <i>\n## x"]
+
+
+@pytest.mark.parametrize("name", slow_but(CARDS, [*CARDS, r"C:\x", "~/a", f"{Path.home()}/knee", "${oc.env:HOME}"]))
+def test_a_card_keeps_names_and_shortens_paths(
+    name: str,
+    finished_run: Callable[[str], tuple[Path, Any]],
+    recording: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    run, _ = finished_run("mujoco_default")
+    drive = call(fz.load(run), tmp_path / "robot.xml", name)
+    with monkeypatch.context() as patch:
+        patch.setattr(Identified, "load", lambda folder: drive)
+        place, told = write_card(run, {"licence": "cc-by-4.0", "output": str(tmp_path / "card")})
+    read = fz.load(place)
+    assert read.bench.joints == (name,) and read.result["joints"] == [name] and told == []
+    assert [row["name"] for row in read.result["parameters"][0]["by_joint"]] == [name]
+    text = (place / "card.json").read_text() + (place / "README.md").read_text()
+    for private in (str(recording.parent), str(run), str(tmp_path)):
+        assert private not in text
+    lines = (place / "README.md").read_text().splitlines()
+    rows = [line for line in lines if line.startswith("|")]
+    assert not any("<i>" in line or line.startswith("## x") for line in lines)
+    assert {len(re.findall(r"(?<!\\\\)\|", row)) for row in rows} == {3, 5, 6}
