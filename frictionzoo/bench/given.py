@@ -8,6 +8,7 @@ from frictionzoo.bench.base import Bench
 from frictionzoo.core.build import build
 from frictionzoo.core.log import Dataset
 from frictionzoo.core.params import Param
+from frictionzoo.logs.source import Source
 
 
 class Given(NamedTuple):
@@ -34,5 +35,5 @@ class Given(NamedTuple):
         # Which law has it, and of what dimension it is, is asked when the law is built.
         for name, section in (settings.get("model", {}).get("params") or {}).items():
             Param.from_config(name, "1", section)
-        bench, dataset = build(settings["bench"]), build(settings["data"]).load()
+        bench, dataset = build(settings["bench"], Bench), build(settings["data"], Source).load()
         return cls(bench, dataset, time.perf_counter() - began)

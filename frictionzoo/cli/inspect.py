@@ -18,6 +18,7 @@ from frictionzoo.core.build import build
 from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, forget_plugin_schemas, register_resolvers
 from frictionzoo.core.errors import ConfigError, FrictionzooError
 from frictionzoo.core.output import write_atomically
+from frictionzoo.logs.source import Source
 
 FOLDER = "outputs/${now:%Y-%m-%d}/${now:%H-%M-%S}_inspect_${hydra:runtime.choices.data}"
 
@@ -52,7 +53,7 @@ def inspect_data(config: DictConfig, folder: Path, joint_type: str | None = None
     from frictionzoo.inspect.terminal import summarise
 
     data = cast(dict[str, Any], OmegaConf.to_container(config.data, resolve=True))
-    recordings = list_recordings(build(data))
+    recordings = list_recordings(build(data, Source))
     survey = survey_recordings(str(data.get("name", "data")), recordings, joint_type)
     write_page(folder / "inspect.html", survey, recordings)
     write_atomically(folder / "inspect.json", (json.dumps(survey, indent=2, allow_nan=False) + "\n").encode())

@@ -30,6 +30,7 @@ from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, f
 from frictionzoo.core.output import occupy
 from frictionzoo.core.telling import tell
 from frictionzoo.core.threads import limit_threads, threads_each
+from frictionzoo.logs.source import Source
 from frictionzoo.result.types import Result
 
 
@@ -68,7 +69,7 @@ def _identify(config: DictConfig, model: str, folder: Path) -> tuple[Result, str
     limit_threads(config.threads if alone else threads_each(config.threads))
     settings = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
     tell(f"reading bench and recordings of {model} on {settings['data'].get('name', 'data')}")
-    build(settings["data"]).find()
+    build(settings["data"], Source).find()
     # Imported here, so that --help and a mistake in the input do not wait, and that torch and JAX meet the limit.
     from frictionzoo.bench.given import Given
 
