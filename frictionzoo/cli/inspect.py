@@ -13,7 +13,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from frictionzoo.cli.mistakes import mistakes_in_one_line
-from frictionzoo.cli.overrides import choices_of, given_to_hydra, refuse_no_choice
+from frictionzoo.cli.overrides import choices_of, given_to_hydra, quote_values, refuse_no_choice
 from frictionzoo.core.build import build
 from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, forget_plugin_schemas, register_resolvers
 from frictionzoo.core.errors import ConfigError, FrictionzooError
@@ -72,7 +72,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     register_resolvers()
     forget_plugin_schemas()
     # Of two overrides of an option the later one, the user's, wins.
-    overrides = [f"hydra.run.dir={FOLDER}", *_name_files(sys.argv[1:] if arguments is None else arguments)]
+    overrides = [
+        f"hydra.run.dir={FOLDER}",
+        *quote_values(_name_files(sys.argv[1:] if arguments is None else arguments)),
+    ]
     with mistakes_in_one_line(overrides=overrides):
         refuse_no_choice(overrides)
         with given_to_hydra(overrides):

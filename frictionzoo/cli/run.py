@@ -16,11 +16,13 @@ from omegaconf.errors import OmegaConfBaseException
 
 from frictionzoo.cli.explain import explain, missing_plugin
 from frictionzoo.cli.mistakes import NOT_IDENTIFIED, fail, mistakes_in_one_line, stoppable
-from frictionzoo.cli.overrides import choices_of, given_to_hydra, last_value, refuse_no_choice
+from frictionzoo.cli.overrides import choices_of, given_to_hydra, last_value, quote_values, refuse_no_choice
 from frictionzoo.cli.resume import (
+    Begun,
     keep_record,
     nothing_of_a_refused_run,
     restore_overrides,
+    restore_settings,
     say_how_a_run_goes_on,
     say_how_a_sweep_goes_on,
 )
@@ -39,14 +41,14 @@ def _job(config: DictConfig) -> float:
     """One job of Hydra's; returns what a sweeper may minimise."""
     hydra_config = HydraConfig.get()
     model, folder = hydra_config.runtime.choices["model"], Path(hydra_config.runtime.output_dir)
-    # A run's record does not tell whether it was interrupted; what this option says, Hydra has done.
+    # A run's record does not tell whether it was interrupted.
     resumed, config.resume = config.resume, None
     if hydra_config.mode == RunMode.MULTIRUN:
         options = hydra_config.overrides.task
         finished = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True)) if resumed else None
         # In processes of a launcher, nobody else answers.
         with stoppable():
-            return run_in_sweep(lambda: _identify(config, model, folder), folder, model, options, explain, finished)
+            return run_in_sweep(lambda: _identify(config, folder), folder, model, options, explain, finished)
     named = resumed is not None or any("hydra.run.dir=" in option for option in hydra_config.overrides.hydra)
     # Ended inside, because Hydra adds a line of its own to an error that passes through it.
     with (
@@ -54,7 +56,7 @@ def _job(config: DictConfig) -> float:
         contextlib.nullcontext() if named else nothing_of_a_refused_run(folder),
         occupy(folder, wait=False),
     ):
-        result, complaint = _identify(config, model, folder)
+        result, complaint = _identify(config, folder, goes_on=resumed is not None)
     if complaint:
         fail(complaint)
     if result["not_identified"]:
@@ -62,12 +64,19 @@ def _job(config: DictConfig) -> float:
     return objective_of(result)
 
 
-def _identify(config: DictConfig, model: str, folder: Path) -> tuple[Result, str | None]:
+def _identify(config: DictConfig, folder: Path, goes_on: bool = False) -> tuple[Result, str | None]:
     hydra_config = HydraConfig.get()
-    check_overrides(config, compose_config(*choices_of(hydra_config.runtime.choices)))
-    alone = hydra_config.mode == RunMode.RUN or hydra_config.runtime.choices["hydra/launcher"] == "basic"
+    choices, options = hydra_config.runtime.choices, hydra_config.overrides.task
+    plain = compose_config(*choices_of(choices))
+    check_overrides(config, plain)
+    if goes_on:
+        config, options = restore_settings(folder, config, plain, options)
+    alone = hydra_config.mode == RunMode.RUN or choices["hydra/launcher"] == "basic"
     limit_threads(config.threads if alone else threads_each(config.threads))
     settings = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
+    if hydra_config.output_subdir is not None:
+        Begun.of(choices, options, settings).save(folder)
+    model = choices["model"]
     tell(f"reading bench and recordings of {model} on {settings['data'].get('name', 'data')}")
     build(settings["data"], Source).find()
     # Imported here, so that --help and a mistake in the input do not wait, and that torch and JAX meet the limit.
@@ -79,7 +88,7 @@ def _identify(config: DictConfig, model: str, folder: Path) -> tuple[Result, str
     from frictionzoo.show.terminal import summarise
 
     with _quiet_writers():
-        result, complaint = run_job(config, model, folder, options=hydra_config.overrides.task, given=given)
+        result, complaint = run_job(config, model, folder, options=options, given=given)
     print(summarise(result, folder))
     return result, complaint
 
@@ -108,7 +117,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     register_resolvers()
     forget_plugin_schemas()
     with mistakes_in_one_line():
-        overrides = restore_overrides(sys.argv[1:] if arguments is None else arguments)
+        overrides = restore_overrides(quote_values(sys.argv[1:] if arguments is None else arguments))
         refuse_no_choice(overrides)
     with SweepFolder.noted() as begun, mistakes_in_one_line(lambda: say_how_a_sweep_goes_on(*begun), overrides):
         with keep_record(last_value("hydra.run.dir", overrides)), given_to_hydra(overrides):
