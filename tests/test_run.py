@@ -1,7 +1,6 @@
 """The command line: what it refuses, in one line each, and what it leaves behind when it does."""
 
 import contextlib
-import json
 import os
 import pickle
 import resource

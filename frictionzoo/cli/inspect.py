@@ -18,6 +18,7 @@ from frictionzoo.core.build import build
 from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, forget_plugin_schemas, register_resolvers
 from frictionzoo.core.errors import ConfigError, FrictionzooError
 from frictionzoo.core.output import write_atomically
+from frictionzoo.core.telling import say
 from frictionzoo.logs.source import Source
 
 FOLDER = "outputs/${now:%Y-%m-%d}/${now:%H-%M-%S}_inspect_${hydra:runtime.choices.data}"
@@ -33,7 +34,7 @@ def _inspect(config: DictConfig) -> None:
         check_overrides(config, compose_config(*choices_of(hydra_config.runtime.choices)))
         choices = hydra_config.runtime.choices
         said = choices["data"] != "files" or any(each.startswith("bench") for each in hydra_config.overrides.task)
-        print(inspect_data(config, Path(hydra_config.runtime.output_dir), _joint_type(config) if said else None))
+        say(inspect_data(config, Path(hydra_config.runtime.output_dir), _joint_type(config) if said else None))
 
 
 def inspect_data(config: DictConfig, folder: Path, joint_type: str | None = None) -> str:

@@ -30,7 +30,7 @@ from frictionzoo.cli.sweep import SweepFolder, conclude_sweep, describe, objecti
 from frictionzoo.core.build import build
 from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, forget_plugin_schemas, register_resolvers
 from frictionzoo.core.output import occupy
-from frictionzoo.core.telling import tell
+from frictionzoo.core.telling import say, tell
 from frictionzoo.core.threads import limit_threads, threads_each
 from frictionzoo.logs.source import Source
 from frictionzoo.result.types import Result
@@ -89,7 +89,7 @@ def _identify(config: DictConfig, folder: Path, goes_on: bool = False) -> tuple[
 
     with _quiet_writers():
         result, complaint = run_job(config, model, folder, options=options, given=given)
-    print(summarise(result, folder))
+    say(summarise(result, folder))
     return result, complaint
 
 
@@ -141,7 +141,7 @@ def _run_jobs(begun: Sequence[Path]) -> str | None:
 def _conclude(sweep: Path, complaint: str | None) -> None:
     """Compare the jobs of a sweep, say what failed in it, and end with the exit status that belongs to it."""
     comparison, text, complaints = conclude_sweep(sweep)
-    print(text)
+    say(text)
     if complaint:
         complaints.append(complaint)
     if complaints:
