@@ -1,6 +1,6 @@
 """Runs and cards of strangers: mutated at random and handed to the program, in a process that an audit hook watches.
 
-python tests/hostile.py RUN CARD SCRATCH COUNT SEED prints one line of JSON for what went wrong, and for each command how
+python tests/hostile.py RUN CARD SCRATCH COUNT SEED prints one line of JSON: what went wrong, and for each command how
 often it ended well and how often it refused. RUN and CARD are folders that the program wrote, SCRATCH is empty.
 """
 
@@ -15,6 +15,7 @@ import random
 import shutil
 import sys
 import tempfile
+import time
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -34,7 +35,7 @@ PROCESSES = ("subprocess.", "os.system", "os.exec", "os.posix_spawn", "os.spawn"
 SOCKETS = ("socket.connect", "socket.bind", "socket.getaddrinfo", "socket.gethostby", "socket.sendto", "urllib.")
 WRITES = ("os.mkdir", "os.rename", "os.remove", "os.rmdir", "os.link", "os.symlink", "os.truncate", "os.chmod")
 PYTHON = f"open({MARK!r}, 'w').close()\nimport sys; sys.{MARK} = True\nclass Law: ...\nmain = X = Law\n"
-COMMANDS = {"load": 40, "card": 20, "compare": 14, "export": 12, "resume": 12, "distill": 2}
+COMMANDS = {"load": 50, "card": 25, "compare": 12, "export": 6, "resume": 6, "distill": 1}
 """How often each is tried, of a hundred times; a resumed or distilled run is fitted, where nothing refuses it."""
 
 
@@ -78,7 +79,13 @@ class Watch:
             if set(mode or "") & set("wax+") or (flags or 0) & (os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC):
                 return self._outside(event, path)
         if event in WRITES:
-            places = arguments[:2] if event in ("os.rename", "os.link") else arguments[1:2] if "link" in event else arguments[:1]
+            places = (
+                arguments[:2]
+                if event in ("os.rename", "os.link")
+                else arguments[1:2]
+                if "link" in event
+                else arguments[:1]
+            )
             return next((wrong for place in places if (wrong := self._outside(event, place))), None)
         return None
 
@@ -99,23 +106,117 @@ class Watch:
 
 
 TARGETS = (
-    *("os.system", "subprocess.Popen", "builtins.exec", "frictionzoo.watch.__main__.X", "frictionzoo.cli.commands.main"),
-    *("stranger.Law", "run.stranger.Law", "frictionzoo.logs.files.Files", "frictionzoo.fit.loggers.Wandb", "torch.load"),
-    *("frictionzoo.fit.loggers.Mlflow", "hydra.utils.instantiate", "frictionzoo.core.build.build", "x", "", "..", None, 3),
-    *("frictionzoo.models.Stribeck", "frictionzoo.models.ByJoint", "frictionzoo.fit.Several", "frictionzoo.bench.Robot"),
+    *(
+        "os.system",
+        "subprocess.Popen",
+        "builtins.exec",
+        "frictionzoo.watch.__main__.X",
+        "frictionzoo.cli.commands.main",
+    ),
+    *(
+        "stranger.Law",
+        "run.stranger.Law",
+        "frictionzoo.logs.files.Files",
+        "frictionzoo.fit.loggers.Wandb",
+        "torch.load",
+    ),
+    *(
+        "frictionzoo.fit.loggers.Mlflow",
+        "hydra.utils.instantiate",
+        "frictionzoo.core.build.build",
+        "x",
+        "",
+        "..",
+        None,
+        3,
+    ),
+    *(
+        "frictionzoo.models.Stribeck",
+        "frictionzoo.models.ByJoint",
+        "frictionzoo.fit.Several",
+        "frictionzoo.bench.Robot",
+    ),
 )
 TEXTS = (
-    *("../evil", "/etc/passwd", "${oc.env:HOME}", "${oc.create:{_target_:os.system}}", "???", "", "a" * 10_000, "\x1b[31m"),
-    *("\x1b]0;title\x07", "\u202egpj.exe", "a\nb", "x\x00y", "$\\frac{1}$", "{{7*7}}", "</script>", '"; import os', "\ud800"),
-    *("hub:a/b", "http://127.0.0.1:9/x", "sqlite:////etc/x.db", "user", "auto", "inf", "1e999", "%s%n", "~", "*", "[", "("),
+    *(
+        "../evil",
+        "/etc/passwd",
+        "${oc.env:HOME}",
+        "${oc.create:{_target_:os.system}}",
+        "???",
+        "",
+        "a" * 10_000,
+        "\x1b[31m",
+    ),
+    *(
+        "\x1b]0;title\x07",
+        "\u202egpj.exe",
+        "a\nb",
+        "x\x00y",
+        "$\\frac{1}$",
+        "{{7*7}}",
+        "</script>",
+        '"; import os',
+        "\ud800",
+    ),
+    *(
+        "hub:a/b",
+        "http://127.0.0.1:9/x",
+        "sqlite:////etc/x.db",
+        "user",
+        "auto",
+        "inf",
+        "1e999",
+        "%s%n",
+        "~",
+        "*",
+        "[",
+        "(",
+    ),
 )
 VALUES = (
-    *(None, True, False, 0, -1, 1, 10**9, 10**30, -(2**63), 1e308, 1e-320, -1.5, [], {}, [[]], [None], [1, "a"], {"a": 1}),
+    *(
+        None,
+        True,
+        False,
+        0,
+        -1,
+        1,
+        10**9,
+        10**30,
+        -(2**63),
+        1e308,
+        1e-320,
+        -1.5,
+        [],
+        {},
+        [[]],
+        [None],
+        [1, "a"],
+        {"a": 1},
+    ),
     *({"_target_": "os.system", "command": f"touch {MARK}"}, {"_target_": "frictionzoo.bench.Force"}, *TEXTS),
 )
-CHOICES = ("../evil", "evil", "/tmp/evil", "../../hydra/launcher/joblib", "${oc.env:HOME}", "knee.yaml", "mlflow", "wandb", 3)
+CHOICES = (
+    "../evil",
+    "evil",
+    "/tmp/evil",
+    "../../hydra/launcher/joblib",
+    "${oc.env:HOME}",
+    "knee.yaml",
+    "mlflow",
+    "wandb",
+    3,
+)
 DOCUMENTS = (
-    *("- model=../evil", "- ++hydra.callbacks.x._target_=stranger.Law", "- hydra/launcher=joblib", "[", "a: &a [*a]", "3"),
+    *(
+        "- model=../evil",
+        "- ++hydra.callbacks.x._target_=stranger.Law",
+        "- hydra/launcher=joblib",
+        "[",
+        "a: &a [*a]",
+        "3",
+    ),
     *(f"!!python/object/apply:os.system ['touch {MARK}']", f"- !!python/object/apply:os.system ['touch {MARK}']"),
     *("hydra: {runtime: {choices: {model: '\x1b[31m'}}}", "hydra: {callbacks: {x: {_target_: stranger.Law}}}", "\x00"),
 )
@@ -195,9 +296,21 @@ def change_form(folder: Path, rng: random.Random) -> None:
     text = path.read_text()
     forms = (
         *("[]", "3", "null", "", '{"a":', "[" * 100_000, '{"a":' * 900 + "1" + "}" * 900, "\ufeff" + text, text * 2),
-        *(text.replace(": 0.", ": NaN", 1), text.replace(": 1", ": 1" + "0" * 400, 1), text.replace(": 1", ": 1e999", 1)),
-        *(text.replace(": 1", ": 1" + "0" * 5000, 1), text.replace('"settings"', '"settings": {}, "settings"'), text[: rng.randrange(len(text))]),
-        *(text.replace("coulomb", "\\u001b[31m"), text.replace("frictionzoo", "stranger"), text.replace("knee", "\\ud800")),
+        *(
+            text.replace(": 0.", ": NaN", 1),
+            text.replace(": 1", ": 1" + "0" * 400, 1),
+            text.replace(": 1", ": 1e999", 1),
+        ),
+        *(
+            text.replace(": 1", ": 1" + "0" * 5000, 1),
+            text.replace('"settings"', '"settings": {}, "settings"'),
+            text[: rng.randrange(len(text))],
+        ),
+        *(
+            text.replace("coulomb", "\\u001b[31m"),
+            text.replace("frictionzoo", "stranger"),
+            text.replace("knee", "\\ud800"),
+        ),
         text.replace("frictionzoo.bench", "frictionzoo.watch.__main__"),
     )
     path.write_text(rng.choice(forms), encoding="utf-8")
@@ -241,7 +354,10 @@ def change_arrays(folder: Path, rng: random.Random) -> None:
         saved = torch.load(path, weights_only=True)
         part = saved["frictionzoo"]
         place = rng.choice(("progress", "history", "identity"))
-        values = (*([], {}, None, "x", [torch.zeros(3)], [torch.zeros(2, 2).bool()] * 8), part[place][:-1] if place != "identity" else {})
+        values = (
+            *([], {}, None, "x", [torch.zeros(3)], [torch.zeros(2, 2).bool()] * 8),
+            part[place][:-1] if place != "identity" else {},
+        )
         part[place] = rng.choice(values)
         if rng.random() < 0.3:
             saved[rng.choice([key for key in saved if key != "frictionzoo"])] = rng.choice((None, 3, "x", [], {}))
@@ -251,7 +367,17 @@ def change_arrays(folder: Path, rng: random.Random) -> None:
     for name in rng.sample(sorted(arrays), min(len(arrays), rng.choice((1, 1, 2, 9)))):
         old = arrays[name]
         arrays[name] = rng.choice(
-            (np.zeros(0), np.zeros((2, 2)), old.astype(np.float16), old * np.nan, old * 1e300, old[..., None], old[:1], old.astype(bool), np.zeros((1, 0, 3)))
+            (
+                np.zeros(0),
+                np.zeros((2, 2)),
+                old.astype(np.float16),
+                old * np.nan,
+                old * 1e300,
+                old[..., None],
+                old[:1],
+                old.astype(bool),
+                np.zeros((1, 0, 3)),
+            )
         )
         if rng.random() < 0.2:
             arrays[f"{name}\x1b[31m"] = arrays.pop(name)
@@ -265,7 +391,9 @@ def _hash_again(folder: Path, rng: random.Random) -> None:
     with contextlib.suppress(ValueError, KeyError, TypeError, OSError):
         content = json.loads(path.read_text())
         if rng.random() < 0.8:
-            content["files"] = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in content["files"]}
+            content["files"] = {
+                name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in content["files"]
+            }
             path.write_text(json.dumps(content))
 
 
@@ -280,11 +408,24 @@ def change_links(folder: Path, rng: random.Random) -> None:
 
 def add_files(folder: Path, rng: random.Random) -> None:
     """Files that Python, Hydra or a library might pick up."""
-    for name in ("stranger.py", "conftest.py", "sitecustomize.py", "frictionzoo/__init__.py", "run/stranger.py", "hydra_plugins/x.py"):
+    for name in (
+        "stranger.py",
+        "conftest.py",
+        "sitecustomize.py",
+        "frictionzoo/__init__.py",
+        "run/stranger.py",
+        "hydra_plugins/x.py",
+    ):
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(PYTHON)
-    for name in ("model/evil.yaml", "conf/model/evil.yaml", ".hydra/evil.yaml", "evil.yaml", "hydra/launcher/evil.yaml"):
+    for name in (
+        "model/evil.yaml",
+        "conf/model/evil.yaml",
+        ".hydra/evil.yaml",
+        "evil.yaml",
+        "hydra/launcher/evil.yaml",
+    ):
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(EVIL)
@@ -305,7 +446,10 @@ def do(command: str, folder: Path) -> str:
         "compare": (compare.main, [str(folder), "--output", str(output)]),
         "export": (export.main, [str(folder), "target=mjcf", f"output={output}"]),
         "resume": (run.main, [f"resume={folder}"]),
-        "distill": (distill.main, [str(folder), "model=coulomb_smooth", "fit=adam", "fit.iterations=1", f"output={output}"]),
+        "distill": (
+            distill.main,
+            [str(folder), "model=coulomb_smooth", "fit=adam", "fit.iterations=1", f"output={output}"],
+        ),
     }
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out):
         try:
@@ -324,7 +468,9 @@ def do(command: str, folder: Path) -> str:
             return "refused" if end.code == 2 else "done"
         finally:
             text = out.getvalue()
-            assert not set(text) & {chr(code) for code in (*range(10), *range(11, 32), *range(127, 160), 0x202E)}, repr(text)
+            assert not set(text) & {chr(code) for code in (*range(10), *range(11, 32), *range(127, 160), 0x202E)}, repr(
+                text
+            )
             assert "Traceback" not in text, text
 
 
@@ -336,12 +482,16 @@ def main(source: Path, card: Path, scratch: Path, count: int, seed: int) -> None
     outside.mkdir()
     (outside / "file").write_text("mine")
     watch = Watch(scratch, [cache, Path(os.environ["JAX_COMPILATION_CACHE_DIR"]), Path(os.devnull)])
-    counts, wrong = Counter[str](), []
+    counts, wrong, seconds = Counter[str](), [], Counter[str]()
     for number in range(-len(COMMANDS), count):
         rng = random.Random(seed * 1_000_003 + number)
         command = [*COMMANDS][number] if number < 0 else rng.choices([*COMMANDS], [*COMMANDS.values()])[0]
         folder = scratch / str(number) / "run"
-        shutil.copytree(card if command == "card" else source, folder, ignore=shutil.ignore_patterns("report.html", "*.png") if command != "card" else None)
+        shutil.copytree(
+            card if command == "card" else source,
+            folder,
+            ignore=shutil.ignore_patterns("report.html", "*.png") if command != "card" else None,
+        )
         done = []
         if number >= 0:  # the first have to end well
             for _ in range(rng.choice((1, 1, 2))):
@@ -353,26 +503,49 @@ def main(source: Path, card: Path, scratch: Path, count: int, seed: int) -> None
         sys.path_importer_cache.clear()
         watch.seen.clear()
         watch.case = str(number) if number >= 0 else None  # the first also import what libraries look up
+        began = time.process_time()
         try:
             outcome = do(command, folder)
         except BaseException as error:
             outcome = "wrong"
             frames = [f"{Path(f.filename).name}:{f.lineno}" for f in traceback.extract_tb(error.__traceback__)[-4:]]
-            wrong.append({"case": number, "command": command, "by": done, "error": f"{type(error).__name__}: {error!s:.600}", "at": frames})
+            wrong.append(
+                {
+                    "case": number,
+                    "command": command,
+                    "by": done,
+                    "error": f"{type(error).__name__}: {error!s:.600}",
+                    "at": frames,
+                }
+            )
         finally:
             watch.case = None
         if watch.seen:
             wrong.append({"case": number, "command": command, "by": done, "seen": watch.seen[:3]})
-        if [*scratch.rglob(MARK)] or hasattr(sys, MARK) or (outside / "file").read_text() != "mine" or len([*outside.iterdir()]) > 1:
+        if (
+            [*scratch.rglob(MARK)]
+            or hasattr(sys, MARK)
+            or (outside / "file").read_text() != "mine"
+            or len([*outside.iterdir()]) > 1
+        ):
             wrong.append({"case": number, "command": command, "by": done, "error": "executed, or written outside"})
             break
         if number < 0 and outcome != "done":
             wrong.append({"case": number, "command": command, "error": "refused as it is"})
         counts[f"{command} {outcome}"] += 1
+        seconds[f"{command} {outcome}"] += time.process_time() - began
         os.chdir(scratch)
         if not os.environ.get("KEEP_CASES"):
             shutil.rmtree(folder.parent)
-    print(json.dumps({"wrong": wrong, "counts": dict(sorted(counts.items()))}))
+    print(
+        json.dumps(
+            {
+                "wrong": wrong,
+                "counts": dict(sorted(counts.items())),
+                "seconds": {name: round(took, 1) for name, took in seconds.items()},
+            }
+        )
+    )
 
 
 if __name__ == "__main__":
