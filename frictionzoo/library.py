@@ -367,7 +367,7 @@ def _said(function: Callable[..., Any], arguments: Mapping[str, Any]) -> dict[st
 def _make_law(name: str, nv: int, shared: Mapping[str, Any], options: Mapping[str, Any] | None = None) -> FrictionModel:
     if name not in list_choices("model"):
         return get_model(name)(nv, **(options or {}))
-    return build(law_section(name, shared, options or {}), nv=nv)
+    return build(law_section(name, shared, options or {}), FrictionModel, nv=nv)
 
 
 def _refuse_unknown(law: str | FrictionModel | Mapping[str, Any]) -> None:

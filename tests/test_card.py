@@ -287,7 +287,7 @@ def test_nothing_but_laws_is_built(own: Path, target: str, place: str) -> None:
 
     settle(own, name)
     before = {*sys.modules}
-    with pytest.raises(RunError, match=r"expected (frictionzoo\.bench\.Bench; it is no card|one of python -m)"):
+    with pytest.raises(RunError, match=rf"^{re.escape(str(own))}.*_target_|{re.escape(target)}: "):
         fz.load(own)
     assert not {"antigravity", "frictionzoo.distill.__main__"} & ({*sys.modules} - before)
 
@@ -327,8 +327,8 @@ def lie(card: dict[str, Any]) -> None:
         (refer("<"), "MJCF|XML|not well-formed"),
         (nonsense("bench", []), r"settings\.bench=\[\], expected a section"),
         (nonsense("bench", {"_target_": "frictionzoo.bench.Bench"}), "actuator"),
-        (nonsense("model", None), "can be made of its settings"),
-        (nonsense("model", {"_target_": "frictionzoo.models.Lugre", "params": 3}), "Lugre|can be made|law"),
+        (nonsense("model", None), "None: expected a section"),
+        (nonsense("model", {"_target_": "frictionzoo.models.Lugre", "params": 3}), "Lugre"),
         (lambda folder: settle(folder, lie), "another bench.armature than card.json has"),
         (lambda folder: settle(folder, lambda card: card["files"].update({"../x": 64 * "0"})), "names the file"),
     ],

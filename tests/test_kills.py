@@ -152,8 +152,8 @@ def test_what_ends_at_a_random_moment_goes_on_to_the_same_bytes(
     err = end(process, how, place / stage, delay)
     if process.returncode > 0 and process.returncode not in DONE:
         assert_says_how_to_go_on(err, how, folder)
-    # An empty file: it was ended while Hydra wrote it, and nothing is kept.
-    if any(path.stat().st_size for path in folder.rglob(".hydra/overrides.yaml")):
+    # Without its settings it had not come so far, and nothing is kept.
+    if any(path.stat().st_size for path in folder.rglob(".hydra/settings.json")):
         command = (*command, "resume=true") if job == "sweep" else ("resume=run",)
     done = {path: path.stat().st_mtime_ns for path in folder.glob("*/result.json")}
     finished = call(*command)
@@ -168,6 +168,6 @@ def assert_says_how_to_go_on(err: str, how: str, folder: Path) -> None:
     (said,) = [line for line in err.splitlines() if line.startswith("frictionzoo: ")]
     assert "Traceback" not in err and "Error" not in err, err
     assert how == "full disk" or f"stopped by {how}; " in said
-    kept = [path for path in folder.rglob(".hydra/overrides.yaml") if path.stat().st_size]
+    kept = [path for path in folder.rglob(".hydra/settings.json") if path.stat().st_size]
     assert said.endswith((f"resume={folder}", "resume=true") if kept else "; nothing is kept; run it again")
     assert not list(folder.rglob("*.part"))

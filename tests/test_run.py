@@ -1,7 +1,6 @@
 """The command line: what it refuses, in one line each, and what it leaves behind when it does."""
 
 import contextlib
-import json
 import os
 import pickle
 import resource
@@ -22,7 +21,7 @@ from omegaconf.errors import OmegaConfBaseException
 from frictionzoo import __version__
 from frictionzoo.cli.explain import explain
 from frictionzoo.cli.overrides import refuse_no_choice
-from frictionzoo.cli.resume import nothing_of_a_refused_run, recorded, restore_overrides
+from frictionzoo.cli.resume import nothing_of_a_refused_run, recorded
 from frictionzoo.core.config import check_overrides, compose_config
 from frictionzoo.core.errors import CheckpointError, ConfigError, FrictionzooError, OutputError
 from frictionzoo.core.manifest import MANIFEST
@@ -258,50 +257,6 @@ def test_a_checkpoint_that_is_none_is_refused_and_not_run(
     with pytest.raises(CheckpointError, match=rf"last\.ckpt: {fragment}.*; .*start a new"):
         _checked_checkpoint(tmp_path, {"frictionzoo": __version__})
     assert not (tmp_path / "executed").exists()
-
-
-@pytest.fixture
-def foreign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The file with the overrides of a run folder from elsewhere."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "foreign" / ".hydra").mkdir(parents=True)
-    return tmp_path / "foreign" / ".hydra" / "overrides.yaml"
-
-
-@pytest.mark.parametrize(
-    ("overrides", "fragment"),
-    [
-        ("- --multirun", "--multirun; expected an override"),
-        ("- --config-dir=evil", "--config-dir=evil; expected an override"),
-        ("a: 3", "expected a list of overrides"),
-        ("- [3]", "expected a list of overrides"),
-        ("!!python/object/apply:os.mkdir [executed]", "expected a run folder"),
-        ("- !!python/object/apply:os.mkdir [executed]", "expected a run folder"),
-        ("[", "expected a run folder"),
-        (None, "resume=foreign: no foreign/.hydra/overrides.yaml that can be read, expected a run folder"),
-    ],
-)
-def test_a_run_folder_with_code_is_refused_and_not_run(foreign: Path, overrides: str | None, fragment: str) -> None:
-    if overrides is not None:
-        foreign.write_text(overrides)
-    with pytest.raises(ConfigError) as refused:
-        restore_overrides(["resume=foreign"])
-    assert fragment in str(refused.value)
-    assert not Path("executed").exists()
-
-
-def test_a_class_that_a_run_folder_names_is_refused(refuse: Callable, foreign: Path, tiny: tuple[str, ...]) -> None:
-    foreign.write_text(json.dumps([*tiny, "bench.actuator._target_=builtins.exec"]))
-    assert "_target_=builtins.exec; expected a class of frictionzoo" in refuse("resume=foreign")
-
-
-def test_settings_of_hydra_are_not_taken_over_from_a_run_folder(foreign: Path) -> None:
-    of_hydra = ["++hydra.callbacks.bad._target_=os.mkdir", "hydra/launcher=bad", "~resume", "resume=other"]
-    foreign.write_text(json.dumps([*of_hydra, "+hydra.x=3", "seed=-3", "model=lugre"]))
-    today = ["seed=4", "resume=foreign"]
-    assert restore_overrides(today) == ["seed=-3", "model=lugre", *today]
-    for none in (["seed=4"], ["resume=foreign", "resume=null"]):
-        assert restore_overrides(none) == none
 
 
 LIGHT = """

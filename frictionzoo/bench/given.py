@@ -11,6 +11,7 @@ from frictionzoo.core.build import build
 from frictionzoo.core.errors import MissingValueError
 from frictionzoo.core.log import Dataset
 from frictionzoo.core.params import Param
+from frictionzoo.logs.source import Source
 
 
 class Given(NamedTuple):
@@ -41,13 +42,13 @@ class Given(NamedTuple):
         # Which law has it, and of what dimension it is, is asked when the law is built.
         for name, section in (settings.get("model", {}).get("params") or {}).items():
             Param.from_config(name, "1", section)
-        source, section = build(settings["data"]), settings["bench"]
+        source, section = build(settings["data"], Source), settings["bench"]
         try:
-            bench = build(section)
+            bench = build(section, Bench)
             dataset = source.for_joints(bench.joints).load()
         except MissingValueError as missing:
-            joints = build(put_options(section, stand_in(section))).joints
+            joints = build(put_options(section, stand_in(section)), Bench).joints
             dataset = source.for_joints(joints).load()
             section = put_options(section, find_gains(section, dataset, missing))
-            bench = build(section)
+            bench = build(section, Bench)
         return cls(bench, dataset, time.perf_counter() - began, {**settings, "bench": section})

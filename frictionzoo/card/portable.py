@@ -2,22 +2,20 @@
 
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from frictionzoo.bench import Actuator, Bench
-from frictionzoo.core.build import build
+from frictionzoo.bench import Bench
 from frictionzoo.core.described import describe
 from frictionzoo.core.errors import RunError
 from frictionzoo.core.output import to_json
 from frictionzoo.core.params import Param
-from frictionzoo.core.registry import KINDS, find_registered
 from frictionzoo.models import FrictionModel
+from frictionzoo.result.read_back import build_drive
 
 TEMPLATE = "template.xml"
 _BENCH = "frictionzoo.bench.Bench"
-_KINDS = (KINDS["actuators"], KINDS["models"])
 
 
 def describe_bench(bench: Bench, settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -70,61 +68,29 @@ def place_settings(folder: Path, settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def build_parts(folder: Path, settings: Mapping[str, Any]) -> tuple[Bench, FrictionModel]:
-    """The bench and the law of a card; of what its sections name, only laws that are registered are built.
+    """The bench and the law of a card.
 
     Args:
         folder: The card's.
         settings: As `place_settings` has them.
 
     Raises:
-        RunError: The sections name something else, or the template refers to files.
-        FrictionzooError: They make no sense.
+        RunError: The bench is of another kind, or the template is not there or refers to files.
+        FrictionzooError: The settings make no sense.
     """
+    target = settings["bench"].get("_target_")
+    if target != _BENCH:
+        raise RunError(f"{folder}: _target_={target}, expected {_BENCH}; it is no card to be loaded")
+    path = folder / TEMPLATE
     try:
-        bench, model = settings["bench"], settings["model"]
-        if bench["_target_"] != _BENCH:
-            raise RunError(f"{folder}: _target_={bench['_target_']}, expected {_BENCH}; it is no card to be loaded")
-        parts = {name: part for name, part in bench.items() if name != "_target_"}
-        for target in [*_list_targets(parts), *_list_targets(model)]:
-            _refuse_stranger(folder, target)
-        text = (folder / TEMPLATE).read_text(encoding="utf-8")
-        if name := _find_reference(text):
-            raise RunError(f"{folder / TEMPLATE}: it refers to {name}, expected one file; it is no card to be loaded")
-        made = build(bench)
-        law = build(model, nv=made.nv)
-    except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
-        reason = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
-        raise RunError(
-            f"{folder}: no test stand or law can be made of its settings ({reason}); expected a card that this program "
-            "wrote"
-        ) from None
-    law.bind(made.joints)
-    return made.observing(law.inputs), law
-
-
-def _list_targets(section: Any) -> Iterator[str]:
-    if isinstance(section, Mapping):
-        if "_target_" in section:
-            yield str(section["_target_"])
-        section = list(section.values())
-    if isinstance(section, list):
-        for part in section:
-            yield from _list_targets(part)
-
-
-def _refuse_stranger(folder: Path, target: str) -> None:
-    """Before anything is imported for it."""
-    module, _, name = target.rpartition(".")
-    for found in (found for kind in _KINDS for found in kind.list_all()):
-        own, _, cls = found.target.rpartition(".")
-        if name == cls and module in (own, found.module, "frictionzoo.bench"):
-            return
-    registered = find_registered(target)
-    if not (isinstance(registered, type) and issubclass(registered, Actuator | FrictionModel)):
-        raise RunError(
-            f"{folder}: {target} is no friction or actuator law that is installed here; expected one of python -m "
-            "frictionzoo.list models actuators"
-        )
+        name = _find_reference(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise RunError(f"{path}: {error.strerror}; expected the file of a card; get the card anew") from None
+    except ValueError:
+        raise RunError(f"{path}: not UTF-8; expected the MJCF of a card; get the card anew") from None
+    if name:
+        raise RunError(f"{path}: it refers to {name}, expected one file; it is no card to be loaded")
+    return build_drive(folder, settings)
 
 
 def _find_reference(text: str) -> str | None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from frictionzoo.cli.mistakes import mistakes_in_one_line
 from frictionzoo.core.options import read_options
-from frictionzoo.core.telling import tell
+from frictionzoo.core.telling import Parser, say, tell
 
 _OPTIONS = """options: licence=ID, required, under which others may use the card, as model hubs name it: cc-by-4.0,
 apache-2.0; name=TEXT, its title; supply=TEXT, temperature=TEXT, payload=TEXT, under which the drive was recorded, not
@@ -27,11 +27,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         from frictionzoo.card.write import write_card
 
         place, left = write_card(parsed.folder, options)
-        print("\n".join([*(f"warning: {line}" for line in left), f"files: {place}"]))
+        say("\n".join([*(f"warning: {line}" for line in left), f"files: {place}"]))
 
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m frictionzoo.card",
         description="Write the drive that a run identified as a card: values with intervals, law, conditions, hashes "
         "of the recordings and held-out errors on a page and for programs, with MJCF. frictionzoo.load reads it.",

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from frictionzoo.cli.mistakes import mistakes_in_one_line
-from frictionzoo.core.telling import tell
+from frictionzoo.core.telling import Parser, say, tell
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -22,11 +22,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         from frictionzoo.comparison.files import write_comparison
         from frictionzoo.show.terminal import summarise_comparison
 
-        print(summarise_comparison(write_comparison(options.folders, output), output))
+        say(summarise_comparison(write_comparison(options.folders, output), output))
 
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m frictionzoo.compare",
         description="Compare runs on the same data and the same rollouts, and write comparison.json, comparison.html, "
         "figures and a LaTeX table.",

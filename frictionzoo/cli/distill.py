@@ -8,7 +8,7 @@ from pathlib import Path
 from frictionzoo.cli.mistakes import NOT_IDENTIFIED, mistakes_in_one_line
 from frictionzoo.core.errors import FitError
 from frictionzoo.core.options import read_options
-from frictionzoo.core.telling import tell
+from frictionzoo.core.telling import Parser, say, tell
 
 _OPTIONS = """options: model=NAME; output=FOLDER, distilled/NAME in the run's where it is left out; and those of a run
 that tell how to fit, such as fit, model.*, fit.*, segments.*, loop.*, seed. What is left out is as in the run, but for
@@ -29,7 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         from frictionzoo.show.terminal import summarise_distillation
 
         found = distill(parsed.folder, options)
-        print(summarise_distillation(found.student, found.teacher, found.note, found.folder))
+        say(summarise_distillation(found.student, found.teacher, found.note, found.folder))
         if found.complaint:
             raise FitError(found.complaint)
         if found.student["not_identified"]:
@@ -37,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m frictionzoo.distill",
         description="Fit another law to the drive that a run identified, so that it moves like it under the recorded "
         "commands, and say what that costs on held-out recordings.",

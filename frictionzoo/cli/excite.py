@@ -6,7 +6,7 @@ from pathlib import Path
 
 from frictionzoo.cli.mistakes import fail, mistakes_in_one_line
 from frictionzoo.core.options import read_options
-from frictionzoo.core.telling import tell
+from frictionzoo.core.telling import Parser, say, tell
 
 _OPTIONS = """options: position=REACH or [LOW,HIGH], velocity=, torque=, what the drive may do, in rad, rad/s and N m,
 or m, m/s and N; home, where it rests; seconds, rate, ramp, period, bandwidth, margin; quantum, position_noise and
@@ -37,12 +37,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         refuse_existing(folder)  # before the search
         excitation = excite(options, run)
         excitation.save(folder)
-        print(summarise_excitation(excitation.note, folder))
+        say(summarise_excitation(excitation.note, folder))
 
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     """Folders, which have no `=` in them, and options."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m frictionzoo.excite",
         usage="python -m frictionzoo.excite [RUN] KEY=VALUE ...",
         description="Design the command to record next, of which a fit learns the most within limits; check it in "

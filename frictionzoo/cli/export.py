@@ -6,7 +6,7 @@ from pathlib import Path
 
 from frictionzoo.cli.mistakes import mistakes_in_one_line
 from frictionzoo.core.options import read_options
-from frictionzoo.core.telling import tell
+from frictionzoo.core.telling import Parser, say, tell
 
 _OPTIONS = """options: target=NAME or target=all; timestep=SECONDS of the simulation, that of the run where it is left
 out; output=FOLDER, export/NAME in the run's where it is left out; and those of the target."""
@@ -24,11 +24,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         tell("loading torch and JAX")
         from frictionzoo.export.write import summarise_exports, write_exports
 
-        print(summarise_exports(write_exports(parsed.folder, options)))
+        say(summarise_exports(write_exports(parsed.folder, options)))
 
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m frictionzoo.export",
         description="Write the drive that a run identified for another program, run what was written there, and say "
         "how far it is from the fitted drive and what it cannot represent.",

@@ -13,11 +13,13 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from frictionzoo.cli.mistakes import mistakes_in_one_line
-from frictionzoo.cli.overrides import choices_of, given_to_hydra, refuse_no_choice
+from frictionzoo.cli.overrides import choices_of, given_to_hydra, quote_values, refuse_no_choice
 from frictionzoo.core.build import build
 from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, forget_plugin_schemas, register_resolvers
 from frictionzoo.core.errors import ConfigError, FrictionzooError
 from frictionzoo.core.output import claim, write_atomically
+from frictionzoo.core.telling import say
+from frictionzoo.logs.source import Source
 
 FOLDER = "outputs/${now:%Y-%m-%d}/${now:%H-%M-%S}_inspect_${hydra:runtime.choices.data}"
 
@@ -32,7 +34,7 @@ def _inspect(config: DictConfig) -> None:
         check_overrides(config, compose_config(*choices_of(hydra_config.runtime.choices)))
         choices = hydra_config.runtime.choices
         said = choices["data"] != "files" or any(each.startswith("bench") for each in hydra_config.overrides.task)
-        print(inspect_data(config, Path(hydra_config.runtime.output_dir), _joint_type(config) if said else None))
+        say(inspect_data(config, Path(hydra_config.runtime.output_dir), _joint_type(config) if said else None))
 
 
 def inspect_data(config: DictConfig, folder: Path, joint_type: str | None = None) -> str:
@@ -53,7 +55,7 @@ def inspect_data(config: DictConfig, folder: Path, joint_type: str | None = None
 
     data = cast(dict[str, Any], OmegaConf.to_container(config.data, resolve=True))
     with claim(folder, "inspection", ("inspect.html", "inspect.json")):
-        recordings = list_recordings(build(data))
+        recordings = list_recordings(build(data, Source))
         survey = survey_recordings(str(data.get("name", "data")), recordings, joint_type)
         write_page(folder / "inspect.html", survey, recordings)
         write_atomically(folder / "inspect.json", (json.dumps(survey, indent=2, allow_nan=False) + "\n").encode())
@@ -72,7 +74,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     register_resolvers()
     forget_plugin_schemas()
     # Of two overrides of an option the later one, the user's, wins.
-    overrides = [f"hydra.run.dir={FOLDER}", *_name_files(sys.argv[1:] if arguments is None else arguments)]
+    overrides = [
+        f"hydra.run.dir={FOLDER}",
+        *quote_values(_name_files(sys.argv[1:] if arguments is None else arguments)),
+    ]
     with mistakes_in_one_line(overrides=overrides):
         refuse_no_choice(overrides)
         with given_to_hydra(overrides):

@@ -12,6 +12,7 @@ from frictionzoo.bench.given import Given
 from frictionzoo.core.build import build
 from frictionzoo.core.config import list_options
 from frictionzoo.core.telling import tell
+from frictionzoo.fit.loggers import RunLogger
 from frictionzoo.fit.loop import Record
 from frictionzoo.identification import Parts, Problem, solve
 from frictionzoo.identification.commands import Origin
@@ -47,7 +48,7 @@ def run_job(
         FrictionzooError: The input is at fault.
     """
     settings = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
-    logger = build(settings["logger"])
+    logger = build(settings["logger"], RunLogger)
     parts = Parts.from_settings(settings, given)
     tell("looking at the input, compiling")
     with parts.computing() as device:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from frictionzoo.cli.mistakes import fail
 from frictionzoo.core.errors import ConfigError, FrictionzooError, closest
 from frictionzoo.core.registry import KINDS, Kind
+from frictionzoo.core.telling import Parser, say
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -16,7 +17,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             if name not in KINDS:
                 raise ConfigError(f"{name}: no such kind of plug-ins; {closest(name, KINDS)}")
         # By the files that register them: no plug-in is imported.
-        print("\n\n".join(list_kind(KINDS[name]) for name in asked or KINDS))
+        say("\n\n".join(list_kind(KINDS[name]) for name in asked or KINDS))
     except FrictionzooError as error:
         fail(str(error))
 
@@ -30,7 +31,7 @@ def list_kind(kind: Kind) -> str:
 
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m frictionzoo.list",
         description="List the plug-ins of frictionzoo and of other installed packages: name, package, the option that "
         "chooses it, and what it is.",

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NoReturn
 
 from frictionzoo.core.errors import OutputError
+from frictionzoo.core.telling import escape_controls
 
 REFUSED = 2
 """Exit status of what a user has to mend."""
@@ -92,5 +93,5 @@ def stoppable() -> Iterator[None]:
 def fail(*lines: str, status: int = REFUSED) -> NoReturn:
     """End the program with these lines on the standard error, and this exit status."""
     for line in lines:
-        print(f"frictionzoo: {line}", file=sys.stderr)
+        print(f"frictionzoo: {escape_controls(line)}", file=sys.stderr)
     sys.exit(status)

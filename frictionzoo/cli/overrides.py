@@ -3,11 +3,13 @@
 import contextlib
 import math
 import os
+import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
-from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.overrides_parser import OverridesParser, create_functions
 from hydra.core.override_parser.types import ChoiceSweep, Glob, Override, QuotedString, RangeSweep
 from hydra.errors import HydraException
 
@@ -18,6 +20,8 @@ MOST_JOBS = 100_000  # of one range in a sweep
 _RAISE = "HYDRA_FULL_ERROR"
 _FOLDERS = ("hydra.run.dir", "hydra.sweep.dir", "hydra.sweep.subdir")
 _OPTIONAL_GROUPS = ("experiment", "variant", "start")
+# How lists, sections, quoted texts, references and Hydra's functions begin.
+_FORMED = re.compile(rf"""[\[{{"']|\$\{{|({"|".join(create_functions().functions)})\(""")
 
 
 @contextlib.contextmanager
@@ -51,21 +55,27 @@ def refuse_no_choice(arguments: Sequence[str]) -> None:
         _refuse_no_setting(override)
         if not ("/" in group or is_group(group)):
             continue
-        names = choices_named(override)
-        known = all(isinstance(name, str) for name in names)
-        if group in _OPTIONAL_GROUPS and (override.is_delete() or _may_be(group, names)):
+        names, known = choices_named(override), [*list_choices(group), *_list_added(group, arguments)]
+        if group in _OPTIONAL_GROUPS and (override.is_delete() or all(name in known for name in names)):
             continue
-        if override.is_delete() or not known or group == "variant":
-            asked, needed = str(override.input_line), f"a job needs one {group}"
-            if group in _OPTIONAL_GROUPS:
-                needed = "expected one name, or to leave it out"
-            raise ConfigError(f"{asked}: {needed}; {closest(asked.partition('=')[2], list_choices(group))}")
+        if group == "start" and all(name is None or name in known for name in names):
+            continue
+        asked = str(override.input_line)
+        if override.is_delete() or not all(isinstance(name, str) for name in names) or group == "variant":
+            needed = (
+                "expected one name, or to leave it out" if group in _OPTIONAL_GROUPS else f"a job needs one {group}"
+            )
+            raise ConfigError(f"{asked}: {needed}; {closest(asked.partition('=')[2], known)}")
+        for name in names:
+            if name not in known:
+                raise ConfigError(f"{group}={name}: no such {group}; {closest(name, known)}")
 
 
-def _may_be(group: str, names: Sequence[Any]) -> bool:
-    """Whether a group that may be left out takes each of these; null is what `start` is where it is left out."""
-    choices = [*list_choices(group), *([None] if group == "start" else [])]
-    return all(name in choices for name in names)
+def _list_added(group: str, arguments: Sequence[str]) -> list[str]:
+    """Names of a group's files in the folder that the user adds by Hydra's flag --config-dir."""
+    flags = [place for place, each in enumerate(arguments) if each.partition("=")[0] in ("--config-dir", "-cd")]
+    folders = [arguments[place].partition("=")[2] or "".join(arguments[place + 1 : place + 2]) for place in flags]
+    return sorted(path.stem for folder in folders for path in Path(folder, group).glob("*.yaml"))
 
 
 def _refuse_no_setting(override: Override) -> None:
@@ -90,18 +100,77 @@ def _count(values: RangeSweep) -> float:
 
 def read_arguments(arguments: Sequence[str]) -> Iterator[Override]:
     """The arguments that are overrides; ConfigError where Hydra cannot read one, and would not name it."""
-    parser = OverridesParser.create()
     for argument in arguments:
-        if argument.startswith("-") or not ("=" in argument or argument.startswith("~")):
+        if not _is_override(argument):
             continue
         if argument.startswith("="):
             raise ConfigError(f"{argument}: expected KEY=VALUE")
         try:
-            yield parser.parse_override(argument)
+            yield _parse(argument)
         except HydraException as error:
             reason = " ".join(str(error).partition("\nSee ")[0].split())
             came = f"{argument}: cannot be read ({reason})"
-            raise ConfigError(f"{came}; expected KEY=VALUE, quoted for the shell") from None
+            hint = (
+                """close brackets, and put text with commas or brackets into quotes within the shell's: 'KEY="a(b)"'"""
+            )
+            raise ConfigError(f"{came}; expected KEY=VALUE; {hint}") from None
+
+
+def quote_values(arguments: Sequence[str]) -> list[str]:
+    """Quote the values that Hydra cannot read and that can only be text, such as `bench.joint=.*_(hip|knee)`.
+
+    A value that it reads keeps its meaning, as a sweep or a list say. Of a list, the elements are quoted. What begins
+    as a section, a quoted text, a reference or a function stays as it is, and so does what may be a sweep: a value with
+    commas outside brackets.
+    """
+    return [_quote(each) if _is_override(each) and not _is_readable(each) else each for each in arguments]
+
+
+def _quote(argument: str) -> str:
+    key, _, value = argument.partition("=")
+    is_list = value.startswith("[") and value.endswith("]")
+    parts = _split(value[1:-1] if is_list else value)
+    if not is_list and len(parts) > 1:
+        return argument
+    texts = [part if _is_readable(f"key={part}") else _quote_text(part.strip()) for part in parts]
+    quoted = f"{key}=[{','.join(texts)}]" if is_list else f"{key}={texts[0]}"
+    return quoted if _is_readable(quoted) else argument
+
+
+def _quote_text(text: str) -> str:
+    if _FORMED.match(text):
+        return text
+    # In Hydra's grammar a backslash counts as one unless it stands before a quote.
+    doubled = re.sub(r'(\\*)("|$)', lambda found: 2 * found[1] + ('\\"' if found[2] else ""), text)
+    return f'"{doubled}"'
+
+
+def _split(value: str) -> list[str]:
+    """The parts between commas that are outside brackets."""
+    parts, depth = [""], 0
+    for char in value:
+        depth += (char in "([{") - (char in ")]}")
+        if char == "," and depth <= 0:
+            parts.append("")
+        else:
+            parts[-1] += char
+    return parts
+
+
+def _is_override(argument: str) -> bool:
+    return not argument.startswith("-") and ("=" in argument or argument.startswith("~"))
+
+
+def _is_readable(argument: str) -> bool:
+    try:
+        _parse(argument)
+    except HydraException:
+        return False
+    return True
+
+
+def _parse(argument: str) -> Override:
+    return OverridesParser.create().parse_override(argument)
 
 
 def choices_named(override: Override) -> list[Any]:

@@ -1,29 +1,88 @@
-"""How a run or a sweep that was stopped goes on: what its folder keeps, and the overrides with which it began."""
+"""How a run or a sweep that was stopped goes on: its folder keeps its settings, as the run had resolved them."""
 
 import contextlib
+import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, cast
 
-import yaml
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from frictionzoo.cli.mistakes import NOTHING_KEPT
-from frictionzoo.cli.overrides import last_value
-from frictionzoo.core.errors import ConfigError, FrictionzooError, OutputError
+from frictionzoo.cli.overrides import choices_of, last_value
+from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, list_choices, merge_saved
+from frictionzoo.core.errors import ConfigError, FrictionzooError, OutputError, RunError, closest
+from frictionzoo.core.jobs import read_json, refuse_links, refuse_references
 from frictionzoo.core.manifest import remove_if_empty
-from frictionzoo.core.output import RESULT, remove_written, write_atomically
+from frictionzoo.core.output import RESULT, remove_written, to_json, write_atomically
 
-# What a resumed run takes over from its folder: an option of the job, not a flag or a way into Hydra's own settings.
-_OVERRIDE = re.compile(r"(\+\+?|~)?\w[\w/.-]*(=|$)")
+SETTINGS = Path(".hydra", "settings.json")
+GROUPS = frozenset(path.name for path in CONF_DIR.iterdir() if path.is_dir()) - {"experiment", "hydra"}
+_OF_HYDRA = re.compile(r"[+~]*hydra\b|-")
+LOCAL_LOGGERS = ("csv", "tensorboard")  # write files only, and only into the run's folder
+
+
+class Begun(NamedTuple):
+    """The request for a run, as its folder keeps it.
+
+    Attributes:
+        choices: File of each configuration group.
+        options: `KEY=VALUE` each, with which it was asked for; they are only shown.
+        settings: All options, resolved.
+    """
+
+    choices: Mapping[str, str]
+    options: Sequence[str]
+    settings: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, choices: Mapping[str, str | None], options: Sequence[str], settings: Mapping[str, Any]) -> "Begun":
+        """Of a job, by what Hydra tells of it."""
+        named = {group: name for group, name in choices.items() if group in GROUPS and name in list_choices(group)}
+        return cls(cast(Mapping[str, str], named), list(options), settings)
+
+    def save(self, folder: Path) -> None:
+        """Write `SETTINGS` into a run's folder; OutputError where it cannot be written."""
+        write_atomically(folder / SETTINGS, f"{json.dumps(to_json(self._asdict()), indent=2)}\n".encode())
+
+    @classmethod
+    def read(cls, folder: Path) -> "Begun":
+        """Read `SETTINGS` of a run's folder, which may be a stranger's.
+
+        Raises:
+            ConfigError: It is not there or not what this program writes, or chooses a file that does not exist.
+        """
+        path = folder / SETTINGS
+        if not path.exists():
+            hint = f"; a sweep goes on with -m hydra.sweep.dir={folder} resume=true" if _holds_jobs(folder) else ""
+            raise ConfigError(f"resume={folder}: no {path}, expected the folder of a run; name one{hint}")
+        try:
+            refuse_links(folder, files=True)
+            saved = read_json(path)
+            refuse_references(path, saved)
+        except RunError as error:
+            raise ConfigError(f"resume={folder}: {error}") from None
+        begun = cls(*(saved.get(name) for name in cls._fields))  # type: ignore[arg-type]
+        begun._refuse_invalid(path)
+        return begun
+
+    def _refuse_invalid(self, path: Path) -> None:
+        texts = [*self.options] if isinstance(self.options, list) else [None]
+        sections = isinstance(self.choices, dict) and isinstance(self.settings, dict)
+        if not sections or not all(isinstance(text, str) and not _OF_HYDRA.match(text) for text in texts):
+            raise ConfigError(f"{path}: expected choices, options and settings; name a run that this program made")
+        for group, name in self.choices.items():
+            known = list_choices(group) if group in GROUPS else []
+            if name not in known:
+                raise ConfigError(f"{path}: {group}={name}: no such {group}; {closest(str(name), known)}")
 
 
 def restore_overrides(arguments: Sequence[str]) -> list[str]:
-    """For `resume=FOLDER`, the overrides with which that run began, before those of today.
+    """Return the overrides of a command; for `resume=FOLDER`, after the choices with which that run began.
 
     Raises:
         ConfigError: There is no such run, or no such sweep, to go on with.
@@ -36,25 +95,34 @@ def restore_overrides(arguments: Sequence[str]) -> list[str]:
     if named.lower() == "true" or {"-m", "--multirun"} & set(arguments):
         _refuse_no_sweep(named, arguments)
         return [*arguments]
-    return [*_read_overrides(Path(named)), *arguments]
+    choices = Begun.read(Path(named)).choices
+    logger = choices.get("logger")
+    if logger not in (None, *LOCAL_LOGGERS) and last_value("logger", arguments) is None:
+        why = f"it was recorded with logger={logger}, which starts a program or follows a database in that folder"
+        raise ConfigError(f"resume={named}: {why}, expected your consent; add logger={logger}, or logger=csv")
+    return [*choices_of(choices), *arguments]
 
 
-def _read_overrides(folder: Path) -> list[str]:
-    """The overrides with which the run in a folder began."""
-    saved = folder / ".hydra" / "overrides.yaml"
-    try:
-        overrides = OmegaConf.to_container(OmegaConf.load(saved))
-    except (OSError, OmegaConfBaseException, ValueError, yaml.YAMLError):
-        hint = f"; a sweep goes on with -m hydra.sweep.dir={folder} resume=true" if _holds_jobs(folder) else ""
-        came = f"resume={folder}: no {saved} that can be read"
-        raise ConfigError(f"{came}, expected a run folder; name one{hint}") from None
-    if not isinstance(overrides, list) or not all(isinstance(item, str) for item in overrides):
-        raise ConfigError(f"{saved}: expected a list of overrides; name a run folder that this program made")
-    kept = [item for item in overrides if not re.match(r"[+~]*(resume|hydra)\b", item)]
-    for item in kept:
-        if not _OVERRIDE.match(item):
-            raise ConfigError(f"{saved}: {item}; expected an override; name a run folder that this program made")
-    return kept
+def restore_settings(
+    folder: Path, config: DictConfig, plain: DictConfig, options: Sequence[str]
+) -> tuple[DictConfig, list[str]]:
+    """Return the settings and the options of the run in a folder, with what today's command changes.
+
+    Args:
+        folder: Of the run that goes on.
+        config: Composed of the run's choices of files and today's command.
+        plain: The same with nothing but the choices of groups.
+        options: Overrides that made it.
+
+    Raises:
+        ConfigError: The run's settings are none that its files have, or refer to something outside them.
+    """
+    begun = Begun.read(folder)
+    choices = [*choices_of(begun.choices)]
+    before = compose_config(*choices)
+    settings = merge_saved(begun.settings, before, config)
+    check_overrides(settings, plain)
+    return settings, [*begun.options, *(option for option in options if option not in choices)]
 
 
 def _refuse_no_sweep(resume: str, arguments: Sequence[str]) -> None:
@@ -71,7 +139,7 @@ def _refuse_no_sweep(resume: str, arguments: Sequence[str]) -> None:
 
 
 def _holds_jobs(sweep: Path) -> bool:
-    return any(sweep.rglob(".hydra"))
+    return any(path.parent != sweep for path in sweep.rglob(".hydra"))
 
 
 def record_job(config: DictConfig) -> dict[Path, bytes]:
@@ -91,14 +159,15 @@ def write_record(record: Mapping[Path, bytes]) -> None:
 @contextlib.contextmanager
 def recorded(record: Mapping[Path, bytes]) -> Iterator[None]:
     """Have the record of a job in its folder; if the job is refused, an earlier one, or none as before."""
-    before = {path: path.read_bytes() for path in record if path.exists()}
+    files = {*record, *(path.with_name(SETTINGS.name) for path in record)}
+    before = {path: path.read_bytes() for path in files if path.exists()}
     write_record(record)
     try:
         yield
     except (FrictionzooError, OmegaConfBaseException, HydraException) as error:
         if not isinstance(error, OutputError):  # of a disk that is full, a run goes on with its record
             write_record(before)
-            for path in {*record} - {*before}:
+            for path in files - {*before}:
                 remove_written(path)
                 remove_if_empty(path.parent)
         raise
@@ -118,7 +187,7 @@ def nothing_of_a_refused_run(made: Sequence[Path]) -> Iterator[None]:
 def say_how_a_run_goes_on(folder: Path) -> str:
     """What an unfinished run keeps in its folder, and how it goes on."""
     try:
-        _read_overrides(folder)
+        Begun.read(folder)
     except ConfigError:  # it had not come so far
         return NOTHING_KEPT
     kept = "the fit up to its last checkpoint" if (folder / "checkpoints" / "last.ckpt").exists() else "its options"

@@ -16,12 +16,14 @@ from omegaconf.errors import OmegaConfBaseException
 
 from frictionzoo.cli.explain import explain, missing_plugin
 from frictionzoo.cli.mistakes import NOT_IDENTIFIED, fail, mistakes_in_one_line, stoppable
-from frictionzoo.cli.overrides import choices_of, given_to_hydra, refuse_no_choice
+from frictionzoo.cli.overrides import choices_of, given_to_hydra, quote_values, refuse_no_choice
 from frictionzoo.cli.resume import (
+    Begun,
     nothing_of_a_refused_run,
     record_job,
     recorded,
     restore_overrides,
+    restore_settings,
     say_how_a_run_goes_on,
     say_how_a_sweep_goes_on,
     write_record,
@@ -30,8 +32,9 @@ from frictionzoo.cli.sweep import SweepFolder, conclude_sweep, describe, folders
 from frictionzoo.core.build import build
 from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, forget_plugin_schemas, register_resolvers
 from frictionzoo.core.output import LOGGERS, RUN_FILES, occupy
-from frictionzoo.core.telling import tell
+from frictionzoo.core.telling import say, tell
 from frictionzoo.core.threads import limit_threads, threads_each
+from frictionzoo.logs.source import Source
 from frictionzoo.result.types import Result
 
 
@@ -41,12 +44,12 @@ def _job(config: DictConfig) -> float:
     hydra_config = HydraConfig.get()
     model, folder = hydra_config.runtime.choices["model"], Path(hydra_config.runtime.output_dir)
     record, inside = record_job(config), {hydra_config.runtime.choices["logger"]} & LOGGERS
-    # A run's record does not tell whether it was interrupted; what this option says, Hydra has done.
+    # A run's record does not tell whether it was interrupted.
     resumed, config.resume = config.resume, None
 
     def begin() -> tuple[Result, str | None]:
         write_record(record)
-        return _identify(config, model, folder)
+        return _identify(config, folder)
 
     if hydra_config.mode == RunMode.MULTIRUN:
         options = hydra_config.overrides.task
@@ -63,7 +66,7 @@ def _job(config: DictConfig) -> float:
         # What a run keeps of how it began stays: today's command may be a mistaken one.
         contextlib.nullcontext() if resumed else recorded(record),
     ):
-        result, complaint = _identify(config, model, folder)
+        result, complaint = _identify(config, folder, goes_on=resumed is not None)
     if complaint:
         fail(complaint)
     if result["not_identified"]:
@@ -71,14 +74,21 @@ def _job(config: DictConfig) -> float:
     return objective_of(result)
 
 
-def _identify(config: DictConfig, model: str, folder: Path) -> tuple[Result, str | None]:
+def _identify(config: DictConfig, folder: Path, goes_on: bool = False) -> tuple[Result, str | None]:
     hydra_config = HydraConfig.get()
-    check_overrides(config, compose_config(*choices_of(hydra_config.runtime.choices)))
-    alone = hydra_config.mode == RunMode.RUN or hydra_config.runtime.choices["hydra/launcher"] == "basic"
+    choices, options = hydra_config.runtime.choices, hydra_config.overrides.task
+    plain = compose_config(*choices_of(choices))
+    check_overrides(config, plain)
+    if goes_on:
+        config, options = restore_settings(folder, config, plain, options)
+    alone = hydra_config.mode == RunMode.RUN or choices["hydra/launcher"] == "basic"
     limit_threads(config.threads if alone else threads_each(config.threads))
     settings = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
+    if not goes_on:
+        Begun.of(choices, options, settings).save(folder)
+    model = choices["model"]
     tell(f"reading bench and recordings of {model} on {settings['data'].get('name', 'data')}")
-    build(settings["data"]).find()
+    build(settings["data"], Source).find()
     # Imported here, so that --help and a mistake in the input do not wait, and that torch and JAX meet the limit.
     from frictionzoo.bench.given import Given
 
@@ -88,8 +98,8 @@ def _identify(config: DictConfig, model: str, folder: Path) -> tuple[Result, str
     from frictionzoo.show.terminal import summarise
 
     with _quiet_writers():
-        result, complaint = run_job(config, model, folder, options=hydra_config.overrides.task, given=given)
-    print(summarise(result, folder))
+        result, complaint = run_job(config, model, folder, options=options, given=given)
+    say(summarise(result, folder))
     return result, complaint
 
 
@@ -117,7 +127,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     register_resolvers()
     forget_plugin_schemas()
     with mistakes_in_one_line():
-        overrides = restore_overrides(sys.argv[1:] if arguments is None else arguments)
+        overrides = restore_overrides(quote_values(sys.argv[1:] if arguments is None else arguments))
         refuse_no_choice(overrides)
     with SweepFolder.noted() as begun, mistakes_in_one_line(lambda: say_how_a_sweep_goes_on(*begun), overrides):
         with given_to_hydra(overrides):
@@ -141,7 +151,7 @@ def _run_jobs(begun: Sequence[Path]) -> str | None:
 def _conclude(sweep: Path, complaint: str | None) -> None:
     """Compare the jobs of a sweep, say what failed in it, and end with the exit status that belongs to it."""
     comparison, text, complaints = conclude_sweep(sweep)
-    print(text)
+    say(text)
     if complaint:
         complaints.append(complaint)
     if complaints:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from frictionzoo.cli.mistakes import REFUSED, mistakes_in_one_line
+from frictionzoo.core.telling import Parser
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -28,7 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m frictionzoo.watch",
         description="Follow a run, or the jobs of a sweep, from the files that they leave: state, iteration, loss and "
         "parameters, on a terminal in place, else a line for each change. It ends when all jobs have ended.",

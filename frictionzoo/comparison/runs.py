@@ -8,7 +8,7 @@ from typing import Any
 from frictionzoo.core.anonymous import list_paths_of, without_paths
 from frictionzoo.core.config import list_options
 from frictionzoo.core.errors import RunError
-from frictionzoo.core.jobs import Failure, find_runs, read_failure
+from frictionzoo.core.jobs import Failure, find_runs, read_failure, refuse_links
 from frictionzoo.core.output import RESULT
 from frictionzoo.result.curves import OWN, Curves
 from frictionzoo.result.record import read_run
@@ -46,6 +46,8 @@ def read_runs(folders: Sequence[Path]) -> tuple[list[Run], list[Failure]]:
     Raises:
         RunError: A folder holds no run, a run cannot be read, or two runs are not comparable.
     """
+    for folder in folders:
+        refuse_links(folder, files=False)
     found = list(dict.fromkeys(run.resolve() for folder in folders for run in find_runs(folder)))
     failures = [failure for folder in found if (failure := read_failure(folder))]
     read = [(folder, *read_run(folder)) for folder in found if (folder / RESULT).exists()]

@@ -1,51 +1,57 @@
 """Parts from sections of a configuration."""
 
-import importlib
 from collections.abc import Mapping
 from typing import Any
 
 from frictionzoo.core.errors import ConfigError
-from frictionzoo.core.registry import find_registered, plug_in_packages
+from frictionzoo.core.registry import find_plugin, import_class, plug_in_packages
+
+# What a section may name besides plug-ins; a configuration from elsewhere can have nothing else made or imported.
+_PARTS = (
+    "frictionzoo.bench.Bench",
+    "frictionzoo.bench.Robot",
+    *(f"frictionzoo.fit.loggers.{name}" for name in ("Csv", "Mlflow", "TensorBoard", "Wandb")),
+    "frictionzoo.logs.clean.Cleaning",
+)
 
 
-def build(section: Mapping[str, Any], **more: Any) -> Any:
+def build(section: Any, base: type = object, /, **more: Any) -> Any:
     """Construct what a section's `_target_` names, with the section's other keys as arguments.
 
-    Nested sections with a `_target_` are built first. Only classes of frictionzoo, of packages that bring plug-ins,
-    and registered plug-ins are built, so that a configuration from elsewhere cannot run arbitrary code.
+    Nested sections with a `_target_` are built first. The target is the name of a registered plug-in's class or of one
+    of this package's few other parts. No other module is imported, so that a section from elsewhere runs no code.
 
     Args:
         section: `_target_` and constructor arguments.
+        base: The class that the part has to derive from.
         more: Further arguments, which the configuration does not know.
 
     Raises:
-        ConfigError: The target is not one of these classes, or does not take these arguments.
+        ConfigError: There is no section, or its target is not one of these classes, or does not take these arguments.
     """
+    if not isinstance(section, Mapping) or "_target_" not in section:
+        raise ConfigError(f"{section!r:.80}: expected a section with _target_; compare it with conf/")
+    target = section["_target_"]
+    found = _find(target)
+    if not issubclass(found, base):
+        raise ConfigError(f"_target_={target}; expected a class derived from {base.__name__}; compare it with conf/")
     arguments = {
         name: build(value) if isinstance(value, Mapping) and "_target_" in value else value
         for name, value in section.items()
         if name != "_target_"
     }
-    target = str(section["_target_"])
     try:
-        return _find(target)(**arguments, **more)
+        return found(**arguments, **more)
     except TypeError as error:
         raise ConfigError(f"{target}: {' '.join(str(error).split())}; compare the section with conf/") from error
 
 
-def _find(target: str) -> Any:
-    if registered := find_registered(target):
-        return registered
-    packages = plug_in_packages()
-    module, _, name = target.rpartition(".")
-    stranger = ConfigError(f"_target_={target}; expected a class of {' or '.join(sorted(packages))}")
-    if module.partition(".")[0] not in packages:
-        raise stranger
-    try:
-        found = getattr(importlib.import_module(module), name)
-    except (ModuleNotFoundError, AttributeError):
-        raise ConfigError(f"_target_={target}; expected a class that exists; compare with conf/") from None
-    # A module may also hold what it imported from elsewhere.
-    if not isinstance(found, type) or found.__module__.partition(".")[0] not in packages:
-        raise stranger
-    return found
+def _find(target: Any) -> type:
+    if target in _PARTS:
+        return import_class(target)
+    if isinstance(target, str) and (found := find_plugin(target)):
+        return found
+    packages = " or ".join(sorted(plug_in_packages()))
+    raise ConfigError(
+        f"_target_={target}; expected a class of {packages} that is registered; python -m frictionzoo.list lists them"
+    )

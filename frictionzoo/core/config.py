@@ -3,6 +3,7 @@
 import contextlib
 import copy
 import functools
+import json
 import math
 from collections.abc import Iterator, Mapping
 from fnmatch import fnmatchcase
@@ -67,6 +68,7 @@ _TAKES: dict[str, tuple[Any, ...]] = {
     "data.clean.velocity_lag": (0.1, "", None),
     "data.clean.command_lag": (0.1, None),
 }
+_OWN_CACHE = "user"  # the operating system's cache folder of this user
 _LARGEST, _LARGEST_SEED = 2**31 - 1, 2**63 - 1  # whole numbers as JAX counts in 32 bits, and as generators take them
 _KINDS = {
     bool: "true or false",
@@ -139,6 +141,43 @@ def compose_settings(given: Mapping[str, Any], *choices: str) -> dict[str, Any]:
     changed = cast(DictConfig, OmegaConf.merge(changed, describe(given)))
     check_overrides(changed, plain)
     return cast(dict[str, Any], OmegaConf.to_container(changed, resolve=True))
+
+
+def merge_saved(saved: Mapping[str, Any], before: DictConfig, after: DictConfig) -> DictConfig:
+    """Return a run's saved settings with what a command of today changes.
+
+    The logger is today's. A cache that the saved settings place in a folder of theirs is the user's own: compiled
+    functions that are read from it are executed.
+
+    Args:
+        saved: All options, resolved, perhaps a stranger's.
+        before: The configuration with the run's choices of files.
+        after: The same with the command's options.
+    """
+    plain, changed = (json.loads(json.dumps(OmegaConf.to_container(each, resolve=True))) for each in (before, after))
+    merged = _carry_over(keep_caches_at_home(saved), plain, changed)
+    return cast(DictConfig, OmegaConf.create({**merged, "logger": changed["logger"], "resume": changed["resume"]}))
+
+
+def keep_caches_at_home(saved: Mapping[str, Any]) -> dict[str, Any]:
+    """Return saved settings whose caches are in the user's own folder, if they name another."""
+    kept = dict(saved)
+    if kept.get("compilation_cache") not in (None, _OWN_CACHE):
+        kept["compilation_cache"] = _OWN_CACHE
+    data = kept.get("data")
+    if isinstance(data, Mapping) and data.get("cache_dir") not in (None, _OWN_CACHE):
+        kept["data"] = {**data, "cache_dir": _OWN_CACHE}
+    return kept
+
+
+def _carry_over(saved: Any, before: Any, after: Any) -> Any:
+    """The saved value with the difference of two others."""
+    if not all(isinstance(value, Mapping) for value in (saved, before, after)):
+        return saved if before == after else after
+    kept = {key: value for key, value in saved.items() if key not in before or key in after}
+    shared = {key: _carry_over(kept[key], before[key], after[key]) for key in kept if key in before}
+    changed = {key: value for key, value in after.items() if key not in kept and value != before.get(key)}
+    return kept | shared | changed
 
 
 def read_value(option: str) -> DictConfig:

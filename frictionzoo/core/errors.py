@@ -3,9 +3,15 @@
 import difflib
 from collections.abc import Iterable
 
+from frictionzoo.core.telling import escape_controls
+
 
 class FrictionzooError(Exception):
     """Base of every error that is the input's fault; the command line prints its message without a traceback."""
+
+    def __str__(self) -> str:
+        """One line, with control characters of names in it escaped."""
+        return escape_controls(super().__str__())
 
 
 class LogError(FrictionzooError):

@@ -11,6 +11,8 @@ import yaml
 from frictionzoo.core.errors import RunError
 from frictionzoo.core.output import FAILURE, RESULT, RUNNING
 
+_DEEPEST = 60  # sections within each other in a file of this program, which has a dozen
+
 
 @dataclass(frozen=True)
 class Failure:
@@ -72,6 +74,31 @@ def read_begun(folder: Path, file: str, *keys: str) -> Any:
         return None
 
 
+def refuse_links(folder: Path, *, files: bool) -> None:
+    """Refuse links that lead out of a run's folder, behind which something else would be overwritten.
+
+    Args:
+        folder: Of a run, or of several.
+        files: Whether links to files count; else those to folders alone, as files are replaced and not written into.
+
+    Raises:
+        RunError: There is one.
+    """
+    home = folder.resolve()
+    for path in folder.rglob("*"):
+        if path.is_symlink() and (files or path.is_dir()) and not path.resolve().is_relative_to(home):
+            raise RunError(f"{path}: a link out of {folder}, expected files of the run; remove it, or copy its target")
+
+
+def refuse_references(place: Path, settings: Any) -> None:
+    """RunError for saved settings with a reference: they are resolved, so that nothing of this machine is read."""
+    if isinstance(settings, str) and ("${" in settings or settings == "???"):
+        raise RunError(f"{place}: {settings[:80]} in its settings, expected values without references; run it again")
+    if isinstance(settings, dict | list):
+        for part in _list_parts(settings):
+            refuse_references(place, part)
+
+
 def read_json(path: Path) -> dict[str, Any]:
     """The object that a JSON file holds.
 
@@ -79,11 +106,32 @@ def read_json(path: Path) -> dict[str, Any]:
         RunError: It cannot be read, or holds something else.
     """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
     except OSError as error:
         raise RunError(f"{path}: {error.strerror}; expected a file that can be read") from None
     except (ValueError, RecursionError) as error:
         raise RunError(f"{path}: not JSON ({error}); expected the file that this version writes") from None
+    _refuse_deep(path, content)
     if not isinstance(content, dict):
         raise RunError(f"{path}: {type(content).__name__}, expected an object; name a folder that this program made")
     return content
+
+
+def _refuse_constant(name: str) -> None:
+    raise ValueError(f"{name}, which is no number of JSON")
+
+
+def _refuse_deep(path: Path, content: Any) -> None:
+    """RunError for parts within parts that no function could follow by calling itself."""
+    level = [content]
+    for _ in range(_DEEPEST):
+        level = [part for each in level if isinstance(each, dict | list) for part in _list_parts(each)]
+        if not level:
+            return
+    raise RunError(
+        f"{path}: more than {_DEEPEST} sections within each other; expected the file that this version writes"
+    )
+
+
+def _list_parts(content: dict[str, Any] | list[Any]) -> list[Any]:
+    return [*(content.values() if isinstance(content, dict) else content)]

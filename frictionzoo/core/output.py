@@ -32,6 +32,7 @@ RUN_FILES = (
     *("identified.xml", "identified.urdf", "bench.xml", "checkpoints/last.ckpt"),
     *(f"figures/{name}.png" for name in ("figure3_parameters", "figure4_trajectory", "figure5_error")),
     *(f".hydra/{name}.yaml" for name in ("config", "hydra", "overrides")),
+    ".hydra/settings.json",
 )
 """All that a run may write, besides what its logger writes into a subfolder."""
 LOGGERS = frozenset({"tensorboard", "csv", "wandb"})

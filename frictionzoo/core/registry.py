@@ -1,11 +1,12 @@
 """Plug-ins by name: classes that this package's files hold, and those that other packages bring by entry points."""
 
 import ast
+import contextlib
 import functools
 import importlib
 import inspect
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
@@ -88,9 +89,10 @@ class Kind:
 
     def list_all(self) -> list[Found]:
         """All of them, sorted by name; none is imported."""
-        return sorted([*self.own().values(), *map(self._look_up, self.brought())])
+        return sorted([*self.own().values(), *map(self.describe, self.brought())])
 
-    def _look_up(self, point: EntryPoint) -> Found:
+    def describe(self, point: EntryPoint) -> Found:
+        """One that another package brings, as its file tells it."""
         try:
             origin = getattr(find_spec(point.module), "origin", None)
         except Exception as error:  # what another package does when its root is imported is not ours to end over
@@ -115,6 +117,7 @@ KINDS = {
         Kind("targets", "export target", "frictionzoo.export", "register_target", "target={name}"),
     )
 }
+_ALSO_AT = {"actuators": ("frictionzoo.bench",)}  # packages that offer the classes of a kind besides its home
 _REGISTRIES: list["Registry"] = []
 
 
@@ -235,10 +238,43 @@ class Registry(Generic[B]):
             raise self.error(f"{point.name}: {both}; uninstall one or rename its {self.noun}")
 
 
+def find_plugin(target: str) -> type | None:
+    """Return the registered class of this dotted name, as `_target_` has it; None where there is none.
+
+    Of this package, the file that registers it is imported; of another one, the modules that its entry points name.
+    """
+    if registered := find_registered(target):
+        return registered
+    module, _, name = target.rpartition(".")
+    for kind in KINDS.values():
+        for found in kind.own().values():
+            own, _, cls = found.target.rpartition(".")
+            if name == cls and module in (own, found.module, *_ALSO_AT.get(kind.plural, ())):
+                return import_class(found.target)
+    root = target.partition(".")[0]
+    brought = [(k, p) for k in KINDS.values() for p in k.brought() if p.module.partition(".")[0] == root]
+    named = [point for kind, point in brought if kind.describe(point).target == target]
+    for point in named or [point for _, point in brought]:
+        with contextlib.suppress(ImportError, AttributeError):  # told where the plug-in is asked for by its name
+            point.load()
+    # Its package may offer the class in another module than the one that defines it.
+    offered = getattr(sys.modules.get(module), name, None) if brought else None
+    return find_registered(target) or next((cls for cls in _list_registered() if cls is offered), None)
+
+
+def import_class(target: str) -> type:
+    """Return the class of a dotted name that this package knows; never one that a file or a user names."""
+    module, _, name = target.rpartition(".")
+    return getattr(importlib.import_module(module), name)
+
+
 def find_registered(target: str) -> Any:
     """The class of this dotted name among those that were registered in this process, in a notebook say; else None."""
-    classes = (cls for registry in _REGISTRIES for cls in registry.entries.values())
-    return next((cls for cls in classes if dotted_name(cls) == target), None)
+    return next((cls for cls in _list_registered() if dotted_name(cls) == target), None)
+
+
+def _list_registered() -> Iterator[Any]:
+    return (cls for registry in _REGISTRIES for cls in registry.entries.values())
 
 
 def plug_in_packages() -> set[str]:

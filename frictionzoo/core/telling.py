@@ -1,12 +1,63 @@
-"""What a user is told: what a command does at the moment, and shares in per cent."""
+"""Text for a person: printed, logged or raised, with control characters escaped, and shares in per cent."""
 
+import argparse
+import logging
+import re
 import sys
+from collections.abc import Mapping
+from typing import Any
+
+# Control characters, marks that change the direction of text, other separators of lines, and halves of surrogate pairs.
+_CONTROL = re.compile(
+    "[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff\U000e0000-\U000e007f]"
+)
+
+
+def escape_controls(text: str, keep: str = "") -> str:
+    """Return the text with its control characters in hexadecimal, as Python writes them, but for those in `keep`.
+
+    A terminal would obey them: names in a recording or a run of somebody else could hide or forge what it shows.
+    """
+    return _CONTROL.sub(lambda found: found[0] if found[0] in keep else ascii(found[0])[1:-1], text)
+
+
+def escape_all(value: Any) -> Any:
+    """Return the same mappings and lists with every text in them escaped, line breaks too."""
+    if isinstance(value, str):
+        return escape_controls(value)
+    if isinstance(value, Mapping):
+        return {escape_all(key): escape_all(part) for key, part in value.items()}
+    return type(value)(map(escape_all, value)) if type(value) in (list, tuple) else value
+
+
+def say(text: str) -> None:
+    """Print lines on the standard output."""
+    print(escape_controls(text, keep="\n"))
 
 
 def tell(doing: str) -> None:
     """Say on the standard error what is being done now, at once; nothing where that is no terminal."""
     if sys.stderr.isatty():
-        print(f"{doing} ...", file=sys.stderr, flush=True)
+        print(f"{escape_controls(doing)} ...", file=sys.stderr, flush=True)
+
+
+class LogFormatter(logging.Formatter):
+    """A line for each record, which a traceback may follow."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - logging's name
+        """Format a record without its traceback."""
+        return escape_controls(super().formatMessage(record))
+
+    def formatException(self, ei: Any) -> str:  # noqa: N802 - logging's name
+        """Format a traceback."""
+        return escape_controls(super().formatException(ei), keep="\n")
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser of arguments whose messages have no control characters."""
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        super()._print_message(escape_controls(message, keep="\n"), file)
 
 
 def say_percent(share: float, digits: int = 2) -> str:

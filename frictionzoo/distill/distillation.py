@@ -14,7 +14,7 @@ from frictionzoo.cli.job import run_job
 from frictionzoo.cli.overrides import refuse_no_choice
 from frictionzoo.comparison.runs import Run, read_runs
 from frictionzoo.comparison.statistics import difference, resample
-from frictionzoo.core.config import check_overrides, compose_config, list_choices, read_value
+from frictionzoo.core.config import check_overrides, compose_config, keep_caches_at_home, list_choices, read_value
 from frictionzoo.core.errors import ConfigError, OutputError, closest
 from frictionzoo.core.output import RUN_FILES, claim, to_json, write_atomically
 from frictionzoo.core.params import UNITS
@@ -26,8 +26,8 @@ from frictionzoo.result.identified import Identified
 from frictionzoo.result.types import Result
 
 NOTE = "distillation.json"
-_GROUPS = ("model", "fit")  # what a student may choose anew, by the name of a file
-_SHARED = ("bench", "data", "scale", "evaluation", "resume", "experiment", "logger")  # what it has from its teacher
+_GROUPS = ("model", "fit", "logger")  # what a student may choose anew, by the name of a file
+_SHARED = ("bench", "data", "scale", "evaluation", "resume", "experiment")  # what it has from its teacher
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def compose_student(teacher: Identified, options: Mapping[str, str]) -> DictConf
             raise ConfigError(f"{option}: teacher and student share it; leave it out")
     chosen = {group: options[group] for group in _GROUPS if group in options}
     refuse_no_choice([f"{group}={name}" for group, name in chosen.items()])
-    plain = _replace_choices(teacher, {"fit": "auto"} | chosen)
+    plain = _replace_choices(teacher, {"fit": "auto", "logger": _choose_logger(teacher)} | chosen)
     values = (read_value(f"{option}={value}") for option, value in options.items() if option not in chosen)
     config = OmegaConf.merge(plain, *values)
     assert isinstance(config, DictConfig)
@@ -110,9 +110,8 @@ def _replace_choices(teacher: Identified, choices: Mapping[str, str]) -> DictCon
     A drive's rollouts have neither noise nor outliers. So nothing is done against these, and the segments need not be
     short: they are as long as the rollouts that judge, as many as hold no more states than the teacher's did.
     """
-    settings = teacher.result["settings"]
+    settings = keep_caches_at_home(teacher.result["settings"])
     composed = compose_config(*(f"{group}={name}" for group, name in choices.items()))
-    logger = settings["logger"] or OmegaConf.to_container(composed["logger"])  # a drive of a notebook has none
     sections = {group: OmegaConf.to_container(composed[group], resolve=False) for group in choices}
     count, length = (settings["segments"][key] for key in ("count", "length"))
     longer = max(length, round(settings["evaluation"]["horizons"][0] / teacher.segments.timestep))
@@ -127,9 +126,16 @@ def _replace_choices(teacher: Identified, choices: Mapping[str, str]) -> DictCon
         },
         "discretisation": False,  # what it follows was simulated in the same steps
         "segments": {"count": None if count is None else max(1, count * length // longer), "length": longer},
-        **{"resume": None, "logger": logger},
+        "resume": None,
     }
     return OmegaConf.create({**settings, **sections, **own})
+
+
+def _choose_logger(teacher: Identified) -> str:
+    """The teacher's where it writes plain files; another one starts programs, which the user has to ask for."""
+    section = teacher.result["settings"].get("logger")
+    target = section.get("_target_") if isinstance(section, Mapping) else None
+    return "csv" if target == "frictionzoo.fit.loggers.Csv" else "tensorboard"
 
 
 def _compare(teacher: Identified, student: Identified, runs: Sequence[Run]) -> dict[str, Any]:

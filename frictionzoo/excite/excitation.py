@@ -138,7 +138,7 @@ def prepare(request: Request, run: Identified | None) -> Task:
         FrictionzooError: Its bench, law or run is at fault, or no recording can tell its parameters.
     """
     settings = request.settings
-    bench: Bench = build(settings["bench"])
+    bench: Bench = build(settings["bench"], Bench)
     model = _make_law(bench, settings) if run is None else run.model
     bench = bench.observing(model.inputs)
     if isinstance(model, TorchFriction):
@@ -163,7 +163,7 @@ def prepare(request: Request, run: Identified | None) -> Task:
 
 
 def _make_law(bench: Bench, settings: Mapping[str, Any]) -> FrictionModel:
-    model = build(settings["model"], nv=bench.nv)
+    model = build(settings["model"], FrictionModel, nv=bench.nv)
     model.bind(bench.joints)
     model.begin(bench.initial_friction(model.params))
     return model.double()

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from frictionzoo.core.telling import say_percent
+from frictionzoo.core.telling import escape_all, say_percent
 from frictionzoo.show.terminal import align
 
 
@@ -15,6 +15,7 @@ def summarise_excitation(note: Mapping[str, Any], folder: Path) -> str:
         note: What `excitation.json` holds.
         folder: Where it lies.
     """
+    note = escape_all(note)
     command, noise = note["command"], note["noise"]
     several = len(note["joints"]) > 1
     rows = [("parameter", "value", "known to", "unit", "")]

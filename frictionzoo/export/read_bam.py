@@ -5,7 +5,6 @@
     python -m frictionzoo.run data=sts3215 $(python -m frictionzoo.export.read_bam FILE.json)
 """
 
-import argparse
 import json
 import math
 import sys
@@ -15,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from frictionzoo.core.errors import ConfigError, FrictionzooError, closest
+from frictionzoo.core.telling import Parser, escape_controls, say
 
 _M1 = {"friction_base": "frictionloss", "friction_viscous": "damping"}
 _M2 = _M1 | {
@@ -162,7 +162,7 @@ def _known(value: float) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit status, 2 for a user's mistake."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m frictionzoo.export.read_bam",
         description="Print a BAM parameter file as options of python -m frictionzoo.run.",
     )
@@ -170,11 +170,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         drive = read_bam(parser.parse_args(arguments).file)
     except FrictionzooError as error:
-        print(f"frictionzoo: {error}", file=sys.stderr)
+        print(f"frictionzoo: {escape_controls(str(error))}", file=sys.stderr)
         return 2
-    print(" ".join(drive.overrides()))
+    say(" ".join(drive.overrides()))
     for remark in drive.remarks:
-        print(f"frictionzoo: {remark}", file=sys.stderr)
+        print(f"frictionzoo: {escape_controls(remark)}", file=sys.stderr)
     return 0
 
 

@@ -16,6 +16,7 @@ from frictionzoo import __version__
 from frictionzoo.core.errors import ConfigError, ExportError, FrictionzooError, OutputError, closest
 from frictionzoo.core.output import take_place, to_json, write_atomically
 from frictionzoo.core.params import UNITS
+from frictionzoo.core.telling import escape_all
 from frictionzoo.export.base import get_target, read_number, target_names
 from frictionzoo.export.written import Export, Written
 from frictionzoo.result.identified import Identified
@@ -64,7 +65,7 @@ def summarise_exports(written: Sequence[Written]) -> str:
     limits = [f"{one.target}: {limit}" for one in written if one.export for limit in one.export.limits]
     reasons = [f"{one.target}: nothing written: {one.reason}" for one in written if one.export is None]
     files = [f"files: {one.folder}" for one in written if one.folder]
-    return "\n\n".join("\n".join(block) for block in ([align(rows)], limits, reasons, files) if block)
+    return "\n\n".join("\n".join(block) for block in ([align(rows)], *escape_all([limits, reasons, files])) if block)
 
 
 def _list_rows(one: Written) -> Iterator[tuple[str, ...]]:

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, Shaped
 
-from frictionzoo.core.errors import FitError
+from frictionzoo.core.errors import CheckpointError, FitError
 from frictionzoo.fit.base import Fit
 from frictionzoo.fit.chunk import Chunk, Progress, Trace, begin, make_chunk
 from frictionzoo.fit.objective import Objective
@@ -138,9 +138,15 @@ class FitModule(pl.LightningModule):
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Take up progress and history where they were."""
-        saved = checkpoint["frictionzoo"]
-        self.progress = _from_tensors(saved["progress"], self.progress)
-        self.history = [jax.tree.map(np.asarray, _from_tensors(saved["history"], self._whole_history()))]
+        try:
+            saved = checkpoint["frictionzoo"]
+            progress = _from_tensors(saved["progress"], self.progress)
+            history = _from_tensors(saved["history"], self._whole_history(), rows=int(progress.iteration))
+        except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+            raise CheckpointError(
+                f"last.ckpt: its progress cannot be read ({error}), expected that of this run; start a new run"
+            ) from None
+        self.progress, self.history = progress, [jax.tree.map(np.asarray, history)]
 
     def outcome(self, compile_seconds: float, fit_seconds: float) -> Outcome:
         """What has been found so far.
@@ -213,10 +219,17 @@ def _to_tensors(tree: Any) -> list[torch.Tensor]:
     return [torch.from_numpy(np.array(leaf)) for leaf in jax.tree.leaves(tree)]
 
 
-def _from_tensors(tensors: list[torch.Tensor], like: Any) -> Any:
+def _from_tensors(tensors: list[torch.Tensor], like: Any, rows: int | None = None) -> Any:
+    """The tensors in the form of `like`, or of so many rows of it; ValueError for those that do not fit it."""
+    expected = jax.tree.leaves(like)
+    for tensor, leaf in zip(tensors, expected, strict=True):
+        came, kind = tensor.numpy(), np.asarray(leaf).dtype
+        shape = np.shape(leaf) if rows is None else (rows, *np.shape(leaf)[1:])
+        if came.dtype != kind or came.shape != shape:
+            raise ValueError(f"{came.dtype} of shape {came.shape}, expected {kind} of shape {shape}")
     # numpy stays numpy: in JAX, float64 would be rounded where it computes in 32 bits.
     leaves = [
         tensor.numpy() if isinstance(leaf, np.ndarray) else jnp.asarray(tensor.numpy())
-        for tensor, leaf in zip(tensors, jax.tree.leaves(like), strict=True)
+        for tensor, leaf in zip(tensors, expected, strict=True)
     ]
     return jax.tree.unflatten(jax.tree.structure(like), leaves)

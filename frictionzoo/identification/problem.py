@@ -78,10 +78,10 @@ class Parts(NamedTuple):
         began = time.perf_counter()
         bench, dataset, earlier, settings = given or Given.read(settings)._replace(seconds=0.0)
         settings = {**settings, "model": complete_laws(settings["model"], settings)}
-        model = build(settings["model"], nv=bench.nv)
+        model = build(settings["model"], FrictionModel, nv=bench.nv)
         model.bind(bench.joints)
         model.begin(bench.initial_friction(model.params))
-        parts = cls.settle(settings, bench, dataset, model, build(settings["fit"]))
+        parts = cls.settle(settings, bench, dataset, model, build(settings["fit"], Fit))
         return parts._replace(seconds=earlier + time.perf_counter() - began)
 
     @classmethod

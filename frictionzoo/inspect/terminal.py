@@ -6,6 +6,7 @@ from pathlib import Path
 from textwrap import fill
 from typing import Any
 
+from frictionzoo.core.telling import escape_all
 from frictionzoo.show.terminal import align
 
 WIDTH = 110  # characters of a line, at most, and where there is no terminal
@@ -16,6 +17,7 @@ Row = tuple[str, str, str, str, str]
 
 def summarise(survey: Mapping[str, Any], folder: Path) -> str:
     """Quantities over the recordings, findings in words, and where `inspect.json` and its page are."""
+    survey = escape_all(survey)
     data, count = survey["data"], survey["data"]["recordings"]
     length = f"{data['samples']} samples, {data['duration']:.4g} s"
     options = [finding["option"] for finding in survey["findings"] if finding["option"]]

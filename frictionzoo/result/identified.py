@@ -32,7 +32,7 @@ from frictionzoo.result.curves import FILE as CURVES
 from frictionzoo.result.curves import Curves, write_curves
 from frictionzoo.result.draws import Posterior, draw_parameters, draw_with_chains, put_values
 from frictionzoo.result.evaluate import JointErrors, Metrics, Prediction, Values
-from frictionzoo.result.read_back import LAW, load_law, read_bench, read_segments, thin
+from frictionzoo.result.read_back import LAW, build_drive, load_law, read_bench, read_segments, thin
 from frictionzoo.result.record import read_run, write_result
 from frictionzoo.result.types import Result
 from frictionzoo.result.values import Parameter, read_parameters
@@ -85,10 +85,7 @@ class Identified:
         """
         result, curves = read_run(folder)
         settings = result["settings"]
-        bench = build(settings["bench"])
-        model = build(settings["model"], nv=bench.nv)
-        model.bind(bench.joints)
-        bench = bench.observing(model.inputs)
+        bench, model = build_drive(folder, settings)
         state = load_law(model, folder / LAW)
         friction = {name: value.detach().double().numpy().copy() for name, value in model.state_dict().items()}
         segments = read_segments(folder / CURVES, curves, result["data"]["timestep"], bench)
@@ -325,7 +322,7 @@ class Identified:
                 "them within a rollout"
             )
         every = round(timestep / interval) if timestep > interval else 1
-        bench = build({**self.result["settings"]["bench"], "timestep": timestep}).observing(self.bench.observed)
+        bench = build({**self.result["settings"]["bench"], "timestep": timestep}, Bench).observing(self.bench.observed)
         sampling = bench.sampling(every * interval)
         return replace(self, bench=bench, segments=thin(self.segments, every, sampling.history), sampling=sampling)
 

@@ -1,7 +1,9 @@
 """Reading a run's folder back: the law's values, the bench's, and the rollouts that it was judged on."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import safetensors
@@ -10,7 +12,8 @@ import torch
 from jaxtyping import Float
 
 from frictionzoo.bench import Bench
-from frictionzoo.core.errors import RunError
+from frictionzoo.core.build import build
+from frictionzoo.core.errors import ConfigError, RunError
 from frictionzoo.core.output import RESULT
 from frictionzoo.core.segments import Segments
 from frictionzoo.models import FrictionModel
@@ -18,6 +21,32 @@ from frictionzoo.result.curves import Curves
 from frictionzoo.result.types import Result
 
 LAW = "friction.safetensors"
+
+
+def build_drive(folder: Path, settings: Mapping[str, Any]) -> tuple[Bench, FrictionModel]:
+    """The bench and the law of saved settings, which may be a stranger's.
+
+    Args:
+        folder: Of the run or card, for messages.
+        settings: Its settings; the law's has the laws of several joints whole.
+
+    Raises:
+        RunError: No bench or law can be made of them.
+        FrictionzooError: The MJCF is not there any more or does not fit them, or the law does not.
+    """
+    try:
+        bench = build(settings.get("bench"), Bench)
+        model = build(settings.get("model"), FrictionModel, nv=bench.nv)
+        model.bind(bench.joints)
+        return bench.observing(model.inputs), model
+    except ConfigError as error:
+        raise RunError(f"{folder}: its settings: {error}") from None
+    except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
+        reason = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+        raise RunError(
+            f"{folder}: no bench and model can be built from its settings ({reason}); expected a folder that this "
+            "program wrote"
+        ) from None
 
 
 def load_law(model: FrictionModel, path: Path) -> dict[str, torch.Tensor]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from frictionzoo.bench.base import Bench
 from frictionzoo.core.errors import RunError
-from frictionzoo.core.jobs import read_json, refuse_unfinished
+from frictionzoo.core.jobs import read_json, refuse_links, refuse_references, refuse_unfinished
 from frictionzoo.core.log import Dataset, Log, pool_origins
 from frictionzoo.core.output import RESULT, to_json, write_atomically
 from frictionzoo.core.params import Param
@@ -188,7 +188,10 @@ def read_run(folder: Path) -> tuple[types.Result, Curves]:
         RunError: It is not the folder of a finished run of this version, or one of the two is damaged.
     """
     refuse_unfinished(folder)
-    return cast(types.Result, read_valid(folder / RESULT, SCHEMA_VERSION, read_schema())), read_curves(folder)
+    refuse_links(folder, files=False)
+    result = read_valid(folder / RESULT, SCHEMA_VERSION, read_schema())
+    refuse_references(folder / RESULT, result["settings"])
+    return cast(types.Result, result), read_curves(folder)
 
 
 def read_valid(path: Path, version: int, schema: Mapping[str, Any]) -> dict[str, Any]:

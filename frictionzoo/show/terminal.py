@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from frictionzoo.comparison.types import Comparison
+from frictionzoo.core.telling import escape_all
 from frictionzoo.export.written import FAR
 from frictionzoo.result.names import merge_known
 from frictionzoo.result.run_types import WrittenRow
@@ -72,11 +73,12 @@ def _tabulate_in_html(rows: Rows) -> str:
 
 def _arrange(
     result: Result,
-    folder: Path | None,
+    folder: Path | str | None,
     tabulate: Callable[[Rows], str],
     say: Callable[[str], str] = lambda text: text,
     tell: Callable[[Sequence[str]], str] = "\n".join,
 ) -> str:
+    result, folder = escape_all(result), escape_all(str(folder)) if folder else None
     metrics = result["metrics"]
     blocks = [
         say(f"{result['model']} on {_say_data(result['data'])}"),
@@ -96,6 +98,7 @@ def summarise_distillation(student: Result, teacher: Result, note: Mapping[str, 
 
     `note` is what `distillation.json` holds.
     """
+    student, teacher, note = (escape_all(each) for each in (student, teacher, note))
     test, expected = (run["metrics"]["test"] for run in (student, teacher))
     rows = [("student and teacher differ by, RMS", "", "unit")]
     rows += [(f"{d['quantity']}, {d['over']}", _format_value(d["rms"]), d["unit"]) for d in note["differences"]]
@@ -124,6 +127,7 @@ def summarise_comparison_in_html(comparison: Comparison, folder: Path | None) ->
 
 
 def _arrange_comparison(comparison: Comparison, folder: Path | None, tabulate: Callable[[Rows], str]) -> list[str]:
+    comparison = escape_all(comparison)
     count, doubt, recommendation = len(comparison["runs"]), comparison["reference_doubt"], comparison["recommendation"]
     failed = "\n".join(f"failed: {failure['run']}: {failure['reason']}" for failure in comparison["failures"])
     advice = "No run has a test error: all test rollouts diverged. None can be recommended."

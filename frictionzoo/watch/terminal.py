@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from itertools import groupby
 
+from frictionzoo.core.telling import escape_controls
 from frictionzoo.show.terminal import format_interval
 from frictionzoo.show.text import format_number
 from frictionzoo.watch.jobs import AT_WORK, Job
@@ -24,7 +25,7 @@ def draw(jobs: Sequence[Job], columns: int, rows: int) -> list[str]:
             break
         blocks[index] = []
         left += 1
-    lines = [head, *(line for block in blocks for line in block)]
+    lines = [head, *(escape_controls(line) for block in blocks for line in block)]
     if left:
         lines.append(f"and {left} more, for which this terminal is too small")
     return [line if len(line) < columns else f"{line[: columns - 2]}…" for line in lines]
@@ -81,4 +82,5 @@ def tell_changes(before: Sequence[Job] | None, now: Sequence[Job]) -> list[str]:
     if before is None and not now:
         return [_NOTHING]
     known = {job.name: job for job in before or ()}
-    return [" | ".join([say(job), *list_parameters(job)]) for job in now if known.get(job.name) != job]
+    changed = [job for job in now if known.get(job.name) != job]
+    return [escape_controls(" | ".join([say(job), *list_parameters(job)])) for job in changed]

@@ -1,0 +1,552 @@
+"""Runs and cards of strangers: mutated at random and handed to the program, in a process that an audit hook watches.
+
+python tests/hostile.py RUN CARD SCRATCH COUNT SEED prints one line of JSON: what went wrong, and for each command how
+often it ended well and how often it refused. RUN and CARD are folders that the program wrote, SCRATCH is empty.
+"""
+
+import contextlib
+import copy
+import hashlib
+import io
+import json
+import os
+import pickle
+import random
+import shutil
+import sys
+import tempfile
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import safetensors.numpy
+import torch
+
+import frictionzoo as fz
+from frictionzoo.cli import compare, distill, export, run
+from frictionzoo.core.errors import FrictionzooError
+
+MARK = "stranger_was_here"
+PROCESSES = ("subprocess.", "os.system", "os.exec", "os.posix_spawn", "os.spawn", "os.fork", "pty.", "os.startfile")
+SOCKETS = ("socket.connect", "socket.bind", "socket.getaddrinfo", "socket.gethostby", "socket.sendto", "urllib.")
+WRITES = ("os.mkdir", "os.rename", "os.remove", "os.rmdir", "os.link", "os.symlink", "os.truncate", "os.chmod")
+PYTHON = f"open({MARK!r}, 'w').close()\nimport sys; sys.{MARK} = True\nclass Law: ...\nmain = X = Law\n"
+COMMANDS = {"load": 50, "card": 25, "compare": 12, "export": 6, "resume": 6, "distill": 1}
+"""How often each is tried, of a hundred times; a resumed or distilled run is fitted, where nothing refuses it."""
+
+
+class Bomb:
+    """What an unpickled file would do."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return exec, (PYTHON,)
+
+
+class Watch:
+    """An audit hook: notes, and stops, what no file of a stranger may bring about."""
+
+    def __init__(self, scratch: Path, allowed: list[Path]) -> None:
+        self.scratch = str(scratch)
+        self.allowed = [os.path.realpath(path) for path in allowed]
+        self.case: str | None = None
+        self.seen: list[str] = []
+        sys.addaudithook(self.hear)
+
+    def hear(self, event: str, arguments: tuple[Any, ...]) -> None:
+        """The hook; while no case is tried, anything goes."""
+        if self.case is None:
+            return
+        if wrong := self._judge(event, arguments):
+            case, self.case = self.case, None  # formatting a stack opens files
+            frames = [f"{Path(f.filename).name}:{f.lineno}" for f in traceback.extract_stack()[-9:-2]]
+            self.case = case
+            self.seen.append(f"{wrong} from {' '.join(frames)}")
+            raise PermissionError(wrong)
+
+    def _judge(self, event: str, arguments: tuple[Any, ...]) -> str | None:
+        if event.startswith((*PROCESSES, *SOCKETS)):
+            return f"{event} {arguments!r:.200}"
+        if event in ("exec", "compile", "import", "ctypes.dlopen") and self._is_foreign(arguments):
+            return f"{event} {arguments!r:.200}"
+        if event == "pickle.find_class" and arguments[0] in ("builtins", "os", "posix", "subprocess", "nt"):
+            return f"{event} {arguments!r:.200}"
+        if event == "open" and isinstance(arguments[0], str | bytes | os.PathLike):
+            path, mode, flags = arguments
+            if set(mode or "") & set("wax+") or (flags or 0) & (os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC):
+                return self._outside(event, path)
+        if event in WRITES:
+            places = (
+                arguments[:2]
+                if event in ("os.rename", "os.link")
+                else arguments[1:2]
+                if "link" in event
+                else arguments[:1]
+            )
+            return next((wrong for place in places if (wrong := self._outside(event, place))), None)
+        return None
+
+    def _is_foreign(self, arguments: tuple[Any, ...]) -> bool:
+        code = arguments[0]
+        if hasattr(code, "co_filename"):
+            return MARK in repr((code.co_names, code.co_consts)) or code.co_filename.startswith(self.scratch)
+        return any(MARK in str(each) or str(each).startswith((self.scratch, "stranger")) for each in arguments if each)
+
+    def _outside(self, event: str, path: Any) -> str | None:
+        if not isinstance(path, str | bytes | os.PathLike):
+            return None
+        # A link that is removed or renamed is itself changed, not what it leads to.
+        folder, name = os.path.split(os.fsdecode(path))
+        real = os.path.join(os.path.realpath(folder), name) if event != "open" else os.path.realpath(os.fsdecode(path))
+        inside = [*self.allowed, os.path.join(self.scratch, str(self.case))]
+        return None if any(real == each or real.startswith(each + os.sep) for each in inside) else f"{event} {real}"
+
+
+TARGETS = (
+    *(
+        "os.system",
+        "subprocess.Popen",
+        "builtins.exec",
+        "frictionzoo.watch.__main__.X",
+        "frictionzoo.cli.commands.main",
+    ),
+    *(
+        "stranger.Law",
+        "run.stranger.Law",
+        "frictionzoo.logs.files.Files",
+        "frictionzoo.fit.loggers.Wandb",
+        "torch.load",
+    ),
+    *(
+        "frictionzoo.fit.loggers.Mlflow",
+        "hydra.utils.instantiate",
+        "frictionzoo.core.build.build",
+        "x",
+        "",
+        "..",
+        None,
+        3,
+    ),
+    *(
+        "frictionzoo.models.Stribeck",
+        "frictionzoo.models.ByJoint",
+        "frictionzoo.fit.Several",
+        "frictionzoo.bench.Robot",
+    ),
+)
+TEXTS = (
+    *(
+        "../evil",
+        "/etc/passwd",
+        "${oc.env:HOME}",
+        "${oc.create:{_target_:os.system}}",
+        "???",
+        "",
+        "a" * 10_000,
+        "\x1b[31m",
+    ),
+    *(
+        "\x1b]0;title\x07",
+        "\u202egpj.exe",
+        "a\nb",
+        "x\x00y",
+        "$\\frac{1}$",
+        "{{7*7}}",
+        "</script>",
+        '"; import os',
+        "\ud800",
+    ),
+    *(
+        "hub:a/b",
+        "http://127.0.0.1:9/x",
+        "sqlite:////etc/x.db",
+        "user",
+        "auto",
+        "inf",
+        "1e999",
+        "%s%n",
+        "~",
+        "*",
+        "[",
+        "(",
+    ),
+)
+VALUES = (
+    *(
+        None,
+        True,
+        False,
+        0,
+        -1,
+        1,
+        10**9,
+        10**30,
+        -(2**63),
+        1e308,
+        1e-320,
+        -1.5,
+        [],
+        {},
+        [[]],
+        [None],
+        [1, "a"],
+        {"a": 1},
+    ),
+    *({"_target_": "os.system", "command": f"touch {MARK}"}, {"_target_": "frictionzoo.bench.Force"}, *TEXTS),
+)
+CHOICES = (
+    "../evil",
+    "evil",
+    "/tmp/evil",
+    "../../hydra/launcher/joblib",
+    "${oc.env:HOME}",
+    "knee.yaml",
+    "mlflow",
+    "wandb",
+    3,
+)
+DOCUMENTS = (
+    *(
+        "- model=../evil",
+        "- ++hydra.callbacks.x._target_=stranger.Law",
+        "- hydra/launcher=joblib",
+        "[",
+        "a: &a [*a]",
+        "3",
+    ),
+    *(f"!!python/object/apply:os.system ['touch {MARK}']", f"- !!python/object/apply:os.system ['touch {MARK}']"),
+    *("hydra: {runtime: {choices: {model: '\x1b[31m'}}}", "hydra: {callbacks: {x: {_target_: stranger.Law}}}", "\x00"),
+)
+EVIL = "# @package _global_\nhydra: {callbacks: {x: {_target_: stranger.Law}}}\n"
+
+
+def change_json(folder: Path, rng: random.Random) -> None:
+    """Another value, one less or one more somewhere in one of the files of JSON."""
+    path = rng.choice([path for path in folder.rglob("*.json") if path.is_file()])
+    content = json.loads(path.read_text())
+    for _ in range(rng.choice((1, 1, 1, 3))):
+        node: Any = content
+        if rng.random() < 0.4:
+            node = content.get("settings") or content.get("result", {}).get("settings") or content
+        while True:
+            keys = [*(range(len(node)) if isinstance(node, list) else node)]
+            if not keys:
+                break
+            key = rng.choice(keys)
+            if isinstance(node[key], dict | list) and node[key] and rng.random() < 0.85:
+                node = node[key]
+                continue
+            _alter(node, key, rng)
+            break
+    path.write_text(json.dumps(content))
+
+
+def _alter(node: Any, key: Any, rng: random.Random) -> None:
+    what = rng.random()
+    if key == "_target_":
+        node[key] = rng.choice(TARGETS)
+    elif what < 0.1:
+        del node[key]
+    elif what < 0.2 and isinstance(node, dict):
+        node[rng.choice(TEXTS)] = copy.deepcopy(rng.choice(VALUES))
+    elif what < 0.25:
+        node[key] = {"_target_": rng.choice(TARGETS), "args": [f"touch {MARK}"]}
+    else:
+        node[key] = copy.deepcopy(rng.choice(VALUES))
+
+
+def change_target(folder: Path, rng: random.Random) -> None:
+    """Another class in some section of the settings."""
+    path = rng.choice([path for path in folder.rglob("*.json") if "_target_" in path.read_text()])
+    content = json.loads(path.read_text())
+    sections = [*_list_sections(content)]
+    rng.choice(sections)["_target_"] = rng.choice(TARGETS)
+    path.write_text(json.dumps(content))
+
+
+def _list_sections(node: Any) -> Iterator[dict[str, Any]]:
+    if isinstance(node, dict):
+        if "_target_" in node:
+            yield node
+        node = [*node.values()]
+    if isinstance(node, list):
+        for part in node:
+            yield from _list_sections(part)
+
+
+def change_choices(folder: Path, rng: random.Random) -> None:
+    """Another file of a configuration group, and overrides of Hydra's own settings."""
+    path = folder / ".hydra" / "settings.json"
+    if not path.exists():
+        return change_target(folder, rng)
+    content = json.loads(path.read_text())
+    group = rng.choice([*content["choices"], "hydra/launcher", "+hydra", "model@hydra.callbacks", "../x", "experiment"])
+    content["choices"][group] = rng.choice(CHOICES)
+    content["options"].append(rng.choice(("hydra.callbacks.x._target_=stranger.Law", "-m", "+a=\x1b", "x")))
+    path.write_text(json.dumps(content))
+    return None
+
+
+def change_form(folder: Path, rng: random.Random) -> None:
+    """A file of JSON that is none, or in a form that no reader expects."""
+    path = rng.choice([path for path in folder.rglob("*.json") if path.is_file()])
+    text = path.read_text()
+    forms = (
+        *("[]", "3", "null", "", '{"a":', "[" * 100_000, '{"a":' * 900 + "1" + "}" * 900, "\ufeff" + text, text * 2),
+        *(
+            text.replace(": 0.", ": NaN", 1),
+            text.replace(": 1", ": 1" + "0" * 400, 1),
+            text.replace(": 1", ": 1e999", 1),
+        ),
+        *(
+            text.replace(": 1", ": 1" + "0" * 5000, 1),
+            text.replace('"settings"', '"settings": {}, "settings"'),
+            text[: rng.randrange(len(text))],
+        ),
+        *(
+            text.replace("coulomb", "\\u001b[31m"),
+            text.replace("frictionzoo", "stranger"),
+            text.replace("knee", "\\ud800"),
+        ),
+        text.replace("frictionzoo.bench", "frictionzoo.watch.__main__"),
+    )
+    path.write_text(rng.choice(forms), encoding="utf-8")
+
+
+def change_yaml(folder: Path, rng: random.Random) -> None:
+    """Hostile YAML in Hydra's record."""
+    place = folder / ".hydra"
+    place.mkdir(exist_ok=True)
+    (place / f"{rng.choice(('overrides', 'config', 'hydra'))}.yaml").write_text(rng.choice(DOCUMENTS))
+
+
+def change_bytes(folder: Path, rng: random.Random) -> None:
+    """Bytes of a file that hold something else."""
+    path = rng.choice([path for path in folder.rglob("*") if path.is_file() and path.suffix != ".png"])
+    content = bytearray(path.read_bytes())
+    how = rng.randrange(6)
+    if how == 0:
+        content = content[: rng.randrange(len(content) + 1)]
+    elif how == 1:
+        for _ in range(rng.choice((1, 8, 64))):
+            content[rng.randrange(len(content))] = rng.randrange(256) if content else 0
+    elif how == 2:
+        content = bytearray(pickle.dumps(Bomb()))
+    elif how == 3:
+        buffer = io.BytesIO()
+        torch.save({"frictionzoo": Bomb(), "state_dict": {}}, buffer)
+        content = bytearray(buffer.getvalue())
+    elif how == 4:
+        content = bytearray((2**62).to_bytes(8, "little") + b"{}")
+    else:
+        content = bytearray(PYTHON.encode())
+    path.write_bytes(content)
+    _hash_again(folder, rng)
+
+
+def change_arrays(folder: Path, rng: random.Random) -> None:
+    """Arrays of another shape, type or size in a file of safetensors or in the checkpoint."""
+    path = rng.choice([*folder.rglob("*.safetensors"), *folder.rglob("last.ckpt")])
+    if path.suffix == ".ckpt":
+        saved = torch.load(path, weights_only=True)
+        part = saved["frictionzoo"]
+        place = rng.choice(("progress", "history", "identity"))
+        values = (
+            *([], {}, None, "x", [torch.zeros(3)], [torch.zeros(2, 2).bool()] * 8),
+            part[place][:-1] if place != "identity" else {},
+        )
+        part[place] = rng.choice(values)
+        if rng.random() < 0.3:
+            saved[rng.choice([key for key in saved if key != "frictionzoo"])] = rng.choice((None, 3, "x", [], {}))
+        torch.save(saved, path)
+        return
+    arrays = dict(safetensors.numpy.load(path.read_bytes()))
+    for name in rng.sample(sorted(arrays), min(len(arrays), rng.choice((1, 1, 2, 9)))):
+        old = arrays[name]
+        arrays[name] = rng.choice(
+            (
+                np.zeros(0),
+                np.zeros((2, 2)),
+                old.astype(np.float16),
+                old * np.nan,
+                old * 1e300,
+                old[..., None],
+                old[:1],
+                old.astype(bool),
+                np.zeros((1, 0, 3)),
+            )
+        )
+        if rng.random() < 0.2:
+            arrays[f"{name}\x1b[31m"] = arrays.pop(name)
+    path.write_bytes(safetensors.numpy.save({name: np.ascontiguousarray(values) for name, values in arrays.items()}))
+    _hash_again(folder, rng)
+
+
+def _hash_again(folder: Path, rng: random.Random) -> None:
+    """Most often, have a card's record agree with its files."""
+    path = folder / "card.json"
+    with contextlib.suppress(ValueError, KeyError, TypeError, OSError):
+        content = json.loads(path.read_text())
+        if rng.random() < 0.8:
+            content["files"] = {
+                name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in content["files"]
+            }
+            path.write_text(json.dumps(content))
+
+
+def change_links(folder: Path, rng: random.Random) -> None:
+    """A link out of the folder in place of a file or a folder."""
+    outside = folder.parent.parent / "outside"
+    path = rng.choice([path for path in folder.rglob("*") if not path.is_symlink()])
+    kind = path.is_dir()
+    shutil.rmtree(path) if kind else path.unlink()
+    path.symlink_to(outside if kind else outside / "file")
+
+
+def add_files(folder: Path, rng: random.Random) -> None:
+    """Files that Python, Hydra or a library might pick up."""
+    for name in (
+        "stranger.py",
+        "conftest.py",
+        "sitecustomize.py",
+        "frictionzoo/__init__.py",
+        "run/stranger.py",
+        "hydra_plugins/x.py",
+    ):
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(PYTHON)
+    for name in (
+        "model/evil.yaml",
+        "conf/model/evil.yaml",
+        ".hydra/evil.yaml",
+        "evil.yaml",
+        "hydra/launcher/evil.yaml",
+    ):
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(EVIL)
+    if rng.random() < 0.5:
+        (folder / rng.choice((".running", "comparison", "export", "distilled"))).mkdir(exist_ok=True)
+
+
+MUTATIONS: tuple[tuple[Callable[[Path, random.Random], None], int], ...] = (
+    *((change_json, 40), (change_target, 12), (change_choices, 8), (change_form, 10), (change_yaml, 4)),
+    *((change_bytes, 12), (change_arrays, 10), (change_links, 4), (add_files, 4)),
+)
+
+
+def do(command: str, folder: Path) -> str:
+    """Have the program take up a folder; returns `done` or `refused`."""
+    out, output = io.StringIO(), folder.parent / "output"
+    options = {
+        "compare": (compare.main, [str(folder), "--output", str(output)]),
+        "export": (export.main, [str(folder), "target=mjcf", f"output={output}"]),
+        "resume": (run.main, [f"resume={folder}"]),
+        "distill": (
+            distill.main,
+            [str(folder), "model=coulomb_smooth", "fit=adam", "fit.iterations=1", f"output={output}"],
+        ),
+    }
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out):
+        try:
+            if command in ("load", "card"):
+                print(repr(fz.load(folder)), end="")
+                return "done"
+            options[command][0](options[command][1])
+            return "done"
+        except FrictionzooError as error:
+            assert "\n" not in str(error)
+            out.write(str(error))
+            return "refused"
+        except SystemExit as end:
+            lines = [line for line in out.getvalue().splitlines() if line.startswith("frictionzoo: ")]
+            assert end.code in (0, 2, 3) and (end.code != 2 or len(lines) == 1), out.getvalue()
+            return "refused" if end.code == 2 else "done"
+        finally:
+            text = out.getvalue()
+            assert not set(text) & {chr(code) for code in (*range(10), *range(11, 32), *range(127, 160), 0x202E)}, repr(
+                text
+            )
+            assert "Traceback" not in text, text
+
+
+def main(source: Path, card: Path, scratch: Path, count: int, seed: int) -> None:
+    """Try so many mutations."""
+    tempfile.tempdir = str(scratch)
+    cache = Path(os.environ["XDG_CACHE_HOME"])
+    outside = scratch / "outside"
+    outside.mkdir()
+    (outside / "file").write_text("mine")
+    watch = Watch(scratch, [cache, Path(os.environ["JAX_COMPILATION_CACHE_DIR"]), Path(os.devnull)])
+    counts, wrong, seconds = Counter[str](), [], Counter[str]()
+    for number in range(-len(COMMANDS), count):
+        rng = random.Random(seed * 1_000_003 + number)
+        command = [*COMMANDS][number] if number < 0 else rng.choices([*COMMANDS], [*COMMANDS.values()])[0]
+        folder = scratch / str(number) / "run"
+        shutil.copytree(
+            card if command == "card" else source,
+            folder,
+            ignore=shutil.ignore_patterns("report.html", "*.png") if command != "card" else None,
+        )
+        done = []
+        if number >= 0:  # the first have to end well
+            for _ in range(rng.choice((1, 1, 2))):
+                (mutate,) = rng.choices([each for each, _ in MUTATIONS], [weight for _, weight in MUTATIONS])
+                with contextlib.suppress(ValueError, IndexError, KeyError, AttributeError, TypeError, OSError):
+                    mutate(folder, rng)  # a second one may not know what the first has left
+                done.append(mutate.__name__)
+        os.chdir(folder.parent)
+        sys.path_importer_cache.clear()
+        watch.seen.clear()
+        watch.case = str(number) if number >= 0 else None  # the first also import what libraries look up
+        began = time.process_time()
+        try:
+            outcome = do(command, folder)
+        except BaseException as error:
+            outcome = "wrong"
+            frames = [f"{Path(f.filename).name}:{f.lineno}" for f in traceback.extract_tb(error.__traceback__)[-4:]]
+            wrong.append(
+                {
+                    "case": number,
+                    "command": command,
+                    "by": done,
+                    "error": f"{type(error).__name__}: {error!s:.600}",
+                    "at": frames,
+                }
+            )
+        finally:
+            watch.case = None
+        if watch.seen:
+            wrong.append({"case": number, "command": command, "by": done, "seen": watch.seen[:3]})
+        if (
+            [*scratch.rglob(MARK)]
+            or hasattr(sys, MARK)
+            or (outside / "file").read_text() != "mine"
+            or len([*outside.iterdir()]) > 1
+        ):
+            wrong.append({"case": number, "command": command, "by": done, "error": "executed, or written outside"})
+            break
+        if number < 0 and outcome != "done":
+            wrong.append({"case": number, "command": command, "error": "refused as it is"})
+        counts[f"{command} {outcome}"] += 1
+        seconds[f"{command} {outcome}"] += time.process_time() - began
+        os.chdir(scratch)
+        if not os.environ.get("KEEP_CASES"):
+            shutil.rmtree(folder.parent)
+    print(
+        json.dumps(
+            {
+                "wrong": wrong,
+                "counts": dict(sorted(counts.items())),
+                "seconds": {name: round(took, 1) for name, took in seconds.items()},
+            }
+        )
+    )
+
+
+if __name__ == "__main__":
+    main(*(Path(each).resolve() for each in sys.argv[1:4]), int(sys.argv[4]), int(sys.argv[5]))

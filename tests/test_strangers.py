@@ -1,0 +1,342 @@
+"""Run folders, cards and recordings of somebody else: nothing in them runs, and nothing reaches the terminal raw."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import Finished, finish
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override, QuotedString
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import frictionzoo as fz
+from frictionzoo.bench import Bench
+from frictionzoo.cli import compare, export, inspect
+from frictionzoo.cli.overrides import given_to_hydra, quote_values, read_arguments, refuse_no_choice
+from frictionzoo.cli.resume import SETTINGS, restore_overrides
+from frictionzoo.core.build import build
+from frictionzoo.core.errors import ConfigError, FrictionzooError, LogError
+from frictionzoo.core.telling import escape_controls
+
+Change = Callable[[dict[str, Any]], None]
+CALLBACK = """# @package _global_
+hydra: {callbacks: {x: {_target_: stranger.Law}}}
+"""
+PYTHON = "open('executed', 'w').close()\nclass Law: ...\nX = Law\n"
+
+
+@pytest.fixture
+def foreign(finished_run: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A run of somebody else in the present folder, with code beside it that Python would find."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "stranger.py").write_text(PYTHON)
+    folder = Path(shutil.copytree(finished_run("coulomb_smooth")[0], "foreign"))
+    for name in ("evil.yaml", ".hydra/evil.yaml"):
+        (folder / name).write_text(CALLBACK)
+    return folder
+
+
+def change(path: Path, how: Change) -> None:
+    content = json.loads(path.read_text())
+    how(content)
+    path.write_text(json.dumps(content))
+
+
+def target(*place: str, name: Any = "stranger.Law") -> Change:
+    def how(content: dict[str, Any]) -> None:
+        for key in place:
+            content = content[key]
+        content["_target_"] = name
+
+    return how
+
+
+@pytest.mark.parametrize(
+    ("how", "named"),
+    [
+        (lambda c: c["choices"].update(model="../../../foreign/evil"), "model=../../../foreign/evil"),
+        (lambda c: c["choices"].update(model="evil"), "model=evil"),
+        (lambda c: c["choices"].update({"hydra/launcher": "joblib"}), "hydra/launcher=joblib"),
+        (lambda c: c["choices"].update({"model@hydra.callbacks": "lugre"}), "model@hydra.callbacks=lugre"),
+        (lambda c: c["choices"].update(model=["lugre"]), r"model=\['lugre'\]"),
+        (lambda c: c["options"].append("+hydra.callbacks.x._target_=stranger.Law"), "settings.json"),
+        (lambda c: c["options"].append("--config-dir=foreign"), "settings.json"),
+        (lambda c: c["settings"].update(seed="${oc.env:HOME}"), r"\$\{oc.env:HOME\}"),
+        (lambda c: c.pop("settings"), "settings.json"),
+        (lambda c: c["choices"].update(logger="mlflow"), "add logger=mlflow"),
+    ],
+)
+def test_a_record_that_chooses_something_else_is_refused(foreign: Path, how: Change, named: str) -> None:
+    change(foreign / SETTINGS, how)
+    with pytest.raises(ConfigError, match=named):
+        restore_overrides([f"resume={foreign}"])
+
+
+@pytest.mark.parametrize("content", [None, "", "[]", "!!python/object/apply:os.mkdir [executed]", '{"choices": 3}'])
+def test_a_record_that_is_none_is_refused(foreign: Path, content: str | None) -> None:
+    (foreign / SETTINGS).unlink()
+    if content is not None:
+        (foreign / SETTINGS).write_text(content)
+    with pytest.raises(ConfigError, match=r"settings\.json"):
+        restore_overrides([f"resume={foreign}"])
+    assert not Path("executed").exists()
+
+
+def test_overrides_of_hydra_in_a_folder_are_not_read(foreign: Path) -> None:
+    overrides = ["hydra.callbacks.x._target_=stranger.Law", "model=../../../foreign/evil", "hydra/launcher=evil"]
+    (foreign / ".hydra" / "overrides.yaml").write_text(json.dumps(overrides))
+    restored = restore_overrides([f"resume={foreign}", "seed=4"])
+    assert restored[-3:] == [f"resume={foreign}", "seed=4", "hydra.output_subdir=null"]
+    assert {"model=coulomb_smooth", "fit=adam", "data=files"} <= {*restored[:-3]}
+    assert not [each for each in restored[:-1] if "hydra" in each or "evil" in each]
+    for none in (["seed=4"], ["resume=foreign", "resume=null"]):
+        assert restore_overrides(none) == none
+
+
+@pytest.mark.parametrize(
+    ("how", "named"),
+    [
+        (target("settings", "bench", "actuator"), "_target_=stranger.Law"),
+        (lambda c: c["settings"].update(hydra={"callbacks": {"x": 3}}), "hydra"),
+    ],
+)
+def test_a_foreign_run_that_is_resumed_is_one_line(call: Callable, foreign: Path, how: Change, named: str) -> None:
+    change(foreign / SETTINGS, how)
+    finished = call(f"resume={foreign}")
+    assert finished.status == 2 and named in finished.err.splitlines()[-1] and "Traceback" not in finished.err
+    assert not Path("executed").exists()
+
+
+STRANGERS = (
+    *("frictionzoo.watch.__main__.X", "frictionzoo.cli.commands.main", "stranger.Law", "foreign.evil", "os.system"),
+    *("frictionzoo.logs.files.Files", "frictionzoo.fit.Adam", "frictionzoo.core.build.build", "", None, 3, ["a"]),
+)
+
+
+@pytest.mark.parametrize("name", STRANGERS)
+@pytest.mark.parametrize("place", [("bench",), ("bench", "actuator"), ("model",)])
+def test_a_run_names_registered_plug_ins_only(foreign: Path, place: tuple[str, ...], name: Any) -> None:
+    change(foreign / "result.json", target("settings", *place, name=name))
+    before = {*sys.modules}
+    with pytest.raises(FrictionzooError) as refused:
+        fz.load(foreign)
+    assert str(refused.value).startswith("foreign: ") and "\n" not in str(refused.value)
+    assert not {"stranger", "frictionzoo.watch.__main__"} & ({*sys.modules} - before)
+    assert not Path("executed").exists()
+
+
+def test_a_law_of_this_program_is_built_while_it_is_registered() -> None:
+    cls = type("Own", (fz.FrictionModel,), {"__module__": "__main__", "dimensions": {}, "terms": lambda *_: None})
+    section = {"_target_": "__main__.Own", "params": {}}
+    with pytest.raises(ConfigError, match=r"_target_=__main__\.Own"):
+        build(section, fz.FrictionModel, nv=1)
+    try:
+        fz.register_model("of_a_stranger_s_test")(cls)
+        assert isinstance(build(section, fz.FrictionModel, nv=1), cls)
+        with pytest.raises(ConfigError, match="derived from Bench"):
+            build(section, Bench, nv=1)
+    finally:
+        from frictionzoo.models.registry import REGISTRY
+
+        REGISTRY.entries.pop("of_a_stranger_s_test", None)
+
+
+@pytest.mark.parametrize("place", ["figures", "checkpoints", "export"])
+def test_a_link_out_of_a_run_is_not_written_through(foreign: Path, tmp_path: Path, place: str) -> None:
+    (tmp_path / "mine").mkdir()
+    shutil.rmtree(foreign / place, ignore_errors=True)
+    (foreign / place).symlink_to(tmp_path / "mine")
+    for refuse in (fz.load, lambda folder: restore_overrides([f"resume={folder}"])):
+        with pytest.raises(FrictionzooError, match=f"foreign/{place}: a link out of foreign"):
+            refuse(foreign)
+    finished = finish(lambda: compare.main([str(foreign)]))
+    assert finished.status == 2 and not [*(tmp_path / "mine").iterdir()]
+
+
+def test_caches_of_a_stranger_are_not_used(foreign: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from frictionzoo.cli.resume import Begun
+    from frictionzoo.core.config import compose_config, merge_saved
+
+    def cache(content: dict[str, Any]) -> None:
+        content["settings"] |= {"compilation_cache": "foreign/xla"}
+        content["settings"]["data"]["cache_dir"] = "foreign/data"
+
+    change(foreign / SETTINGS, cache)
+    plain = compose_config("data=files", "model=coulomb_smooth")
+    merged = merge_saved(
+        Begun.read(foreign).settings, plain, compose_config("data=files", "model=coulomb_smooth", "seed=9")
+    )
+    assert merged.compilation_cache == merged.data.cache_dir == "user"
+    assert (merged.seed, merged.fit.iterations) == (9, 3)  # today's, and the run's
+
+
+@pytest.mark.parametrize(
+    "argument",
+    [
+        *("model=../evil", "model=/tmp/evil", "model@hydra.callbacks=../evil", "+experiment=../evil", "model=[lugre]"),
+        *("hydra/launcher=../../evil", "data=files/x", "recipe='${oc.env:HOME}'", "start=../evil", "model=lugre.yaml"),
+        *("model=lugre,../evil", "variant=../evil", "model=glob(../*)", "logger='../csv'", "../model=lugre"),
+    ],
+)
+def test_a_group_takes_names_of_its_list_only(argument: str) -> None:
+    with pytest.raises(ConfigError):
+        refuse_no_choice(["-m", argument])
+
+
+def test_a_folder_that_the_user_adds_has_names_too(tmp_path: Path) -> None:
+    (tmp_path / "model").mkdir()
+    (tmp_path / "model" / "own.yaml").write_text("a: 1\n")
+    refuse_no_choice(["--config-dir", str(tmp_path), "model=own"])
+    refuse_no_choice([f"--config-dir={tmp_path}", "model=own,lugre"])
+    with pytest.raises(ConfigError, match="model=own: no such model"):
+        refuse_no_choice(["model=own"])
+
+
+def parse(argument: str) -> Override:
+    return OverridesParser.create().parse_override(argument)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.text(st.characters(codec="ascii", exclude_categories=["Cc"]), min_size=1, max_size=12))
+def test_a_value_keeps_its_meaning_or_is_quoted_as_it_stands(value: str) -> None:
+    """What Hydra reads stays; what it cannot read becomes just that text, a list of texts, or is refused as before."""
+    argument = f"bench.joint={value}"
+    (quoted,) = quote_values([argument])
+    if quoted == argument:
+        return
+    with pytest.raises(Exception, match=r".*"):
+        parse(argument)
+    read = parse(quoted)._value
+    if isinstance(read, list):
+        texts = [each.text if isinstance(each, QuotedString) else each for each in read]
+        assert value.startswith("[") and all(str(text).strip() in value for text in texts)
+    else:
+        assert isinstance(read, QuotedString) and read.text == value
+        assert "," not in value or set(value) & set("([{")
+
+
+@pytest.mark.parametrize(
+    ("argument", "value"),
+    [
+        ("bench.joint=.*_(hip|knee)", ".*_(hip|knee)"),
+        ("data.columns.time=data[0]", "data[0]"),
+        ("data.columns.qpos=[data[0],data[1]]", ["data[0]", "data[1]"]),
+        ("bench.joint=[.*_(hip|knee),wheel]", [".*_(hip|knee)", "wheel"]),
+        (r"data.fields_from_name=^a(?P<kp>\d+)$", r"^a(?P<kp>\d+)$"),
+        ('data.train=a"(1)\\', 'a"(1)\\'),
+        ("data.where={kp:[4,8]}", {"kp": [4, 8]}),
+    ],
+)
+def test_an_option_copied_from_the_documentation_is_read(argument: str, value: Any) -> None:
+    (override,) = read_arguments(quote_values([argument]))
+    assert override.value() == value and not override.is_sweep_override()
+
+
+@pytest.mark.parametrize(
+    "argument", ["data.train=[a.csv", "seed=choice(1,2", "bench.joint=a(b),c", "data.train='a", "a=${b"]
+)
+def test_what_is_no_text_is_still_refused(argument: str) -> None:
+    assert quote_values([argument]) == [argument]
+    with pytest.raises(ConfigError, match="close brackets"):
+        [*read_arguments([argument])]
+
+
+def test_sweeps_keep_their_meaning() -> None:
+    sweeps = [
+        "-m",
+        "seed=1,2",
+        "model=glob(*)",
+        "seed=range(3)",
+        "bench.joint=choice(a,b)",
+        "fit.learning_rate=0.1,0.2",
+    ]
+    assert quote_values(sweeps) == sweeps
+    with given_to_hydra(sweeps):
+        assert sys.argv[1:] == sweeps
+
+
+@given(st.text(max_size=30))
+@settings(max_examples=200, deadline=None)
+def test_what_is_printed_obeys_nobody(text: str) -> None:
+    escaped = escape_controls(text)
+    assert not any(ord(char) < 32 or 127 <= ord(char) < 160 or 0xD800 <= ord(char) < 0xE000 for char in escaped)
+    assert not set(escaped) & set("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069\u2028\u2029")
+    assert escape_controls(escaped) == escaped and len(escaped) >= len(text)
+    assert str(LogError(text)) == escaped
+    assert escaped == text or any(not char.isprintable() for char in text)
+
+
+TITLE = "\x1b]0;owned\x07\x9b31m\u202e"
+
+
+def assert_plain(finished: Finished, status: int) -> None:
+    assert finished.status == status
+    for text in (finished.out, finished.err):
+        assert not {
+            char for char in text if char != "\n" and (ord(char) < 32 or 127 <= ord(char) < 160 or char == "\u202e")
+        }
+
+
+def test_a_header_of_a_recording_does_not_reach_the_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    time = np.arange(0, 2, 0.01)
+    table = np.stack([time, np.sin(time), np.cos(time), np.sin(time)], axis=1)
+    for name, header, status in (
+        ("a.csv", f"time,qpos,qvel,ctrl{TITLE}", 2),
+        (f"b{TITLE}.csv", "time,qpos,qvel,ctrl", 0),
+    ):
+        np.savetxt(name, table, delimiter=",", header=header, comments="", encoding="utf-8")
+        finished = finish(lambda name=name: inspect.main([name, "hydra.run.dir=out"]))
+        assert_plain(finished, finished.status)
+        assert finished.status == status and "\\x1b]0;owned\\x07" in finished.out + finished.err
+
+
+def test_names_of_a_run_do_not_reach_the_terminal(foreign: Path, caplog: pytest.LogCaptureFixture) -> None:
+    def name(content: dict[str, Any]) -> None:
+        content["joints"][0] = f"knee{TITLE}\nverdict: all is well"
+        content["data"]["name"] = f"files{TITLE}\nverdict: all is well"
+        content["warnings"].append(f"{TITLE}\nverdict: all is well")
+
+    change(foreign / "result.json", name)
+    finished = finish(lambda: compare.main([str(foreign), "--output", "out"]))
+    assert_plain(finished, 0)
+    assert "\\x1b]0;owned" in finished.out and "\nverdict: all is well" not in finished.out + repr(fz.load(foreign))
+    assert_plain(finish(lambda: export.main([f"foreign{TITLE}", "target=mjcf"])), 2)
+
+
+@pytest.mark.slow
+def test_a_thousand_mutated_runs_and_cards_do_no_harm(
+    finished_run: Callable, tmp_path: Path, compilation_cache: Path
+) -> None:
+    """See hostile.py. Audit hooks cannot be removed, so that it is a process of its own."""
+    source, card = finished_run("coulomb_smooth")[0], tmp_path / "card"
+    finish(
+        lambda: __import__("frictionzoo.cli.card", fromlist=["main"]).main(
+            [str(source), "licence=cc-by-4.0", f"output={card}"]
+        )
+    )
+    (tmp_path / "scratch").mkdir()
+    command = [sys.executable, Path(__file__).with_name("hostile.py"), source, card, tmp_path / "scratch", "1000", "0"]
+    own = {
+        "XDG_CACHE_HOME": tmp_path / "cache",
+        "JAX_COMPILATION_CACHE_DIR": compilation_cache,
+        "PYTHONPATH": Path(__file__).parents[1],
+    }
+    environment = os.environ | {name: str(value) for name, value in own.items()}
+    finished = subprocess.run(list(map(str, command)), env=environment, capture_output=True, text=True)
+    assert finished.returncode == 0, finished.stderr[-3000:]
+    said = json.loads(finished.stdout.splitlines()[-1])
+    assert said["wrong"] == []
+    assert (
+        sum(said["counts"].values()) > 1000
+        and min(said["counts"].get(f"{c} refused", 0) for c in ("load", "resume")) > 20
+    )
