@@ -18,6 +18,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from frictionzoo.core.output import write_atomically
+from frictionzoo.core.telling import escape_controls
 from frictionzoo.show import figure as described
 from frictionzoo.show.colors import BAND, TEXT
 from frictionzoo.show.figure import Axis, Band, Bars, Curve, Dash, Mark, Panel, Sheet, Stripe, list_named, list_rows
@@ -206,5 +207,5 @@ def _add_legend(figure: Figure, keys: Mapping[str, Artist]) -> None:
 
 def _name(text: str, width: int) -> str:
     """A text on lines of this width, and not as mathematics."""
-    wrapped = [part for line in text.splitlines() for part in wrap(line, width)]
+    wrapped = [part for line in text.split("\n") for part in wrap(escape_controls(line), width)]
     return "\n".join(wrapped).replace("$", r"\$")
