@@ -52,7 +52,7 @@ def compare_in_c(robot: fz.Robot, makers: mujoco.MjModel) -> float:
     commands = as_recorded(robot, ctrl, sampling.history).map(jnp.asarray)
     acting = applied(jax.tree.map(jnp.asarray, values), commands, sampling).map(lambda one: np.asarray(one)[:, :, 0])
     law = MujocoDefault(robot.nv, {name: value.tolist() for name, value in values["friction"].items()})
-    ours = simulate_in_c(robot, law, values, Cases(*states, acting, np.zeros((len(ctrl), 0))))[:2]
+    ours = simulate_in_c(robot, law, values, Cases(states[0], states[1], acting, np.zeros((len(ctrl), 0))))[:2]
     return float(np.abs(ours - moved_by(makers, states, ctrl)).max())
 
 

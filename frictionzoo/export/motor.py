@@ -161,7 +161,7 @@ def aim(fitted: Identified, drives: Sequence[Motor]) -> Callable[[Signals], Floa
     """Of a drive's signals, the desired positions [rad or m] with which these motors do what all commands ask for."""
     law = fitted.bench.actuator
     told = isinstance(law, JointPD | RecordedPD)
-    gains = fitted.values["bench"] | (_constant_gains(fitted) if isinstance(law, RecordedPD) else {})
+    gains = {**fitted.values["bench"], **(_constant_gains(fitted) if isinstance(law, RecordedPD) else {})}
     pull = fitted.values["bench"].get("torque_offset", 0.0) if told else 0.0  # of OFFSET in joint_pd
     moved = pull / np.array([drive.stiffness for drive in drives])
     return lambda signals: (aim_at(np, gains, signals.ctrl, signals.inputs) if told else signals.ctrl) + moved

@@ -75,7 +75,7 @@ def without_others(
             if actuator is not None:
                 worst[place] = max(worst[place], _compare(model, data, joint, actuator))
     kept = list(read)
-    for place in np.flatnonzero(worst > _SAME):
+    for place in np.flatnonzero(worst > _SAME).tolist():
         actuator = read[place]
         assert actuator is not None
         source.notes.append(
