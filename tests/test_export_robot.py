@@ -97,7 +97,7 @@ def test_the_bench_beside_it_is_what_was_simulated(tmp_path: Path) -> None:
     moved, torque = export.differences
     assert (moved.quantity, torque.quantity) == ("qpos", "torque")
     assert moved.largest < EXACT
-    assert torque.largest > 1 and any("limits of force" in limit for limit in export.limits)  # the hip's own
+    assert torque.largest < EXACT  # the hip's own limits act in the bench as in the file
     assert mujoco.MjModel.from_xml_path(str(folder / "bench.xml")).nv == 2
     assert any("nor the original" in limit for limit in export.limits)  # its meshes are not there
     assert '<joint name="toe" axis="0 1 0" ref="15"/>' in (folder / "identified.xml").read_text()
