@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 import torch
 
+import frictionzoo as fz
+from frictionzoo.bench import Actuator
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.params import UNITS, Param, read_params
+from frictionzoo.models.mujoco_default import MujocoDefault
 
 GOOD = {"init": 0.1, "low": 0.01, "high": 1.0, "scale": "log", "identify": True}
 
@@ -102,3 +105,53 @@ def test_a_parameter_without_a_section():
         ConfigError, match=r"^Law: no parameter coulomb_torque; give its value, or params\.coulomb_torque"
     ):
         read_params("Law", {"coulomb_torque": "torque"}, {})
+
+
+@pytest.mark.parametrize("value", [1e6, 0.0, 1e-9])
+def test_a_known_value_is_not_held_to_the_bounds_of_a_fit(value):
+    param = make(init=value, identify=False)
+    assert param.init == value
+    joints = Param.from_config("armature", "inertia", GOOD | {"init": [value, 0.1], "identify": [False, True]})
+    assert joints.is_at_bound(np.array([value, 0.1])).tolist()[1] is False
+    if not 0.01 <= value <= 1:
+        with pytest.raises(ConfigError, match=r"^armature: init="):
+            make(init=value, identify=True)
+
+
+def test_a_known_value_is_a_number():
+    with pytest.raises(ConfigError, match=r"^armature: nan"):
+        make(init=float("nan"), identify=False)
+
+
+NEVER_NEGATIVE = {
+    "PositionPD": {"kp": 15.0, "kd": 0.5},
+    "JointPD": {"kp": 15.0, "kd": 0.5, "torque_gain": 1.0, "torque_limit": 3.0, "torque_saturation": 9.0},
+    "DcMotorPD": {"kp": 9.0, "kd": 1.0, "stall_torque": 3.0, "torque_limit": 2.0, "no_load_velocity": 5.0},
+    "VoltageServo": {"kt_over_r": 0.4, "kt2_over_r": 0.4, "duty_gain": 0.2, "duty_limit": 1.0},
+}
+
+
+@pytest.mark.parametrize("law", NEVER_NEGATIVE)
+def test_a_gain_or_limit_below_zero_is_refused_by_name(law):
+    made: type[Actuator] = getattr(fz, law)
+    values = NEVER_NEGATIVE[law]
+    assert set(made(**values).params) >= set(values)
+    for name, value in values.items():
+        for wrong in (-value, [value, -value], {"init": {"hip": -value, ".*": value}}):
+            with pytest.raises(ConfigError, match=rf"{law}: {name}="):
+                made(**{**values, name: wrong})
+
+
+@pytest.mark.parametrize("name", ["frictionloss", "damping"])
+def test_friction_below_zero_is_refused_by_name(name):
+    good = {"frictionloss": 0.1, "damping": 0.2}
+    with pytest.raises(ConfigError, match=rf"MujocoDefault: {name}=-0\.1"):
+        MujocoDefault(1, {**good, name: -0.1})
+    with pytest.raises(ConfigError, match=rf"MujocoDefault: {name}\.low=-1"):
+        MujocoDefault(1, {**good, name: {"init": 0.1, "low": -1.0, "high": 1.0, "scale": 1.0, "identify": True}})
+
+
+def test_an_armature_below_zero_is_refused_by_name():
+    for wrong in (-0.1, {"init": -0.1, "identify": False}, {"init": 0.1, "low": -1.0, "scale": 1.0}):
+        with pytest.raises(ConfigError, match=r"^bench\.params\.armature"):
+            fz.Bench("knee_rod.xml", "knee", actuator=fz.PositionPD(kp=1, kd=1), params={"armature": wrong})

@@ -4,14 +4,19 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import jax
+import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 
 from frictionzoo.bench import Bench
+from frictionzoo.bench.actuators.position_pd import PositionPD
 from frictionzoo.core.errors import BenchError
-from frictionzoo.core.state import Signals
+from frictionzoo.core.state import FrictionTerms, Signals
 from frictionzoo.models import FrictionModel
 from frictionzoo.simulate import mjx, specialised
+from frictionzoo.simulate.base import without_memory
 from frictionzoo.simulate.proof import TOLERANCE, Proof, Recorded, initial_values, prove
 
 LINK = """<mujoco><compiler angle="radian"/><option timestep="0.002" {option}>{flag}</option>{more}<worldbody>
@@ -69,6 +74,45 @@ def test_what_is_not_is_refused_by_name(prove_on: Callable[..., Proof], parts: d
         prove_on(engine="specialised", **parts)
     line = str(refused.value)
     assert f"does not simulate {fault} as MuJoCo C does" in line and "\n" not in line
+
+
+@pytest.mark.parametrize("engine", ["specialised", pytest.param("mjx", marks=pytest.mark.slow)])
+def test_a_balanced_rotor_is_simulated_as_mujoco_does(
+    tmp_path: Path, make: Callable, in_haste: None, engine: str
+) -> None:
+    """Its centre of mass lies on its axis: MuJoCo takes shortcuts with such a body."""
+    (tmp_path / "rotor.xml").write_text(
+        '<mujoco><option timestep="0.001"/><worldbody><body><joint name="axis" axis="0 0 1"/>'
+        '<inertial pos="0 0 0" mass="0.2" diaginertia="2e-4 2e-4 2e-4"/></body></worldbody></mujoco>'
+    )
+    bench: Bench = make("bench", f"bench.mjcf={tmp_path / 'rotor.xml'}", "bench.joint=axis")
+    model: FrictionModel = make("model", "model=mujoco_default", nv=1)
+    proof = prove(bench, model, engine, initial_values(bench, model), RECORDED)
+    assert proof.rollout < 1e-3 * TOLERANCE
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_softness_of_dry_friction_goes_with_the_armature_as_in_mujoco_c(tmp_path: Path, seed: int) -> None:
+    """Of random trees, among them bodies that turn about their centre of mass or only slide."""
+    rng = np.random.default_rng(seed)
+    kind, bodies, ends = rng.choice(["hinge", "slide"]), "", ""
+    for index in range(3):
+        bodies, ends = (bodies + ends, "") if rng.random() < 0.5 else (bodies, ends)
+        axis, centre = np.eye(3)[rng.integers(3)], rng.choice([0.0, 0.1], 3, p=[0.8, 0.2])
+        bodies += (
+            f'<body pos="0 0 {0.2 * index}"><joint name="j{index}" type="{kind}" axis="{" ".join(map(str, axis))}"/>'
+            f'<inertial pos="{" ".join(map(str, centre))}" mass="0.7" diaginertia="0.02 0.03 0.04"/>'
+        )
+        ends += "</body>"
+    (tmp_path / "tree.xml").write_text(f"<mujoco><worldbody>{bodies}{ends}</worldbody></mujoco>")
+    joints = ["j0", "j1", "j2"]
+    bench = Bench(str(tmp_path / "tree.xml"), joints, actuator=PositionPD(kp=1, kd=1), params={"armature": 0.3})
+    values = {"bench": bench.initial_values() | {"armature": rng.uniform(0.01, 1, 3)}}
+    with jax.enable_x64(True):
+        engine = mjx.MjxEngine(bench, without_memory(lambda *_: FrictionTerms()), True)
+        inputs = engine.model_inputs(values, jnp.zeros(0))
+    compiled = mujoco.MjModel.from_xml_string(bench.mjcf(values["bench"], np.ones(3)))
+    np.testing.assert_allclose(inputs.invweight0, compiled.dof_invweight0, rtol=1e-9)
 
 
 def test_what_mjx_lacks_is_one_line(prove_on: Callable[..., Proof]) -> None:

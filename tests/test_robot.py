@@ -103,6 +103,30 @@ def test_bristles_of_dc_motors_are_where_laws_of_bristles_begin(dog: Callable[..
     assert len(robot.initial_friction(by_joint.params)) == 8
 
 
+def test_where_a_fit_begins_elsewhere_than_the_file_a_line_says_so(dog: Callable[..., fz.Robot]) -> None:
+    without = {"armature": {"low": 0.025, "high": 1.0}}
+    robot = dog(params=without)
+    said = [note for note in robot.notes if note.startswith("armature of joint left_hip_joint begins at 0.025")]
+    assert len(said) == 1 and "the file has 0.02" in said[0]
+    assert not any("begins at" in note for note in dog().notes)
+    late = dog(lambda name: position(name).replace("/>", ' delay="0.004" nsample="3"/>'))
+    assert late.initial_values()["delay"].tolist() == [0.004] * 4 and "delay" not in dog().params
+    free = dog(params={"delay": {"identify": True}})
+    assert free.params["delay"].is_identified and not free.initial_values()["delay"].any()
+
+
+def test_an_armature_of_zero_stays_where_it_is_known(tmp_path: Path) -> None:
+    path = tmp_path / "arm.xml"
+    path.write_text(
+        '<mujoco><worldbody><body><joint name="j" axis="0 1 0"/><inertial pos="0 0 .1" mass="1" '
+        'diaginertia=".1 .1 .1"/></body></worldbody><actuator><motor joint="j"/></actuator></mujoco>'
+    )
+    assert fz.Robot(str(path), params={"armature": {"identify": False}}).initial_values()["armature"] == [0]
+    begun = fz.Robot(str(path))
+    assert begun.initial_values()["armature"] == [0.01]
+    assert any(note.startswith("armature of joint j begins at 0.01, where the file has 0") for note in begun.notes)
+
+
 @pytest.mark.parametrize(
     ("more", "kind", "message"),
     [

@@ -1,9 +1,14 @@
 """Robots' own files: everything that is left out or changed has its line, and what cannot be is refused in one."""
 
+import contextlib
 import re
+import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
 
+import hypothesis
+import hypothesis.strategies as st
+import numpy as np
 import pytest
 from robot_texts import ARM, GRIPPER, LEG, TWO, body, changed, compiled, read, save
 
@@ -143,6 +148,14 @@ REFUSED = {
         {},
         r"equality constraint c closes a loop of bodies",
     ),
+    "a loop to a body that others move": (
+        body(
+            '<body name="tip" pos="0 0 0.2"/>',
+            '<equality><connect name="c" body1="tip" body2="hand" anchor="0 0 0"/></equality>',
+        ).replace("<worldbody>", '<worldbody><body name="hand" mocap="true"/>'),
+        {},
+        r"equality constraint c closes a loop of bodies, or pulls at one from outside",
+    ),
     "a tendon in space": (
         body(
             '<site name="a"/>',
@@ -172,6 +185,26 @@ def test_what_cannot_be_left_out_is_refused_in_one_line(case: str, tmp_path: Pat
     with pytest.raises(BenchError, match=message) as refused:
         read_robot(source, **options)
     assert "\n" not in str(refused.value)
+
+
+NUMBER = re.compile(r'(?<=[" ])-?\d+(\.\d+)?(e-?\d+)?(?=[" ])')
+DRIVEN = body(
+    "", '<actuator><position joint="hinge" kp="1" kv="2" forcerange="-1 1" delay="1" nsample="5"/></actuator>'
+)
+BROKEN = [(text, match.span()) for text in (ARM, LEG, DRIVEN) for match in NUMBER.finditer(text)]
+
+
+@hypothesis.given(broken=st.sampled_from(BROKEN), word=st.sampled_from(["nan", "inf", "-inf", "1e400"]))
+@hypothesis.settings(max_examples=60, deadline=None)
+def test_a_number_that_is_none_is_refused(
+    broken: tuple[str, tuple[int, int]], word: str, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """Or does not matter: then all that was read is finite."""
+    text, (first, last) = broken
+    with contextlib.suppress(BenchError):
+        robot = read(tmp_path_factory.mktemp("broken"), text[:first] + word + text[last:])
+        assert not re.search(r"\b(nan|inf)\b", ET.tostring(robot.root, encoding="unicode"))
+        assert all(np.isfinite(value).all() for value in robot.values.values())
 
 
 @pytest.mark.parametrize(

@@ -196,7 +196,7 @@ def _list_known(file: RobotFile) -> dict[str, Float[np.ndarray, "nv"]]:
     read = [actuator for actuator in file.actuators if actuator is not None]
     if len(read) == len(file.joints):
         if all(actuator.kind == "position" for actuator in read):
-            known |= {"kp": np.array([-a.bias1 for a in read]), "kd": np.array([-a.bias2 for a in read])}
+            known |= {"kp": np.array([0.0 - a.bias1 for a in read]), "kd": np.array([0.0 - a.bias2 for a in read])}
         if all(actuator.kind == "motor" for actuator in read):
             known["force_gain"] = np.array([actuator.gain for actuator in read])
     return known
