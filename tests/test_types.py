@@ -20,7 +20,7 @@ def make_log(**changes) -> Log:
         "qvel": np.stack([-number, -number], axis=1),
         "ctrl": number[:, None],
         "sha256": "hash",
-        "origin": "hardware",
+        "simulated": False,
     }
     return Log(**(fields | changes))
 
