@@ -40,7 +40,7 @@ def draw(fit: fz.Identified) -> Figure:
     Args:
         fit: A drive of simulated data: the picture passes no real recording on.
     """
-    assert fit.result["data"]["simulated"], "expected simulated data"
+    assert fit.result["data"]["origin"] == "simulated", "expected simulated data"
     curves = fit.curves
     measured = curves.measured_qpos[0, 1:, 0]
     simulated = {

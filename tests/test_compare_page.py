@@ -19,6 +19,7 @@ from frictionzoo.comparison.runs import Failure, Run, gather
 from frictionzoo.core.output import RESULT
 from frictionzoo.core.state import Signals
 from frictionzoo.result.curves import Curves
+from frictionzoo.result.verdict import DO_NOT_USE
 from frictionzoo.show.colors import BASELINE
 from frictionzoo.show.comparison_advice import list_next_steps
 from frictionzoo.show.comparison_page import check_comparison, write_page
@@ -156,6 +157,20 @@ def test_what_is_next_fits_what_was_found(runs, result):  # noqa: F811
     suggest(runs[0], "fz.identify(bench, 'baseline', logs)", "excite(drive)")
     steps = list_next_steps(compare_runs([runs[0], runs[2]], []), runs[0])
     assert [step.command for step in steps] == ["excite(drive)"]
+
+
+def test_a_drive_that_is_not_to_be_used_goes_nowhere(runs, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for run in runs:
+        run.folder.mkdir()
+        (run.folder / RESULT).touch()
+        suggest(run, f"{RUN} data=twin model=lugre", "python -m frictionzoo.excite", DO_NOT_USE)
+        verdict = run.result["verdict"]
+        verdict["commands"] = [{"kind": "repair", "command": f"{RUN} data.clean.spikes=repair"}]
+    source, _ = show(tmp_path / "comparison.html", runs)
+    text = plain(source)
+    assert "data.clean.spikes=repair" in text and "fz.load(" in text
+    assert not any(word in text for word in ("frictionzoo.export", "frictionzoo.excite", "identified.xml"))
 
 
 def test_no_absolute_path_is_on_the_page(result, tmp_path):  # noqa: F811

@@ -82,7 +82,7 @@ def check_result(result: dict, name: str) -> None:
     jsonschema.validate(result, read_schema())
     assert result["model"] == name
     assert result["data"]["samples"] == 1150 + 300  # 1500, less the gap of 50, a fifth for the test
-    assert not result["data"]["simulated"]
+    assert result["data"]["origin"] is None
     fit = result["fit"]
     ends = {"adam": (3, "finished"), "grid": (2**3, "finished"), "lm": (fit["iterations"], "converged")}
     assert (fit["iterations"], fit["stopped"]) == ends[fit["method"]]
