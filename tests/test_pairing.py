@@ -10,10 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from write_logs import EPOCH, write_csv, write_mat, write_npz, write_parquet, write_robot_bag, write_robot_lerobot
 
-from frictionzoo.core.errors import ConfigError, LogError
+import frictionzoo as fz
+from frictionzoo.core.errors import BenchError, ConfigError, LogError
 from frictionzoo.core.log import Columns
 from frictionzoo.logs.files import Files
-from frictionzoo.logs.pairing import arrange, label, pair
+from frictionzoo.logs.pairing import arrange, describe_columns, label, pair
 
 GO2 = tuple(f"{leg}_{part}_joint" for leg in ("FL", "FR", "RL", "RR") for part in ("hip", "thigh", "calf"))
 SPELLINGS: dict[str, Callable[[str], str]] = {
@@ -86,7 +87,7 @@ def headers_of_go2(draw: st.DrawFn) -> tuple[list[str], list[int]]:
     return [header.format(spell(GO2[joint])) for joint in order], order
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(headers_of_go2())
 def test_headers_find_their_joints(drawn):
     headers, order = drawn
@@ -112,7 +113,7 @@ def test_names_that_are_not_one_for_each_joint_are_refused(drawn, place, fault):
         pair(changed, GO2)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(st.permutations(range(12)), st.permutations(range(12)), st.data())
 def test_any_spelling_is_right_or_refused(order, other, data):
     words = st.sampled_from(["q", "pos", "", "dq", "FL", "RR", "hip", "calf", "joint", "front", "1", "x"])
@@ -205,9 +206,13 @@ def draw_cases(count: int) -> list[tuple[str, str, dict[str, list[int]]]]:
     return [(forms[n % len(forms)], spellings[n % len(spellings)], order) for n, order in enumerate(orders)]
 
 
+SEVERAL = pytest.mark.parametrize("count", [4, pytest.param(50, marks=pytest.mark.slow)])
+
+
+@SEVERAL
 @pytest.mark.parametrize("name", WRITERS)
-def test_fifty_tables_reach_their_joints(tmp_path, name):
-    for number, (form, spelling, orders) in enumerate(draw_cases(50)):
+def test_tables_reach_their_joints(tmp_path, name, count):
+    for number, (form, spelling, orders) in enumerate(draw_cases(count)):
         columns = make_columns(FORMS[form], SPELLINGS[spelling], orders)
         if name == "mat":  # MATLAB's names have letters, digits and underscores only
             columns = {
@@ -218,11 +223,10 @@ def test_fifty_tables_reach_their_joints(tmp_path, name):
         refuse_others(Files(train=[str(path)]), GO2[number % 4 * 3 :][: 1 + number % 12])
 
 
+@SEVERAL
 @pytest.mark.parametrize("storage", ["mcap", "ros2bag"])
-def test_fifty_bags_reach_their_joints(tmp_path, storage):
-    for number, (_, spelling, orders) in enumerate(draw_cases(50)):
-        if spelling == "slashes":
-            continue
+def test_bags_reach_their_joints(tmp_path, storage, count):
+    for number, (_, spelling, orders) in enumerate(draw_cases(count)):
         names = {joint: SPELLINGS[spelling](GO2[joint]) for joint in range(12)}
         # The order in the messages changes from one to the next.
         rng = np.random.default_rng(number)
@@ -243,8 +247,9 @@ def test_fifty_bags_reach_their_joints(tmp_path, storage):
         refuse_others(Files(train=[str(path)]), GO2[number % 4 * 3 :][: 1 + number % 12])
 
 
-def test_fifty_lerobot_sets_reach_their_joints(tmp_path):
-    for number, (_, spelling, orders) in enumerate(draw_cases(50)):
+@SEVERAL
+def test_lerobot_sets_reach_their_joints(tmp_path, count):
+    for number, (_, spelling, orders) in enumerate(draw_cases(count)):
         names = [SPELLINGS[spelling](name) for name in GO2]
         features = {
             feature: {f"{names[joint]}.pos": make_signal(signal, joint) for joint in orders[signal]}
@@ -252,6 +257,37 @@ def test_fifty_lerobot_sets_reach_their_joints(tmp_path):
         }
         path = write_robot_lerobot(tmp_path / str(number), TIME, features, nested=bool(number % 2))
         refuse_others(Files(train=[str(path)]), GO2[number % 4 * 3 :][: 1 + number % 12])
+
+
+LEG = """<mujoco><compiler angle="radian"/><worldbody><body><joint name="{}" axis="0 1 0"/><geom size=".03" mass="1"/>
+  <body pos="0 0 -.2"><joint name="{}" axis="0 1 0"/><geom size=".02" mass=".3"/></body></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("measured", [True, False])
+def test_a_bench_brings_logs_into_the_order_of_its_joints(tmp_path, measured):
+    (tmp_path / "leg.xml").write_text(LEG.format("hip_joint", "knee_joint"))
+    bench = fz.Robot(str(tmp_path / "leg.xml"), actuator=fz.JointPD(kp=20, kd=1), timestep=0.02)
+    time = np.arange(100) / 50
+    knee, hip = np.sin(3 * time), 0.3 * np.sin(7 * time)
+    columns = {"time": time, "q_knee": knee, "q_hip": hip, "q_des_knee": knee, "q_des_hip": hip}
+    columns |= {"dq_hip": 2.1 * np.cos(7 * time), "dq_knee": 3 * np.cos(3 * time)} if measured else {}
+    (log,) = fz.read(columns | {"tau_est_knee": 3 * knee, "tau_est_hip": 3 * hip})
+    for accepted in (bench.accept(log), bench.accept(bench.accept(log))):
+        np.testing.assert_array_equal(accepted.qpos, np.stack([hip, knee], axis=1))
+        np.testing.assert_array_equal(accepted.ctrl, accepted.qpos)
+        np.testing.assert_allclose(np.abs(accepted.qvel).max(axis=0), [2.1, 3], rtol=0.1)
+        np.testing.assert_array_equal(accepted.extras["torque"], 3 * accepted.qpos)
+    assert accepted.velocity_estimated is not measured
+    (row,) = describe_columns([accepted], bench.joints)
+    assert row["joints"][0]["columns"]["qpos"] == "q_hip" and row["by"]["ctrl"] == "name"
+
+
+def test_joints_that_are_called_by_numbers(tmp_path):
+    (tmp_path / "leap.xml").write_text(LEG.format("1", "0"))
+    bench = fz.Robot(str(tmp_path / "leap.xml"), [1, 0], actuator=fz.JointPD(kp=20, kd=1))
+    assert bench.joints == ("1", "0")
+    with pytest.raises(BenchError, match=r"bench\.joint"):
+        fz.Robot(str(tmp_path / "leap.xml"), [0, 1], actuator=fz.JointPD(kp=20, kd=1))
 
 
 def test_each_recording_is_matched_on_its_own(tmp_path):

@@ -45,7 +45,7 @@ _TAKES: dict[str, tuple[Any, ...]] = {
     "evaluation.rollouts": (0, None),
     "evaluation.torque.bandwidth": (0.1, None),
     "evaluation.torque.held": (True, None),
-    "bench.joint": ("", [""], None),
+    "bench.joint": ("", [""], 0, [0], None),  # a joint may be called 0
     "bench.payload": ("", None),
     "bench.timestep": (0.1, None),
     "*.params.*.scale": ("", 0.1),
