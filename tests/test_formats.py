@@ -1,10 +1,12 @@
 """One recording in every format, and what each format says about its columns."""
 
+import contextlib
 import dataclasses
 import hashlib
 import json
 import shlex
 import shutil
+import struct
 import sys
 import zipfile
 from pathlib import Path
@@ -144,6 +146,45 @@ def test_matrices_texts_and_single_values(tmp_path):
     assert table.fields["who"] == "me"
     with pytest.raises(LogError, match=r"a\.mat: z is of type complex128, expected real numbers"):
         to_recording(table, {"time": "t", "qpos": "z", "ctrl": "t"}, {}, simulated=False)
+
+
+@pytest.mark.parametrize("order", "<>")
+def test_matlab_files_of_version_4(tmp_path, order):
+    columns = {**signals(30), "arm": np.arange(60.0).reshape(30, 2), "robot": "leg"}
+    scipy.io.savemat(tmp_path / "a.mat", columns, format="4")
+    if order == ">":
+        (tmp_path / "a.mat").write_bytes(write_mat_4({"q": np.arange(9.0), "i": np.arange(9, dtype="i2")}, order))
+        columns = {"q": np.arange(9.0), "i": np.arange(9.0)}
+    (came,) = read_tables(str(tmp_path / "a.mat"), "auto")
+    for name in columns.keys() - {"arm", "robot"}:
+        np.testing.assert_array_equal(came.columns[name], columns[name])
+    if order == "<":
+        assert came.fields == {"robot": "leg"}
+        np.testing.assert_array_equal(came.columns["arm[1]"], columns["arm"][:, 1])
+
+
+def test_damaged_matlab_files_of_version_4_get_one_line(tmp_path):
+    content = write_mat_4({"time": np.arange(50.0), "qpos": np.ones(50)}, "<")
+    rng = np.random.default_rng(0)
+    for _ in range(80):
+        damaged = bytearray(content[: rng.integers(1, len(content))] if rng.random() < 0.5 else content)
+        damaged[rng.integers(0, len(damaged))] = rng.integers(0, 256)
+        (tmp_path / "a.mat").write_bytes(damaged)
+        with contextlib.suppress(LogError):
+            read_tables(str(tmp_path / "a.mat"), "auto")
+    for kind in (2000, 60, 3, 100, -1):
+        (tmp_path / "a.mat").write_bytes(struct.pack("<5i", kind, 3, 1, 0, 2) + b"q\0" + bytes(24))
+        refuse(tmp_path / "a.mat", "version 4 to 7|VAX")
+
+
+def write_mat_4(columns, order):
+    """A file of version 4 in either byte order."""
+    content = b""
+    for name, values in columns.items():
+        kind = {"f": 0, "i": 30}[values.dtype.kind] + (1000 if order == ">" else 0)
+        header = struct.pack(f"{order}5i", kind, len(values), 1, 0, len(name) + 1)
+        content += header + name.encode() + b"\0" + values.astype(values.dtype.newbyteorder(order)).tobytes()
+    return content
 
 
 def test_parquet_has_times_lists_gaps_and_texts(tmp_path):
@@ -323,6 +364,15 @@ def test_a_joint_that_is_twice_in_a_message(tmp_path):
     twice = dataclasses.replace(joint_state(0, 1.0, 0.0), name=["knee", "knee"], position=np.ones(2))
     with pytest.raises(LogError, match=r"/position\[knee\] twice in one message"):
         ros_log(tmp_path / "bag", [("/js", twice, EPOCH)])
+
+
+@pytest.mark.parametrize("field", ["position", "velocity", "effort"])
+def test_a_message_with_other_numbers_than_names(tmp_path, field):
+    message = dataclasses.replace(
+        joint_state(0, 1.0, 0.0), name=["hip", "knee"], position=np.ones(2), velocity=np.ones(2)
+    )
+    with pytest.raises(LogError, match=f"{field} has 3 entries for 2 names"):
+        ros_log(tmp_path / "bag", [("/js", dataclasses.replace(message, **{field: np.ones(3)}), EPOCH)])
 
 
 def test_whole_numbers_of_messages_keep_their_last_digit(tmp_path):
@@ -649,6 +699,19 @@ ROBOTS = {
     "torque": (("time", "pos", "tau"), {"time": "time", "qpos": "pos", "ctrl": "tau"}),
     "doubt": (("time", "q", "qcmd", "tau", "tau2_raw"), {"time": "time", "qpos": "q", "ctrl": "qcmd"}),
     "external": (("time", "q", "qcmd", "tau_ext"), {"time": "time", "qpos": "q", "ctrl": "qcmd"}),
+    "motor": (
+        ("time", "pos", "vel", "torDes", "velDes", "posDes", "torEst", "torKdEst"),
+        {"time": "time", "qpos": "pos", "qvel": "vel", "ctrl": "posDes", "ctrl_velocity": "velDes"}
+        | {"ctrl_torque": "torDes"},
+    ),
+    "no-gain": (
+        ("time", "pos", "posDes", "torKdEst"),
+        {"time": "time", "qpos": "pos", "ctrl": "posDes"} | {"torque": "torKdEst"},
+    ),
+    "spelt-out": (
+        ("time", "q", "q_dot", "dQ_des", "qCmd"),
+        {"time": "time", "qpos": "q", "qvel": "q_dot", "ctrl": "qCmd"} | {"ctrl_velocity": "dQ_des"},
+    ),
     # Two encoders of one joint are not two joints.
     "encoders": (
         ("time", "motor_pos", "load_pos", "motor_cmd"),
@@ -671,6 +734,14 @@ def test_names_of_joints_make_lists_in_the_order_of_the_positions(form):
     names = {"qpos": "qpos", "ctrl": "ctrl", "ctrl_velocity": "ctrl_vel", "torque": "tau_est"}
     for signal, name in names.items():
         assert columns[signal] == (form.format(name, HIP), form.format(name, KNEE))
+
+
+@pytest.mark.parametrize("still", ["limit_ref", "goal", "gripper_cmd"])
+def test_a_command_that_never_changes_is_not_the_one_that_is_followed(still):
+    columns = motion()
+    headers = {"time": columns["time"], "q": columns["position"], still: np.zeros(400), "qdes": columns["goal"]}
+    assert propose(table(**headers)).columns["ctrl"] == ("qdes",)
+    assert propose(table(**headers | {"qdes": np.zeros(400)})).columns["ctrl"]  # at rest, one of them is as good
 
 
 def test_a_torque_that_would_cost_samples_is_not_proposed():

@@ -15,12 +15,14 @@ from browser import DRAWN, WIDTHS, needs_browser, open_page, read_data
 from conftest import DATA, ROOT, needs_data
 from recordings import make_recording, read_sts3215, simulate_servo
 from test_html import HOSTILE, Page
+from write_logs import write_csv
 
 from frictionzoo.cli.inspect import main
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.inspect.page import write_page
-from frictionzoo.inspect.survey import list_recordings, rank_by_faults, read_schema, survey_recordings
+from frictionzoo.inspect.survey import list_recordings, put_in_order, rank_by_faults, read_schema, survey_recordings
 from frictionzoo.inspect.terminal import list_quantities, summarise
+from frictionzoo.logs.files import Files
 from frictionzoo.logs.recording import Recording
 
 TIME = 0.01 * np.arange(1000)
@@ -125,6 +127,25 @@ def test_several_joints_are_told_apart():
     assert not any("rad" in finding["text"] for finding in survey["findings"])
     assert [joint["spikes"] for joint in survey["joints"]] == [1, 0]
     assert {"Spikes, joint 1", "Spikes, joint 2"} <= {finding["title"] for finding in survey["findings"]}
+
+
+@pytest.mark.parametrize(("joints", "names"), [((), ["knee", "hip"]), (("hip", "knee"), ["hip", "knee"])])
+def test_every_recording_is_labelled_with_the_joints(tmp_path, joints, names):
+    fast, slow = np.sin(3 * TIME), 0.5 * np.sin(2 * TIME)
+    columns = {"time": TIME, "q_knee": fast, "q_hip": slow, "cmd_hip": slow, "cmd_knee": fast}
+    for name, headers in (("a", [*columns]), ("b", ["time", "q_hip", "q_knee", "cmd_knee", "cmd_hip"])):
+        write_csv(tmp_path / f"{name}.csv", {header: columns[header] for header in headers})
+    source = Files(train=[str(tmp_path)]).for_joints(joints)
+    recordings, found = put_in_order(list_recordings(source), joints)
+    survey = validate(survey_recordings("leg", recordings, None, found))
+    assert found == names == [joint["name"] for joint in survey["joints"]]
+    for part, entries in (("position", survey["joints"]), ("range", survey["commands"])):
+        assert {entry["name"]: round(entry[part][1], 2) for entry in entries} == {"hip": 0.5, "knee": 1.0}
+    (columns,) = survey["columns"]
+    assert [row["columns"]["ctrl"] for row in columns["joints"]] == [f"cmd_{name}" for name in names]
+    assert f"Spikes, joint {names[0]}" in {finding["title"] for finding in survey["findings"]}
+    assert "joint <-  position  command" in summarise(survey, tmp_path)
+    assert f"position {names[0]}" in {row[0] for row in list_quantities(survey)}
 
 
 def test_every_field_of_the_schema_is_described():

@@ -5,7 +5,7 @@ import json
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -142,6 +142,48 @@ def write_lerobot(folder: Path, columns: Columns) -> Path:
         },
     }
     (folder / "meta").mkdir()
+    (folder / "meta" / "info.json").write_text(json.dumps(info))
+    return folder
+
+
+def write_robot_bag(
+    path: Path, messages: Sequence[tuple[int, Mapping[str, Mapping[str, float]], Mapping[str, float]]], storage: str
+) -> Path:
+    """A recording of several joints: each message has its time [ns], states by signal and name, and commands by name.
+
+    A folder of SQLite for `ros2bag`, a single file for `mcap`.
+    """
+    types = STORE.types
+    plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
+    with Writer(path, version=9, storage_plugin=plugin) as bag:
+        topics = {topic: bag.add_connection(topic, JOINT_STATE, typestore=STORE) for topic in ("/joint_states", "/cmd")}
+        for now, state, commands in messages:
+            for topic, fields in (
+                ("/joint_states", (state["qpos"], state["qvel"], state["torque"])),
+                ("/cmd", (commands, {}, {})),
+            ):
+                position, velocity, effort = (np.array([*field.values()], dtype=float) for field in fields)
+                stamp = types["builtin_interfaces/msg/Time"](sec=now // 10**9, nanosec=now % 10**9)
+                header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
+                message = types[JOINT_STATE](header, [*fields[0]], position, velocity, effort)
+                bag.write(topics[topic], now, STORE.serialize_cdr(message, JOINT_STATE))
+    return path if storage == "ros2bag" else next(path.glob("*.mcap"))
+
+
+def write_robot_lerobot(folder: Path, time: np.ndarray, features: Mapping[str, Columns], nested: bool = False) -> Path:
+    """One episode of features whose entries have these names, as a list or as a list in a list."""
+    described = {}
+    table: dict[str, object] = {"timestamp": time.astype(np.float32), "episode_index": np.zeros(len(time), int)}
+    for feature, entries in features.items():
+        values = np.stack([*entries.values()], axis=1).astype(np.float32)
+        table[feature] = pa.array(values.tolist(), pa.list_(pa.float32()))
+        names = [*entries]
+        described[feature] = {"dtype": "float32", "shape": [len(names)], "names": [names] if nested else names}
+    file = folder / "data" / "chunk-000" / "file-000.parquet"
+    file.parent.mkdir(parents=True)
+    pyarrow.parquet.write_table(pa.table(table), file)
+    (folder / "meta").mkdir()
+    info = {"codebase_version": "v3.0", "fps": 100, "features": described}
     (folder / "meta" / "info.json").write_text(json.dumps(info))
     return folder
 

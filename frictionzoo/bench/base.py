@@ -91,7 +91,7 @@ class Bench(Described):
     def __init__(
         self,
         mjcf: str,
-        joint: str | Sequence[str] | None = None,
+        joint: str | int | Sequence[str | int] | None = None,
         *,
         actuator: Actuator,
         params: Mapping[str, Any] | None = None,
@@ -135,7 +135,7 @@ class Bench(Described):
         self.observed: dict[str, float] = {}
         self._loads: dict[Payload, np.ndarray] = {}  # many recordings have the same
 
-    def _open(self, mjcf: str, joint: str | Sequence[str] | None, timestep: float | None) -> Template:
+    def _open(self, mjcf: str, joint: str | int | Sequence[str | int] | None, timestep: float | None) -> Template:
         return Template(mjcf, joint, timestep)
 
     def _fill(self, params: Mapping[str, Param]) -> Mapping[str, Param]:

@@ -43,12 +43,21 @@ class Given(NamedTuple):
         for name, section in (settings.get("model", {}).get("params") or {}).items():
             Param.from_config(name, "1", section)
         source, section = build(settings["data"], Source), settings["bench"]
-        try:
-            bench = build(section, Bench)
-            dataset = source.for_joints(bench.joints).load()
-        except MissingValueError as missing:
-            joints = build(put_options(section, stand_in(section)), Bench).joints
-            dataset = source.for_joints(joints).load()
+        bench, missing = build_open(section)
+        dataset = source.for_joints(bench.joints).load()
+        if missing:
             section = put_options(section, find_gains(section, dataset, missing))
             bench = build(section, Bench)
         return cls(bench, dataset, time.perf_counter() - began, {**settings, "bench": section})
+
+
+def build_open(section: Mapping[str, Any]) -> tuple[Bench, MissingValueError | None]:
+    """Return the bench of a section, and what it lacks: gains that have no value are 1 then, so that joints are known.
+
+    Raises:
+        FrictionzooError: The section is not a bench's, or another value is missing.
+    """
+    try:
+        return build(section, Bench), None
+    except MissingValueError as missing:
+        return build(put_options(section, stand_in(section)), Bench), missing

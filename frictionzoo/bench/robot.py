@@ -64,7 +64,7 @@ class Robot(Bench):
     def __init__(
         self,
         mjcf: str,
-        joint: str | Sequence[str] | None = None,
+        joint: str | int | Sequence[str | int] | None = None,
         *,
         actuator: Actuator | None = None,
         params: Mapping[str, Any] | None = None,

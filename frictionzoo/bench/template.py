@@ -35,7 +35,7 @@ class Template:
         ConfigError: The step is none.
     """
 
-    def __init__(self, source: str, joint: str | Sequence[str] | None, timestep: float | None) -> None:
+    def __init__(self, source: str, joint: str | int | Sequence[str | int] | None, timestep: float | None) -> None:
         self.source: str = source
         self._root = _read(source)
         if timestep is not None:
@@ -233,14 +233,14 @@ class Template:
             next(parent for parent in other._root.iter() if found in list(parent)).remove(found)
         return other
 
-    def _choose_joints(self, joint: str | Sequence[str] | None) -> tuple[str, ...]:
+    def _choose_joints(self, joint: str | int | Sequence[str | int] | None) -> tuple[str, ...]:
         found = [element.get("name", "") for element in self._root.findall("./worldbody//joint")]
         if joint is None:
             if len(found) != 1 or not found[0]:
                 listed = ", ".join(name or "(unnamed)" for name in found) or "none"
                 self._fail(f"joints {listed}, expected one named joint; set bench.joint")
             return (found[0],)
-        wanted = [joint] if isinstance(joint, str) else list(joint)
+        wanted = [str(name) for name in ([joint] if isinstance(joint, str | int) else joint)]
         for name in wanted:
             if name not in found:
                 self._fail(f"no joint {name}; {closest(name, filter(None, found))}; set bench.joint")

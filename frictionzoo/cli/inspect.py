@@ -34,38 +34,44 @@ def _inspect(config: DictConfig) -> None:
         check_overrides(config, compose_config(*choices_of(hydra_config.runtime.choices)))
         choices = hydra_config.runtime.choices
         said = choices["data"] != "files" or any(each.startswith("bench") for each in hydra_config.overrides.task)
-        say(inspect_data(config, Path(hydra_config.runtime.output_dir), _joint_type(config) if said else None))
+        bench = _build_bench(config) if said else None
+        say(inspect_data(config, Path(hydra_config.runtime.output_dir), bench))
 
 
-def inspect_data(config: DictConfig, folder: Path, joint_type: str | None = None) -> str:
+def inspect_data(config: DictConfig, folder: Path, bench: Any = None) -> str:
     """Look at the data set of a configuration, write `inspect.html` and `inspect.json`, and return words on it.
 
     Args:
         config: Of a job.
         folder: Where to write.
-        joint_type: `hinge` or `slide`; None where nobody said on what bench the data were recorded.
+        bench: On which the data were recorded; None where nobody said it.
 
     Raises:
         FrictionzooError: The input is at fault, or a file cannot be written.
     """
     # Imported here, so that --help and a typing error do not wait for it.
     from frictionzoo.inspect.page import write_page
-    from frictionzoo.inspect.survey import list_recordings, survey_recordings
+    from frictionzoo.inspect.survey import list_recordings, put_in_order, survey_recordings
     from frictionzoo.inspect.terminal import summarise
 
     data = cast(dict[str, Any], OmegaConf.to_container(config.data, resolve=True))
+    source, joints, joint_type = build(data, Source), (), None
+    if bench is not None:
+        source, joints, joint_type = source.for_joints(bench.joints), bench.joints, bench.joint_type
     with claim(folder, "inspection", ("inspect.html", "inspect.json")):
-        recordings = list_recordings(build(data, Source))
-        survey = survey_recordings(str(data.get("name", "data")), recordings, joint_type)
+        recordings, names = put_in_order(list_recordings(source), joints)
+        survey = survey_recordings(str(data.get("name", "data")), recordings, joint_type, names)
         write_page(folder / "inspect.html", survey, recordings)
         write_atomically(folder / "inspect.json", (json.dumps(survey, indent=2, allow_nan=False) + "\n").encode())
     return summarise(survey, folder)
 
 
-def _joint_type(config: DictConfig) -> str | None:
-    """Whether the bench's joints turn or slide; None where its model is not there, which recordings do not need."""
+def _build_bench(config: DictConfig) -> Any:
+    """The bench; None where its model is not there, which recordings do not need."""
     with contextlib.suppress(FrictionzooError):
-        return build(cast(dict[str, Any], OmegaConf.to_container(config.bench, resolve=True))).joint_type
+        from frictionzoo.bench.given import build_open
+
+        return build_open(cast(dict[str, Any], OmegaConf.to_container(config.bench, resolve=True)))[0]
     return None
 
 

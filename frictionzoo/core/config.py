@@ -46,7 +46,7 @@ _TAKES: dict[str, tuple[Any, ...]] = {
     "evaluation.rollouts": (0, None),
     "evaluation.torque.bandwidth": (0.1, None),
     "evaluation.torque.held": (True, None),
-    "bench.joint": ("", [""], None),
+    "bench.joint": ("", [""], 0, [0], None),  # a joint may be called 0
     "bench.payload": ("", None),
     "bench.timestep": (0.1, None),
     "bench.actuator.params.k[pd].init": (0.1, [0.1], None),

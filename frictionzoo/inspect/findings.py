@@ -33,11 +33,12 @@ def list_findings(survey: Mapping[str, Any]) -> Iterator[Check]:
     yield _find_origin(survey["data"])
     yield _find_jitter(survey)
     yield _find_breaks(survey["timing"])
-    for i, joint in enumerate(survey["joints"]):
-        which = f", joint {i + 1}" if len(survey["joints"]) > 1 else ""
+    for joint in survey["joints"]:
+        which = f", joint {joint['name']}" if len(survey["joints"]) > 1 else ""
         yield from (replace(finding, title=f"{finding.title}{which}") for finding in _find_in_joint(joint, survey))
     for command in survey["commands"]:
-        yield from _find_saturation(command)
+        which = f", joint {command['name']}" if len(survey["commands"]) > 1 else ""
+        yield from (replace(finding, title=f"{finding.title}{which}") for finding in _find_saturation(command))
     yield from _find_supply(survey["supply"], survey["data"]["recordings"])
     yield from _find_off(survey["enabled"])
 

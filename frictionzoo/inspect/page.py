@@ -32,7 +32,7 @@ def write_page(path: Path, survey: Mapping[str, Any], recordings: Sequence[Recor
     joints = range(len(survey["joints"]))
     sections = {
         "velocity": [_plot_velocities(recordings, joint, survey) for joint in joints],
-        "worst": [_plot_recording(worst, joint, survey["units"]) for joint in joints],
+        "worst": [_plot_recording(worst, joint, survey) for joint in joints],
         "spread": list(_plot_spreads(survey)) if len(recordings) > 1 else [],
     }
     page = render_page(
@@ -58,8 +58,9 @@ def _plot_velocities(recordings: Sequence[Recording], joint: int, survey: Mappin
     return Figure(_name("Velocities", joint, survey), text, (panel,))
 
 
-def _plot_recording(recording: Recording, joint: int, units: Mapping[str, str]) -> Figure:
+def _plot_recording(recording: Recording, joint: int, survey: Mapping[str, Any]) -> Figure:
     """Position and command above velocity, over time, with the spikes marked."""
+    units = survey["units"]
     time = recording.time - recording.time[0]
     position, spikes = recording.signals["qpos"][:, joint], find_spikes(recording.signals["qpos"][:, joint])
     above: list[Mark] = [Curve(x=time, y=position, name="position")]
@@ -83,7 +84,7 @@ def _plot_recording(recording: Recording, joint: int, units: Mapping[str, str]) 
     text = (
         f"{recording.name}: position [{units['position']}] and command above the velocity, estimated over the longest "
     )
-    return Figure(recording.name, f"{text}stretch without a gap.", (upper, lower))
+    return Figure(_name(recording.name, joint, survey), f"{text}stretch without a gap.", (upper, lower))
 
 
 def _plot_spreads(survey: Mapping[str, Any]) -> Iterator[Figure]:
@@ -125,4 +126,4 @@ def _count(
 
 
 def _name(quantity: str, joint: int, survey: Mapping[str, Any]) -> str:
-    return f"{quantity}, joint {joint + 1}" if len(survey["joints"]) > 1 else quantity
+    return f"{quantity}, joint {survey['joints'][joint]['name']}" if len(survey["joints"]) > 1 else quantity

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib import resources
 from typing import Any
 
@@ -10,12 +10,14 @@ import numpy as np
 from jaxtyping import Float
 
 from frictionzoo import __version__
+from frictionzoo.core.errors import LogError
 from frictionzoo.core.log import Log, pool_origins
 from frictionzoo.core.output import to_json
 from frictionzoo.core.params import UNITS
 from frictionzoo.inspect.findings import list_findings
 from frictionzoo.logs.delay import estimate_delay
 from frictionzoo.logs.diagnose import SLOWEST, Diagnosis, diagnose
+from frictionzoo.logs.pairing import arrange, describe_columns, has_names, label, reorder
 from frictionzoo.logs.recording import Recording
 from frictionzoo.logs.signals import TOP, derive_velocity, repair_spikes
 
@@ -39,27 +41,59 @@ def list_recordings(source: Any) -> list[Recording]:
     return source.recordings() if hasattr(source, "recordings") else [_as_recording(log) for log in source.load().logs]
 
 
-def survey_recordings(name: str, recordings: Sequence[Recording], joint_type: str | None = None) -> Survey:
+def put_in_order(recordings: Sequence[Recording], joints: Sequence[str] = ()) -> tuple[list[Recording], list[str]]:
+    """Return recordings whose columns have one order of the joints, and the joints' names.
+
+    Args:
+        recordings: Of one drive, at least one.
+        joints: Names of the bench's joints, in whose order the columns are; empty where no bench is known. The headers
+            of the first recording's positions give the names then, and all columns are matched with these.
+    """
+    count = recordings[0].signals["qpos"].shape[1]
+    if len(joints) == count:
+        return list(recordings), list(joints)
+    if any("qpos" not in recording.columns for recording in recordings):
+        return list(recordings), list(map(str, range(1, count + 1)))
+    headers = recordings[0].columns["qpos"].headers
+    names = label(headers)
+    known = names if has_names(headers) else [f"number {name}" for name in names]
+    ordered = []
+    for each in recordings:
+        try:
+            found = arrange(each.name, each.columns, known if count > 1 else ())
+        except LogError:  # commands may have names of their own, which leaves the order of the columns
+            return list(recordings), list(names)
+        signals = {signal: each.signals[signal][:, list(order)] for signal, (order, _) in found.items()}
+        ordered.append(replace(each, signals=signals, columns=reorder(each.columns, found)))
+    return ordered, list(names)
+
+
+def survey_recordings(
+    name: str, recordings: Sequence[Recording], joint_type: str | None = None, names: Sequence[str] = ()
+) -> Survey:
     """What is in the recordings of a data set, at least one and all of one drive, and what should be looked at.
 
     Args:
         name: The data set's.
         recordings: As they come.
         joint_type: `hinge` or `slide`, which tells the units; None where nobody said it.
+        names: Of the joints, in the order of the columns; numbers where there are none.
 
     Raises:
         LogError: A recording holds next to nothing, or another number of joints than the first.
     """
     diagnoses = [diagnose(recording) for recording in recordings]
     joints = min(len(diagnosis.joints) for diagnosis in diagnoses)
+    names = list(names) or [str(number) for number in range(1, joints + 1)]
     survey = {
         "schema_version": SCHEMA_VERSION,
         "version": __version__,
         "data": _describe_data(name, recordings),
         "units": {name: _say_unit(name, joint_type) for name in ("position", "velocity")},
         "timing": _pool_timing(diagnoses),
-        "joints": [_pool_joint(recordings, diagnoses, joint) for joint in range(joints)],
-        "commands": _pool_commands(diagnoses),
+        "joints": [{"name": names[joint]} | _pool_joint(recordings, diagnoses, joint) for joint in range(joints)],
+        "columns": describe_columns(recordings, names),
+        "commands": _pool_commands(diagnoses, names),
         "supply": _pool_supply(diagnoses),
         "enabled": _spread(diagnosis.enabled for diagnosis in diagnoses),
         "recordings": [
@@ -82,7 +116,7 @@ def _say_unit(dimension: str, joint_type: str | None) -> str:
 
 def _as_recording(log: Log) -> Recording:
     signals = {"qpos": log.qpos, "qvel": log.qvel, "ctrl": log.ctrl, **log.extras}
-    return Recording(log.name, log.time, signals, log.metadata, log.sha256, log.simulated)
+    return Recording(log.name, log.time, signals, log.metadata, log.sha256, log.simulated, columns=log.columns)
 
 
 def _describe_data(name: str, recordings: Sequence[Recording]) -> dict[str, Any]:
@@ -123,12 +157,17 @@ def _pool_joint(recordings: Sequence[Recording], diagnoses: Sequence[Diagnosis],
     }
 
 
-def _pool_commands(diagnoses: Sequence[Diagnosis]) -> list[dict[str, Any]]:
+def _pool_commands(diagnoses: Sequence[Diagnosis], names: Sequence[str]) -> list[dict[str, Any]]:
     count = min(len(diagnosis.commands) for diagnosis in diagnoses)
     columns = [[diagnosis.commands[column] for diagnosis in diagnoses] for column in range(count)]
+    names = names if len(names) == count else [str(number) for number in range(1, count + 1)]
     return [
-        {"range": _envelop(c.range for c in commands), "saturated": _spread(c.saturated for c in commands)}
-        for commands in columns
+        {
+            "name": names[column],
+            "range": _envelop(c.range for c in commands),
+            "saturated": _spread(c.saturated for c in commands),
+        }
+        for column, commands in enumerate(columns)
     ]
 
 

@@ -7,7 +7,7 @@ from textwrap import fill
 from typing import Any
 
 from frictionzoo.core.telling import escape_all
-from frictionzoo.show.terminal import align
+from frictionzoo.show.terminal import align, list_columns
 
 WIDTH = 110  # characters of a line, at most, and where there is no terminal
 MARKS = {"good": "ok", "note": "note", "caution": "caution", "bad": "problem"}
@@ -21,8 +21,10 @@ def summarise(survey: Mapping[str, Any], folder: Path) -> str:
     data, count = survey["data"], survey["data"]["recordings"]
     length = f"{data['samples']} samples, {data['duration']:.4g} s"
     options = [finding["option"] for finding in survey["findings"] if finding["option"]]
+    tables = [align(list_columns(columns)) for columns in survey["columns"]]
     blocks = [
         f"{data['name']}: {count} recording{'s' * (count != 1)}, {length}",
+        *(tables if len(survey["joints"]) > 1 else []),
         align([("over the recordings", "lowest", "median", "highest", "unit"), *list_quantities(survey)]),
         "\n".join(_tell(survey["findings"])),
         *([f"options to think about: {' '.join(dict.fromkeys(options))}"] if options else []),
@@ -37,8 +39,8 @@ def list_quantities(survey: Mapping[str, Any]) -> Iterator[Row]:
     small = " or ".join(f"m{unit}" for unit in units["position"].split(" or "))
     yield from _row("sample interval", timing["interval"], "ms", 1e3)
     yield from _row("intervals off by over 5 %", timing["jitter"], "%", 100.0)
-    for i, joint in enumerate(survey["joints"]):
-        which = f" {i + 1}" if len(survey["joints"]) > 1 else ""
+    for joint in survey["joints"]:
+        which = f" {joint['name']}" if len(survey["joints"]) > 1 else ""
         yield _bounds(f"position{which}", joint["position"], units["position"])
         yield _bounds(f"velocity{which}", joint["velocity"], units["velocity"])
         yield from _row(f"position quantum{which}", joint["position_quantum"], small, 1e3)
@@ -47,8 +49,8 @@ def list_quantities(survey: Mapping[str, Any]) -> Iterator[Row]:
         if delay := joint["delay"]:
             values = {"low": delay["low"], "median": delay["seconds"], "high": delay["high"]}
             yield from _row(f"command delay{which}, quartiles", values, "ms", 1e3)
-    for i, command in enumerate(survey["commands"]):
-        which = f" {i + 1}" if len(survey["commands"]) > 1 else ""
+    for command in survey["commands"]:
+        which = f" {command['name']}" if len(survey["commands"]) > 1 else ""
         yield _bounds(f"command{which}", command["range"], "")
         yield from _row(f"command at an end{which}", command["saturated"], "%", 100.0)
     if survey["supply"]:

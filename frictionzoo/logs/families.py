@@ -1,7 +1,7 @@
 """Headers that speak of the same signal, one a joint, and which of them are taken for it."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -17,15 +17,18 @@ Families = dict[tuple[int, str], list[str]]
 """Headers that differ in the joint alone, by how plainly they speak of their signal, and what they have in common."""
 
 
-def find_columns(table: Table, joints: Sequence[str]) -> tuple[dict[str, tuple[str, ...]], list[str]]:
+def find_columns(
+    table: Table, joints: Sequence[str], said: Collection[str]
+) -> tuple[dict[str, tuple[str, ...]], list[str]]:
     """Find the headers of each signal, in the table's order, and a sentence on each.
 
     Args:
         table: What a file holds.
         joints: Names of the joints whose columns are wanted; none where they are not known.
+        said: Signals of which a user said the columns.
 
     Raises:
-        LogError: Headers name some of the joints and not all, or one of them twice.
+        LogError: Headers of another signal name some of the joints and not all, or one of them twice.
     """
     columns, reasons = {}, []
     names = {header: name for header in table.columns if (name := find_name(header, tuple(joints)))}
@@ -33,8 +36,13 @@ def find_columns(table: Table, joints: Sequence[str]) -> tuple[dict[str, tuple[s
     for signal in SIGNALS:
         found = families.get(signal)
         if found:
-            headers = tuple(_choose(table, signal, found, names, joints))
-            if signal in BESIDE and len(headers) not in (1, len(columns.get("qpos", ()))):
+            try:
+                headers = tuple(_choose(table, signal, found, names, joints))
+            except LogError:
+                if signal in said:
+                    continue
+                raise
+            if signal in BESIDE and len(headers) not in (1, len(joints) or len(columns.get("qpos", ()))):
                 continue
             columns[signal] = headers
             others = [other[0] for other in found.values() if not {*other} & {*headers}]
@@ -48,15 +56,14 @@ def _choose(
     table: Table, signal: str, found: Families, names: Mapping[str, Named], joints: Sequence[str]
 ) -> Sequence[str]:
     """The headers of a signal: those with the joints' names where there are any, else the plainest."""
-    named = [headers for headers in found.values() if headers[0] in names]
-    if signal == "time" or not named:
-        best = found[min(found, key=lambda key: key[0])]
+    best = found[min(found, key=lambda key: key[0])]
+    if signal == "time" or best[0] not in names:
         return best[:1] if signal == "time" else best
     everyone = list(range(len(joints)))
-    complete = [headers for headers in named if sorted(names[header].joint for header in headers) == everyone]
+    complete = [headers for headers in found.values() if sorted(names[header].joint for header in headers) == everyone]
     if len(complete) == 1:
         return complete[0]
-    every = sorted((header for headers in named for header in headers), key=list(table.columns).index)
+    every = sorted((header for headers in found.values() for header in headers), key=list(table.columns).index)
     try:
         pair(every, joints)
     except LogError as error:
@@ -80,6 +87,7 @@ def _families(table: Table, names: Mapping[str, Named]) -> dict[str, Families]:
         if header not in table.times.values() and (role := find_signal(words)):
             signal, rank = role
             families.setdefault(signal, {}).setdefault((rank, stem), []).append(header)
+    families = {signal: _prefer_named(found, names) for signal, found in families.items()}
     efforts = families.pop("effort", {})
     families |= {signal: _keep_usable(table, signal, families.get(signal, {})) for signal in ("kp", "kd")}
     if "ctrl" not in families:  # a drive that is told a velocity or a torque, or whose torque is what drives it
@@ -88,6 +96,11 @@ def _families(table: Table, names: Mapping[str, Named]) -> dict[str, Families]:
     usable = {signal: _keep_usable(table, signal, families.get(signal, {})) for signal in BESIDE}
     usable["torque"] = _keep_usable(table, "torque", _pick_torque(efforts))
     return {**families, "ctrl": _prefer_moving(table, families["ctrl"]), **usable}
+
+
+def _prefer_named(found: Families, names: Mapping[str, Named]) -> Families:
+    """Headers with joints' names, where any have them: others are of other joints."""
+    return {key: headers for key, headers in found.items() if headers[0] in names} or found
 
 
 def _prefer_moving(table: Table, found: Families) -> Families:

@@ -10,7 +10,7 @@ import numpy as np
 
 from frictionzoo.core.described import describe
 from frictionzoo.core.errors import ConfigError, LogError, closest
-from frictionzoo.core.log import ORIGINS, Dataset, Log, Payload
+from frictionzoo.core.log import ORIGINS, Columns, Dataset, Log, Payload
 from frictionzoo.logs.clean import Cleaning, clean, summarise_repairs
 from frictionzoo.logs.columns import Proposal, list_names, propose, to_recording
 from frictionzoo.logs.formats import find_files, format_names, read_tables
@@ -194,7 +194,7 @@ class Files(Source):
 
     def _complete(self, table: Table) -> tuple[dict[str, Any], dict[str, str]]:
         """Columns and units, with what is proposed where the options say nothing."""
-        proposal = propose(table, self.joints)
+        proposal = propose(table, self.joints, self.columns)
         columns = {signal: headers for signal, headers in proposal.columns.items() if signal not in self.columns}
         # A unit is that of the headers that were looked at, also where the options name the same ones.
         seen = {signal for signal, headers in proposal.columns.items() if self.columns.get(signal, headers) == headers}
@@ -202,7 +202,10 @@ class Files(Source):
         own = all(headers == (signal,) for signal, headers in columns.items())
         if not own or units:
             level = logging.INFO if proposal.certain else logging.WARNING
-            taken = " ".join(Proposal(columns, units).overrides())
+            came = {signal: Columns(headers) for signal, headers in columns.items()}
+            if self.joints:
+                came = reorder(came, arrange(table.name, came, self.joints))
+            taken = " ".join(Proposal({signal: of.headers for signal, of in came.items()}, units).overrides())
             _log.log(level, "%s: taken from names and numbers in %s: %s", self.name, table.name, taken)
         return {**columns, **self.columns}, {**units, **self.units}
 

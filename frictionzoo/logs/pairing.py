@@ -1,5 +1,6 @@
 """Which column belongs to which joint: by the names in the headers, or by place where the headers have no names."""
 
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from functools import cache
@@ -108,12 +109,12 @@ def describe_columns(carriers: Sequence[Log] | Sequence[Recording], joints: Sequ
     """Return which column each joint got, once for all logs or recordings with the same columns, ready for JSON.
 
     Args:
-        carriers: With columns in the order of the joints; those without any are left out.
+        carriers: With columns in the order of the joints; those with others, or without any, are left out.
         joints: Names of the joints.
     """
     names: dict[tuple[tuple[str, Columns], ...], list[str]] = {}
     for each in carriers:
-        if each.columns:
+        if each.columns and all(of.by and len(of.headers) in (1, len(joints)) for of in each.columns.values()):
             names.setdefault(tuple(each.columns.items()), []).append(each.name)
     return [
         {
@@ -180,6 +181,21 @@ def _pair_numbers(headers: Sequence[str], joints: Sequence[str]) -> Pairing:
     return Pairing(tuple(sorted(range(len(numbers)), key=numbers.__getitem__)), "place")
 
 
+def label(headers: Sequence[str]) -> tuple[str, ...]:
+    """Return names for unknown joints: headers without the words of signals, or else numbers from 1."""
+    names = []
+    for header in headers:
+        words = [word for word in re.finditer(r"[^\W\d_]+|\d+", header)]
+        while words and KNOWN.issuperset(list_words(split(words[0].group()))) and not words[0].group().isdecimal():
+            words.pop(0)
+        while words and KNOWN.issuperset(list_words(split(words[-1].group()))) and not words[-1].group().isdecimal():
+            words.pop()
+        names.append(header[words[0].start() : words[-1].end()] if words else "")
+    if not has_names(headers) or not all(names) or len({*names}) < len(names):
+        return tuple(str(number) for number in range(1, len(headers) + 1))
+    return tuple(names)
+
+
 def has_names(headers: Sequence[str]) -> bool:
     """Whether headers differ in more than numbers."""
     return len({tuple("#" if part.isdecimal() else part for part in split(header)) for header in headers}) > 1
@@ -216,7 +232,7 @@ def find_name(header: str, joints: tuple[str, ...]) -> Named | None:
         return None
     _, joint, begin, end = best[-1]
     rest = list_words((*parts[:begin], *parts[end:])) or list_words(parts)
-    return Named(joint, tuple(rest), " ".join(("".join(parts[:begin]), "*", "".join(parts[end:]))))
+    return Named(joint, tuple(rest), " ".join((*parts[:begin], "*", *parts[end:])))
 
 
 @cache

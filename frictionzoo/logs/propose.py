@@ -3,7 +3,7 @@
 import math
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -55,15 +55,16 @@ class Proposal:
         return [_shell(option) for option in (*columns, *units)]
 
 
-def propose(table: Table, joints: Sequence[str] = ()) -> Proposal:
+def propose(table: Table, joints: Sequence[str] = (), said: Collection[str] = ()) -> Proposal:
     """Guess at the signals of a table, from names and from numbers.
 
     Args:
         table: What a file holds.
         joints: Names of the joints whose columns are wanted; none where they are not known.
+        said: Signals of which a user said the columns.
 
     Raises:
-        LogError: Headers name some of the joints and not all, or one of them twice.
+        LogError: Headers of another signal name some of the joints and not all, or one of them twice.
     """
     for known in ({signal: signal for signal in SIGNALS}, BAM):
         if all(known[signal] in table.columns for signal in ("time", "qpos", "ctrl")):
@@ -72,7 +73,7 @@ def propose(table: Table, joints: Sequence[str] = ()) -> Proposal:
             units, reasons = _units(table, columns)
             reason = f"{', '.join(h for (h,) in columns.values())}: by their names"
             return Proposal(columns, units, (reason, *reasons), certain=not units)
-    columns, named = find_columns(table, joints)
+    columns, named = find_columns(table, joints, said)
     units, reasons = _units(table, columns)
     return Proposal(columns, units, (*named, *reasons))
 

@@ -16,7 +16,7 @@ _KINDS = {
 }
 
 
-def choose_joints(source: Source, joint: str | Sequence[str] | None) -> list[int]:
+def choose_joints(source: Source, joint: str | int | Sequence[str | int] | None) -> list[int]:
     """Indices of the joints with these names, or whose whole name a regular expression matches, in MuJoCo's order.
 
     Raises:
@@ -29,7 +29,8 @@ def choose_joints(source: Source, joint: str | Sequence[str] | None) -> list[int
             source.fail("it has joints without a name, expected names of all; name those that are meant in bench.joint")
         wanted = [".*"]
     else:
-        wanted = [joint] if isinstance(joint, str) else list(joint)
+        # A name such as 0 comes as a number.
+        wanted = [str(name) for name in ([joint] if isinstance(joint, str | int) else joint)]
     if not names or not wanted:
         source.fail(
             "no hinge and no slide is chosen, expected joints that move; set bench.joint, or another bench.mjcf"

@@ -66,7 +66,7 @@ class RobotFile:
 
 def read_robot(
     source: str,
-    joint: str | Sequence[str] | None = None,
+    joint: str | int | Sequence[str | int] | None = None,
     *,
     base: str = "fixed",
     contacts: str = "leave_out",

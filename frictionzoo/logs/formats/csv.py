@@ -3,6 +3,7 @@
 import csv
 import io
 import re
+from collections import Counter
 from collections.abc import Sequence
 from typing import ClassVar
 
@@ -45,10 +46,10 @@ class Csv(Format):
 def _sort_out(name: str, headers: Sequence[str], lines: Sequence[int], cells: Sequence[Sequence[str]]) -> Table:
     """Columns that are numbers, and why the others are none."""
     columns, refused = {}, {}
+    counts = Counter(headers)
     for header, column in zip(headers, cells, strict=True):
-        count = headers.count(header)
-        if count > 1:
-            refused[header] = f"{name}: {count} columns {header}, expected one; rename the others"
+        if counts[header] > 1:
+            refused[header] = f"{name}: {counts[header]} columns {header}, expected one; rename the others"
             continue
         try:
             columns[header] = _numbers(column)

@@ -52,9 +52,13 @@ def _info(path: Path) -> tuple[dict[str, list[str]], dict[str, str | float]]:
 
 
 def _names(given: Any) -> list[str]:
-    """A list of names, which older data sets put under the name of an axis."""
+    """A list of names, which older data sets put under the name of an axis, or into a list, or number."""
     if isinstance(given, dict):
+        if given and all(isinstance(place, int) for place in given.values()):
+            return [str(name) for name in sorted(given, key=given.__getitem__)]
         given = next(iter(given.values()), None)
+    if isinstance(given, list) and len(given) == 1 and isinstance(given[0], list):
+        given = given[0]
     return [str(name) for name in given] if isinstance(given, list) else []
 
 

@@ -1,4 +1,4 @@
-"""MATLAB files up to version 7, through SciPy."""
+"""MATLAB files of version 4 to 7, through SciPy."""
 
 import io
 import struct
@@ -14,6 +14,8 @@ from frictionzoo.logs.recording import Table
 HDF5 = b"\x89HDF\r\n\x1a\n"
 HEADER = 128  # bytes before the first variable of a version 5 file
 COMPRESSED = 15  # type of a variable that is packed
+HEADER_4 = struct.Struct("5i")  # of a variable of version 4: kind, rows, columns, whether complex, length of the name
+BYTES_4 = (8, 4, 4, 2, 2, 1)  # of a number, by its type
 BLOCK = 1 << 20  # bytes that are unpacked at a time to count them
 
 
@@ -52,9 +54,12 @@ KINDS = frozenset(
 
 
 def _check_sizes(name: str, content: bytes) -> None:
-    """See that each variable of a version 5 file has the bytes that it declares, and that packed ones are intact."""
+    """See that each variable has the bytes that it declares, and that packed ones, of version 5 on, are intact."""
+    if 0 in content[:4]:  # version 5 begins with text
+        _check_sizes_4(name, content)
+        return
     if len(content) < HEADER or content[126:128] not in (b"IM", b"MI"):
-        raise LogError(f"{name}: no MATLAB file of version 5 to 7; expected one; in MATLAB: save(..., '-v7')")
+        raise LogError(f"{name}: no MATLAB file of version 4 to 7; expected one; in MATLAB: save(..., '-v7')")
     order = "<" if content[126:128] == b"IM" else ">"
     place, total = HEADER, 0
     while place < len(content):
@@ -65,6 +70,30 @@ def _check_sizes(name: str, content: bytes) -> None:
             total += _unpacked_size(name, memoryview(content)[place + 8 : place + 8 + size], order)
             check_unpacked(name, total, len(content))
         place += 8 + size
+
+
+def _check_sizes_4(name: str, content: bytes) -> None:
+    """See that each variable of a version 4 file has the bytes that it declares, in the order that SciPy takes."""
+    order = "<" if struct.unpack_from("<i", content)[0] in range(5000) else ">"
+    place = 0
+    while place < len(content):
+        header = content[place : place + HEADER_4.size]
+        if len(header) < HEADER_4.size:
+            raise LogError(f"{name}: ends within the header of a variable; copy or export it again")
+        kind, rows, columns, is_complex, letters = struct.unpack(f"{order}5i", header)
+        machine, numbers, is_known = (
+            kind // 1000,
+            kind // 10 % 10,
+            kind >= 0 and kind % 10 <= 2 and not kind // 100 % 10,
+        )
+        if not is_known or numbers >= len(BYTES_4) or min(rows, columns) < 0 or is_complex not in (0, 1) or letters < 1:
+            raise LogError(f"{name}: no MATLAB file of version 4 to 7; expected one; in MATLAB: save(..., '-v7')")
+        if machine > 1:
+            raise LogError(f"{name}: numbers of a VAX or a Cray, expected IEEE ones; in MATLAB: save(..., '-v7')")
+        size = rows * columns * BYTES_4[numbers] * (1 + is_complex) + letters
+        place += HEADER_4.size + size
+        if place > len(content):
+            raise LogError(f"{name}: ends within a variable; expected {place - len(content)} more bytes; copy it again")
 
 
 def _unpacked_size(name: str, packed: memoryview, order: str) -> int:

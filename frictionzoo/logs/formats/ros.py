@@ -29,6 +29,7 @@ STORAGES = (".mcap", ".db3")  # by which rosbags tells them apart
 FOOTER = struct.Struct("<BQQQI")  # kind and size, where the summary and its index begin, checksum of the summary
 BLOCK = 1 << 20  # bytes that are read at a time
 JOINT_UNITS = {"position": "rad", "velocity": "rad/s", "effort": "N m"}  # what sensor_msgs/JointState lays down
+OF_JOINTS = (*JOINT_UNITS, "positions", "velocities", "accelerations")  # which have an entry a name, or none
 ZSTD = "compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd"  # as rosbags has it
 LONGEST = 2**20  # entries of one array in one message
 
@@ -180,6 +181,8 @@ def _numbers(value: Any, path: str, names: list[str]) -> Iterator[tuple[str, flo
     if isinstance(value, int | float | np.number):
         yield path, value.item() if isinstance(value, np.number) else value
     elif isinstance(value, np.ndarray) and value.ndim == 1 and len(value) <= base.WIDE:
+        if names and len(value) not in (0, len(names)) and path[1:] in OF_JOINTS:
+            raise ValueError(f"{path[1:]} has {len(value)} entries for {len(names)} names, {', '.join(names[:8])}")
         labels = names if len(names) == len(value) else range(len(value))
         yield from ((f"{path}[{label}]", number) for label, number in zip(labels, value.tolist(), strict=True))
     elif hasattr(value, "__msgtype__"):
