@@ -1,6 +1,7 @@
 """How a command ends: a mistake or a signal is one line on the standard error and an exit status."""
 
 import contextlib
+import io
 import os
 import signal
 import sys
@@ -41,8 +42,6 @@ def mistakes_in_one_line(
             yield
         except Stopped as stop:
             fail(f"stopped by {signal.Signals(stop.number).name}; {go_on()}", status=128 + stop.number)
-        except BrokenPipeError:  # nobody reads what is printed: whoever began the command ends it
-            raise
         except Exception as error:
             # Imported here, so that --help does not wait for Hydra.
             from frictionzoo.cli.explain import explain
@@ -87,6 +86,50 @@ def stoppable() -> Iterator[None]:
         sys.unraisablehook = hook
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+class _Lasting(io.FileIO):
+    """A standard stream that goes on into nothing once its reader has left, as behind `| head`."""
+
+    def write(self, data: Any) -> int | None:
+        """See `io.FileIO.write`."""
+        try:
+            return super().write(data)
+        except BrokenPipeError:
+            null = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(null, self.fileno())
+            os.close(null)
+            return memoryview(data).nbytes
+
+
+def outlive_readers() -> None:
+    """Let a command go on and write its files where nobody reads what it prints.
+
+    A standard stream that was closed from the start becomes the null device: the next file would take its number.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest free number, which is this one
+    for number, name in ((1, "stdout"), (2, "stderr")):
+        stream = getattr(sys, name)
+        if stream is not None and stream is not getattr(sys, f"__{name}__"):
+            continue  # whoever put it there answers for it
+        raw = _Lasting(os.devnull if stream is None else number, "w", closefd=stream is None)
+        encoding, errors = (None, "backslashreplace") if stream is None else (stream.encoding, stream.errors)
+        lines = name == "stderr" or raw.isatty()
+        setattr(sys, name, io.TextIOWrapper(io.BufferedWriter(raw), encoding, errors, line_buffering=lines))
+
+
+def hand_over_output() -> None:
+    """Write what is still to be printed; one line and status 2 where it cannot be, as on a full disk."""
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, sys.stdout.fileno())  # what Python writes at its end goes nowhere too
+        fail(f"standard output: {error.strerror}; what was printed is lost")
 
 
 def fail(*lines: str, status: int = REFUSED) -> NoReturn:
