@@ -82,12 +82,13 @@ def in_a_fork(compute):
 fz.rollout(bench, law, state, state, ctrl)
 print(in_a_fork(lambda: fz.rollout(bench, law, state, state, ctrl)))
 print(in_a_fork(lambda: fz.identify(bench, law, [])))
-print(in_a_fork(lambda: fz.read({"time": [0, 1], "qpos": [0, 1], "ctrl": [0, 1]})))
+print(in_a_fork(lambda: fz.read({name: torch.arange(200).numpy() / 100 for name in ("time", "qpos", "ctrl")})))
 started = "import frictionzoo.simulate.context as context; context.refuse_late_fork(); print('started')"
 print(subprocess.run([sys.executable, "-c", started], preexec_fn=lambda: None, text=True, capture_output=True).stdout)
 """
 
 
+@pytest.mark.slow
 def test_a_process_that_was_forked_after_jax_had_begun_is_refused(tmp_path: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "ignore"}
     command = [sys.executable, "-c", FORK]
