@@ -89,13 +89,20 @@ def stoppable() -> Iterator[None]:
 
 
 class _Lasting(io.FileIO):
-    """A standard stream that goes on into nothing once its reader has left, as behind `| head`."""
+    """A standard stream that goes on into nothing once it takes no more, its reader having left or its disk being full.
+
+    Attributes:
+        fault: Why it takes no more; empty while it does, and where its reader has left.
+    """
+
+    fault = ""
 
     def write(self, data: Any) -> int | None:
         """See `io.FileIO.write`."""
         try:
             return super().write(data)
-        except BrokenPipeError:
+        except OSError as error:
+            self.fault = "" if isinstance(error, BrokenPipeError) else str(error.strerror)
             null = os.open(os.devnull, os.O_WRONLY)
             os.dup2(null, self.fileno())
             os.close(null)
@@ -112,24 +119,29 @@ def outlive_readers() -> None:
             os.fstat(number)
         except OSError:
             os.open(os.devnull, os.O_RDWR)  # takes the lowest free number, which is this one
-    for number, name in ((1, "stdout"), (2, "stderr")):
+    for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
-        if stream is not None and stream is not getattr(sys, f"__{name}__"):
-            continue  # whoever put it there answers for it
-        raw = _Lasting(os.devnull if stream is None else number, "w", closefd=stream is None)
-        encoding, errors = (None, "backslashreplace") if stream is None else (stream.encoding, stream.errors)
-        lines = name == "stderr" or raw.isatty()
-        setattr(sys, name, io.TextIOWrapper(io.BufferedWriter(raw), encoding, errors, line_buffering=lines))
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 - until the process ends
+        elif type(stream) is io.TextIOWrapper and not _lasting(stream):
+            buffer = _Lasting(stream.fileno(), "w", closefd=False)
+            lines, through = stream.line_buffering, stream.write_through
+            buffer = buffer if through else io.BufferedWriter(buffer)
+            setattr(sys, name, io.TextIOWrapper(buffer, stream.encoding, stream.errors, None, lines, through))
+
+
+def _lasting(stream: Any) -> _Lasting | None:
+    """What `outlive_readers` put behind a stream."""
+    buffer = getattr(stream, "buffer", None)
+    raw = getattr(buffer, "raw", buffer)
+    return raw if isinstance(raw, _Lasting) else None
 
 
 def hand_over_output() -> None:
-    """Write what is still to be printed; one line and status 2 where it cannot be, as on a full disk."""
-    try:
-        sys.stdout.flush()
-    except OSError as error:
-        null = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(null, sys.stdout.fileno())  # what Python writes at its end goes nowhere too
-        fail(f"standard output: {error.strerror}; what was printed is lost")
+    """Write what is still to be printed; one line and status 2 where it could not be, as on a full disk."""
+    sys.stdout.flush()
+    if (output := _lasting(sys.stdout)) and output.fault:
+        fail(f"standard output: {output.fault}; not all of it was printed")
 
 
 def fail(*lines: str, status: int = REFUSED) -> NoReturn:
