@@ -44,6 +44,7 @@ from frictionzoo.models.base import FrictionModel
 from frictionzoo.models.by_name import law_section
 from frictionzoo.models.registry import get_model
 from frictionzoo.result.identified import Identified
+from frictionzoo.simulate.context import refuse_late_fork
 
 # Options, as messages name them, that are arguments of another name here; not what looks alike in a file's path.
 _DATA = "columns|units|sign|fields|fields_from_name|where|exclude|inputs|payload|clean"
@@ -249,6 +250,7 @@ def identify(
         FrictionzooError: The input is at fault.
     """
     asked = dict(locals())
+    refuse_late_fork()
     refuse_unlike("bench", bench, Bench, "a Bench, as in Bench('stand.xml', actuator=PositionPD(kp=15, kd=0.5))")
     _refuse_unknown(law)
     recordings = _gather(logs).dividing(test)

@@ -7,6 +7,7 @@ import io
 import json
 import logging
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
@@ -249,6 +250,14 @@ def render_nothing(patch: pytest.MonkeyPatch) -> None:
 def unrendered(monkeypatch: pytest.MonkeyPatch) -> None:
     """Jobs of this test render no figures."""
     render_nothing(monkeypatch)
+
+
+@pytest.fixture
+def interruptible() -> Iterator[None]:
+    """Ctrl-C acts in this process and in those that it starts, also where the suite was started with SIGINT ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture

@@ -2,19 +2,24 @@
 
 import copy
 import dataclasses
+import inspect
+import re
 from collections.abc import Callable
 from typing import Any
 
+import hypothesis.strategies as st
 import numpy as np
 import pytest
 import scipy.stats
 from conftest import trace_nothing
+from hypothesis import given, settings
 
 import frictionzoo as fz
 from frictionzoo.core.errors import ConfigError, RunError
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import Signals
 from frictionzoo.fit.covariance import Covariance
+from frictionzoo.result import draws
 from frictionzoo.result.band import predict_band
 
 MANY = 20_000
@@ -100,3 +105,40 @@ def test_a_band_holds_as_much_as_it_says() -> None:
     measured = truth[:, None] * time[:, 0] - rng.normal(size=(400, length))
     inside = (low[0, :, 0] <= measured) & (measured <= high[0, :, 0])
     assert inside.mean() == pytest.approx(0.95, abs=0.02)  # quantiles of a hundred draws
+
+
+put_values = inspect.unwrap(draws.put_values)  # as users have it: tests check types at run time
+PARAMS = {
+    "bench": fz.Bench("knee_rod.xml", actuator=fz.PositionPD(kp=20, kd=1.0)).params,
+    "friction": fz.law("stribeck").params,
+}
+FULL = [f"{owner}.{name}" for owner, params in PARAMS.items() for name in params]
+VALUES = {owner: {name: np.array([1.0]) for name in params} for owner, params in PARAMS.items()}
+
+
+@settings(derandomize=True)
+@given(name=st.text() | st.sampled_from(FULL).map(lambda full: full[:-1]) | st.sampled_from(["armature", "bench", "."]))
+def test_a_value_of_no_parameter_is_refused_with_the_closest(name: str) -> None:
+    with pytest.raises(ConfigError, match=r"(?s)no such parameter of the drive; .*bench\.armature"):
+        put_values(VALUES, {name: np.array([0.1])}, PARAMS, 1)
+    near = re.escape("bench.armatur: no such parameter of the drive; did you mean bench.armature?")
+    with pytest.raises(ConfigError, match=near):
+        put_values(VALUES, {"bench.armatur": 0.1}, PARAMS, 1)
+
+
+@pytest.mark.parametrize("full", FULL)
+@pytest.mark.parametrize("value", [np.ones(2), np.ones((1, 1)), np.ones(0), np.nan, [np.inf], "1", None, [True], -1.0])
+def test_a_value_that_a_parameter_cannot_have_is_refused_by_its_name(full: str, value: Any) -> None:
+    owner, _, name = full.partition(".")
+    if isinstance(value, float) and value == -1.0 and PARAMS[owner][name].each("low", 1)[0] < 0:
+        assert put_values(VALUES, {full: value}, PARAMS, 1)[owner][name] == -1.0
+        return
+    with pytest.raises(ConfigError, match=f"^{re.escape(full)}: "):
+        put_values(VALUES, {full: value}, PARAMS, 1)
+
+
+@pytest.mark.parametrize("value", [2, 2.0, np.float32(2), [2.0], np.array([2])])
+def test_a_value_is_put_in_place_of_another(value: Any) -> None:
+    found = put_values(VALUES, {"friction.damping": value}, PARAMS, 1)
+    assert found["friction"]["damping"] == [2.0] and VALUES["friction"]["damping"] == [1.0]
+    assert found["bench"] == VALUES["bench"]

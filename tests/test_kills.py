@@ -53,7 +53,7 @@ from frictionzoo.cli.run import main
 main()
 """
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("in_haste")]
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("in_haste", "interruptible")]
 
 
 def draw(count: int) -> list[tuple[str, str, str, float]]:

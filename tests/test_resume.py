@@ -185,6 +185,7 @@ RUN = ("hydra.run.dir=run", "run keeps its options; go on with resume=")
 SWEEP = ("hydra.sweep.dir=run", "run keeps 0 finished jobs; go on with the same command and hydra.sweep.dir=")
 
 
+@pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize(
     ("end", "number", "status", "place", "keeps"),
     [

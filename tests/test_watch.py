@@ -161,6 +161,7 @@ def test_a_terminal_is_drawn_in_place(
     assert "running" in lines[0] and second.startswith("2 jobs: 2 finished\n")
 
 
+@pytest.mark.usefixtures("interruptible")
 def test_how_it_ends(run: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(SystemExit) as ended:
         watch.main([str(run / "nowhere")])

@@ -1,6 +1,5 @@
 """The commands of the program and its pages of help, for which neither Hydra nor any of the science is imported."""
 
-import contextlib
 import gc
 import importlib
 import os
@@ -10,7 +9,7 @@ import sys
 from collections.abc import Sequence
 
 from frictionzoo import __version__
-from frictionzoo.cli.mistakes import fail
+from frictionzoo.cli.mistakes import fail, hand_over_output, outlive_readers
 from frictionzoo.core.errors import closest
 from frictionzoo.core.telling import tell
 
@@ -113,20 +112,11 @@ def main(*command: str) -> None:
     # While modules are imported, before a command answers it: Ctrl-C ends the program without a traceback.
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
+    outlive_readers()
     try:
-        with contextlib.suppress(BrokenPipeError):
-            dispatch([*command, *sys.argv[1:]])
+        dispatch([*command, *sys.argv[1:]])
     finally:
-        _let_go_of_output()
-
-
-def _let_go_of_output() -> None:
-    """Hand the output over; in silence where nobody reads it any more, as behind `| head`."""
-    try:
-        sys.stdout.flush()
-    except BrokenPipeError:
-        # What Python flushes at its end goes nowhere too.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        hand_over_output()
 
 
 def dispatch(arguments: Sequence[str]) -> None:

@@ -1,6 +1,7 @@
 """How a command ends: a mistake or a signal is one line on the standard error and an exit status."""
 
 import contextlib
+import io
 import os
 import signal
 import sys
@@ -42,8 +43,6 @@ def mistakes_in_one_line(
             yield
         except Stopped as stop:
             fail(f"stopped by {signal.Signals(stop.number).name}; {go_on()}", status=128 + stop.number)
-        except BrokenPipeError:  # nobody reads what is printed: whoever began the command ends it
-            raise
         except Exception as error:
             # Imported here, so that --help does not wait for Hydra.
             from frictionzoo.cli.explain import explain
@@ -88,6 +87,62 @@ def stoppable() -> Iterator[None]:
         sys.unraisablehook = hook
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+class _Lasting(io.FileIO):
+    """A standard stream that goes on into nothing once it takes no more, its reader having left or its disk being full.
+
+    Attributes:
+        fault: Why it takes no more; empty while it does, and where its reader has left.
+    """
+
+    fault = ""
+
+    def write(self, data: Any) -> int | None:
+        """See `io.FileIO.write`."""
+        try:
+            return super().write(data)
+        except OSError as error:
+            self.fault = "" if isinstance(error, BrokenPipeError) else str(error.strerror)
+            null = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(null, self.fileno())
+            os.close(null)
+            return memoryview(data).nbytes
+
+
+def outlive_readers() -> None:
+    """Let a command go on and write its files where nobody reads what it prints.
+
+    A standard stream that was closed from the start becomes the null device: the next file would take its number.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest free number, which is this one
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 - until the process ends
+        elif type(stream) is io.TextIOWrapper and not _lasting(stream):
+            buffer = _Lasting(stream.fileno(), "w", closefd=False)
+            lines, through = stream.line_buffering, stream.write_through
+            buffer = buffer if through else io.BufferedWriter(buffer)
+            setattr(sys, name, io.TextIOWrapper(buffer, stream.encoding, stream.errors, None, lines, through))
+
+
+def _lasting(stream: Any) -> _Lasting | None:
+    """What `outlive_readers` put behind a stream."""
+    buffer = getattr(stream, "buffer", None)
+    raw = getattr(buffer, "raw", buffer)
+    return raw if isinstance(raw, _Lasting) else None
+
+
+def hand_over_output() -> None:
+    """Write what is still to be printed; one line and status 2 where it could not be, as on a full disk."""
+    sys.stdout.flush()
+    if (output := _lasting(sys.stdout)) and output.fault:
+        fail(f"standard output: {output.fault}; not all of it was printed")
 
 
 def fail(*lines: str, status: int = REFUSED) -> NoReturn:

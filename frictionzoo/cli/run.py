@@ -15,7 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from frictionzoo.cli.explain import explain, missing_plugin
-from frictionzoo.cli.mistakes import NOT_IDENTIFIED, fail, mistakes_in_one_line, stoppable
+from frictionzoo.cli.mistakes import NOT_IDENTIFIED, fail, mistakes_in_one_line, outlive_readers, stoppable
 from frictionzoo.cli.overrides import choices_of, given_to_hydra, quote_values, refuse_no_choice
 from frictionzoo.cli.resume import (
     Begun,
@@ -55,6 +55,7 @@ def _job(config: DictConfig) -> float:
         options = hydra_config.overrides.task
         finished = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True)) if resumed else None
         # In processes of a launcher, nobody else answers.
+        outlive_readers()
         with stoppable():
             return run_in_sweep(begin, folder, model, options, explain, finished, inside)
     named = resumed is not None or any("hydra.run.dir=" in option for option in hydra_config.overrides.hydra)

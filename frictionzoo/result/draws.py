@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from frictionzoo.bench.base import Bench
-from frictionzoo.core.errors import ConfigError, RunError
+from frictionzoo.core.errors import ConfigError, RunError, closest
 from frictionzoo.core.params import Param
 from frictionzoo.fit.covariance import Covariance
 from frictionzoo.fit.posterior import Chains, Fitted, draw_posterior
@@ -127,12 +127,44 @@ def _determined(parameter: Parameter, bench: Bench) -> Bool[np.ndarray, "nv"]:
 
 def put_values(
     values: Mapping[str, Mapping[str, Any]],
-    drawn: Mapping[str, Float[np.ndarray, "nv"]],
+    drawn: Mapping[str, Float[np.ndarray, "nv"] | float],
     params: Mapping[str, Mapping[str, Param]],
+    nv: int,
 ) -> dict[str, dict[str, Any]]:
-    """The values of a drive, by owner and name, with these in place of some, by full name."""
+    """Put these values in place of some of a drive's, by full name.
+
+    Args:
+        values: The drive's, by owner and name.
+        drawn: Of each joint, or one for all; of a joint that lacks the parameter, anything.
+        params: Physical parameters, by owner and name.
+        nv: Number of joints.
+
+    Raises:
+        ConfigError: No such parameter, another shape, or a value that is not finite or has a sign that it cannot have.
+    """
+    known = {f"{owner}.{name}": param for owner, named in params.items() for name, param in named.items()}
     found = {owner: dict(named) for owner, named in values.items()}
     for full, own in drawn.items():
+        if full not in known:
+            raise ConfigError(f"{full}: no such parameter of the drive; {closest(str(full), known)}")
         owner, _, name = full.partition(".")
-        found[owner][name] = own[params[owner][name].members(len(own))]
+        found[owner][name] = _of_joints(full, own, known[full], nv)
     return found
+
+
+def _of_joints(full: str, own: Any, param: Param, nv: int) -> Float[np.ndarray, "members"]:
+    """A parameter's values of the joints that have it."""
+    array = np.asarray(own)
+    if array.dtype.kind not in "iuf" or array.shape not in ((), (nv,)):
+        raise ConfigError(
+            f"{full}: {array.dtype} of shape {array.shape}, expected numbers of shape ({nv},), one a joint"
+        )
+    members = param.members(nv)
+    taken = np.broadcast_to(array.astype(np.float64), nv)[members]
+    least = np.where(param.each("low", nv)[members] >= 0, 0.0, -np.inf)
+    wrong = ~(np.isfinite(taken) & (taken >= least))
+    if wrong.any():
+        at = int(np.argmax(wrong))
+        number = "a number from 0 on" if np.isfinite(least[at]) else "a finite number"
+        raise ConfigError(f"{full}: {taken[at]:g} of joint {members[at] + 1}, expected {number}")
+    return taken

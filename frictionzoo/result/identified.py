@@ -221,9 +221,15 @@ class Identified:
 
         return predict_band(self.place, simulate, draws, self.curves)
 
-    def with_values(self, drawn: Mapping[str, Float[np.ndarray, "nv"]]) -> Values:
-        """The values of all parameters, with these in place of some, by full name as `sample` has them."""
-        return put_values(self.values, drawn, {"bench": self.bench.params, "friction": self.model.params})
+    def with_values(self, drawn: Mapping[str, Float[np.ndarray, "nv"] | float]) -> Values:
+        """Return the values of all parameters, with these in place of some, by full name as `sample` has them.
+
+        Raises:
+            ConfigError: No such parameter, another shape, or a value that it cannot have.
+        """
+        return put_values(
+            self.values, drawn, {"bench": self.bench.params, "friction": self.model.params}, self.bench.nv
+        )
 
     @property
     def metrics(self) -> dict[str, Metrics]:

@@ -6,11 +6,22 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import jax
+from jax._src import xla_bridge  # JAX has no public name for whether it has begun
 from jax.experimental.compilation_cache import compilation_cache as jax_cache
 
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.logs.cache import cache_folder
 
+_forked_late: list[bool] = []
+"""Filled in a process that was forked after JAX had begun to compute: its threads are missing there."""
+
+
+def _note_fork() -> None:
+    if xla_bridge.backends_are_initialized():
+        _forked_late.append(True)
+
+
+os.register_at_fork(after_in_child=_note_fork)  # not called where another program is started
 _SHORTEST = 0.1  # s of compilation from which on its result is kept
 
 
@@ -29,6 +40,7 @@ def computing(dtype: str, device: str = "auto", compilation_cache: str | None = 
     Raises:
         ConfigError: One of them is unknown, or JAX finds no such device.
     """
+    refuse_late_fork()
     # XLA would take most of a GPU's memory at once and leave torch none; it reads this when it first meets the GPU.
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     refuse_precision(dtype)
@@ -43,6 +55,15 @@ def computing(dtype: str, device: str = "auto", compilation_cache: str | None = 
     folder = cache_folder(compilation_cache)
     with jax.enable_x64(dtype == "float64"), jax.default_device(chosen), _keeping(folder):
         yield str(chosen.device_kind if chosen.platform != "cpu" else "cpu")
+
+
+def refuse_late_fork() -> None:
+    """ConfigError in a process that was forked after JAX had begun to compute, where it would wait for ever."""
+    if _forked_late:
+        raise ConfigError(
+            "this process was forked after JAX had begun to compute, where it would hang; expected one of its own: use "
+            "multiprocessing.get_context('spawn'), or fork before the first fit or rollout"
+        )
 
 
 def refuse_precision(dtype: str) -> None:

@@ -19,6 +19,7 @@ from frictionzoo.core.log import Payload
 from frictionzoo.core.state import Signals
 from frictionzoo.models import FrictionModel
 from frictionzoo.simulate.bridge import as_torch_function
+from frictionzoo.simulate.context import refuse_late_fork
 from frictionzoo.simulate.drive import Drive
 from frictionzoo.simulate.torch_rollout import TorchRollout
 
@@ -72,10 +73,12 @@ def rollout(
 
     Raises:
         BenchError: Shapes, joints, signals or the interval do not fit the bench, or MJX lacks something that it has.
-        ConfigError: No such parameter or engine, an argument of another kind, or a gradient is asked of an engine that
+        ConfigError: No such parameter or engine, an argument of another kind, a process that was forked after JAX had
+            begun to compute, or a gradient is asked of an engine that
             has none for this bench.
         ModelError: The law's answer in torch is none.
     """
+    refuse_late_fork()
     _refuse_others(bench, law, parameters, signals, payload, engine)
     interval = bench.timestep if interval is None else _to_interval(interval)
     arrays = {"qpos": qpos, "qvel": qvel, "ctrl": ctrl, **{f"signals.{name}": v for name, v in (signals or {}).items()}}

@@ -1,0 +1,96 @@
+"""Commands whose output nobody reads, and processes that are forked too late."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import ROOT
+
+CLOSED = {
+    "from the start": ">&-",
+    "errors too": ">&- 2>&-",
+    "after a line": "| head -c 1 > /dev/null",
+    "all": "<&- >&-",
+}
+PROGRAM = f"{sys.executable} -m frictionzoo"
+
+
+def run(command: str, closed: str, folder: Path, **variables: Any) -> tuple[int, str]:
+    """The exit status and the standard error of a command with its output closed in this way."""
+    script = f"set -o pipefail; {command} {CLOSED[closed]}; echo $? > status"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), **variables}
+    found = subprocess.run(["bash", "-c", script], cwd=folder, env=environment, capture_output=True, text=True)
+    return int((folder / "status").read_text()), found.stderr
+
+
+@pytest.mark.parametrize("closed", CLOSED)
+@pytest.mark.parametrize("arguments", ["run --help", "list models", "run --version"])
+def test_a_command_whose_output_is_closed_ends_in_silence(tmp_path: Path, closed: str, arguments: str) -> None:
+    assert run(f"{PROGRAM}.{arguments}", closed, tmp_path) == (0, "")
+
+
+def test_output_that_the_disk_does_not_take_is_a_line(tmp_path: Path) -> None:
+    script = f"{PROGRAM}.run --help > /dev/full"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    found = subprocess.run(["bash", "-c", script], cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert found.returncode == 2 and found.stderr.startswith("frictionzoo: standard output: No space left on device")
+    assert found.stderr.count("\n") == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("closed", ["from the start", "after a line"])
+def test_commands_whose_output_is_closed_write_all_their_files(
+    tmp_path: Path, tiny: tuple[str, ...], compilation_cache: Path, closed: str
+) -> None:
+    quoted = " ".join(f"'{option}'" for option in tiny)
+    cache = {"JAX_COMPILATION_CACHE_DIR": str(compilation_cache)}
+    commands = (
+        (f"run {quoted} model=coulomb_smooth hydra.run.dir=run", "run/result.json", (0, 3)),
+        ("export run target=mjcf", "run/export", (0,)),
+        ("compare run run --output comparison", "comparison/comparison.json", (0, 3)),
+    )
+    for command, written, status in commands:
+        found, told = run(f"{PROGRAM}.{command}", closed, tmp_path, **cache)
+        assert found in status and "Traceback" not in told and "Error" not in told
+        assert (tmp_path / written).exists()
+    assert json.loads((tmp_path / "run/result.json").read_text())["metrics"]
+
+
+FORK = """
+import os, subprocess, sys, torch
+import frictionzoo as fz
+from frictionzoo.core.errors import ConfigError
+
+bench, law = fz.Bench("knee_rod.xml", actuator=fz.PositionPD(kp=20, kd=1.0)), fz.law("coulomb_smooth")
+state, ctrl = torch.ones(1, 1), torch.ones(1, 2, 1)
+
+def in_a_fork(compute):
+    if child := os.fork():
+        return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    try:
+        compute()
+    except ConfigError as error:
+        os._exit(7 if "forked" in str(error) else 8)
+    except BaseException:
+        os._exit(9)
+    os._exit(0)
+
+fz.rollout(bench, law, state, state, ctrl)
+print(in_a_fork(lambda: fz.rollout(bench, law, state, state, ctrl)))
+print(in_a_fork(lambda: fz.identify(bench, law, [])))
+print(in_a_fork(lambda: fz.read({name: torch.arange(200).numpy() / 100 for name in ("time", "qpos", "ctrl")})))
+started = "import frictionzoo.simulate.context as context; context.refuse_late_fork(); print('started')"
+print(subprocess.run([sys.executable, "-c", started], preexec_fn=lambda: None, text=True, capture_output=True).stdout)
+"""
+
+
+@pytest.mark.slow
+def test_a_process_that_was_forked_after_jax_had_begun_is_refused(tmp_path: Path) -> None:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "ignore"}
+    command = [sys.executable, "-c", FORK]
+    found = subprocess.run(command, cwd=tmp_path, env=environment, text=True, capture_output=True, timeout=200)
+    assert found.stdout.split() == ["7", "7", "0", "started"], found.stderr
