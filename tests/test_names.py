@@ -338,7 +338,7 @@ def test_a_target_writes_any_name_as_data(
     target: str, plain: Callable[[str], Path], tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     @settings(
-        max_examples=40, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
+        max_examples=12, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
     )
     @given(TWO_NAMES)
     def writes(names: tuple[str, str]) -> None:
