@@ -11,6 +11,7 @@ from frictionzoo import __version__
 from frictionzoo.bench.given import Given
 from frictionzoo.core.build import build
 from frictionzoo.core.config import list_options
+from frictionzoo.core.output import RUN_FILES
 from frictionzoo.core.telling import tell
 from frictionzoo.fit.loggers import RunLogger
 from frictionzoo.fit.loop import Record
@@ -59,7 +60,7 @@ def run_job(
         found = solve(problem, name, device, record=record, measured=measured, origin=origin)
     tell(f"writing {folder}")
     result = found.save(folder)
-    figures = sorted((folder / "figures").glob("*.png"))
+    figures = [folder / name for name in RUN_FILES if name.startswith("figures/") and (folder / name).exists()]
     logger.finish(result["fit"]["iterations"], pick_metrics(result), figures, summarise_in_markdown(result, folder))
     return result, found.complaint
 

@@ -48,7 +48,7 @@ def list_paths(settings: Any, key: str = "") -> Iterator[str]:
 def list_paths_of(result: Mapping[str, Any], command: str | None = None) -> set[str]:
     """List the paths of a run, by what its `result.json` holds and the command that made it."""
     recordings = [log["name"] for log in result["data"]["logs"]]
-    commands = [command, *result["verdict"]["commands"]]
+    commands = [command, *(row["command"] for row in result["verdict"]["commands"])]
     found = [*list_paths(result["settings"]), *list_paths(recordings, "train")]
     return {*found, *(path for each in commands for path in list_paths_in(each))}
 

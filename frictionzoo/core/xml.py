@@ -5,7 +5,7 @@ import xml.etree.ElementTree as ET
 from typing import Any
 
 from frictionzoo.core.errors import ExportError
-from frictionzoo.core.telling import show_controls
+from frictionzoo.core.telling import escape_controls
 
 _IMPOSSIBLE = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
@@ -38,4 +38,4 @@ def write_element(element: "ET.Element[Any]") -> str:
 
 def write_comment(text: str) -> "ET.Element[Any]":
     """Write a comment on one line, which ends where its text does; control characters are shown as escapes."""
-    return ET.Comment(f" {re.sub('-(?=-)', '- ', show_controls(text))} ")
+    return ET.Comment(f" {re.sub('-(?=-)', '- ', escape_controls(text))} ")

@@ -5,7 +5,7 @@ import re
 import textwrap
 from collections.abc import Callable, Sequence
 
-from frictionzoo.core.telling import say_percent, show_controls
+from frictionzoo.core.telling import escape_controls, say_percent
 
 
 def format_number(value: float | Sequence[float] | None, between: str = ", ") -> str:
@@ -50,7 +50,7 @@ def wrap(text: str, width: int, lines: int | None = None) -> list[str]:
 
 def escape_markdown(text: str) -> str:
     """Write a user's text as Markdown that shows it unchanged, in a table too."""
-    return re.sub(r"([\\`*_{}\[\]<>#|!~&])", r"\\\1", show_controls(text))
+    return re.sub(r"([\\`*_{}\[\]<>#|!~&])", r"\\\1", escape_controls(text))
 
 
 def to_markdown(docstring: str, typeset: Callable[[str], str] | None = None) -> str:
