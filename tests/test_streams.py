@@ -42,18 +42,17 @@ def test_output_that_the_disk_does_not_take_is_a_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("closed", ["from the start", "after a line"])
 def test_commands_whose_output_is_closed_write_all_their_files(
-    tmp_path: Path, tiny: tuple[str, ...], compilation_cache: Path, closed: str
+    tmp_path: Path, tiny: tuple[str, ...], compilation_cache: Path
 ) -> None:
     quoted = " ".join(f"'{option}'" for option in tiny)
     cache = {"JAX_COMPILATION_CACHE_DIR": str(compilation_cache)}
     commands = (
-        (f"run {quoted} model=coulomb_smooth hydra.run.dir=run", "run/result.json", (0, 3)),
-        ("export run target=mjcf", "run/export", (0,)),
-        ("compare run run --output comparison", "comparison/comparison.json", (0, 3)),
+        (f"run {quoted} model=coulomb_smooth hydra.run.dir=run", "run/result.json", (0, 3), "after a line"),
+        ("export run target=mjcf", "run/export", (0,), "from the start"),
+        ("compare run run --output comparison", "comparison/comparison.json", (0, 3), "errors too"),
     )
-    for command, written, status in commands:
+    for command, written, status, closed in commands:
         found, told = run(f"{PROGRAM}.{command}", closed, tmp_path, **cache)
         assert found in status and "Traceback" not in told and "Error" not in told
         assert (tmp_path / written).exists()
