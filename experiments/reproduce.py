@@ -26,7 +26,6 @@ from frictionzoo.comparison.files import write_comparison
 from frictionzoo.comparison.record import compare_runs
 from frictionzoo.comparison.runs import read_runs
 from frictionzoo.comparison.types import Comparison, RunRow
-from frictionzoo.core.output import write_atomically
 
 EXPERIMENTS = Path(__file__).parent
 PROGRAM = "python -m frictionzoo.run "
@@ -202,7 +201,7 @@ def write_table(name: str, table: str) -> None:
     text, count = MARKS.subn(lambda found: f"{found[1]}{table}\n{found[2]}", page.read_text())
     if count != 1:
         raise SystemExit(f"{page}: {count} places for a table, expected one between <!-- table: ... --> marks")
-    write_atomically(page, text.encode())
+    page.write_text(text, encoding="utf-8")
 
 
 def compare(expected: Mapping[str, Any], output: Path, small: bool, start: Callable[..., Any] = start) -> Comparison:

@@ -29,6 +29,7 @@ import torch
 import frictionzoo as fz
 from frictionzoo.cli import compare, distill, export, run
 from frictionzoo.core.errors import FrictionzooError
+from frictionzoo.core.manifest import MANIFEST, Manifest, State
 
 MARK = "stranger_was_here"
 PROCESSES = ("subprocess.", "os.system", "os.exec", "os.posix_spawn", "os.spawn", "os.fork", "pty.", "os.startfile")
@@ -439,6 +440,13 @@ MUTATIONS: tuple[tuple[Callable[[Path, random.Random], None], int], ...] = (
 )
 
 
+def sign(folder: Path) -> None:
+    """List all files of a folder in a new manifest, as a stranger can: none counts as changed or foreign."""
+    (folder / MANIFEST).unlink(missing_ok=True)
+    files = [path for path in folder.rglob("*") if path.is_file() and not path.is_symlink()]
+    Manifest(folder, "run").record({path.relative_to(folder).as_posix(): State.of(path.read_bytes()) for path in files})
+
+
 def do(command: str, folder: Path) -> str:
     """Have the program take up a folder; returns `done` or `refused`."""
     out, output = io.StringIO(), folder.parent / "output"
@@ -499,6 +507,8 @@ def main(source: Path, card: Path, scratch: Path, count: int, seed: int) -> None
                 with contextlib.suppress(ValueError, IndexError, KeyError, AttributeError, TypeError, OSError):
                     mutate(folder, rng)  # a second one may not know what the first has left
                 done.append(mutate.__name__)
+            if rng.random() < 0.9:
+                sign(folder)
         os.chdir(folder.parent)
         sys.path_importer_cache.clear()
         watch.seen.clear()

@@ -12,6 +12,8 @@ from matplotlib.container import BarContainer
 from matplotlib.image import imread
 
 from frictionzoo.comparison.record import compare_runs, read_schema
+from frictionzoo.core.manifest import MANIFEST
+from frictionzoo.core.output import write_atomically
 from frictionzoo.result.evaluate import moving_mean_and_std
 from frictionzoo.show.comparison_figures import arrange, write_figures
 from frictionzoo.show.comparison_plots import choose_looks
@@ -279,11 +281,11 @@ def test_awkward_runs_are_drawn(make_runs, monkeypatch, tmp_path, labels, lost, 
     monkeypatch.setattr("frictionzoo.show.comparison_figures.save_figure", save)
     monkeypatch.setattr("frictionzoo.show.comparison_figures.FORMATS", ("png",))
     runs = make_runs(labels, joints, diverged=lost)
-    (tmp_path / "differences.png").write_bytes(b"of an older comparison")
+    write_atomically(tmp_path / "differences.png", b"of an older comparison")
     comparison = compare(runs)
     assert (figure_of("differences", comparison, runs) is None) == (len(labels) == 1)
     write_figures(tmp_path, comparison, runs)
-    found = {path.stem for path in tmp_path.iterdir()}
+    found = {path.stem for path in tmp_path.iterdir() if path.name != MANIFEST}
     assert found == set(NAMES) - ({"differences"} if len(labels) == 1 else set())
 
 
@@ -331,7 +333,7 @@ def test_files_are_whole_and_the_same_each_time(runs, comparison, monkeypatch, t
     monkeypatch.setattr("frictionzoo.show.comparison_figures.save_figure", save)
     write_figures(tmp_path / "first", comparison, runs)
     assert dict(matplotlib.rcParams) == before
-    paths = sorted((tmp_path / "first").iterdir())
+    paths = sorted(path for path in (tmp_path / "first").iterdir() if path.name != MANIFEST)
     assert [path.name for path in paths] == [f"{name}.{suffix}" for name in NAMES for suffix in ("pdf", "png")]
     for path in paths:
         if path.suffix == ".png":

@@ -263,7 +263,7 @@ def test_options_that_take_more_than_conf_shows_exist_and_no_other_is_null() -> 
         ),
         ("bench.timestep=auto", "expected a value; or add recipe=auto"),
         ("dtype=64", "dtype=64; expected text such as float"),
-        ("bench.joint=3", "bench.joint=3; expected text such as knee or a list"),
+        ("bench.joint=3.5", "bench.joint=3.5; expected text such as knee"),
         ("seed=null", "seed=null; expected a whole number from 0 on"),
         ("seed=x", "seed=x; expected a whole number from 0 on"),
         ("evaluation.seed=-1", "evaluation.seed=-1; expected a whole number from 0 on"),

@@ -23,6 +23,7 @@ from frictionzoo.core.build import build
 from frictionzoo.core.config import compose_config
 from frictionzoo.core.errors import ConfigError, ExportError
 from frictionzoo.core.log import Payload
+from frictionzoo.core.manifest import MANIFEST
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.export.base import get_target
@@ -98,7 +99,7 @@ def state(model: FrictionModel) -> dict[str, np.ndarray]:
 
 def write(target: str, fitted: Identified, folder: Path, **options: str) -> Export:
     export = get_target(target)().write(fitted, folder, options)
-    assert {path.name for path in folder.iterdir()} == set(export.files)
+    assert {path.name for path in folder.iterdir()} - {MANIFEST} == set(export.files)
     assert export.limits
     return export
 

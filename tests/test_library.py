@@ -359,7 +359,7 @@ def test_a_run_that_was_read_back_is_shown_and_exported(finished_run: Callable, 
     for states in (curves.measured_qpos[0, :, 0], curves.qpos[0, :, 0], curves.baseline_qpos[0, :, 0]):
         assert any(len(line) >= len(states) and np.array_equal(line[-len(states) :], states) for line in drawn)
     page = fit._repr_html_()
-    assert page.count("<table>") == page.count("</table>") == 2 and "<td>bench.armature</td>" in page
+    assert page.count("<table>") == page.count("</table>") == 3 and "<td>bench.armature</td>" in page
     known = fit.parameters["bench.kp"]
     assert not known.identified and np.isnan(known.interval).all() and known.unit == "N m/rad"
     assert fit.metrics["test"].rollouts == fit.result["metrics"]["test"]["rollouts"]

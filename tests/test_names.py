@@ -31,6 +31,7 @@ from frictionzoo.bench import Robot, VoltageServo
 from frictionzoo.card.write import write_card
 from frictionzoo.core.build import build
 from frictionzoo.core.errors import ExportError
+from frictionzoo.core.manifest import MANIFEST
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.core.templates import Code, write_literal, write_yaml
@@ -195,7 +196,9 @@ def write(target: str, folder: Path, names: Sequence[str], kind: type[Identified
 
 
 def _list_files(place: Path) -> list[Path]:
-    return sorted(path for path in place.rglob("*") if path.is_file() and path.suffix != ".pyc")
+    return sorted(
+        path for path in place.rglob("*") if path.is_file() and path.suffix != ".pyc" and path.name != MANIFEST
+    )
 
 
 def blank(text: str) -> tuple[str, list[str | None], list[str]]:

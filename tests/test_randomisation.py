@@ -23,6 +23,7 @@ from test_export_robot import fit as fit_robot
 import frictionzoo as fz
 from frictionzoo.cli.export import main
 from frictionzoo.core.errors import FrictionzooError
+from frictionzoo.core.manifest import MANIFEST
 from frictionzoo.export import nearest as refit
 from frictionzoo.export.events import ISAAC_LAB, MJLAB, write_events
 from frictionzoo.export.nearest import Nearest
@@ -107,7 +108,7 @@ def test_every_mjcf_has_the_numbers_of_its_draw(written: Written, samples: dict[
     assert any(re.search(r"3 drives in samples/ are \S+ rad apart", limit) for limit in written.export.limits)
     assert {*written.export.files} == {
         str(path.relative_to(written.folder)) for path in written.folder.rglob("*") if path.is_file()
-    } - {"export.json"}
+    } - {"export.json", MANIFEST}
 
 
 def test_a_stated_range_is_filled_evenly_and_in_the_order_of_the_draws(drive: Identified) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import Finished, finish
+from hostile import sign
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, QuotedString
 from hypothesis import given, settings
@@ -49,6 +50,7 @@ def change(path: Path, how: Change) -> None:
     content = json.loads(path.read_text())
     how(content)
     path.write_text(json.dumps(content))
+    sign(path.parents[1] if path.parent.name == ".hydra" else path.parent)
 
 
 def target(*place: str, name: Any = "stranger.Law") -> Change:
@@ -95,9 +97,9 @@ def test_overrides_of_hydra_in_a_folder_are_not_read(foreign: Path) -> None:
     overrides = ["hydra.callbacks.x._target_=stranger.Law", "model=../../../foreign/evil", "hydra/launcher=evil"]
     (foreign / ".hydra" / "overrides.yaml").write_text(json.dumps(overrides))
     restored = restore_overrides([f"resume={foreign}", "seed=4"])
-    assert restored[-3:] == [f"resume={foreign}", "seed=4", "hydra.output_subdir=null"]
-    assert {"model=coulomb_smooth", "fit=adam", "data=files"} <= {*restored[:-3]}
-    assert not [each for each in restored[:-1] if "hydra" in each or "evil" in each]
+    assert restored[-2:] == [f"resume={foreign}", "seed=4"]
+    assert {"model=coulomb_smooth", "fit=adam", "data=files"} <= {*restored[:-2]}
+    assert not [each for each in restored if "hydra" in each or "evil" in each]
     for none in (["seed=4"], ["resume=foreign", "resume=null"]):
         assert restore_overrides(none) == none
 

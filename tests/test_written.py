@@ -271,10 +271,12 @@ def test_a_file_that_cannot_be_played_says_why(tmp_path: Path) -> None:
 
 def test_the_makers_range_of_commands_is_named(tmp_path: Path) -> None:
     (tmp_path / "leg.xml").write_text(LEG.replace('kv="0.3"', 'kv="0.3" ctrlrange="-0.5 0.5"'))
-    drive = fit(tmp_path / "leg.xml", length=60)
-    _, (row, text) = describe(drive)
-    check(row, text, drive, own=True)
-    assert not row["exact"] and "ctrlrange" in row["reason"] and row["reason"] in text
+    for ranges in ("keep", "leave_out"):
+        drive = fit(tmp_path / "leg.xml", length=60, ranges=ranges)
+        _, (row, text) = describe(drive)
+        check(row, text, drive, own=True)
+        assert row["exact"] == (ranges == "keep")
+    assert "ctrlrange" in row["reason"] and row["reason"] in text
 
 
 @given(st.floats(0, 0.1), st.floats(1e-4, 0.02))

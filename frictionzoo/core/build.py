@@ -12,6 +12,7 @@ _PARTS = (
     "frictionzoo.bench.Robot",
     *(f"frictionzoo.fit.loggers.{name}" for name in ("Csv", "Mlflow", "TensorBoard", "Wandb")),
     "frictionzoo.logs.clean.Cleaning",
+    "frictionzoo.logs.logs.InMemory",
 )
 
 

@@ -58,6 +58,7 @@ _TAKES: dict[str, tuple[Any, ...]] = {
     "data.sign.*": (1, [1]),
     "data.clean.wrap": (0.1, None),
     "data.folder": ("", None),
+    "data.origin": ("", None),
     "data.cache_dir": ("", None),
     "data.source": ("", None),
     "data.fields_from_name": ("", None),

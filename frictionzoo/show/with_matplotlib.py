@@ -207,5 +207,5 @@ def _add_legend(figure: Figure, keys: Mapping[str, Artist]) -> None:
 
 def _name(text: str, width: int) -> str:
     """A text on lines of this width, and not as mathematics."""
-    wrapped = [part for line in text.split("\n") for part in wrap(escape_controls(line), width)]
+    wrapped = [part for line in text.split("\n") if line for part in wrap(escape_controls(line), width)]
     return "\n".join(wrapped).replace("$", r"\$")
