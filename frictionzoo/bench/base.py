@@ -22,11 +22,12 @@ from frictionzoo.core.build import build
 from frictionzoo.core.described import Described, describe
 from frictionzoo.core.errors import BenchError, ConfigError, closest, refuse_unlike
 from frictionzoo.core.log import Dataset, Log, Payload
-from frictionzoo.core.params import AUTO, Param, group_joints, read_params, read_tie, refuse_negative
+from frictionzoo.core.params import AUTO, LARGEST, Param, group_joints, read_params, read_tie, refuse_negative
 from frictionzoo.core.segments import Sampling
 from frictionzoo.core.state import DriveState
 
 _TIMESTEP_TOLERANCE = 0.01  # share by which the log's interval may differ from a whole number of simulation steps
+_ENDLESS = 0.1 * LARGEST  # N m or N, beyond which both ends of a torque stand for none
 _MOST_SUBSTEPS = 10_000  # simulation steps from sample to sample
 _MOST_HISTORY = 10_000  # samples by which commands may act late
 _PARAMS = {"armature": "inertia", "delay": "time", "position_offset": "position"}
@@ -421,7 +422,9 @@ class Bench(Described):
     def _limited_actuator(self, values: Mapping[str, np.ndarray], index: int) -> dict[str, str]:
         """Attributes of MuJoCo's actuator that cut its torque."""
         ends = self.actuator.force_range(values)
-        return {} if ends is None else {"forcelimited": "true", "forcerange": " ".join(map(in_full, ends[index]))}
+        if ends is None or np.abs(ends[index]).min() > _ENDLESS:
+            return {}
+        return {"forcelimited": "true", "forcerange": " ".join(map(in_full, ends[index]))}
 
     def _delayed(self, values: Mapping[str, np.ndarray], index: int) -> dict[str, str]:
         """Attributes of MuJoCo's actuator that make it act late.

@@ -25,6 +25,7 @@ from frictionzoo.logs.pairing import describe_columns
 from frictionzoo.models.base import FrictionModel
 from frictionzoo.result import run_types, types
 from frictionzoo.result.covariance import describe_covariance
+from frictionzoo.result.curves import FILE as CURVES
 from frictionzoo.result.curves import Curves, read_curves
 from frictionzoo.result.evaluate import Evaluation, Judgement, Metrics, Values
 from frictionzoo.result.links import describe_links
@@ -191,7 +192,24 @@ def read_run(folder: Path) -> tuple[types.Result, Curves]:
     refuse_links(folder, files=False)
     result = read_valid(folder / RESULT, SCHEMA_VERSION, read_schema())
     refuse_references(folder / RESULT, result["settings"])
-    return cast(types.Result, result), read_curves(folder)
+    curves = read_curves(folder)
+    _refuse_inconsistent(folder / RESULT, cast(types.Result, result), curves)
+    return cast(types.Result, result), curves
+
+
+def _refuse_inconsistent(path: Path, result: types.Result, curves: Curves) -> None:
+    """RunError for parts of a result that name other joints than it has, which a schema cannot say."""
+    joints = result["joints"]
+    named = [(row["joints"], f"parameters: {p['name']}") for p in result["parameters"] for row in p["by_joint"]]
+    named += [([row["joint"] for row in result["by_joint"]], "by_joint")]
+    wrong = [(names, where) for names, where in named if not names or not {*names} <= {*joints}]
+    wrong += [([str(curves.qpos.shape[2])], CURVES)] if curves.qpos.shape[2] != len(joints) else []
+    wrong += [(joints, "joints")] if len({*joints}) < len(joints) else []
+    for names, where in wrong[:1]:
+        raise RunError(
+            f"{path}: {where} has {', '.join(names) or 'no joint'}, expected joints among {', '.join(joints)}; name a "
+            "run that this program made"
+        )
 
 
 def read_valid(path: Path, version: int, schema: Mapping[str, Any]) -> dict[str, Any]:
