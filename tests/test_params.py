@@ -155,3 +155,10 @@ def test_an_armature_below_zero_is_refused_by_name():
     for wrong in (-0.1, {"init": -0.1, "identify": False}, {"init": 0.1, "low": -1.0, "scale": 1.0}):
         with pytest.raises(ConfigError, match=r"^bench\.params\.armature"):
             fz.Bench("knee_rod.xml", "knee", actuator=fz.PositionPD(kp=1, kd=1), params={"armature": wrong})
+
+
+@pytest.mark.parametrize("part", ["init", "low", "high", "identify"])
+def test_lists_of_different_lengths_are_refused(part: str) -> None:
+    section = {"init": [1.0, 1.0, 1.0], "low": [0.1, 0.1, 0.1], "high": [9.0, 9.0, 9.0], "identify": [True] * 3}
+    with pytest.raises(ConfigError, match=r"^damping: "):
+        Param.from_config("damping", "damping", {**section, "scale": 1.0, part: section[part][:2]})

@@ -97,7 +97,11 @@ class Param:
         if not self.is_resolved:
             return
         low, high, init = (np.asarray(side, np.float64) for side in (self.low, self.high, self.init))
-        free = np.asarray(self.identify)
+        free = np.asarray(self.identify, bool)
+        if len(sizes := sorted({len(each) for each in (low, high, init, free) if each.ndim})) > 1:
+            raise ConfigError(
+                f"{self.name}: lists of {' and '.join(map(str, sizes))} values; expected one value a joint in each"
+            )
         if not np.isfinite(init).all() and not free.any():
             raise ConfigError(f"{self.name}: {_say(init)}; expected finite numbers")
         if not (low < high).all():
