@@ -105,7 +105,7 @@ LINES = {  # what a file has, and the line that names it
     "cylinder": ('<cylinder name="y{joint}" joint="{joint}" area="2" timeconst="0.1"/>', r"actuator yj0: its filter"),
     "two positions": (
         POSITION.format(1, "") + STIFF.format(2, "").replace('="p', '="s'),
-        r"joint j0 has 2 actuators, of which pj0 is read",
+        r"joint j0 has 2 actuators: pj0 is read",
     ),
     "unnamed": ("<motor joint='{joint}'/><motor joint='{joint}'/>", r"which number 0 is read and number 1 left out"),
     "ranges of a part": (STIFF.format(1, "") + VELOCITY.format(1, 'forcerange="-1 1"'), r"ranges of actuators vj0 are"),

@@ -65,7 +65,7 @@ LINES = {
     ),
     "two actuators": (
         body("", '<actuator><motor name="a" joint="hinge"/><velocity name="b" joint="hinge"/></actuator>'),
-        r"joint hinge has 2 actuators, of which a is read and b left out",
+        r"joint hinge has 2 actuators: a is read, and b left out",
     ),
     "group": (
         body("", '<option actuatorgroupdisable="2"/><actuator><motor name="a" joint="hinge" group="2"/></actuator>'),

@@ -202,7 +202,7 @@ def take_place(place: Path, kind: str, names: Sequence[str]) -> Iterator[Path]:
     """
     if (place / RESULT).exists():
         raise OutputError(
-            f"{show_path(place)}: a run is in it, expected a folder of its own for this; set output to another"
+            f"{show_path(place)}: it holds a run, expected another folder; set output to one"
         )
     with claim(place, kind, names) as manifest:
         try:

@@ -101,7 +101,7 @@ def read_error(fitted: Identified) -> float | None:
 
 def say_difference(fitted: Identified, difference: Difference) -> str:
     """Say how a file moves as loaded, for its comment."""
-    played = f"Loaded in MuJoCo as it is and played under held-out commands ({difference.over}):"
+    played = f"Loaded unchanged in MuJoCo and played under held-out commands ({difference.over}):"
     if difference.largest <= EXACT:
         return f"{played} the identified drive is represented exactly, positions within {EXACT:g} {difference.unit}."
     error = read_error(fitted)

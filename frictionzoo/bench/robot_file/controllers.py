@@ -24,7 +24,7 @@ def combine(source: Source, joint: str, read: Sequence[ReadActuator]) -> ReadAct
     plain = len(parts) == len(read) and all(len(actuator.commands) == 1 for actuator in read)
     if not plain or not {"position"} <= parts.keys() <= {"position", "velocity", "motor"}:
         source.notes.append(
-            f"joint {joint} has {len(read)} actuators, of which {names[0]} is read and {listed(names[1:])} left out"
+            f"joint {joint} has {len(read)} actuators: {names[0]} is read, and {listed(names[1:])} left out"
         )
         return read[0]
     source.notes.append(f"joint {joint}: actuators {listed(names)} are one controller of position, velocity and torque")
