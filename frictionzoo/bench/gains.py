@@ -111,7 +111,8 @@ def _regress(logs: Sequence[Log]) -> tuple[dict[str, list[float]], str]:
         "kd": [float(f"{max(row.kd, _LEAST * row.kp):.4g}") for row in rows],
     }
     for name, values in found.items():
-        _tell(name, values, f"from the recorded torque; both gains explain {100 * worst.explained:.1f} % of its variance")
+        share = f"{100 * worst.explained:.1f} % of its variance"
+        _tell(name, values, f"from the recorded torque; both gains explain {share}")
     return found, ""
 
 

@@ -201,9 +201,7 @@ def take_place(place: Path, kind: str, names: Sequence[str]) -> Iterator[Path]:
         OutputError: A foreign file is in the way, before or after the work; or the folder cannot be written.
     """
     if (place / RESULT).exists():
-        raise OutputError(
-            f"{show_path(place)}: it holds a run, expected another folder; set output to one"
-        )
+        raise OutputError(f"{show_path(place)}: it holds a run, expected another folder; set output to one")
     with claim(place, kind, names) as manifest:
         try:
             place.parent.mkdir(parents=True, exist_ok=True)
