@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
 import safetensors
@@ -129,13 +129,43 @@ def read_curves(folder: Path) -> Curves:
         }
         named = {"signals": signals, "history": history, "portraits": portraits}
         kept = [name for name in _ARRAYS if name in arrays or name not in LATER]
-        return Curves(**{name: arrays[name] for name in kept}, **named)
+        curves = Curves(**{name: arrays[name] for name in kept}, **named)
+        _check_shapes(curves)
+        return curves
     except OSError as error:
         raise RunError(f"{path}: {error.strerror}; expected the folder of a finished run; run it again") from None
-    except (safetensors.SafetensorError, KeyError) as error:
+    except (safetensors.SafetensorError, KeyError, ValueError) as error:
         raise RunError(
             f"{path}: {' '.join(str(error).split())}; expected the file that this version writes; run it again"
         ) from None
+
+
+def _check_shapes(curves: Curves) -> None:
+    """ValueError for an array whose shape is not the one that its annotation has, with sizes that arrays share."""
+    sizes: dict[str, int] = {}
+    _check_record(curves, get_type_hints(Curves), sizes)
+    for over, portrait in curves.portraits.items():
+        _check_record(portrait, get_type_hints(Portrait), {"nv": sizes["nv"]}, f"{_PORTRAITS}{over}.")
+    for name, values in curves.history.items():
+        if values.ndim not in (1, 2) or len(values) != len(curves.history["iteration"]) or "loss" not in curves.history:
+            raise ValueError(
+                f"{_HISTORY}{name} of shape {values.shape}, expected a row an iteration, and {_HISTORY}loss"
+            )
+    for name, values in curves.signals.named().items():
+        if values.ndim != 3 or len(values) != sizes["rollouts"]:
+            raise ValueError(f"{name} of shape {values.shape}, expected {sizes['rollouts']} rollouts of samples")
+
+
+def _check_record(record: Any, types: Mapping[str, Any], sizes: dict[str, int], prefix: str = "") -> None:
+    for name, annotated in types.items():
+        if not hasattr(annotated, "dim_str"):
+            continue
+        array, wanted = getattr(record, name), annotated.dim_str.split()
+        shared = [sizes.setdefault(each, size) for each, size in zip(wanted, array.shape, strict=False)]
+        if len(wanted) != array.ndim or shared != [*array.shape] or array.dtype != np.float64:
+            raise ValueError(
+                f"{prefix}{name} of type {array.dtype} and shape {array.shape}, expected ({annotated.dim_str})"
+            )
 
 
 def sample_friction(
