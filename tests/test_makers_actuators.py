@@ -107,7 +107,10 @@ LINES = {  # what a file has, and the line that names it
         POSITION.format(1, "") + STIFF.format(2, "").replace('="p', '="s'),
         r"joint j0 has 2 actuators: pj0 is read",
     ),
-    "unnamed": ("<motor joint='{joint}'/><motor joint='{joint}'/>", r"which number 0 is read and number 1 left out"),
+    "unnamed": (
+        "<motor joint='{joint}'/><motor joint='{joint}'/>",
+        r"actuators: number 0 is read, and number 1 left out",
+    ),
     "ranges of a part": (STIFF.format(1, "") + VELOCITY.format(1, 'forcerange="-1 1"'), r"ranges of actuators vj0 are"),
     "delay of a part": (
         STIFF.format(1, 'delay="0.008" nsample="3"') + VELOCITY.format(1, ""),
