@@ -424,7 +424,7 @@ RULES: list[tuple[str, How, *tuple[pytest.MarkDecorator, ...]]] = [
     (rf"{JOB}-m .*", do_jobs, SLOW),
     # One job of each kind of drive, and those like it, which differ in what they read
     (rf"{JOB}model=coulomb_stribeck", do_jobs),
-.* recipe=auto.*", do_jobs, SLOW),
+    (rf"{JOB}.* recipe=auto.*", do_jobs, SLOW),
     (rf"{JOB}bench=emps data=files .*", do_jobs),
     (rf"{JOB}.*bench\.payload=arm .*", do_jobs),
     (rf"{JOB}.*'bench\.joint=\[.*", pose_jobs, SLOW),
