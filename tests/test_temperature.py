@@ -290,7 +290,7 @@ def test_a_run_with_and_without_temperature(runs: Callable[..., tuple[Path, Fini
             (export,) = [one.export for one in written if one.target == target]
             assert export.differences[0].quantity == quantity and export.differences[0].largest < promise
         (mjcf,) = [one.export for one in written if one.target == "mjcf"]
-        assert "exactly by the frictionloss and damping below, at temperature 25 and at no other" in mjcf.limits[0]
+        assert "is the frictionloss and damping below, at temperature 25 and at no other" in mjcf.limits[0]
     drive = load_module(warm / "export" / "mujoco" / "drive.py")
     assert drive.OBSERVED == {"temperature": 25.0} and drive.INPUTS == ()
 
