@@ -36,7 +36,7 @@ PROCESSES = ("subprocess.", "os.system", "os.exec", "os.posix_spawn", "os.spawn"
 SOCKETS = ("socket.connect", "socket.bind", "socket.getaddrinfo", "socket.gethostby", "socket.sendto", "urllib.")
 WRITES = ("os.mkdir", "os.rename", "os.remove", "os.rmdir", "os.link", "os.symlink", "os.truncate", "os.chmod")
 PYTHON = f"open({MARK!r}, 'w').close()\nimport sys; sys.{MARK} = True\nclass Law: ...\nmain = X = Law\n"
-COMMANDS = {"load": 55, "card": 33, "compare": 3, "export": 3, "resume": 5, "distill": 1}
+COMMANDS = {"load": 50, "card": 25, "compare": 12, "export": 6, "resume": 6, "distill": 1}
 """How often each is tried, of a hundred times; a resumed or distilled run is fitted, where nothing refuses it."""
 
 
@@ -373,7 +373,7 @@ def change_arrays(folder: Path, rng: random.Random) -> None:
                 np.zeros((2, 2)),
                 old.astype(np.float16),
                 old * np.nan,
-                old * 1e30,
+                old * 1e300,
                 old[..., None],
                 old[:1],
                 old.astype(bool),

@@ -8,7 +8,9 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+import hypothesis.strategies as st
 import pytest
+from hypothesis import given
 from omegaconf import DictConfig, OmegaConf
 
 from frictionzoo import fit
@@ -19,6 +21,7 @@ from frictionzoo.core.config import (
     CONF_DIR,
     check_overrides,
     compose_config,
+    create_literal,
     list_options,
 )
 from frictionzoo.core.described import describe
@@ -284,6 +287,12 @@ def test_overrides_of_another_kind_are_refused(override: str, message: str) -> N
     with pytest.raises(ConfigError) as refused:
         check_overrides(changed(compose_once("data=twin"), override), compose_once("data=twin"))
     assert message in str(refused.value)
+
+
+@given(st.lists(st.sampled_from([*"\\${}'\": .a", "${", "\\${", "${seed}", "${oc.env:HOME}"])).map("".join))
+def test_saved_text_refers_to_nothing(text: str) -> None:
+    settings = {"bench": {"joint": text, "tie": [text]}}
+    assert OmegaConf.to_container(create_literal(settings), resolve=True) == settings
 
 
 def test_runs_of_other_seeds_are_judged_on_the_same_rollouts() -> None:

@@ -11,7 +11,6 @@ from frictionzoo.card.portable import build_parts, place_settings
 from frictionzoo.card.record import CARD, CARD_VERSION, MODEL, read_schema
 from frictionzoo.card.types import Card
 from frictionzoo.core.errors import RunError
-from frictionzoo.core.jobs import refuse_references
 from frictionzoo.core.segments import Sampling, Segments
 from frictionzoo.core.state import Signals
 from frictionzoo.result import record
@@ -63,7 +62,6 @@ def read_record(folder: Path) -> Card:
     path = folder / CARD
     card = record.read_valid(path, CARD_VERSION, read_schema())
     record.refuse_invalid(path, card["result"], record.read_schema())
-    refuse_references(path, card["result"]["settings"])
     for name, sha256 in card["files"].items():
         if Path(name).name != name:
             raise RunError(f"{path}: it names the file {name}, expected names without folders; it is no card")

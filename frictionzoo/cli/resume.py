@@ -16,7 +16,7 @@ from frictionzoo.cli.mistakes import NOTHING_KEPT
 from frictionzoo.cli.overrides import choices_of, last_value
 from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, list_choices, merge_saved
 from frictionzoo.core.errors import ConfigError, FrictionzooError, OutputError, RunError, closest
-from frictionzoo.core.jobs import read_json, refuse_links, refuse_references
+from frictionzoo.core.jobs import read_json, refuse_links
 from frictionzoo.core.manifest import remove_if_empty
 from frictionzoo.core.output import RESULT, remove_written, to_json, write_atomically
 
@@ -63,7 +63,6 @@ class Begun(NamedTuple):
         try:
             refuse_links(folder, files=True)
             saved = read_json(path)
-            refuse_references(path, saved)
         except RunError as error:
             raise ConfigError(f"resume={folder}: {error}") from None
         begun = cls(*(saved.get(name) for name in cls._fields))  # type: ignore[arg-type]

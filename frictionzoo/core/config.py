@@ -5,6 +5,7 @@ import copy
 import functools
 import json
 import math
+import re
 from collections.abc import Iterator, Mapping
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -157,7 +158,28 @@ def merge_saved(saved: Mapping[str, Any], before: DictConfig, after: DictConfig)
     """
     plain, changed = (json.loads(json.dumps(OmegaConf.to_container(each, resolve=True))) for each in (before, after))
     merged = _carry_over(keep_caches_at_home(saved), plain, changed)
-    return cast(DictConfig, OmegaConf.create({**merged, "logger": changed["logger"], "resume": changed["resume"]}))
+    return create_literal({**merged, "logger": changed["logger"], "resume": changed["resume"]})
+
+
+def create_literal(settings: Mapping[str, Any]) -> DictConfig:
+    """Return the configuration of resolved settings, perhaps a stranger's: `${...}` in their text refers to nothing.
+
+    Raises:
+        ConfigError: One of them is `???`, which stands for a missing value.
+    """
+    return cast(DictConfig, OmegaConf.create(_escape(settings)))
+
+
+def _escape(settings: Any) -> Any:
+    if isinstance(settings, Mapping):
+        return {key: _escape(value) for key, value in settings.items()}
+    if isinstance(settings, list):
+        return [_escape(value) for value in settings]
+    if settings == "???":
+        raise ConfigError("??? in saved settings, expected values; run it again")
+    if isinstance(settings, str) and "${" in settings:
+        return re.sub(r"(\\*)\$\{", lambda match: rf"{match[1] * 2}\${{", settings)
+    return settings
 
 
 def keep_caches_at_home(saved: Mapping[str, Any]) -> dict[str, Any]:

@@ -92,15 +92,6 @@ def refuse_links(folder: Path, *, files: bool) -> None:
             raise RunError(f"{path}: a link out of {folder}, expected files of the run; remove it, or copy its target")
 
 
-def refuse_references(place: Path, settings: Any) -> None:
-    """RunError for saved settings with a reference: they are resolved, so that nothing of this machine is read."""
-    if isinstance(settings, str) and ("${" in settings or settings == "???"):
-        raise RunError(f"{place}: {settings[:80]} in its settings, expected values without references; run it again")
-    if isinstance(settings, dict | list):
-        for part in _list_parts(settings):
-            refuse_references(place, part)
-
-
 def read_json(path: Path) -> dict[str, Any]:
     """The object that a JSON file holds.
 

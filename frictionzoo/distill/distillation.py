@@ -14,7 +14,14 @@ from frictionzoo.cli.job import run_job
 from frictionzoo.cli.overrides import refuse_no_choice
 from frictionzoo.comparison.runs import Run, read_runs
 from frictionzoo.comparison.statistics import difference, resample
-from frictionzoo.core.config import check_overrides, compose_config, keep_caches_at_home, list_choices, read_value
+from frictionzoo.core.config import (
+    check_overrides,
+    compose_config,
+    create_literal,
+    keep_caches_at_home,
+    list_choices,
+    read_value,
+)
 from frictionzoo.core.errors import ConfigError, OutputError, closest
 from frictionzoo.core.output import RUN_FILES, claim, to_json, write_atomically
 from frictionzoo.core.params import UNITS
@@ -128,7 +135,10 @@ def _replace_choices(teacher: Identified, choices: Mapping[str, str]) -> DictCon
         "segments": {"count": None if count is None else max(1, count * length // longer), "length": longer},
         "resume": None,
     }
-    return OmegaConf.create({**settings, **sections, **own})
+    config = create_literal({**settings, **own})
+    for group in sections.keys() - own.keys():
+        OmegaConf.update(config, group, sections[group], merge=False)
+    return config
 
 
 def _choose_logger(teacher: Identified) -> str:

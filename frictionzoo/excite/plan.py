@@ -7,7 +7,14 @@ from typing import Any, TypeVar, cast
 import yaml
 from omegaconf import DictConfig, OmegaConf
 
-from frictionzoo.core.config import check_overrides, compose_config, keep_caches_at_home, list_choices, read_value
+from frictionzoo.core.config import (
+    check_overrides,
+    compose_config,
+    create_literal,
+    keep_caches_at_home,
+    list_choices,
+    read_value,
+)
 from frictionzoo.core.errors import ConfigError, closest, refuse_outside
 from frictionzoo.excite.design import Search
 from frictionzoo.excite.information import Noise
@@ -134,10 +141,11 @@ def _settle(options: Mapping[str, str], run: Identified | None) -> dict[str, Any
             raise ConfigError(f"{group}={name}: {run.place} has chosen it; leave it out")
         if name not in list_choices(group):
             raise ConfigError(f"{group}={name}: unknown; {closest(name, list_choices(group))}")
-    free: Any = keep_caches_at_home(run.result["settings"]) if run else None
     if run is None:
-        free = OmegaConf.to_container(compose_config(*(f"{g}={n}" for g, n in chosen.items())))
-    plain = cast(DictConfig, OmegaConf.create(free))
+        plain = compose_config(*(f"{g}={n}" for g, n in chosen.items()))
+        OmegaConf.set_struct(plain, False)
+    else:
+        plain = create_literal(keep_caches_at_home(run.result["settings"]))
     values = [read_value(f"{name}={value}") for name, value in options.items() if name not in chosen]
     config = cast(DictConfig, OmegaConf.merge(plain, *values))
     check_overrides(config, plain)

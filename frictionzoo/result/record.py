@@ -15,7 +15,7 @@ import numpy as np
 
 from frictionzoo.bench.base import Bench
 from frictionzoo.core.errors import RunError
-from frictionzoo.core.jobs import read_json, refuse_links, refuse_references, refuse_unfinished
+from frictionzoo.core.jobs import read_json, refuse_links, refuse_unfinished
 from frictionzoo.core.log import Dataset, Log, pool_origins
 from frictionzoo.core.output import RESULT, to_json, write_atomically
 from frictionzoo.core.params import Param
@@ -191,7 +191,6 @@ def read_run(folder: Path) -> tuple[types.Result, Curves]:
     refuse_unfinished(folder)
     refuse_links(folder, files=False)
     result = read_valid(folder / RESULT, SCHEMA_VERSION, read_schema())
-    refuse_references(folder / RESULT, result["settings"])
     curves = read_curves(folder)
     _refuse_inconsistent(folder / RESULT, cast(types.Result, result), curves)
     return cast(types.Result, result), curves
