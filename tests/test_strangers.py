@@ -72,7 +72,6 @@ def target(*place: str, name: Any = "stranger.Law") -> Change:
         (lambda c: c["choices"].update(model=["lugre"]), r"model=\['lugre'\]"),
         (lambda c: c["options"].append("+hydra.callbacks.x._target_=stranger.Law"), "settings.json"),
         (lambda c: c["options"].append("--config-dir=foreign"), "settings.json"),
-        (lambda c: c["settings"].update(seed="${oc.env:HOME}"), r"\$\{oc.env:HOME\}"),
         (lambda c: c.pop("settings"), "settings.json"),
         (lambda c: c["choices"].update(logger="mlflow"), "add logger=mlflow"),
     ],
@@ -169,7 +168,7 @@ def test_caches_of_a_stranger_are_not_used(foreign: Path, monkeypatch: pytest.Mo
     from frictionzoo.core.config import compose_config, merge_saved
 
     def cache(content: dict[str, Any]) -> None:
-        content["settings"] |= {"compilation_cache": "foreign/xla"}
+        content["settings"] |= {"compilation_cache": "foreign/xla", "device": "${oc.env:HOME}"}
         content["settings"]["data"]["cache_dir"] = "foreign/data"
 
     change(foreign / SETTINGS, cache)
@@ -178,6 +177,7 @@ def test_caches_of_a_stranger_are_not_used(foreign: Path, monkeypatch: pytest.Mo
         Begun.read(foreign).settings, plain, compose_config("data=files", "model=coulomb_smooth", "seed=9")
     )
     assert merged.compilation_cache == merged.data.cache_dir == "user"
+    assert merged.device == "${oc.env:HOME}"  # text that refers to nothing
     assert (merged.seed, merged.fit.iterations) == (9, 3)  # today's, and the run's
 
 
