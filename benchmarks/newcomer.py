@@ -1,256 +1,279 @@
 """What a newcomer gets: logs of hidden drives, one command with nothing but the files, and the truth beside the result.
 
     python benchmarks/newcomer.py
-    python benchmarks/newcomer.py --drives 5 --first 20 --recipes auto
+    python benchmarks/newcomer.py --drives 5 --first 20 --kinds late leg
 
-Each drive has a friction of one of five kinds, an armature, a rod, an encoder, a rate, a delay and a length of its own.
-MuJoCo C moves it in steps of 0.05 ms; the log has position and command, and of half of them a noisy velocity.
+Each drive is of one of eight kinds, with friction, armature, link, gains, encoder and delay of its own. Its motion is
+that of `event_exact.py`, which knows nothing of MuJoCo. The fitted law is the one by which the drive was made.
 """
 
 import argparse
 import json
-import math
 import resource
 import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
+from event_exact import Drive, Link, filter_velocity, round_to, simulate, write_mjcf
 from jaxtyping import Float
 from measure import make_parser, report
 
-KINDS = ("viscous", "coulomb", "stribeck", "sticking", "tustin")
-RATES = (50, 100, 200, 500, 1000)  # Hz
-STEP = 5e-5  # s, of the simulation
-KP, KD = 20.0, 1.0  # N m/rad, N m s/rad: the gains of bench=knee
-SMOOTHING = 0.01  # rad/s, over which dry friction changes its sign
 VELOCITY_NOISE = 0.02  # rad/s
-STAND = """<mujoco model="stand">
-  <compiler angle="radian"/>
-  <option timestep="{step}"/>
-  <worldbody>
-    <body name="rod">
-      <joint name="motor" type="hinge" axis="0 1 0"/>
-      <inertial pos="0 0 {centre}" mass="{mass}" diaginertia="{inertia} {inertia} 0.00001"/>
-    </body>
-  </worldbody>
-</mujoco>
-"""
+SECONDS = 40.0
+PAYLOADS = (0.0, 0.3, 0.6)  # kg
 COLUMNS = {
     "drive": "drive",
-    "kind": "friction",
+    "kind": "kind",
     "rate": "rate [Hz]",
     "bits": "encoder [bit]",
     "delay": "delay [ms]",
-    "velocity": "velocity",
-    "recipe": "recipe",
-    "armature_error": "armature [% off]",
-    "armature_covered": "in its interval",
-    "friction_error": "friction [% off]",
-    "delay_error": "delay [ms off]",
-    "seconds": "time [s]",
+    "sticking": "sticks [%]",
+    "armature": "armature [% off]",
+    "friction": "dry friction [% off]",
+    "damping": "damping [% off]",
+    "held": "in its interval",
+    "missed": "outside",
+    "noise": "error [encoder noise]",
     "processor": "processor [s]",
 }
 
 
 @dataclass(frozen=True)
-class Hidden:
-    """A drive that nobody knows.
+class Kind:
+    """A kind of hidden drives.
 
     Attributes:
-        seed: Of what follows, and of excitation and noise.
-        kind: Of friction, among `KINDS`.
+        law: By which it is made and fitted.
         rate: Of samples [Hz].
         bits: Of the encoder, a turn.
-        delay: Of commands [s].
-        velocity: Whether it is in the log.
-        armature: [kg m^2].
-        viscous: [N m s/rad].
-        coulomb: Dry friction at speed [N m].
-        breakaway: Dry friction at standstill over that.
-        stribeck: Speed over which the one goes over into the other [rad/s].
-        mass: Of the rod [kg].
-        length: Of the rod [m].
-        seconds: Of the log.
+        velocity: In the log: `noisy`, `filtered` from positions, or `none`.
+        speed: Of the excitation, over the usual one.
+        payloads: Whether it carries a mass of its own in each of several recordings.
+        joints: Their number.
     """
 
-    seed: int
-    kind: str
-    rate: int
-    bits: int
-    delay: float
-    velocity: bool
-    armature: float
-    viscous: float
-    coulomb: float
-    breakaway: float
-    stribeck: float
-    mass: float
-    length: float
-    seconds: float
+    law: str = "mujoco_default"
+    rate: int = 500
+    bits: int = 14
+    velocity: str = "noisy"
+    speed: float = 1.0
+    payloads: bool = False
+    joints: int = 1
 
-    @classmethod
-    def draw(cls, seed: int) -> "Hidden":
-        """The drive of this seed."""
-        rng = np.random.default_rng(1000 + seed)
-        kind = KINDS[seed % len(KINDS)]
+    def draw(self, rng: np.random.Generator, late: bool) -> Drive:
+        """Draw one joint's drive."""
 
         def spread(low: float, high: float) -> float:
             return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
-        return cls(
-            seed=seed,
-            kind=kind,
-            rate=int(rng.choice(RATES)),
-            bits=int(rng.integers(8, 21)),
-            delay=float(rng.uniform(0.0, 0.04) * (rng.random() < 0.8)),
-            velocity=bool(rng.random() < 0.5),
+        drive = Drive(
             armature=spread(0.01, 0.1),
-            viscous=spread(0.03, 0.5),
-            coulomb=spread(0.05, 0.5) * (kind != "viscous"),
-            breakaway=float(rng.uniform(1.2, 1.8)) if kind in ("stribeck", "tustin") else 1.0,
-            stribeck=float(rng.uniform(0.08, 0.4)),
-            mass=float(rng.uniform(0.1, 0.6)),
-            length=float(rng.uniform(0.1, 0.25)),
-            seconds=float(rng.choice([40.0, 60.0, 120.0])),
+            viscous=spread(0.05, 0.5),
+            forward=spread(0.1, 0.5),
+            kp=spread(15, 60),
+            kd=spread(0.5, 2.0),
+            delay=round(rng.uniform(0.004, 0.025), 4) if late else 0.0,
         )
+        if self.law == "stribeck":
+            return replace(drive, breakaway=rng.uniform(1.3, 1.8), stribeck=spread(0.08, 0.3))
+        if self.law == "load_dependent":
+            return replace(drive, load=rng.uniform(0.05, 0.2))
+        if self.law == "asymmetric":
+            return replace(drive, backward=drive.forward * rng.uniform(0.6, 1.4))
+        return replace(drive, bristle=drive.forward / spread(1e-3, 1e-2)) if self.law == "dahl" else drive
 
-    def dry(self, speed: float) -> float:
-        """Dry friction at this speed [N m]."""
-        share = speed / self.stribeck
-        return self.coulomb * (1 + (self.breakaway - 1) * math.exp(-share if self.kind == "tustin" else -share * share))
 
-    def friction(self, velocity: Float[np.ndarray, "speeds"]) -> Float[np.ndarray, "speeds"]:
-        """Steady friction torque [N m]."""
-        dry = np.array([self.dry(abs(each)) for each in velocity])
-        return dry * np.tanh(velocity / SMOOTHING) + self.viscous * velocity
+KINDS: Mapping[str, Kind] = {
+    "coulomb": Kind(rate=1000),
+    "late": Kind(rate=200, bits=12, velocity="none"),
+    "stribeck": Kind("stribeck", rate=1000, velocity="filtered"),
+    "load": Kind("load_dependent", payloads=True),
+    "sticking": Kind(speed=0.12),
+    "directional": Kind("asymmetric"),
+    "presliding": Kind("dahl", rate=1000, bits=16),
+    "leg": Kind(joints=2, bits=15),
+}
 
-    def stand(self, step: float) -> str:
-        """The rod on its shaft, as MJCF."""
-        inertia = self.mass * self.length**2 / 12
-        return STAND.format(step=step, centre=-self.length / 2, mass=self.mass, inertia=inertia)
 
-    def record(self, folder: Path) -> Float[np.ndarray, "2"]:
-        """Write `stand.xml` and `log.csv`; returns the lowest and the highest speed that counts [rad/s]."""
-        rng = np.random.default_rng(self.seed)
-        time = np.arange(int(self.seconds * self.rate)) / self.rate
-        ctrl = _excite(time, rng)
-        qpos, qvel = self._simulate(ctrl)
-        quantum = 2 * np.pi / 2**self.bits
-        columns = {"time": time, "qpos": np.round(qpos / quantum) * quantum}
-        columns |= {"qvel": qvel + rng.normal(0.0, VELOCITY_NOISE, len(qvel))} if self.velocity else {}
-        columns |= {"ctrl": ctrl}
+@dataclass(frozen=True)
+class Hidden:
+    """Drives that nobody knows, of the joints of one stand, and its links."""
+
+    name: str
+    kind: Kind
+    seed: int
+    links: Sequence[Link]
+    drives: Sequence[Drive]
+
+    @classmethod
+    def draw(cls, name: str, seed: int) -> "Hidden":
+        """Draw the drives of this kind and seed."""
+        rng, kind = np.random.default_rng(5000 + seed), KINDS[name]
+        links = []
+        for joint in range(kind.joints):
+            mass, length = rng.uniform(0.2, 0.8), rng.uniform(0.1, 0.25)
+            round_it = mass * length**2 / 12
+            place = (0.0, 0.0, 0.0) if joint == 0 else (0.0, 0.02, links[-1].centre[2] * 2)
+            links.append(Link(joint - 1, (0, 1, 0), place, mass, (0, 0, -length / 2), (round_it, round_it, 1e-5)))
+        return cls(name, kind, seed, links, [kind.draw(rng, name == "late") for _ in links])
+
+    @property
+    def names(self) -> list[str]:
+        """Of the joints."""
+        return ["motor"] if len(self.links) == 1 else ["hip", "knee"]
+
+    def record(self, folder: Path) -> float:
+        """Write the stand's MJCF and the logs; returns the share of time in which joints stick."""
+        rng, interval = np.random.default_rng(self.seed), 1 / self.kind.rate
         folder.mkdir(parents=True)
-        (folder / "stand.xml").write_text(self.stand(0.001))
-        rows = np.stack(list(columns.values()), axis=1)
-        np.savetxt(folder / "log.csv", rows, "%.9g", ",", header=",".join(columns), comments="")
-        return np.quantile(np.abs(qvel), [0.05, 0.99])
+        (folder / "stand.xml").write_text(write_mjcf(self.links, self.names))
+        sticking = []
+        for number, payload in enumerate(PAYLOADS if self.kind.payloads else (0.0,)):
+            time = np.arange(round(SECONDS / (2 if self.kind.payloads else 1) / interval)) * interval
+            ctrl = np.stack([_excite(time, self.kind.speed, rng) for _ in self.links], axis=1)
+            at = (0.0, 0.0, 2 * self.links[-1].centre[2])
+            links = [*self.links[:-1], self.links[-1].with_payload(payload, at)]
+            motion = simulate(links, self.drives, ctrl, interval)
+            sticking.append(motion.sticking)
+            columns = {"time": time[:, None], "qpos": round_to(motion.qpos, self.kind.bits)}
+            if self.kind.velocity == "noisy":
+                columns["qvel"] = motion.qvel + rng.normal(0.0, VELOCITY_NOISE, motion.qvel.shape)
+            elif self.kind.velocity == "filtered":
+                columns["qvel"] = filter_velocity(columns["qpos"], interval, 100.0)
+            columns["ctrl"] = ctrl
+            named = [
+                name if name == "time" or len(self.links) == 1 else f"{name}_{joint}"
+                for name, of in columns.items()
+                for joint in (self.names if of.shape[1] > 1 else [""])
+            ]
+            rows = np.concatenate(list(columns.values()), axis=1)
+            np.savetxt(folder / f"log{number}.csv", rows, "%.9g", ",", header=",".join(named), comments="")
+        return float(np.mean(sticking))
 
-    def _simulate(self, ctrl: Float[np.ndarray, "time"]) -> Float[np.ndarray, "2 time"]:
-        spec = mujoco.MjSpec.from_string(self.stand(STEP))
-        spec.joints[0].armature = self.armature
-        sticks = self.kind == "sticking"
-        if sticks:
-            spec.joints[0].frictionloss = self.coulomb
-            spec.joints[0].solref_friction = [5 * STEP, 1.0]
-        model = spec.compile()
-        data = mujoco.MjData(model)
-        data.qpos[0] = ctrl[0]
-        each, late, commands = round(1 / self.rate / STEP), round(self.delay / STEP), ctrl.tolist()
-        states = np.empty((2, len(ctrl)))
-        for sample in range(len(ctrl)):
-            states[:, sample] = data.qpos[0], data.qvel[0]
-            for step in range(sample * each, (sample + 1) * each):
-                position, velocity = data.qpos.item(), data.qvel.item()
-                torque = KP * (commands[max(step - late, 0) // each] - position) - (KD + self.viscous) * velocity
-                torque -= 0.0 if sticks else self.dry(abs(velocity)) * math.tanh(velocity / SMOOTHING)
-                data.qfrc_applied[0] = torque
-                mujoco.mj_step(model, data)
-        return states
+    def options(self, folder: Path) -> list[str]:
+        """What the command line says of it: files, gains and the law."""
+        logs = ",".join(str(path) for path in sorted(folder.glob("log*.csv")))
+        one = len(self.drives) == 1
+        options = ["data=files", f"data.train=[{logs}]", f"bench.mjcf={folder / 'stand.xml'}", f"model={self.kind.law}"]
+        options.append("bench=knee" if one else "bench=robot")
+        options.append(f"bench.joint={'motor' if one else '[hip,knee]'}")
+        for gain in ("kp", "kd"):
+            values = [getattr(drive, gain) for drive in self.drives]
+            options.append(f"bench.actuator.params.{gain}.init={values[0] if one else values}".replace(" ", ""))
+        if self.kind.payloads:
+            far, link = self.links[-1].centre[2] * 2, "motor_link"
+            each = ",".join(f"[{mass},0,0,{far},0,0,0]" for mass in PAYLOADS)
+            options += [f"bench.payload={link}", f"data.payload=[{each}]"]
+        return options
+
+    def truths(self) -> dict[str, list[float]]:
+        """True values of what the law and the bench identify, by the result's names."""
+
+        def each(name: str) -> list[float]:
+            return [getattr(drive, name) for drive in self.drives]
+
+        loss, drives = each("forward"), self.drives
+        truths = {"armature": each("armature"), "delay": each("delay"), "position_offset": [0.0] * len(drives)}
+        own: dict[str, dict[str, list[float]]] = {
+            "stribeck": {
+                "stribeck_torque": [d.forward * (d.breakaway - 1) for d in drives],
+                "stribeck_velocity": each("stribeck"),
+            },
+            "load_dependent": {"load_friction": each("load")},
+            "asymmetric": {
+                "frictionloss_forward": loss,
+                "frictionloss_backward": [d.forward if d.backward is None else d.backward for d in drives],
+                "damping_forward": each("viscous"),
+                "damping_backward": each("viscous"),
+            },
+            "dahl": {"coulomb_torque": loss, "stiffness": each("bristle"), "viscous_coefficient": each("viscous")},
+        }
+        plain = {"frictionloss": loss, "damping": each("viscous")}
+        return truths | plain | own.get(self.kind.law, {})
 
 
-def _excite(time: Float[np.ndarray, "time"], rng: np.random.Generator) -> Float[np.ndarray, "time"]:
+def _excite(time: Float[np.ndarray, "time"], speed: float, rng: np.random.Generator) -> Float[np.ndarray, "time"]:
     """Five harmonics of velocity, as in the paper, without drift."""
     amplitude, frequency, phase = rng.uniform(0.3, 1.5, 5), rng.uniform(0.5, 10, 5), rng.uniform(0, 2 * np.pi, 5)
-    velocity = np.clip((amplitude * np.sin(time[:, None] * frequency + phase)).sum(axis=1), -4, 4)
-    position = np.concatenate([[0.0], np.cumsum((velocity[1:] + velocity[:-1]) / 2 * np.diff(time))])
-    return position - np.polyval(np.polyfit(time, position, 1), time)
+    position = -(speed * amplitude / frequency * np.cos(time[:, None] * frequency + phase)).sum(axis=1)
+    return position - position.mean()
 
 
 def main() -> None:
-    """Each drive with each recipe, and their table."""
+    """Each drive, and their table."""
     options = parse()
     rows = []
     with tempfile.TemporaryDirectory() as scratch:
-        for seed in range(options.first, options.first + options.drives):
-            hidden = Hidden.draw(seed)
-            folder = Path(scratch) / str(seed)
-            speeds = hidden.record(folder)
-            for recipe in options.recipes:
-                rows.append(run(hidden, folder, speeds, recipe))
-                print(json.dumps(rows[-1]), file=sys.stderr, flush=True)
-    for recipe in options.recipes:
-        own = [row for row in rows if row["recipe"] == recipe]
-        for what in ("armature_error", "friction_error", "seconds", "processor"):
-            values = [row[what] for row in own]
-            print(f"{recipe}: {what} median {np.median(values):.3g}, largest {max(values):.3g}")
+        for number in range(options.first, options.first + options.drives):
+            hidden = Hidden.draw(options.kinds[number % len(options.kinds)], number)
+            rows.append(run(hidden, Path(scratch) / str(number), options.more))
+            print(json.dumps(rows[-1]), file=sys.stderr, flush=True)
+    for what in ("armature", "friction", "damping", "noise", "processor"):
+        values = [row[what] for row in rows]
+        print(f"{what}: median {np.median(values):.3g}, largest {max(values):.3g}")
+    held, missed = (sum(len(row[what].split()) for row in rows) for what in ("held", "missed"))
+    print(f"in their intervals: {held} of {held + missed} parameters")
     report(options.out, rows, COLUMNS, first=options.first)
 
 
 def parse() -> argparse.Namespace:
     """The command line."""
     parser = make_parser("newcomer", __doc__)
-    parser.add_argument("--drives", type=int, default=20, metavar="N", help="how many hidden drives")
+    parser.add_argument("--drives", type=int, default=24, metavar="N", help="how many hidden drives")
     parser.add_argument("--first", type=int, default=0, metavar="SEED", help="seed of the first")
-    parser.add_argument("--recipes", nargs="+", choices=("auto", "given"), default=["auto", "given"])
+    parser.add_argument("--kinds", nargs="+", choices=tuple(KINDS), default=[*KINDS])
+    parser.add_argument("--more", nargs="*", default=[], metavar="OPTION", help="options of frictionzoo.run besides")
     return parser.parse_args()
 
 
-def run(hidden: Hidden, folder: Path, speeds: Float[np.ndarray, "2"], recipe: str) -> dict[str, Any]:
+def run(hidden: Hidden, folder: Path, more: Sequence[str] = ()) -> dict[str, Any]:
     """One command, from its start to its end, and how far its result is from the truth."""
-    out = folder / recipe
-    command = [sys.executable, "-m", "frictionzoo.run", "data=files", f"data.train=[{folder / 'log.csv'}]"]
-    command += [f"bench.mjcf={folder / 'stand.xml'}", "bench=knee", "bench.joint=motor", f"hydra.run.dir={out}"]
-    command += [] if recipe == "auto" else [f"recipe={recipe}"]
+    sticking, out = hidden.record(folder), folder / "run"
+    command = [sys.executable, "-m", "frictionzoo.run", *hidden.options(folder), f"hydra.run.dir={out}", *more]
     command += [f"compilation_cache={out}-cache"]  # a newcomer's is empty
     began, before = time.perf_counter(), _processor()
     finished = subprocess.run(command, capture_output=True, text=True)
     seconds, processor = time.perf_counter() - began, _processor() - before
     if finished.returncode not in (0, 3):  # 3: the fit says that it did not identify the drive
         raise SystemExit(f"drive {hidden.seed}: {finished.stderr}")
-    rows = {row["name"]: row for row in json.loads((out / "result.json").read_text())["parameters"]}
-    found = {name: row["value"] for name, row in rows.items()}
-    speed = np.linspace(*speeds, 200)
-    velocity = np.concatenate([-speed[::-1], speed])
-    share = velocity / found["stribeck_velocity"]
-    excess = (found["static_torque"] - found["kinetic_torque"]) * np.exp(-np.square(share))
-    dry = (found["kinetic_torque"] + excess) * np.tanh(velocity / found["smoothing_velocity"])
-    error = np.abs(dry + found["viscous_coefficient"] * velocity - hidden.friction(velocity)).mean()
+    result, truths = json.loads((out / "result.json").read_text()), hidden.truths()
+    held, missed, errors = [], [], dict[str, list[float]]()
+    for parameter in result["parameters"]:
+        name = parameter["name"]
+        for row, truth in zip(parameter["by_joint"], truths.get(name, []), strict=False):
+            if not row["identified"]:
+                continue
+            errors.setdefault(name, []).append(100 * (row["value"] / truth - 1) if truth else row["value"])
+            if row["interval"] is not None:
+                inside = row["interval"][0] <= truth <= row["interval"][1]
+                (held if inside else missed).append(name)
     return {
         "drive": str(hidden.seed),
-        "kind": hidden.kind,
-        "rate": hidden.rate,
-        "bits": hidden.bits,
-        "delay": 1e3 * hidden.delay,
-        "velocity": "measured" if hidden.velocity else "none",
-        "recipe": recipe,
-        "armature_error": 100 * abs(found["armature"] / hidden.armature - 1),
-        "armature_covered": _holds(rows["armature"]["interval"], hidden.armature),
-        "friction_error": 100 * error / np.abs(hidden.friction(velocity)).mean(),
-        "delay_error": 1e3 * abs(found.get("delay", 0.0) - hidden.delay),
+        "kind": hidden.name,
+        "rate": hidden.kind.rate,
+        "bits": hidden.kind.bits,
+        "delay": 1e3 * hidden.drives[0].delay,
+        "sticking": 100 * sticking,
+        "armature": _worst(errors, "armature"),
+        "friction": _worst(errors, "frictionloss", "frictionloss_forward", "coulomb_torque"),
+        "damping": _worst(errors, "damping", "damping_forward", "viscous_coefficient"),
+        "held": " ".join(held),
+        "missed": " ".join(missed),
+        "noise": result["metrics"]["test"]["position_mae"] / (2 * np.pi / 2**hidden.kind.bits / 4),
         "seconds": seconds,
         "processor": processor,
     }
 
 
-def _holds(interval: list[float] | None, truth: float) -> str:
-    """Whether the truth is in a 95 % interval."""
-    return "no interval" if interval is None else "yes" if interval[0] <= truth <= interval[1] else "no"
+def _worst(errors: Mapping[str, Sequence[float]], *names: str) -> float:
+    """The largest error of what the law has among these, over joints."""
+    return max(abs(value) for name in names for value in errors.get(name, []))
 
 
 def _processor() -> float:

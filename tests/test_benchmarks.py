@@ -29,7 +29,7 @@ QUICKEST = {  # script: its arguments, and the rows that it has to give
     "whole_robot": (f"{ROOT}/frictionzoo/bench/assets/knee_rod.xml --recordings 2 --seconds 2 --segments 5", 1),
     "arm": ("--bandwidths 40 --recordings 1 --seconds 3 --sure 0.1", 5),
     "branches": ("--segments 4 --length 10 --dtypes float64", 2),
-    "newcomer": ("--drives 1 --first 5 --recipes given", 1),
+    "newcomer": ("--drives 1 --kinds sticking --more recipe=given loop.progress=false", 1),
     "coverage": ("--cases rounded load --logs 2", 2),
     "recipe": ("--cases twin -- data.samples=30000 segments.count=20 segments.length=50 fit.iterations=2", 1),
     "checkup": ("--data twin_clean --good twin_clean --most 1", 22),
@@ -37,7 +37,7 @@ QUICKEST = {  # script: its arguments, and the rows that it has to give
     "growth": ("--samples 1e4 --lengths 50 --widths 16 --segments 200", 3),
 }
 # Errors, shares, and what needs no compiling; everything else is a time, a size or a count.
-MAY_BE_ZERO = {"difference", "status", "armature_error", "compile", "errors", "warnings", "curve", "asked"}
+MAY_BE_ZERO = {"difference", "status", "armature_error", "compile", "errors", "warnings", "curve", "asked", "delay"}
 
 
 @pytest.mark.slow
