@@ -19,7 +19,7 @@ from jaxtyping import Float
 
 import frictionzoo as fz
 from frictionzoo.bench import Bench, JointPD, PositionPD
-from frictionzoo.bench.delay import round_delay, write_delay
+from frictionzoo.bench.delay import is_filtered, read_filter, write_delay
 from frictionzoo.core.log import Payload
 from frictionzoo.export.bench import write_identified
 from frictionzoo.models import MujocoDefault
@@ -138,6 +138,8 @@ def play(model: mujoco.MjModel, drive: Identified, rollout: int, offset: np.ndar
             steps = np.arange(-count, 0)
             past = command[np.maximum(history + np.floor_divide(steps, per_sample), 0), actuator]
             mujoco.mj_initCtrlHistory(model, data, actuator, model.opt.timestep * steps, past)
+    if model.na:  # filters, which lag by less than a step
+        data.act[:] = command[max(history - 1, 0), model.actuator_actnum > 0]
     for sample in range(segments.length):
         data.ctrl[:] = command[history + sample]
         mujoco.mj_step(model, data, nstep=per_sample)
@@ -212,9 +214,9 @@ def test_a_single_joint_is_late_by_any_delay(steps: float, substeps: int) -> Non
     ((row, text),) = describe(drive)
     check(row, text, drive)
     assert row["exact"] == (steps in (0, 1, 2.4))
-    rounded = f"delay of {steps * 1e-3:g} s is rounded to {round(steps) * 1e-3:g} s in steps of 0.001 s"
+    filtered = f"delay of {steps * 1e-3:g} s is a filter with the same lag in steps of 0.001 s"
     for said in (text, " ".join(row["limits"])):
-        assert (rounded in said) == (not row["exact"])
+        assert (filtered in said) == (not row["exact"])
 
 
 PULLED = {
@@ -252,7 +254,7 @@ def test_a_file_in_longer_steps_says_so(tmp_path: Path) -> None:
     (_, _), (row, text) = describe(drive)
     assert row["timestep"] == STEP
     assert row["mean"] > EXACT and "steps of 0.004 s in place of 0.001 s" in row["reason"] and row["reason"] in text
-    assert any("0.002 s is rounded to 0 s in steps of 0.004 s" in limit for limit in row["limits"])
+    assert any("0.002 s is a filter with the same lag in steps of 0.004 s" in limit for limit in row["limits"])
 
 
 def test_a_file_that_cannot_be_played_says_why(tmp_path: Path) -> None:
@@ -281,22 +283,19 @@ def test_the_makers_range_of_commands_is_named(tmp_path: Path) -> None:
 
 @given(st.floats(0, 0.1), st.floats(1e-4, 0.02))
 @settings(max_examples=200, deadline=None)
-def test_a_delay_is_rounded_to_the_nearest_that_mujoco_has(delay: float, timestep: float) -> None:
-    """In MuJoCo itself: a command that steps from 0 to 1 acts with the rounded delay."""
+def test_a_delay_is_that_of_mujocos_actuator(delay: float, timestep: float) -> None:
+    """In MuJoCo itself: a command that rises steadily acts as it was a delay ago, in the end."""
     attributes = " ".join(f'{name}="{value}"' for name, value in write_delay(delay, timestep).items())
     model = mujoco.MjModel.from_xml_string(
         f'<mujoco><option timestep="{timestep!r}"/><worldbody><body><joint name="j"/><geom size="1"/></body>'
         f'</worldbody><actuator><general joint="j" {attributes}/></actuator></mujoco>'
     )
-    data, rounded, acted = mujoco.MjData(model), round_delay(delay, timestep), []
-    steps = int(np.ceil(rounded / timestep)) + 2
+    data, steps = mujoco.MjData(model), int(np.ceil(delay / timestep)) + 60
     if steps > 300:
         return
-    for _ in range(steps):
-        data.ctrl[0] = 1
+    for step in range(steps):
+        data.ctrl[0] = step
         mujoco.mj_step(model, data)
-        acted.append(data.actuator_force[0])
-    expected = np.clip(np.arange(steps) + 1 - rounded / timestep, 0, 1)
-    np.testing.assert_allclose(acted, expected, atol=1e-6)
-    others = [0.0, timestep] if delay < timestep else [delay]
-    assert abs(rounded - delay) <= min(abs(other - delay) for other in others) + 1e-9 * timestep
+    np.testing.assert_allclose(steps - 1 - data.actuator_force[0], delay / timestep, atol=1e-6)
+    if is_filtered(delay, timestep):
+        assert read_filter(model.actuator_dynprm[0, 0], timestep) == pytest.approx(delay)

@@ -17,7 +17,7 @@ from frictionzoo.bench.compiled import INERTIAL, NO_PAYLOAD, combine, put_inerti
 from frictionzoo.bench.delay import write_delay
 from frictionzoo.bench.sections import put_options
 from frictionzoo.bench.signals import pair_log, pick_inputs, pick_observed, say_lacking
-from frictionzoo.bench.template import Template, in_full
+from frictionzoo.bench.template import INTEGRATORS, Template, in_full
 from frictionzoo.core.build import build
 from frictionzoo.core.described import Described, describe
 from frictionzoo.core.errors import BenchError, ConfigError, closest, refuse_unlike
@@ -30,6 +30,8 @@ _TIMESTEP_TOLERANCE = 0.01  # share by which the log's interval may differ from 
 _ENDLESS = 0.1 * LARGEST  # N m or N, beyond which both ends of a torque stand for none
 _MOST_SUBSTEPS = 10_000  # simulation steps from sample to sample
 _MOST_HISTORY = 10_000  # samples by which commands may act late
+DEFAULT_SOLREFFRICTION = (0.02, 1.0)
+"""MuJoCo's own: the time constant [s] and the damping ratio of the friction constraint."""
 _PARAMS = {"armature": "inertia", "delay": "time", "position_offset": "position"}
 _OPTIONAL = ("delay", "position_offset")
 _OF_ASSEMBLY = re.compile(r"(.*\.)?(\w+_offset|(sine|cosine)_\d+)")  # a sensor's or a cable's offset, a gear's phase
@@ -54,6 +56,9 @@ class Bench(Described):
         joint_type: `hinge` or `slide`.
         params: The armature, the delay and the position offset where there are any, and the actuator's parameters.
         timestep: Simulation step [s].
+        solreffriction: As the argument, without `auto`.
+        second_order: Likewise.
+        integrator: Name of MuJoCo's.
         own_damping: The template's own damping of each joint [N m s/rad or N s/m].
         payload: Index of the body that carries payloads, or None.
         inertia: Ten parameters of each body whose inertia is not the template's, by name.
@@ -73,7 +78,12 @@ class Bench(Described):
             section does not say is that of `DEFAULTS`. Known to be 0, the two are left out. Values, bounds and whether
             they are identified may be lists, one entry a joint, or go by patterns of joints' names.
         solreffriction: Time constant [s] and damping ratio of MuJoCo's friction constraint. MuJoCo's default is
-            (0.02, 1); a shorter time constant makes sticking stiffer.
+            (0.02, 1), with which dry friction is viscous at low speed; a shorter time constant makes sticking stiffer.
+            None is the default, `auto` likewise until a recipe has chosen.
+        second_order: Whether rollouts are of second order in the simulation step, so that the parameters are those of
+            the drive in continuous time; else they move as MuJoCo does in steps of this length. None is false, `auto`
+            likewise until a recipe has chosen.
+        integrator: `Euler` or `implicitfast`; None for the template's.
         payload: Name of the body that carries the payloads of recordings; None for recordings without.
         timestep: Simulation step [s]; None for the template's, `auto` likewise until a recipe has found one.
         inertia: Ten parameters of bodies by name, as `frictionzoo.bench.inertia` has them, in place of those of the
@@ -96,29 +106,38 @@ class Bench(Described):
         *,
         actuator: Actuator,
         params: Mapping[str, Any] | None = None,
-        solreffriction: Sequence[float] = (0.02, 1.0),
+        solreffriction: Sequence[float] | str | None = None,
         payload: str | None = None,
         timestep: float | str | None = None,
         tie: Any = None,
         inertia: Mapping[str, Sequence[float | int]] | None = None,
         gravity: Sequence[float | int] | None = None,
+        second_order: bool | str | None = None,
+        integrator: str | None = None,
     ) -> None:
         refuse_unlike("bench.actuator", actuator, Actuator, "an actuator law, as in PositionPD(kp=15, kd=0.5)")
         self.source = mjcf
         self.actuator = actuator
         self._start: dict[str, np.ndarray] = {}  # initial values that are not those of `params`
+        if isinstance(solreffriction, str) and solreffriction != AUTO:
+            raise ConfigError(f"bench.solreffriction={solreffriction}; expected two numbers")
+        solreffriction = DEFAULT_SOLREFFRICTION if solreffriction in (None, AUTO) else solreffriction
         low, high = (min(solreffriction, default=0.0), max(solreffriction, default=0.0))
         if len(solreffriction) != 2 or not (low > 0 or high < 0):
             raise ConfigError(
                 f"bench.solreffriction={list(solreffriction)}; expected two numbers above 0, time constant in s and "
                 "damping ratio, or two below 0, as MuJoCo reads them"
             )
-        self._solreffriction = [float(number) for number in solreffriction]
+        if second_order not in (True, False, None, AUTO):
+            raise ConfigError(f"bench.second_order={second_order}; expected true or false")
+        self.second_order: bool = second_order is True
+        self.solreffriction: list[float] = [float(number) for number in solreffriction]
         self.notes: tuple[str, ...] = ()
         self.inertia: Mapping[str, Sequence[float | int]] = inertia or {}
         self.gravity: Sequence[float | int] | None = gravity
         step = None if timestep is None or timestep == AUTO else float(timestep)
         self._template = self._open(mjcf, joint, step).with_inertia(self.inertia).with_gravity(gravity)
+        self._template = self._template.with_integrator(integrator)
         self.joints: tuple[str, ...] = self._template.joints
         self.unlimited: np.ndarray = np.full((self.nv, 2), np.nan)
         self._tie = read_tie("bench.tie", tie)
@@ -129,6 +148,7 @@ class Bench(Described):
         model = self.compile(constraint=False)
         self._template.refuse_unfit(model, moved="position_offset" in self.params)
         self.joint_type: str = self._template.joint_type(model)
+        self.integrator: str = INTEGRATORS[mujoco.mjtIntegrator(model.opt.integrator)]
         self.timestep: float = float(model.opt.timestep)
         self.own_damping: np.ndarray = model.dof_damping.copy()
         self._limited: np.ndarray = model.jnt_limited.astype(bool)
@@ -168,7 +188,7 @@ class Bench(Described):
                 f"bench.params.delay: up to {latest:g} s, which are {history} samples, expected at most "
                 f"{_MOST_HISTORY}; lower its init or high"
             )
-        return Sampling(interval, self._substeps(interval), history, self.actuator.commands)
+        return Sampling(interval, self._substeps(interval), history, self.actuator.commands, self.second_order)
 
     def initial_values(self) -> dict[str, np.ndarray]:
         """Initial value of each parameter, of shape (nv,)."""
@@ -292,7 +312,7 @@ class Bench(Described):
             if "position_offset" in values:
                 unit = np.pi / 180 if self.joint_type == "hinge" and not self._template.has_radians else 1.0
                 joint["ref"] = in_full(-values["position_offset"][index] / unit)
-            joint["solreffriction"] = " ".join(map(in_full, self._solreffriction))
+            joint["solreffriction"] = " ".join(map(in_full, self.solreffriction))
             if frictionloss is not None:
                 joint["frictionloss"] = in_full(frictionloss[index])
                 if not self._limited[index]:  # nothing to MuJoCo; Genesis softens dry friction by it
@@ -410,11 +430,15 @@ class Bench(Described):
                 f"{whose}: {interval:.6g} s per sample are {self._substeps(interval)} simulation steps of "
                 f"{self.timestep:.6g} s, expected at most {_MOST_SUBSTEPS}; set a longer bench.timestep"
             )
-        if abs(interval / (self._substeps(interval) * self.timestep) - 1) > _TIMESTEP_TOLERANCE:
+        if not self.fits(interval):
             raise BenchError(
                 f"{whose}: {interval:.6g} s per sample, expected {self.timestep:.6g} s as in {self.source}, or "
                 "a whole number of them; set bench.timestep to the log's interval or a part of it, or resample the log"
             )
+
+    def fits(self, interval: float) -> bool:
+        """Whether a whole number of simulation steps lasts an interval [s]."""
+        return abs(interval / (self._substeps(interval) * self.timestep) - 1) <= _TIMESTEP_TOLERANCE
 
     def _substeps(self, interval: float) -> int:
         return max(1, round(interval / self.timestep))

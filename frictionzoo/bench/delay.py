@@ -1,4 +1,4 @@
-"""The delay of MuJoCo's actuators: what of an identified delay they can hold, and the attributes that say it."""
+"""The delay of MuJoCo's actuators: attributes that say it."""
 
 import math
 
@@ -7,26 +7,30 @@ from frictionzoo.bench.template import in_full
 _ROUNDING = 1e-9  # share of a step
 
 
-def round_delay(delay: float, timestep: float) -> float:
-    """Return the delay nearest to this one that MuJoCo's actuators have in steps of this length [s].
-
-    MuJoCo stores a command at the end of its step, so that the next step is the first in which a delayed one acts: a
-    delay is zero, or one step or more. From one step on, fractions of a step are interpolated, and none is rounded.
-
-    Source: MuJoCo documentation, XML reference, `actuator/general/delay`.
-    """
-    steps = delay / timestep
-    return delay if steps >= 1 - _ROUNDING else timestep * round(steps)
-
-
 def write_delay(delay: float, timestep: float) -> dict[str, str]:
-    """Return the attributes by which an actuator delays its commands, none where the nearest delay is zero.
+    """Return the attributes by which an actuator delays its commands in steps of this length [s].
 
     Between two steps MuJoCo interpolates linearly: for a command that is held, that is its mean over the step, as in
-    `frictionzoo.simulate.rollout.applied`.
+    `frictionzoo.simulate.rollout.applied`. It stores a command at the end of its step, so that such a delay is one step
+    or more. A shorter one is a first-order filter whose activation lags a steady change by as much: in each step it
+    goes 1 / (1 + delay / timestep) of the way to the command.
+
+    Source: MuJoCo documentation, XML reference, `actuator/general/delay`; "Computation", "Actuation model".
     """
-    rounded = round_delay(delay, timestep)
-    if not rounded:
+    steps = delay / timestep
+    if steps >= 1 - _ROUNDING:
+        samples = math.ceil(steps - _ROUNDING) + 2
+        return {"delay": in_full(delay), "nsample": str(samples), "interp": "linear"}
+    if steps < _ROUNDING:
         return {}
-    samples = math.ceil(rounded / timestep - _ROUNDING) + 2
-    return {"delay": in_full(rounded), "nsample": str(samples), "interp": "linear"}
+    return {"dyntype": "filterexact", "dynprm": in_full(timestep / math.log1p(1 / steps)), "actearly": "true"}
+
+
+def is_filtered(delay: float, timestep: float) -> bool:
+    """Return whether a delay is a filter in steps of this length [s]."""
+    return _ROUNDING <= delay / timestep < 1 - _ROUNDING
+
+
+def read_filter(constant: float, timestep: float) -> float:
+    """Return the delay [s] of a filter with this time constant [s], the inverse of `write_delay`."""
+    return timestep / math.expm1(timestep / constant)

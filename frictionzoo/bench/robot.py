@@ -50,6 +50,8 @@ class Robot(Bench):
         ranges: `keep`: commands and torques end where `ctrlrange`, `forcerange` and `actuatorfrcrange` of the file do,
             but for what the actuator law has an end of its own for; `leave_out`.
         solreffriction: As of `Bench`.
+        second_order: As of `Bench`.
+        integrator: As of `Bench`.
         payload: As of `Bench`.
         timestep: Simulation step [s]; None for the file's.
         inertia: As of `Bench`.
@@ -73,12 +75,14 @@ class Robot(Bench):
         limits: str = "leave_out",
         others: str = "fixed",
         ranges: str = "keep",
-        solreffriction: Sequence[float] = (0.02, 1.0),
+        solreffriction: Sequence[float] | str | None = None,
         payload: str | None = None,
         timestep: float | str | None = None,
         tie: Any = None,
         inertia: Mapping[str, Sequence[float | int]] | None = None,
         gravity: Sequence[float | int] | None = None,
+        second_order: bool | str | None = None,
+        integrator: str | None = None,
     ) -> None:
         keep = () if payload is None else (payload,)
         self.choices: Mapping[str, str] = {"base": base, "contacts": contacts, "limits": limits, "others": others}
@@ -94,7 +98,7 @@ class Robot(Bench):
         self._said: list[str] = []  # where the bench begins otherwise than the file
         actuator = self._with_ranges(actuator)
         more: dict[str, Any] = {"solreffriction": solreffriction, "payload": payload, "tie": tie, "inertia": inertia}
-        more["gravity"] = gravity
+        more |= {"gravity": gravity, "second_order": second_order, "integrator": integrator}
         super().__init__(mjcf, self.file.joints, actuator=actuator, params=sections, **more)
         self.notes = (*self.file.notes, *dict.fromkeys(self._said))
         if limits == "leave_out":

@@ -16,7 +16,7 @@ from frictionzoo.core.errors import BenchError, ConfigError, closest
 from frictionzoo.core.xml import write_comment, write_xml
 
 _JOINT_TYPES = {mujoco.mjtJoint.mjJNT_HINGE: "hinge", mujoco.mjtJoint.mjJNT_SLIDE: "slide"}
-_INTEGRATORS = {mujoco.mjtIntegrator.mjINT_EULER: "Euler", mujoco.mjtIntegrator.mjINT_IMPLICITFAST: "implicitfast"}
+INTEGRATORS = {mujoco.mjtIntegrator.mjINT_EULER: "Euler", mujoco.mjtIntegrator.mjINT_IMPLICITFAST: "implicitfast"}
 _NAMING = {"name", "class", "childclass", "joint", "joint1", "joint2", "body", "body1", "body2", "type"}
 _NO_ACTUATORS = {"default", "mesh", "texture", "material", "joint", "geom", "site", "camera", "light", "pair"}
 _NO_ACTUATORS |= {"equality", "tendon"}
@@ -98,6 +98,23 @@ class Template:
             option.set("gravity", " ".join(map(in_full, numbers)))
         return other
 
+    def with_integrator(self, integrator: str | None) -> "Template":
+        """The same with another integrator; None for its own.
+
+        Raises:
+            ConfigError: It is none that is simulated.
+        """
+        if integrator is None:
+            return self
+        if integrator not in INTEGRATORS.values():
+            raise ConfigError(f"bench.integrator={integrator}: {closest(str(integrator), INTEGRATORS.values())}")
+        other = copy.copy(self)
+        other._root = copy.deepcopy(self._root)
+        _section(other._root, "option")
+        for option in other._root.findall("option"):
+            option.set("integrator", integrator)
+        return other
+
     def write(
         self, joints: Sequence[Mapping[str, str]], actuators: Sequence[Mapping[str, str]], comments: Sequence[str] = ()
     ) -> str:
@@ -128,9 +145,9 @@ class Template:
             )
         if constraint and model.opt.disableflags & NO_FRICTION_CONSTRAINT:
             self._fail("the MJCF disables friction constraints, which this friction model needs; remove the flag")
-        if model.opt.integrator not in _INTEGRATORS:
+        if model.opt.integrator not in INTEGRATORS:
             name = mujoco.mjtIntegrator(model.opt.integrator).name.removeprefix("mjINT_")
-            self._fail(f"integrator {name}, expected {' or '.join(_INTEGRATORS.values())}; change it")
+            self._fail(f"integrator {name}, expected {' or '.join(INTEGRATORS.values())}; change it")
         return model
 
     def refuse_unfit(self, model: mujoco.MjModel, moved: bool) -> None:

@@ -31,7 +31,7 @@ def describe_bench(bench: Bench, settings: Mapping[str, Any]) -> dict[str, Any]:
     given = {name: value for name, value in own.items() if name not in {"params", *bench.actuator.dimensions}}
     of_actuator = {name: _section(bench.params[name]) for name in bench.actuator.params if name in bench.params}
     of_bench = {name: _section(param) for name, param in bench.params.items() if name not in of_actuator}
-    kept = {name: settings[name] for name in ("solreffriction", "payload", "tie") if name in settings}
+    kept = {name: settings[name] for name in ("solreffriction", "second_order", "payload", "tie") if name in settings}
     actuator = {**given, "params": of_actuator}
     return to_json(
         {"_target_": _BENCH, "mjcf": TEMPLATE, "joint": list(bench.joints), **kept}

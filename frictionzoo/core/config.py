@@ -50,6 +50,8 @@ _TAKES: dict[str, tuple[Any, ...]] = {
     "bench.joint": ("", [""], 0, [0], None),  # a joint may be called 0
     "bench.payload": ("", None),
     "bench.timestep": (0.1, None),
+    "bench.solreffriction": ([0.1], ""),
+    "bench.second_order": (True,),
     "bench.actuator.params.k[pd].init": (0.1, [0.1], None),
     "*.params.*.scale": ("", 0.1),
     "*.params.*.identify": (True, [True]),

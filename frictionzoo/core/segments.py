@@ -87,12 +87,14 @@ class Sampling(NamedTuple):
         history: Samples of the command before a segment's first state that may still act in it, however late commands
             act.
         commands: Inputs of the actuator law that are commands too, and as late.
+        second_order: Whether rollouts are of second order in the simulation step, where MuJoCo's are of first.
     """
 
     interval: float
     substeps: int
     history: int
     commands: tuple[str, ...] = ()
+    second_order: bool = False
 
 
 def cut_segments(logs: Sequence[Log], count: int | None = 20_000, length: int = 5, history: int = 0) -> Segments:

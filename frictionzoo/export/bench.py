@@ -73,6 +73,7 @@ def write_identified(fitted: Identified) -> list[ModelFile]:
     That is the bench; of a robot's own file, the bench that was simulated, and that file with the drive in it. Where it
     cannot hold the drive, a line of the log says why.
     """
+    fitted = fitted.at_home() if fitted.bench.second_order else fitted
     own = isinstance(fitted.bench, Robot)
     robot = _Robot(Path(fitted.bench.source), fitted.bench.joints) if own else None
     (bench, *others), _ = _write_models(fitted, robot, asked=False)
@@ -88,7 +89,8 @@ def _write_models(
 
     A robot that cannot hold the drive is left out, which the last of the bench's limits says; with `asked` it raises.
     """
-    nearest, expected = find_nearest(fitted), Prediction(*fitted.rollout())
+    nearest = find_nearest(fitted)
+    expected = fitted.meant() if fitted.stands_in else Prediction(*fitted.rollout())
     bench = _write_bench_file(fitted, nearest, expected)
     if robot is None:
         return [bench], ()

@@ -6,7 +6,7 @@ from typing import Literal, cast
 import mujoco
 import numpy as np
 
-from frictionzoo.bench.delay import round_delay
+from frictionzoo.bench.delay import is_filtered
 from frictionzoo.core.params import UNITS
 from frictionzoo.export.base import measure
 from frictionzoo.export.nearest import Nearest
@@ -116,30 +116,29 @@ def say_difference(fitted: Identified, difference: Difference) -> str:
 def list_lacks(fitted: Identified, nearest: Nearest, timestep: float) -> list[str]:
     """List in a few words each what a file with steps of this length [s] lacks of the drive."""
     lacks = [nearest.lacks] if nearest.lacks else []
-    if _list_rounded(fitted, timestep):
-        lacks.append("a delay is rounded to a whole step")
-    if not np.isclose(timestep, fitted.timestep, rtol=1e-6):
-        lacks.append(f"steps of {timestep:g} s in place of {fitted.timestep:g} s")
+    if say_delay(fitted, timestep):
+        lacks.append("a delay below one step is a filter")
+    continuous = fitted.origin is not None and fitted.origin.bench.second_order
+    own = fitted.origin.timestep if fitted.origin is not None and not continuous else fitted.timestep
+    if not np.isclose(timestep, own, rtol=1e-6):
+        lacks.append(f"steps of {timestep:g} s in place of {own:g} s")
+    elif continuous:
+        lacks.append(f"steps of {timestep:g} s in place of continuous time")
     return lacks
 
 
 def say_delay(fitted: Identified, timestep: float) -> list[str]:
-    """Say which delays are rounded in steps of this length [s]."""
-    return [
-        f"MuJoCo's actuators delay commands by zero, or by one step or more: the identified delay of {delay:.4g} s is "
-        f"rounded to {rounded:.4g} s in steps of {timestep:g} s{whose}."
-        for delay, rounded, whose in _list_rounded(fitted, timestep)
-    ]
-
-
-def _list_rounded(fitted: Identified, timestep: float) -> list[tuple[float, float, str]]:
-    """Each delay that is rounded, what it becomes, and of which joints."""
+    """Say which delays are filters in steps of this length [s]."""
     delays = fitted.values["bench"].get("delay", np.empty(0))
     if fitted.bench.actuator.needs_state:  # whose commands the caller delays
         return []
-    found: dict[tuple[float, float], list[str]] = {}
-    for joint, delay in zip(fitted.bench.joints, map(float, delays), strict=False):
-        if not np.isclose(rounded := round_delay(delay, timestep), delay, rtol=1e-6, atol=0):
-            found.setdefault((delay, rounded), []).append(joint)
-    everywhere = len(found) == 1 and len(*found.values()) == fitted.bench.nv
-    return [(*pair, "" if everywhere else f" ({name_some(joints)})") for pair, joints in found.items()]
+    each = zip(fitted.bench.joints, map(float, delays), strict=False)
+    filtered = [(joint, delay) for joint, delay in each if is_filtered(delay, timestep)]
+    if not filtered:
+        return []
+    joints = "" if len(filtered) == fitted.bench.nv else f" of {name_some([joint for joint, _ in filtered])}"
+    said = ", ".join(dict.fromkeys(f"{delay:.4g}" for _, delay in filtered))
+    return [
+        f"MuJoCo's actuators delay commands by one step or more: the delay of {said} s{joints} is a filter with the "
+        f"same lag in steps of {timestep:g} s. Its `act` begins at 0: set `act` to `ctrl` where a simulation is reset."
+    ]

@@ -26,7 +26,7 @@ from frictionzoo.result.identified import Identified
 
 _JOINT = ("armature", "solreffriction", "frictionloss", "damping")
 _PLAIN = {"dyntype": "none", "gaintype": "fixed", "gear": "1 0 0 0 0 0"}  # whatever the robot's defaults are
-_LATE = ("delay", "nsample", "interp")
+_LATE = ("delay", "nsample", "interp", "dyntype", "dynprm", "actearly")
 _STATES = 200  # recorded states in which torques are compared
 _NAMED = 3  # joints up to which a line names them
 _ROUNDING = 1e-9  # share of a limit that was identified, up to which torque is within

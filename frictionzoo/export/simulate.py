@@ -200,6 +200,9 @@ def run_loaded(
         signals = fitted.segments.signals.map(itemgetter(rollout))
         command = np.asarray(law.combine(values, signals.ctrl, signals.inputs), np.float64)
         for joint, actuator in enumerate(place.actuator):
+            if model.actuator_actnum[actuator]:
+                (before,) = _held(fitted, model.opt.timestep, np.array([-1]))
+                data.act[model.actuator_actadr[actuator]] = command[before, joint]
             if count := int(model.actuator_history[actuator, 0]):
                 steps = np.arange(-count, 0)
                 known = command[_held(fitted, model.opt.timestep, steps), joint]

@@ -114,6 +114,9 @@ def _equip(spec: mujoco.MjSpec, fitted: Identified, nearest: Nearest, bench: str
             actuator.forcelimited, actuator.forcerange = True, _read(law["forcerange"])
         if "delay" in law:
             actuator.delay, actuator.nsample, actuator.interp = float(law["delay"]), int(law["nsample"]), 1  # linear
+        if "dynprm" in law:
+            actuator.dyntype, actuator.actearly = mujoco.mjtDyn.mjDYN_FILTEREXACT, True
+            actuator.dynprm[0] = float(law["dynprm"])
 
 
 def _read(numbers: str) -> list[float]:

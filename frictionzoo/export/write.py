@@ -20,11 +20,13 @@ from frictionzoo.core.telling import escape_all
 from frictionzoo.export.base import get_target, read_number, target_names
 from frictionzoo.export.written import Export, Written
 from frictionzoo.result.identified import Identified
+from frictionzoo.result.names import name_some
+from frictionzoo.result.simulator import compensate
 from frictionzoo.show.terminal import align
 
 NOTE = "export.json"
 ALL = "all"
-COMMON = ("target", "timestep", "output")
+COMMON = ("target", "timestep", "integrator", "output")
 
 
 def write_exports(folder: Path, options: Mapping[str, str]) -> list[Written]:
@@ -32,7 +34,8 @@ def write_exports(folder: Path, options: Mapping[str, str]) -> list[Written]:
 
     Args:
         folder: The run's.
-        options: `target`, a name or `all`; `timestep` [s]; `output`, a folder; and the target's own, all as text.
+        options: `target`, a name or `all`; `timestep` [s] and `integrator` of the simulator; `output`, a folder; and
+            the target's own, all as text.
 
     Returns:
         One entry a target. With `all`, a target that cannot hold this drive or is not installed is an entry too.
@@ -43,14 +46,14 @@ def write_exports(folder: Path, options: Mapping[str, str]) -> list[Written]:
     names = _choose(options)
     fitted = Identified.load(folder)
     output = Path(options.get("output", folder / "export"))
-    timestep = read_number(options, "timestep")
+    fitted = _in_simulator(fitted, options)
     if options["target"] != ALL:
         place = output if "output" in options else output / names[0]
-        return [_write(fitted, names[0], place, timestep, options)]
+        return [_write(fitted, names[0], place, options)]
     written = []
     for name in names:
         try:
-            written.append(_write(fitted, name, output / name, timestep, options))
+            written.append(_write(fitted, name, output / name, options))
         except OutputError:
             raise
         except FrictionzooError as error:
@@ -85,7 +88,7 @@ def export_to(drive: Identified, target: str, path: Path, options: Mapping[str, 
         drive: The identified drive.
         target: The target's name.
         path: A folder; or a file, in whose place the target's only file of that ending is put.
-        options: `timestep` [s] and the target's own, as text.
+        options: `timestep` [s] and `integrator` of the simulator, and the target's own, as text.
 
     Raises:
         FrictionzooError: An option is impossible, the target cannot hold the drive, or it has no such file.
@@ -94,11 +97,11 @@ def export_to(drive: Identified, target: str, path: Path, options: Mapping[str, 
     (name, *more) = _choose(asked)
     if more:
         raise ConfigError(f"target={target}; expected one target; {closest(target, target_names())}")
-    timestep = read_number(options, "timestep")
+    drive = _in_simulator(drive, options)
     if not path.suffix:
-        return _write(drive, name, path, timestep, asked)
+        return _write(drive, name, path, asked)
     with tempfile.TemporaryDirectory() as scratch:
-        written = _write(drive, name, Path(scratch, name), timestep, asked)
+        written = _write(drive, name, Path(scratch, name), asked)
         files = written.export.files if written.export else ()
         meant = [file for file in files if file.endswith(path.suffix)]
         if len(meant) != 1:
@@ -127,42 +130,60 @@ def _choose(options: Mapping[str, str]) -> list[str]:
     return names
 
 
-def _write(fitted: Identified, name: str, place: Path, timestep: float | None, options: Mapping[str, str]) -> Written:
+def _in_simulator(fitted: Identified, options: Mapping[str, str]) -> Identified:
+    """The drive with the parameters for the simulator that is asked for; MuJoCo's own step is of first order."""
+    timestep, integrator = read_number(options, "timestep"), options.get("integrator")
+    if timestep is not None or integrator is not None:
+        return fitted.at(timestep, integrator)
+    return fitted.at_home() if fitted.bench.second_order else fitted
+
+
+def _write(moved: Identified, name: str, place: Path, options: Mapping[str, str]) -> Written:
     target = get_target(name)()
     for package in target.packages:
         if find_spec(package) is None:
             raise ExportError(f"target={name}: {package} is not installed; pip install {package}")
-    if target.instant and fitted.model.memory:
+    if target.instant and moved.model.memory:
         raise ExportError(
-            f"target={name}: {fitted.model.name} remembers what was before, expected a law of the present state; take "
+            f"target={name}: {moved.model.name} remembers what was before, expected a law of the present state; take "
             "target=mujoco or mjx, whose modules remember too, or fit another model"
         )
-    moved = fitted if timestep is None else fitted.at(timestep)
     if "mujoco" in target.packages:
         moved.proof  # noqa: B018 - raises where MuJoCo would simulate something else than what was fitted
     own = {option: value for option, value in options.items() if option in target.options}
     with take_place(place, "export", [NOTE]) as fresh:
         export = target.write(moved, fresh, own)
-        export = Export(export.files, export.differences, (*export.limits, *_say_timestep(fitted, moved)))
-        written = Written(name, place, export, error=fitted.result["metrics"]["test"]["position_mae"])
+        export = Export(export.files, export.differences, (*export.limits, *_say_simulator(moved)))
+        written = Written(name, place, export, error=moved.result["metrics"]["test"]["position_mae"])
         note = _note(moved, written, target.packages, export)
         write_atomically(fresh / NOTE, (json.dumps(to_json(note), indent=2, allow_nan=False) + "\n").encode())
     return written
 
 
-def _say_timestep(fitted: Identified, moved: Identified) -> list[str]:
-    """How far the drive itself moves differently in steps of another length."""
-    if np.isclose(fitted.timestep, moved.timestep, rtol=1e-6):
+def _say_simulator(moved: Identified) -> list[str]:
+    """For which steps the parameters are, and how far the drive moves differently in them."""
+    origin, step = moved.origin, moved.timestep
+    if origin is None or (np.isclose(origin.timestep, step, rtol=1e-6) and not moved.stands_in):
         return []
-    every = max(1, round(moved.segments.timestep / fitted.segments.timestep))
-    expected = fitted.rollout()[0][:, every - 1 :: every]
-    distance = np.abs(moved.rollout()[0] - expected[:, : moved.segments.length])
-    unit = UNITS[fitted.bench.joint_type]["position"]
+    distance, own = np.abs(moved.rollout()[0] - moved.meant().qpos), moved.result["metrics"]["test"]["position_mae"]
+    unit = UNITS[moved.bench.joint_type]["position"]
+    by = f"by {distance.mean():.2g} {unit} in the mean and {distance.max():.2g} {unit} at most, over {moved.over}"
+    if not moved.stands_in:
+        fitted = f"those of {origin.timestep:g} s with which it was fitted"
+        return [f"In steps of {step:g} s the drive moves differently than in {fitted}: {by}."]
+    share = f", {distance.mean() / own:.2g} times the drive's own test error" if own else ""
     return [
-        f"In steps of {moved.timestep:g} s the drive moves differently than in those of {fitted.timestep:g} s with "
-        f"which it was fitted: by {distance.mean():.2g} {unit} in the mean and {distance.max():.2g} {unit} at most, "
-        f"over {moved.over}."
+        f"Parameters are those for steps of {step:g} s with the integrator {moved.bench.integrator}, and others for "
+        f"other steps. In these the drive moves differently than in continuous time: {by}{share}.",
+        *_say_left_over(moved, origin),
     ]
+
+
+def _say_left_over(moved: Identified, origin: Identified) -> list[str]:
+    """Where steps are too long for what armatures can make up for."""
+    excess = compensate(moved.bench, moved.model, origin.values, moved.segments)[1]
+    joints = name_some([moved.bench.joints[joint] for joint in np.flatnonzero(excess > 0)])
+    return [f"For {joints} an armature cannot be as small as such steps need: take shorter ones."] if joints else []
 
 
 def _note(fitted: Identified, written: Written, packages: Sequence[str], export: Export) -> dict[str, object]:

@@ -2,6 +2,7 @@
 
 import contextlib
 import logging
+import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -16,7 +17,7 @@ from frictionzoo.bench.signals import pair_all
 from frictionzoo.checkup import check_up
 from frictionzoo.checkup.findings import Doubt
 from frictionzoo.core.build import build
-from frictionzoo.core.described import describe
+from frictionzoo.core.described import describe, remake
 from frictionzoo.core.errors import RunError
 from frictionzoo.core.log import Dataset
 from frictionzoo.core.params import AUTO
@@ -108,6 +109,7 @@ class Parts(NamedTuple):
         refuse_other_joints(model, bench)
         model.bind(bench.joints)
         dataset = pair_all(dataset, bench.joints)
+        bench, settings = _divide_interval(bench, settings, dataset.train[0].timestep)
         for columns in describe_columns(dataset.logs, bench.joints) if bench.nv > 1 else ():
             others = len(columns["logs"]) - 1
             whose = columns["logs"][0] + (f" and {others} more" if others else "")
@@ -239,6 +241,21 @@ class Problem:
         space = Space(bench, drive.model, settings["dtype"])
         objective = Objective(space, drive.rollout, segments, **settings["loss"]).balanced()
         return replace(self, bench=bench, segments=segments, drive=drive, objective=objective)
+
+
+def _divide_interval(bench: Bench, settings: Mapping[str, Any], interval: float) -> tuple[Bench, Mapping[str, Any]]:
+    """The bench in steps of which a whole number lasts an interval [s] of the recordings, if nobody asked for others.
+
+    And the settings, with that step where no recipe is to find one.
+    """
+    asked, steps = settings["bench"].get("timestep"), interval / bench.timestep
+    if asked not in (None, AUTO) or bench.fits(interval):
+        return bench, settings
+    step = interval / math.ceil(steps)
+    _log.info("%s: steps of %g s, not %g s, as samples are %g s apart", bench.source, step, bench.timestep, interval)
+    if asked is None:
+        settings = {**settings, "bench": {**settings["bench"], "timestep": step}}
+    return remake(bench, timestep=step), settings
 
 
 def _training_samples(drive: Drive, bench: Bench, dataset: Dataset) -> DriveState:

@@ -80,5 +80,5 @@ def leave_open(bench: Mapping[str, Any], plain: Mapping[str, Any], from_file: bo
     """
     perhaps = {name: dict(plain["params"][name]) for name in OPTIONAL}
     perhaps["delay"] |= {"init": None} if from_file else {}
-    timestep = plain["timestep"] if bench.get("timestep") is None else bench["timestep"]
-    return {**bench, "params": {**perhaps, **(bench.get("params") or {})}, "timestep": timestep}
+    steps = {name: plain[name] for name in ("timestep", "solreffriction", "second_order") if bench.get(name) is None}
+    return {**bench, "params": {**perhaps, **(bench.get("params") or {})}, **steps}

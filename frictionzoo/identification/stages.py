@@ -2,16 +2,15 @@
 
 import copy
 import math
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from frictionzoo.bench import Bench
+from frictionzoo.bench.base import DEFAULT_SOLREFFRICTION
 from frictionzoo.checkup.findings import Doubt
 from frictionzoo.core.described import remake
-from frictionzoo.core.errors import FitError
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.params import AUTO
 from frictionzoo.fit import Fit, Space
@@ -28,12 +27,13 @@ _LONGEST, _SHORT = 1.0, 0.1  # s, of segments: with initial states that are esti
 _FEWEST = 10  # samples of a segment
 _MANY = 10  # segments that there are at the least, for the spread between them says how sure a value is
 _GROWTH = 20.0  # times that a disturbance may grow within a segment
-_COARSEST, _FINEST = 5e-4, 2.5e-5  # s, of the simulation
+_COARSEST = 1e-3  # s, of the simulation
+_STIFFEST = 5e-4  # s, time constant of the friction constraint
 _FIRST_STEPS, _MOST_STEPS = 1e6, 3e6  # simulation steps times joints, of first fits and of the last
 _LEAST = 0.1  # share of the segments that is left where they are too many steps
 _MOVES = 1 / 3  # of half an interval, that a parameter may move by when the simulation step is halved
-_ROUNDS = 4  # of shorter steps
-_FOLLOWED = 6  # vectors that are tried with each; what moves on after them is what is not identifiable
+_ROUNDS = 3  # of shorter steps
+_CLEAR = 1.5  # times half its 95 % interval that an optional parameter is away from 0, with a chance of 0.3 %
 _BETTER = 0.02  # share by which a robust loss has to predict a validation block better than least squares
 _HELPFUL = 0.005  # share by which a parameter that is not shown has to
 _VALIDATION = 0.2  # share of the training recordings
@@ -55,6 +55,13 @@ class Stages:
         if self._step_is_open:  # the longest whole part of a sample interval that is no longer
             longest = min(bench.timestep, _COARSEST)
             self._set_step(self._interval / math.ceil(self._interval / longest - 1e-9))
+        self._order_is_open = settings["bench"].get("second_order") == AUTO
+        if self._order_is_open:
+            self._change(second_order=self._step_is_open and not isinstance(model, TorchFriction))
+        self._softness_is_open = settings["bench"].get("solreffriction") == AUTO
+        if self._softness_is_open:
+            stiff = [max(2 * self._step, _STIFFEST), 1.0] if np.any(model.constrained) else DEFAULT_SOLREFFRICTION
+            self._change(solreffriction=list(stiff))
         self._bench = self.bench(free=True)
         self._samples = sum(log.samples for log in dataset.train) * self._bench.nv
         self._small = self._is_small()
@@ -79,7 +86,8 @@ class Stages:
         params = dict(section.get("params") or {})
         for name in (name for name in OPTIONAL if is_open(params, name)):
             params[name] = {**params[name], "identify": free}
-        return remake(self._plain, params=params, timestep=section.get("timestep"))
+        changed = {name: section[name] for name in ("timestep", "solreffriction", "second_order") if name in section}
+        return remake(self._plain, params=params, **changed)
 
     def run(self) -> Iterator[Choice]:
         """All stages."""
@@ -88,6 +96,7 @@ class Stages:
         yield from self._choose_segments()
         if self._small:
             yield from self._choose_loss()
+            yield from self._choose_softness()
             yield from self._choose_encoder()
             yield from self._choose_free()
             yield from self._refine_step()
@@ -117,6 +126,10 @@ class Stages:
 
     def _weigh(self) -> Iterator[Choice]:
         """Precision and weights."""
+        if self._order_is_open:
+            second = self.settings["bench"]["second_order"]
+            why = "parameters are the drive's in continuous time" if second else "parameters are those for this step"
+            yield Choice("bench.second_order", second, why)
         least_squares = "least squares are solved to the last digit: rounding must stay far below the noise"
         other = "rounding is far below what a fit that is no least squares of few parameters tells apart"
         yield from self._set("dtype", *(("float64", least_squares) if self._small else ("float32", other)))
@@ -299,7 +312,7 @@ class Stages:
         own = [at for at, label in enumerate(found.labels) if label.partition("/")[0] == f"bench.{name}"]
         values, halves = (np.asarray(param.from_coordinate(of[own], np)) for of in (found.vector, found.half))
         ended_high = found.at_bound[own] & (np.abs(values) > 0.5 * np.max(param.each("high", self._bench.nv)))
-        shown = bool((np.abs(values) > halves).any() or ended_high.any())
+        shown = bool((np.abs(values) > _CLEAR * halves).any() or ended_high.any())
         unit = param.unit(self._bench.joint_type)
         said = (f"{v:.3g}" + (f" +- {h:.2g}" if np.isfinite(h) else "") for v, h in zip(values, halves, strict=True))
         return shown, f"{', '.join(said)} {unit}" + ("" if np.isfinite(halves).any() else ", of which nothing is told")
@@ -313,63 +326,57 @@ class Stages:
         self.settings["bench"] = {**self.settings["bench"], "params": params}
 
     def _refine_step(self) -> Iterator[Choice]:
-        """Halved until no parameter moves by more than a third of half its interval."""
+        """Halve the step until no parameter moves by more than a third of half its interval."""
         found = self._found
         if found is None or not all(self._kept.values()):  # what was free and is not has bent the others
             found = self._go_on(self._pilot(), found)
+            looked = {name: self._is_shown(found, name) for name in self._shown}
+            for name, (_, told) in ((name, of) for name, of in looked.items() if not of[0]):
+                self._identify(name, False)
+                yield Choice(f"bench.params.{name}.identify", False, f"not shown without the others: {told}")
+            if not all(is_shown for is_shown, _ in looked.values()):
+                found = self._go_on(self._pilot(), found)
         reason = ""
         for left in reversed(range(_ROUNDS if self._step_is_open else 0)):
             step = self._set_step(self._step / 2)
-            finer = self._pilot(_MOST_STEPS)
-            self._set_step(step)
-            ahead = finer.step_from(found)
+            ahead = self._pilot(_MOST_STEPS).step_from(found)
             moves = found.in_halves(ahead)
             largest = float(moves.max(initial=0.0))
             moved = found.labels[int(moves.argmax())]
             reason = f"halved, {moved} would move by {largest:.2g} of half its interval, or of 0.3 %"
             if largest <= _MOVES:
+                self._set_step(step)
                 break
-            shortest = max(_FINEST, self._interval * self._samples * _LEAST / _MOST_STEPS)
-            halvings = min(math.ceil(math.log2(largest / _MOVES)), math.floor(math.log2(step / shortest)))
-            if halvings < 1 or not left:
+            found = found._replace(vector=found.vector + ahead)
+            if not left:
                 self.doubts.append(
                     Doubt(
-                        f"bench.timestep={step:.3g} s: {reason}, expected at most {_MOVES:.2g}; shorter steps take "
-                        "long: set bench.timestep, and fewer segments with segments.count"
+                        f"bench.timestep={self._step:.3g} s: {reason}, expected at most {_MOVES:.2g}; shorter steps "
+                        "take long: set bench.timestep, and fewer segments with segments.count"
                     )
                 )
-                break
-            self._set_step(step / 2**halvings)
-            found = self._follow(finer if halvings == 1 else self._pilot(_MOST_STEPS), found, ahead, halvings)
-            found = yield from self._look_again(found)
         self.start = found
         if self._step_is_open:
             yield Choice("bench.timestep", self._step, reason)
 
-    def _follow(self, pilot: Pilot, found: Found, ahead: Float[np.ndarray, "coordinates"], halvings: int) -> Found:
-        """Where a pilot of shorter steps ends, begun where it should: what a step does is proportional to its length.
+    def _choose_softness(self) -> Iterator[Choice]:
+        """Dry friction as stiff as the step allows, or as soft as MuJoCo has it where that fits better."""
+        if not self._softness_is_open or self._first is None or not np.any(self._model.constrained):
+            return
+        stiff = self._change(solreffriction=list(DEFAULT_SOLREFFRICTION))
+        soft = self._pilot().fit(self._first.vector, beside=self._first)
+        why = f"MuJoCo's own, {DEFAULT_SOLREFFRICTION[0]:g} s, has {soft.loss / self._first.loss:.3g} times the loss"
+        if soft.loss < self._first.loss:
+            self._first, self._found = soft, self._found and soft
+        else:
+            self.settings["bench"] = stiff
+        yield Choice("bench.solreffriction", self.settings["bench"]["solreffriction"], why)
 
-        Args:
-            pilot: With the shorter steps.
-            found: Where the one before ended.
-            ahead: By what its coordinates move when its steps are halved once.
-            halvings: How often they were.
-        """
-        try:
-            return pilot.fit(found.vector + 2 * (1 - 0.5**halvings) * ahead, _FOLLOWED, found)
-        except FitError:  # that far, the law holds no longer
-            return pilot.fit(found.vector, _FOLLOWED, found)
-
-    def _look_again(self, found: Found) -> Generator[Choice, None, Found]:
-        """Leave out what only longer steps showed: a simulation runs late by a part of its step, as commands may."""
-        looked = {name: self._is_shown(found, name) for name in self._shown}
-        gone = [name for name, (is_shown, _) in looked.items() if not is_shown]
-        for name in gone:
-            self._shown.remove(name)
-            self._identify(name, False)
-            why = f"not shown with steps of {1e3 * self._step:.3g} ms: {looked[name][1]}"
-            yield Choice(f"bench.params.{name}.identify", False, why)
-        return self._go_on(self._pilot(_MOST_STEPS), found) if gone else found
+    def _change(self, **options: Any) -> dict[str, Any]:
+        """Take other options of the bench; returns the section before."""
+        before = self.settings["bench"]
+        self.settings["bench"] = {**before, **options}
+        return before
 
     @property
     def _step(self) -> float:
@@ -380,7 +387,7 @@ class Stages:
     def _set_step(self, step: float) -> float:
         """Take another step; returns the one before."""
         before = self._step
-        self.settings["bench"] = {**self.settings["bench"], "timestep": step}
+        self._change(timestep=step)
         return before
 
     def _leave_out(self) -> Iterator[Choice]:

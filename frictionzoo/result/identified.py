@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 from frictionzoo import __version__
 from frictionzoo.bench import Bench
 from frictionzoo.core.build import build
+from frictionzoo.core.described import remake
 from frictionzoo.core.errors import ConfigError, RunError
 from frictionzoo.core.output import RESULT, RUN_FILES, claim, write_atomically
 from frictionzoo.core.segments import Sampling, Segments
@@ -32,8 +33,9 @@ from frictionzoo.result.curves import FILE as CURVES
 from frictionzoo.result.curves import Curves, write_curves
 from frictionzoo.result.draws import Posterior, draw_parameters, draw_with_chains, put_values
 from frictionzoo.result.evaluate import JointErrors, Metrics, Prediction, Values
-from frictionzoo.result.read_back import LAW, build_drive, load_law, read_bench, read_segments, thin
+from frictionzoo.result.read_back import LAW, build_drive, hold, load_law, read_bench, read_segments, thin
 from frictionzoo.result.record import read_run, write_result
+from frictionzoo.result.simulator import build_simulated, compensate
 from frictionzoo.result.types import Result
 from frictionzoo.result.values import Parameter, read_parameters
 from frictionzoo.simulate import Engine
@@ -41,6 +43,7 @@ from frictionzoo.simulate.drive import Drive
 from frictionzoo.simulate.proof import Proof, Recorded, prove
 from frictionzoo.simulate.rollout import applied, make_observer
 
+_MOST_SHARED = 20  # samples that last a whole number of steps
 _WHOLE = 0.01  # share by which a time step may differ from a whole number of others, as for recordings
 
 
@@ -61,6 +64,7 @@ class Identified:
         curves: What figures are drawn from; empty for a drive of a card.
         complaint: One line where the fit diverged; None otherwise.
         fitted: What was minimised, with the training data; None for a drive that was read back.
+        origin: The drive for which this one stands in a simulator, as `at` makes it; None where it is the drive itself.
     """
 
     folder: Path | None
@@ -74,6 +78,7 @@ class Identified:
     curves: Curves
     complaint: str | None = None
     fitted: Fitted | None = None
+    origin: "Identified | None" = None
 
     @classmethod
     def load(cls, folder: Path) -> "Identified":
@@ -312,25 +317,68 @@ class Identified:
         """What rollouts there are, in words."""
         return f"{self.segments.count} rollouts of {self.segments.length * self.segments.timestep:g} s"
 
-    def at(self, timestep: float) -> "Identified":
-        """The same drive, simulated in steps of another length [s].
+    def at(self, timestep: float | None = None, integrator: str | None = None) -> "Identified":
+        """The same drive in a simulator that takes MuJoCo's steps.
 
-        Where a step is longer than the recordings' interval, only every so many of their samples are kept.
+        A drive whose parameters are those of continuous time (`bench.second_order`) gets the parameters with which this
+        simulator moves as the drive does; any other keeps its own. Where the recordings' interval is no whole number of
+        steps, only every so many of their samples are kept.
+
+        Args:
+            timestep: Step of the simulation [s]; None for this drive's.
+            integrator: `Euler` or `implicitfast`; None for the bench's.
 
         Raises:
-            ConfigError: It is neither a whole part of the recordings' interval nor a whole number of them.
+            ConfigError: No whole number of such steps lasts one or a few samples of the recordings, or there is no such
+                integrator.
         """
-        interval = self.segments.timestep
-        ratio = max(timestep / interval, interval / timestep) if timestep > 0 else 0.0
-        if not ratio or abs(ratio / round(ratio) - 1) > _WHOLE or round(ratio) > self.segments.length:
+        timestep = self.timestep if timestep is None else timestep
+        interval, every = self.segments.timestep, self._shared(timestep)
+        if every is None:
             raise ConfigError(
-                f"timestep={timestep:g}; expected a whole part of the recordings' {interval:g} s, or a whole number of "
-                "them within a rollout"
+                f"timestep={timestep:g}; expected steps of which a whole number lasts {interval:g} s, a sample of the "
+                f"recordings, or up to {_MOST_SHARED} of these"
             )
-        every = round(timestep / interval) if timestep > interval else 1
-        bench = build({**self.result["settings"]["bench"], "timestep": timestep}, Bench).observing(self.bench.observed)
+        step = {"timestep": timestep} | ({} if integrator is None else {"integrator": integrator})
+        settings, values = self.result["settings"]["bench"], self.values
+        if self.bench.second_order:
+            bench = build_simulated(self.bench, settings, self.values, step)
+            values, _ = compensate(bench, self.model, self.values, self.segments)
+        else:
+            bench = build({**settings, **step}, Bench).observing(self.bench.observed)
         sampling = bench.sampling(every * interval)
-        return replace(self, bench=bench, segments=thin(self.segments, every, sampling.history), sampling=sampling)
+        thinned = thin(self.segments, every, sampling.history)
+        return replace(self, bench=bench, values=values, segments=thinned, sampling=sampling, origin=self)
+
+    def at_home(self) -> "Identified":
+        """The drive in steps of its model file, or where recordings do not have such steps, of its own."""
+        home = remake(self.bench, timestep=None)
+        return self.at(None if self._shared(home.timestep) is None else home.timestep)
+
+    def _shared(self, timestep: float) -> int | None:
+        """Samples of the recordings that last a whole number of such steps, the fewest; None where none do."""
+        for every in range(1, min(_MOST_SHARED, self.segments.length) + 1 if timestep > 0 else 0):
+            steps = every * self.segments.timestep / timestep
+            if round(steps) and abs(steps / round(steps) - 1) <= _WHOLE / every**2:
+                return every
+        return None
+
+    @property
+    def stands_in(self) -> bool:
+        """Whether it is what a simulator has in place of a drive in continuous time."""
+        return self.origin is not None and self.origin.bench.second_order
+
+    def meant(self) -> Prediction:
+        """The long test rollouts of the drive itself: of the one that this one stands for in a simulator.
+
+        At this drive's samples, and under commands that are held from one to the next of these.
+        """
+        if self.origin is None:
+            return Prediction(*self.rollout())
+        every = max(1, round(self.segments.timestep / self.origin.segments.timestep))
+        held = hold(self.origin.recorded, every)
+        qpos, qvel = (part[:, every - 1 :: every][:, : self.segments.length] for part in self.origin.rollout(held))
+        return Prediction(qpos, qvel)
 
     def rollout(
         self, segments: Segments | None = None, timestep: float | None = None, values: Values | None = None
@@ -362,7 +410,9 @@ class Identified:
         Raises:
             RunError: The drive diverges in one of them.
         """
-        pairs = zip((segments.qpos, segments.qvel), self.rollout(segments, values=values), strict=True)
+        itself = self.stands_in and values is None and segments is self.segments
+        moved = self.meant() if itself else Prediction(*self.rollout(segments, values=values))
+        pairs = zip((segments.qpos, segments.qvel), (moved.qpos, moved.qvel), strict=True)
         qpos, qvel = (np.concatenate([states[:, :1], own], axis=1) for states, own in pairs)
         lost = Prediction(qpos, qvel).diverged
         if lost.any():

@@ -131,3 +131,12 @@ def thin(segments: Segments, every: int, history: int) -> Segments:
         signals=segments.signals.map(lambda signal: signal[:, command]),
         timestep=every * segments.timestep,
     )
+
+
+def hold(segments: Segments, every: int) -> Segments:
+    """The same segments with each command held for so many samples, as where others do not arrive."""
+    if every == 1:
+        return segments
+    sample = every * (np.arange(-segments.history, segments.length) // every)
+    held = np.maximum(segments.history + sample, 0)
+    return replace(segments, signals=segments.signals.map(lambda signal: signal[:, held]))

@@ -30,7 +30,7 @@ class ChoiceRow(TypedDict):
 
     option: Text
     """Its dotted name."""
-    value: float | bool | str | None
+    value: float | bool | str | list[float] | None
     """What was chosen."""
     reason: Text
     """Why."""

@@ -50,6 +50,8 @@ class Engine(ABC):
     """Simulates a bench with a friction law, one step at a time; JAX differentiates the step in all values.
 
     Attributes:
+        bench: What is simulated.
+        friction: The friction law.
         name: What chooses it, `engine=NAME`, and what results call it.
         note: One line that a run prints about it, or "".
         compiler_options: Options for XLA where a step of this engine is compiled with a reverse sweep.
@@ -70,7 +72,8 @@ class Engine(ABC):
     reverse: bool = True
     keeps_slopes: bool = False
     branches: tuple[int, ...]
-    _friction: Friction
+    bench: Bench
+    friction: Friction
 
     @abstractmethod
     def step(
@@ -100,7 +103,7 @@ class Engine(ABC):
         self, values: Values, qpos: Array, qvel: Array, signals: Signals, load: Array
     ) -> Float[Array, "nv memory"]:
         """The friction law's memory where a rollout begins; arguments as in `step`."""
-        return self._friction.settle(values["friction"], self.drive_state(values, qpos, qvel, signals, load))
+        return self.friction.settle(values["friction"], self.drive_state(values, qpos, qvel, signals, load))
 
     @abstractmethod
     def drive_state(self, values: Values, qpos: Array, qvel: Array, signals: Signals, load: Array) -> DriveState:

@@ -107,10 +107,10 @@ class MjxEngine(Engine):
         fused = bench.nv <= _FUSED_JOINTS
         self.compiler_options: Mapping[str, Any] = {} if fused else UNFUSED
         self.forward_options: Mapping[str, Any] = FORWARD if fused else UNFUSED
-        self._bench = bench
+        self.bench = bench
         self._fields = fields
         self.branches = bench.branches
-        self._friction = friction
+        self.friction = friction
         self._timestep = float(model.opt.timestep)
         self._rigid_inertia = rigid_inertia(model)
         self._body_jacobian, self._tendon_jacobian = _jacobians(model)
@@ -124,10 +124,10 @@ class MjxEngine(Engine):
         self, values: Values, qpos: Array, qvel: Array, signals: Signals, load: Array, memory: Array
     ) -> tuple[Array, Array, Array]:
         """See `Engine.step`."""
-        ctrl = control(self._bench, values, qpos, qvel, signals)
+        ctrl = control(self.bench, values, qpos, qvel, signals)
         model, data = self._drive(self.model_inputs(values, load), qpos, qvel, ctrl)
         state = _drive_state(data, signals)
-        terms, memory = self._friction.advance(values["friction"], state, memory, self._timestep)
+        terms, memory = self.friction.advance(values["friction"], state, memory, self._timestep)
         model, data = self._apply(terms, model, data)
         data = mjx.fwd_acceleration(model, data)
         data = mjx.solve(model, data) if self._constraint else data.replace(qacc=data.qacc_smooth)
@@ -137,23 +137,23 @@ class MjxEngine(Engine):
 
     def drive_state(self, values: Values, qpos: Array, qvel: Array, signals: Signals, load: Array) -> DriveState:
         """See `Engine.drive_state`."""
-        ctrl = control(self._bench, values, qpos, qvel, signals)
+        ctrl = control(self.bench, values, qpos, qvel, signals)
         return _drive_state(self._drive(self.model_inputs(values, load), qpos, qvel, ctrl)[1], signals)
 
     def model_inputs(self, values: Values, load: Float[Array, "load"]) -> ModelInputs:
         """What these values and this load change in the model."""
         armature = jnp.asarray(values["bench"]["armature"], jnp.result_type(float))
-        affine = self._bench.actuator.affine(values["bench"])
+        affine = self.bench.actuator.affine(values["bench"])
         # MuJoCo computes dof_invweight0 when it compiles, and the friction constraint's softness depends on it: it has
         # to follow the armature, else the exported model would have another friction.
         own = len(self._fields) or INERTIAL
-        inertial, rigid = load[:own], load[own:].reshape(2 * [self._bench.nv] if len(load) else (0, 0))
+        inertial, rigid = load[:own], load[own:].reshape(2 * [self.bench.nv] if len(load) else (0, 0))
         rigid = rigid if len(load) else jnp.asarray(self._rigid_inertia, armature.dtype)
         inverse = jnp.stack([solve_spd(rigid + jnp.diag(armature), unit) for unit in jnp.eye(len(rigid))])
         fixed = jnp.asarray(self._model.dof_invweight0, armature.dtype)
         ignored = jnp.asarray(self._ignores_armature)
-        if self._bench.payload is not None:  # with a payload the body's centre lies elsewhere, and it is simple no more
-            mass = jnp.asarray(self._model.body_mass[self._bench.payload], inertial.dtype)
+        if self.bench.payload is not None:  # with a payload the body's centre lies elsewhere, and it is simple no more
+            mass = jnp.asarray(self._model.body_mass[self.bench.payload], inertial.dtype)
             ignored = ignored & (inertial[0] == mass)
         invweight0 = jnp.where(ignored, fixed, jnp.diag(inverse))
         bodies, tendons = (
@@ -194,9 +194,9 @@ class MjxEngine(Engine):
             model = model.replace(body_invweight0=inputs.body_invweight0)
         if len(inputs.tendon_invweight0):
             model = model.replace(tendon_invweight0=inputs.tendon_invweight0)
-        if self._bench.payload is not None:
+        if self.bench.payload is not None:
             mass, position, orientation, inertia = jnp.split(inputs.inertial, [1, 4, 8])
-            body = self._bench.payload
+            body = self.bench.payload
             model = model.replace(
                 body_mass=model.body_mass.at[body].set(mass[0]),
                 body_ipos=model.body_ipos.at[body].set(position),

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 from frictionzoo.core.segments import Sampling
 from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.simulate import Engine, Values
+from frictionzoo.simulate.second_order import SecondOrder
 
 State = tuple[Array, Array, Array]
 """Position, velocity and the friction law's memory, one row a segment."""
@@ -75,7 +76,13 @@ def make_rollout(engine: Engine, sampling: Sampling | None = None) -> Rollout:
         sampling: From samples to simulation steps; None for one step a sample, and commands that act at once.
     """
     sampling = Sampling(0.0, 1, 0) if sampling is None else sampling
-    batched = jax.vmap(engine.step, in_axes=(None, 0, 0, 0, 0, 0))
+    second = SecondOrder(engine.bench, engine.friction) if sampling.second_order else None
+
+    def step_one(values: Values, qpos: Array, qvel: Array, now: Signals, load: Array, memory: Array) -> State:
+        adapted = values if second is None else second.adapt(values, qpos, qvel, now, memory)
+        return engine.step(adapted, qpos, qvel, now, load, memory)
+
+    batched = jax.vmap(step_one, in_axes=(None, 0, 0, 0, 0, 0))
     started = jax.vmap(engine.start, in_axes=(None, 0, 0, 0, 0))
 
     def rollout(
@@ -94,11 +101,13 @@ def make_rollout(engine: Engine, sampling: Sampling | None = None) -> Rollout:
         def advance(state: State, steps: Signals) -> tuple[State, tuple[Array, Array]]:
             several = sampling.substeps > 1
             state = jax.lax.scan(step, state, steps)[0] if several else step(state, steps.map(itemgetter(0)))[0]
-            return state, state[:2]
+            read = state[0] if second is None else second.read(*state[:2])
+            return state, (read, state[1])
 
         acting = applied(values, signals, sampling).map(lambda signal: jnp.moveaxis(signal, 0, 2))
         memory = started(values, qpos, qvel, acting.map(itemgetter((0, 0))), load)
-        _, (positions, velocities) = jax.lax.scan(advance, (qpos, qvel, memory), acting)
+        begun = qpos if second is None else second.begin(qpos, qvel)
+        _, (positions, velocities) = jax.lax.scan(advance, (begun, qvel, memory), acting)
         return jnp.swapaxes(positions, 0, 1), jnp.swapaxes(velocities, 0, 1)
 
     options = engine.compiler_options, engine.forward_options
@@ -136,7 +145,7 @@ def applied(values: Values, signals: Signals, sampling: Sampling) -> Signals:
     Returns:
         Each of shape (batch, time, substeps, nv).
     """
-    interval, substeps, history, commands = sampling
+    interval, substeps, history, commands, _ = sampling
 
     def hold(signal: Float[Array, "batch samples nv"]) -> Float[Array, "batch time substeps nv"]:
         now = signal[:, history:]

@@ -54,8 +54,8 @@ class SpecialisedEngine(Engine):
         operations = (f"{len(of.joints)} x {of.operations}".removeprefix("1 x ") for of in self._groups)
         self.note: str = f"the dynamics come down to {' + '.join(operations)} scalar operations"
         self._order = np.argsort(np.concatenate([group.joints.ravel() for group in self._groups]))
-        self._bench = bench
-        self._friction = friction
+        self.bench = bench
+        self.friction = friction
         self._constraint = bool(np.any(constraint))
         self._timestep = float(model.opt.timestep)
         flags = model.opt.disableflags
@@ -73,7 +73,7 @@ class SpecialisedEngine(Engine):
         """See `Engine.step`."""
         here = self._at(values, qpos, qvel, signals, load)
         state = self._drive_state(qpos, qvel, signals, here)
-        terms, memory = self._friction.advance(values["friction"], state, memory, self._timestep)
+        terms, memory = self.friction.advance(values["friction"], state, memory, self._timestep)
         terms = FrictionTerms(*(term if term is None else jnp.broadcast_to(term, qvel.shape) for term in terms))
         accelerations = [
             group.each(self._accelerate, of, qvel[group.joints], jax.tree.map(operator.itemgetter(group.joints), terms))
@@ -104,7 +104,7 @@ class SpecialisedEngine(Engine):
 
     def _at(self, values: Values, qpos: Array, qvel: Array, signals: Signals, load: Array) -> list[Dynamics]:
         """The dynamics of each group of branches, with a first dimension of its branches."""
-        ctrl = control(self._bench, values, qpos, qvel, signals)
+        ctrl = control(self.bench, values, qpos, qvel, signals)
         return [group.dynamics(values, load, qpos, qvel, ctrl) for group in self._groups]
 
     def _drive_state(self, qpos: Array, qvel: Array, signals: Signals, here: list[Dynamics]) -> DriveState:

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from frictionzoo.bench.delay import read_filter
 from frictionzoo.bench.robot_file.actuator import Command, ReadActuator
 from frictionzoo.bench.robot_file.controllers import combine, without_others
 from frictionzoo.bench.robot_file.dc_motors import (
@@ -117,11 +118,10 @@ def _read_joint(source: Source, joint: int) -> ReadActuator | None:
                 "joint"
             )
         if int(model.actuator_dyntype[index]) in _FILTERS:
-            constant = model.actuator_dynprm[index, 0]
-            source.notes.append(
-                f"actuator {name}: its filter of {constant:g} s is left out, commands act at once; a delay of the "
-                "bench may stand for it"
-            )
+            constant, lag = model.actuator_dynprm[index, 0], _lag(model, index)
+            instead = f"taken as a delay of {lag:g} s" if lag else "left out, commands act at once"
+            advice = "" if lag else "; a delay of the bench may stand for it"
+            source.notes.append(f"actuator {name}: its filter of {constant:g} s is {instead}{advice}")
         readable.append(_read(source, index))
     return combine(source, model.joint(joint).name, readable)
 
@@ -215,7 +215,7 @@ def _delay(source: Source, index: int) -> float:
     model = source.model
     stated, step = float(model.actuator_delay[index]), float(model.opt.timestep)
     if stated == 0:
-        return 0.0
+        return _lag(model, index)
     samples, interpolation = map(int, model.actuator_history[index])
     steps = max(stated / step, 1.0) if interpolation else float(np.ceil(stated / step - _ROUNDING))
     acting = min(steps, samples) * step
@@ -227,6 +227,14 @@ def _delay(source: Source, index: int) -> float:
     if interpolation > 1 and steps % 1 > _ROUNDING:
         source.notes.append(f"delay of actuator {_name(model, index)}: interpolated linearly, not by a cubic")
     return acting
+
+
+def _lag(model: mujoco.MjModel, index: int) -> float:
+    """By how much a filter that is as short as a step lags [s], as `write_delay` writes it; of others 0."""
+    constant, step = float(model.actuator_dynprm[index, 0]), float(model.opt.timestep)
+    filters = int(model.actuator_dyntype[index]) == mujoco.mjtDyn.mjDYN_FILTEREXACT and model.actuator_actearly[index]
+    lag = read_filter(constant, step) if filters and constant > 0 else 0.0
+    return lag if lag < step else 0.0
 
 
 def _range(ends: np.ndarray, limited: bool) -> tuple[float, float]:

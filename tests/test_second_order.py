@@ -1,0 +1,159 @@
+"""Rollouts of second order: against an integrator of another kind, and for the steps of a simulator."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import jax
+import mujoco
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import frictionzoo as fz
+from frictionzoo.core.described import describe, remake
+from frictionzoo.core.errors import ConfigError
+from frictionzoo.core.segments import Segments
+from frictionzoo.core.state import Signals
+from frictionzoo.result.simulator import build_simulated, compensate
+from frictionzoo.simulate.drive import Drive
+
+KP, KD, OWN, ARMATURE = 40.0, 1.5, 0.05, 0.02
+STATIC, KINETIC, STRIBECK, SMOOTHING, VISCOUS = 0.4, 0.3, 0.8, 0.5, 0.2  # smooth, so that the order shows
+MASS, CENTRE, INERTIA, GRAVITY = 0.3, 0.1, 0.002, 9.81
+INTERVAL, SECONDS = 0.01, 1.0
+START = 0.4, -1.0
+STAND = f"""<mujoco><compiler angle="radian"/><option timestep="0.001" integrator="INTEGRATOR"/><worldbody><body>
+  <joint name="motor" axis="0 1 0" damping="{OWN}"/>
+  <inertial pos="0 0 {-CENTRE}" mass="{MASS}" diaginertia="{INERTIA} {INERTIA} 1e-5"/></body></worldbody></mujoco>"""
+
+
+def bench(path: Path, integrator: str, timestep: float, second_order: bool = True) -> fz.Bench:
+    (path / "stand.xml").write_text(STAND.replace("INTEGRATOR", integrator))
+    return fz.Bench(
+        str(path / "stand.xml"),
+        actuator=fz.PositionPD(kp=KP, kd=KD),
+        params={"armature": ARMATURE},
+        timestep=timestep,
+        second_order=second_order,
+    )
+
+
+def law() -> fz.FrictionModel:
+    values = {
+        "static_torque": STATIC,
+        "kinetic_torque": KINETIC,
+        "stribeck_velocity": STRIBECK,
+        "smoothing_velocity": SMOOTHING,
+        "viscous_coefficient": VISCOUS,
+    }
+    return fz.law("coulomb_stribeck", params={n: {"init": value, "high": 2.0} for n, value in values.items()})
+
+
+def roll(stand: fz.Bench, ctrl: np.ndarray) -> np.ndarray:
+    """Positions under a command."""
+    friction = law()
+    with jax.enable_x64(True):
+        drive = Drive.assemble(stand, friction, "auto", stand.sampling(INTERVAL))
+        own = {name: value.detach().double().numpy() for name, value in friction.state_dict().items()}
+        values = {"bench": stand.initial_values(), "friction": own}
+        state = np.array([[START[0]]]), np.array([[START[1]]])
+        qpos, _ = drive.rollout.compiled(values, *state, Signals(ctrl[None, :, None]))
+        return np.asarray(qpos)[0, :, 0]
+
+
+def solve(ctrl: np.ndarray, delay: float = 0.0) -> np.ndarray:
+    """The same motion by Runge and Kutta, from the equation of motion alone."""
+    whole = INERTIA + MASS * CENTRE**2 + ARMATURE
+
+    def slope(_: float, state: np.ndarray, command: float) -> list[float]:
+        qpos, qvel = state
+        dry = KINETIC + (STATIC - KINETIC) * np.exp(-((qvel / STRIBECK) ** 2))
+        friction = dry * np.tanh(qvel / SMOOTHING) + (VISCOUS + OWN) * qvel
+        motor = KP * (command - qpos) - KD * qvel
+        return [qvel, (motor - friction - MASS * GRAVITY * CENTRE * np.sin(qpos)) / whole]
+
+    state, found = np.array(START), []
+    for command in ctrl:
+        state = solve_ivp(slope, (0, INTERVAL), state, args=(command,), rtol=1e-10, atol=1e-12).y[:, -1]
+        found.append(state[0])
+    return np.array(found)
+
+
+COMMANDS = 0.5 * np.sin(6 * INTERVAL * np.arange(round(SECONDS / INTERVAL)))
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])
+def test_errors_fall_with_the_square_of_the_step(integrator: str, tmp_path: Path) -> None:
+    truth = solve(COMMANDS)
+    steps = (5e-3, 2.5e-3, 1.25e-3)
+    errors = [np.abs(roll(bench(tmp_path, integrator, step), COMMANDS) - truth).max() for step in steps]
+    plain = np.abs(roll(bench(tmp_path, integrator, steps[-1], second_order=False), COMMANDS) - truth).max()
+    assert 3.3 < errors[0] / errors[1] < 4.7 and 3.3 < errors[1] / errors[2] < 4.7
+    assert errors[-1] < 3e-5 and plain > 20 * errors[-1]
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])
+@pytest.mark.parametrize("timestep", [2e-3, 5e-3])
+def test_a_simulator_gets_the_parameters_with_which_it_moves_as_the_drive(
+    integrator: str, timestep: float, tmp_path: Path
+) -> None:
+    """In MuJoCo C, which knows nothing of second order: it begins at the measured state and is read as it is."""
+    stand, truth, friction = bench(tmp_path, integrator, 1e-3), solve(COMMANDS), law()
+    own = {name: value.detach().double().numpy() for name, value in friction.state_dict().items()}
+    values = {"bench": stand.initial_values(), "friction": own}
+    simulated = build_simulated(stand, describe(stand), values, {"timestep": timestep})
+    qpos = np.concatenate([[START[0]], truth])[None, :, None]
+    segments = Segments(qpos, np.gradient(qpos, INTERVAL, axis=1), Signals(COMMANDS[None, :, None]), INTERVAL)
+    found, lacking = compensate(simulated, friction, values, segments)
+    assert not lacking.any() and found["bench"]["delay"] == pytest.approx(timestep / 2)
+    kept = {**found["bench"], "armature": values["bench"]["armature"], "delay": np.zeros(1)}
+    begun = round(0.3 / INTERVAL)  # what begins out of step with the half drift has decayed by then
+    errors = [np.abs(play(simulated, of) - truth)[begun:].max() for of in (found["bench"], kept)]
+    assert errors[0] < 0.15 * errors[1]
+
+
+def play(simulated: fz.Bench, values: Mapping[str, np.ndarray]) -> np.ndarray:
+    model = mujoco.MjModel.from_xml_string(simulated.mjcf(values))
+    data, found, before = mujoco.MjData(model), [], COMMANDS[0]
+    data.qpos[0], data.qvel[0] = START
+    if model.na:
+        data.act[0] = before
+    for command in COMMANDS:
+        for _ in range(round(INTERVAL / model.opt.timestep)):
+            data.ctrl[0] = command
+            qvel = data.qvel[0]
+            dry = KINETIC + (STATIC - KINETIC) * np.exp(-((qvel / STRIBECK) ** 2))
+            data.qfrc_applied[0] = -dry * np.tanh(qvel / SMOOTHING) - VISCOUS * qvel
+            mujoco.mj_step(model, data)
+        found.append(data.qpos[0])
+    return np.array(found)
+
+
+@pytest.mark.slow
+def test_exact_coulomb_friction_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a drive that sticks and slides from event to event, simulated by a program that knows nothing of MuJoCo."""
+    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "benchmarks")
+    from event_exact import Drive as Truth
+    from event_exact import Link, round_to, simulate, write_mjcf
+
+    truth, interval = Truth(armature=0.03, viscous=0.2, forward=0.3, kp=KP, kd=KD), 0.002
+    links = [Link(-1, (0, 1, 0), (0, 0, 0), MASS, (0, 0, -CENTRE), (INERTIA, INERTIA, 1e-5))]
+    (tmp_path / "stand.xml").write_text(write_mjcf(links, ["motor"]))
+    times = interval * np.arange(8000)
+    ctrl = (0.3 * np.sin(5 * times) + 0.2 * np.sin(8.7 * times + 1))[:, None]
+    motion = simulate(links, [truth], ctrl, interval)
+    assert motion.sticking > 0.01
+    log = fz.Log("log", times, round_to(motion.qpos, 14), motion.qvel, ctrl, sha256=64 * "0", simulated=True)
+    stand = fz.Bench(str(tmp_path / "stand.xml"), actuator=fz.PositionPD(kp=KP, kd=KD))
+    found = fz.identify(stand, fz.law("mujoco_default"), [log])
+    values = {name: float(parameter.value[0]) for name, parameter in found.parameters.items()}
+    assert values["bench.armature"] == pytest.approx(0.03, rel=3e-3)
+    assert values["friction.frictionloss"] == pytest.approx(0.3, rel=3e-3)
+    assert values["friction.damping"] == pytest.approx(0.2, rel=1e-2)
+    chosen = {row["option"]: row["value"] for row in found.result["recipe"]}
+    assert chosen["bench.second_order"] is True and chosen["bench.solreffriction"] == [2e-3, 1.0]
+
+
+def test_an_integrator_that_is_none_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"bench\.integrator=RK5"):
+        remake(bench(tmp_path, "Euler", 1e-3), integrator="RK5")
