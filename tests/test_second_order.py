@@ -112,6 +112,16 @@ def test_a_simulator_gets_the_parameters_with_which_it_moves_as_the_drive(
     assert errors[0] < 0.15 * errors[1]
 
 
+def test_a_drive_without_recordings_has_a_simulator_too(tmp_path: Path) -> None:
+    stand, friction = bench(tmp_path, "Euler", 1e-3), fz.law("mujoco_default", params={"damping": {"init": 0.3}})
+    own = {name: value.detach().double().numpy() for name, value in friction.state_dict().items()}
+    values = {"bench": stand.initial_values(), "friction": own}
+    simulated = build_simulated(stand, describe(stand), values, {"timestep": 2e-3})
+    none = np.zeros((0, 3, 1))
+    found, _ = compensate(simulated, friction, values, Segments(none, none, Signals(none[:, :2]), INTERVAL))
+    assert found["bench"]["armature"][0] == pytest.approx(ARMATURE + 1e-3 * (KD - OWN - 0.3))
+
+
 def play(simulated: fz.Bench, values: Mapping[str, np.ndarray]) -> np.ndarray:
     model = mujoco.MjModel.from_xml_string(simulated.mjcf(values))
     data, found, before = mujoco.MjData(model), [], COMMANDS[0]

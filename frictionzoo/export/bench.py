@@ -156,6 +156,7 @@ def _list_remarks(
 ) -> list[str]:
     """What a file's comment says besides its friction law."""
     return [
+        f"Its parameters are those for steps of {fitted.timestep:g} s with the integrator {fitted.bench.integrator}.",
         *([say_difference(fitted, difference)] if difference else []),
         *(limit for limit in limits if limit != nearest.remark),
     ]

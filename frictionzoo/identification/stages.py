@@ -361,14 +361,18 @@ class Stages:
 
     def _choose_softness(self) -> Iterator[Choice]:
         """Dry friction as stiff as the step allows, or as soft as MuJoCo has it where that fits better."""
-        if not self._softness_is_open or self._first is None or not np.any(self._model.constrained):
+        if not self._softness_is_open or self._first is None:
             return
-        stiff = self._change(solreffriction=list(DEFAULT_SOLREFFRICTION))
-        soft = self._pilot().fit(self._first.vector, beside=self._first)
-        why = f"MuJoCo's own, {DEFAULT_SOLREFFRICTION[0]:g} s, has {soft.loss / self._first.loss:.3g} times the loss"
-        if soft.loss < self._first.loss:
-            self._first, self._found = soft, self._found and soft
-        else:
+        if not np.any(self._model.constrained):
+            yield Choice("bench.solreffriction", list(DEFAULT_SOLREFFRICTION), "the law has no friction constraint")
+            return
+        stiff, first = self._change(solreffriction=list(DEFAULT_SOLREFFRICTION)), self._first
+        self._first = None  # so that each joint's errors count over the size that they have at the initial values, too
+        soft = self._pilot().fit(first.vector, beside=first)
+        why = f"MuJoCo's own, {DEFAULT_SOLREFFRICTION[0]:g} s, has {soft.loss / first.loss:.3g} times the loss"
+        better = soft.loss < first.loss
+        self._first, self._found = (soft if better else first), self._found and (soft if better else self._found)
+        if not better:
             self.settings["bench"] = stiff
         yield Choice("bench.solreffriction", self.settings["bench"]["solreffriction"], why)
 
@@ -396,6 +400,10 @@ class Stages:
             self._identify(name, False)
             why = "not looked for in this fit; fit a law of few parameters with fit=lm first, then set it"
             yield Choice(f"bench.params.{name}.identify", False, why)
+        if self._softness_is_open:
+            self._change(solreffriction=list(DEFAULT_SOLREFFRICTION))
+            why = "MuJoCo's own; a stiffer one is tried in fits of few parameters"
+            yield Choice("bench.solreffriction", list(DEFAULT_SOLREFFRICTION), why)
         yield from self._set("loss.robust", "none", "the errors' tails are looked at in fits of few parameters")
         yield from self._set("loss.robust_scale", 1.0, "not used")
         yield from self._set("loss.encoder_step", 0.0, "least squares average over what the encoder rounds")

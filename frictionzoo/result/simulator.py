@@ -50,12 +50,14 @@ def compensate(
         bench: Of first order, as `build_simulated` makes it.
         model: The friction law.
         values: Of the drive in continuous time.
-        segments: Measured states.
+        segments: Measured states; without any, a velocity of 1 rad/s or m/s counts.
     """
     stepping = SecondOrder(bench, friction_of(model))
     with jax.enable_x64(True):
         states = segments.qpos[:, :-1], segments.qvel[:, :-1], segments.acting
         rows = jax.tree.map(lambda signal: jnp.asarray(signal, jnp.float64).reshape(-1, bench.nv), states)
+        if not segments.count:  # of a card, which has no recordings: one state in motion
+            rows = jax.tree.map(lambda signal: jnp.ones((1, bench.nv)), rows)
         known = jax.tree.map(lambda value: jnp.asarray(value, jnp.float64), values)
         more = np.asarray(stepping.surplus(known, *rows), np.float64)
     armature = np.asarray(values["bench"]["armature"])
