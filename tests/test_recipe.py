@@ -143,6 +143,7 @@ def test_halving_the_step_that_was_chosen_moves_nothing(found: fz.Identified, re
         actuator=fz.PositionPD(kp=20, kd=1.0),
         params=params,
         timestep=settings["bench"]["timestep"] / 2,
+        second_order=settings["bench"]["second_order"],
     )
     how = {name: settings[name] for name in ("segments", "loss")}
     finer = fz.identify(
