@@ -107,7 +107,7 @@ class PlainMjx(Engine):
         from mujoco import mjx  # after the package's own import, which keeps it from printing
 
         self.compiler_options, self.forward_options, self.branches = {}, {}, case.bench.branches
-        self._law, self._friction = case.model, friction_of(case.model)
+        self._law, self.friction = case.model, friction_of(case.model)
         self._mjx_step = mjx.step
         self._model = mjx.put_model(case.bench.compile(constraint=False))
         self._data = mjx.make_data(self._model)
