@@ -19,7 +19,7 @@ from frictionzoo.identification.choices import Choice, imply
 from frictionzoo.identification.misfit import Misfit
 from frictionzoo.identification.noise import Noise, find_step
 from frictionzoo.identification.pilot import exact_enough
-from frictionzoo.identification.problem import Parts
+from frictionzoo.identification.problem import Parts, _divide_interval
 from frictionzoo.identification.stages import divide
 from frictionzoo.logs.signals import find_noise
 
@@ -229,6 +229,18 @@ def test_a_network_has_no_pilot(recorded: Dataset) -> None:
     assert "auto" not in [
         str(value) for section in ("segments", "loss") for value in settled.settings[section].values()
     ]
+
+
+@pytest.mark.parametrize("recipe", ["given", "auto"])
+def test_the_interval_of_recordings_decides_on_a_step_that_nobody_asked_for(recipe: str) -> None:
+    """Of the model file's 1 ms, no whole number lasts 1.5 ms."""
+    bench = fz.Bench("knee_rod.xml", "knee", actuator=fz.PositionPD(kp=20, kd=1.0))
+    settings = {"bench": {"timestep": AUTO if recipe == "auto" else None}}
+    divided, chosen = _divide_interval(bench, settings, 1.5e-3)
+    assert divided.timestep == pytest.approx(7.5e-4) and divided.fits(1.5e-3)
+    assert chosen["bench"]["timestep"] == (AUTO if recipe == "auto" else pytest.approx(7.5e-4))
+    asked = {"bench": {"timestep": 1e-3}}
+    assert _divide_interval(bench, asked, 1.5e-3) == (bench, asked)
 
 
 def test_a_recipe_that_does_not_exist_is_refused(recorded: Dataset) -> None:

@@ -81,7 +81,7 @@ def write_log(path: Path, header: str = HEADER, time: np.ndarray = TIMES) -> Non
 def test_a_mistake_of_each_kind_is_one_line(refuse: Callable, tmp_path: Path, tiny: tuple[str, ...]) -> None:
     """Here and in tests of the modules that refuse, the other cases are looked at without a program."""
     write_log(tmp_path / "a.csv", time=1.5 * TIMES)
-    assert "a.csv[train]: 0.0015 s per sample" in refuse(*tiny, "data.train=[a.csv]")
+    assert "a.csv[train]: 0.0015 s per sample" in refuse(*tiny, "data.train=[a.csv]", "bench.timestep=0.001")
     assert "expected at least 4001 for one segment" in refuse(*tiny, "segments.length=4000")
     assert "bench.xml: cannot be read" in refuse(*tiny, "bench.mjcf=bench.xml")
     assert "no such file" in refuse("data=emps", f"data.folder={tmp_path}")
