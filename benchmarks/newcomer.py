@@ -54,7 +54,7 @@ class Kind:
         bits: Of the encoder, a turn.
         velocity: In the log: `noisy`, `filtered` from positions, or `none`.
         speed: Of the excitation, over the usual one.
-        payloads: Whether it carries a mass of its own in each of several recordings.
+        payloads: Whether it carries another mass in each of several recordings.
         joints: Their number.
     """
 

@@ -244,7 +244,7 @@ class Problem:
 
 
 def _divide_interval(bench: Bench, settings: Mapping[str, Any], interval: float) -> tuple[Bench, Mapping[str, Any]]:
-    """The bench in steps of which a whole number lasts an interval [s] of the recordings, if nobody asked for others.
+    """Return the bench with steps that divide an interval [s] of the recordings, if nobody stated a step.
 
     And the settings, with that step where no recipe is to find one.
     """

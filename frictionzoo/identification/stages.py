@@ -2,7 +2,7 @@
 
 import copy
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -96,7 +96,6 @@ class Stages:
         yield from self._choose_segments()
         if self._small:
             yield from self._choose_loss()
-            yield from self._choose_softness()
             yield from self._choose_encoder()
             yield from self._choose_free()
             yield from self._refine_step()
@@ -205,8 +204,8 @@ class Stages:
 
     def _choose_loss(self) -> Iterator[Choice]:
         """Least squares, unless the law lacks something and a robust loss predicts a validation block better."""
-        pilot = self._pilot()
-        self._first = found = pilot.fit()
+        pilot, found = yield from self._choose_softness()
+        self._first = found
         horizon = self._samples_in(float(self._given["evaluation"]["horizons"][0]))
         errors = pilot.errors(found.vector, self._train, horizon * self._interval)
         misfit = Misfit.of(errors, self._noise.position, bool(self.settings["loss"]["by_joint"]))
@@ -359,22 +358,27 @@ class Stages:
         if self._step_is_open:
             yield Choice("bench.timestep", self._step, reason)
 
-    def _choose_softness(self) -> Iterator[Choice]:
-        """Dry friction as stiff as the step allows, or as soft as MuJoCo has it where that fits better."""
-        if not self._softness_is_open or self._first is None:
-            return
-        if not np.any(self._model.constrained):
-            yield Choice("bench.solreffriction", list(DEFAULT_SOLREFFRICTION), "the law has no friction constraint")
-            return
-        stiff, first = self._change(solreffriction=list(DEFAULT_SOLREFFRICTION)), self._first
-        self._first = None  # so that each joint's errors count over the size that they have at the initial values, too
-        soft = self._pilot().fit(first.vector, beside=first)
-        why = f"MuJoCo's own, {DEFAULT_SOLREFFRICTION[0]:g} s, has {soft.loss / first.loss:.3g} times the loss"
-        better = soft.loss < first.loss
-        self._first, self._found = (soft if better else first), self._found and (soft if better else self._found)
-        if not better:
-            self.settings["bench"] = stiff
+    def _choose_softness(self) -> Generator[Choice, None, tuple[Pilot, Found]]:
+        """Dry friction as stiff as the step allows, or as soft as MuJoCo has it where that fits better.
+
+        Before all that the first fit decides, so that both have the same loss. Returns that fit.
+        """
+        pilot = self._pilot()
+        found = pilot.fit()
+        if not self._softness_is_open:
+            return pilot, found
+        why = "the law has no friction constraint"
+        if np.any(self._model.constrained):
+            stiff = self._change(solreffriction=list(DEFAULT_SOLREFFRICTION))
+            other = self._pilot()
+            soft = other.fit(found.vector, beside=found)
+            why = f"MuJoCo's own, {DEFAULT_SOLREFFRICTION[0]:g} s, has {soft.loss / found.loss:.3g} times the loss"
+            if soft.loss < found.loss:
+                pilot, found = other, soft
+            else:
+                self.settings["bench"] = stiff
         yield Choice("bench.solreffriction", self.settings["bench"]["solreffriction"], why)
+        return pilot, found
 
     def _change(self, **options: Any) -> dict[str, Any]:
         """Take other options of the bench; returns the section before."""

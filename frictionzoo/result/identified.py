@@ -336,8 +336,8 @@ class Identified:
         interval, every = self.segments.timestep, self._shared(timestep)
         if every is None:
             raise ConfigError(
-                f"timestep={timestep:g}; expected steps of which a whole number lasts {interval:g} s, a sample of the "
-                f"recordings, or up to {_MOST_SHARED} of these"
+                f"timestep={timestep:g}; expected steps that divide {interval:g} s, the recordings' interval, or up to "
+                f"{_MOST_SHARED} of these"
             )
         step = {"timestep": timestep} | ({} if integrator is None else {"integrator": integrator})
         settings, values = self.result["settings"]["bench"], self.values
