@@ -26,7 +26,7 @@ from frictionzoo.core.output import occupy
 from frictionzoo.fit import loop, run_fit
 from frictionzoo.fit.loggers import Csv
 from frictionzoo.fit.loop import Record
-from frictionzoo.identification import Problem
+from frictionzoo.identification import Problem, kept
 from frictionzoo.show import run_plots
 
 ITERATIONS = 40
@@ -286,3 +286,29 @@ def test_what_makes_it_another_run(pose: Callable, finished_run: Callable, overr
         with pytest.raises(CheckpointError, match=rf"last\.ckpt: {what} .*, expected .*; resume with"):
             loop._checked_checkpoint(folder, begun | {what: "another"})
     assert loop._checked_checkpoint(folder, begun) == folder / "checkpoints" / "last.ckpt"
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("in_haste")
+def test_automatic_settings_are_found_once(
+    call: Callable, tiny: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run that ended in its fit goes on with the settings that were found, and ends as one that did not."""
+    stated = ("bench.timestep=1e-3", "bench.solreffriction=[2e-3,1]", "bench.params.position_offset.identify=false")
+    options = (*tiny, "model=mujoco_default", "recipe=auto", "fit=lm", *stated)
+    assert call(*options, "hydra.run.dir=whole").status in (0, 3)
+
+    def stop(*arguments: Any) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(loop.FitModule, "training_step", stop)
+        stopped = call(*options, "hydra.run.dir=run")
+    assert "run keeps its options and automatic settings; go on with resume=" in stopped.err
+    with monkeypatch.context() as patched:
+        patched.setattr(kept, "settle", stop)
+        resumed = call("resume=run")
+    assert resumed.status in (0, 3) and "automatic settings, as found before" in resumed.err
+    assert_same(tmp_path / "run", tmp_path / "whole")
+    first, second = (json.loads((tmp_path / name / "result.json").read_text()) for name in ("run", "whole"))
+    assert first["recipe"] == second["recipe"] and len(first["recipe"]) > 5

@@ -17,6 +17,7 @@ from frictionzoo.fit.loggers import RunLogger
 from frictionzoo.fit.loop import Record
 from frictionzoo.identification import Parts, Problem, solve
 from frictionzoo.identification.commands import Origin
+from frictionzoo.identification.kept import Kept
 from frictionzoo.logs.cache import digest
 from frictionzoo.result.identified import Identified
 from frictionzoo.result.record import describe_data, pick_metrics
@@ -50,7 +51,7 @@ def run_job(
     """
     settings = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
     logger = build(settings["logger"], RunLogger)
-    parts = Parts.from_settings(settings, given)
+    parts = Parts.from_settings(settings, given, Kept(folder).settle)
     tell("looking at the input, compiling")
     with parts.computing() as device:
         measured = Problem.pose(parts)

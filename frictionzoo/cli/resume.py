@@ -18,7 +18,7 @@ from frictionzoo.core.config import CONF_DIR, check_overrides, compose_config, l
 from frictionzoo.core.errors import ConfigError, FrictionzooError, OutputError, RunError, closest
 from frictionzoo.core.jobs import read_json, refuse_links
 from frictionzoo.core.manifest import remove_if_empty
-from frictionzoo.core.output import RESULT, remove_written, to_json, write_atomically
+from frictionzoo.core.output import RESULT, SETTLED, remove_written, to_json, write_atomically
 
 SETTINGS = Path(".hydra", "settings.json")
 GROUPS = frozenset(path.name for path in CONF_DIR.iterdir() if path.is_dir()) - {"experiment", "hydra"}
@@ -159,6 +159,7 @@ def write_record(record: Mapping[Path, bytes]) -> None:
 def recorded(record: Mapping[Path, bytes]) -> Iterator[None]:
     """Have the record of a job in its folder; if the job is refused, an earlier one, or none as before."""
     files = {*record, *(path.with_name(SETTINGS.name) for path in record)}
+    files |= {path.parents[1] / SETTLED for path in record}
     before = {path: path.read_bytes() for path in files if path.exists()}
     write_record(record)
     try:
@@ -189,7 +190,8 @@ def say_how_a_run_goes_on(folder: Path) -> str:
         Begun.read(folder)
     except ConfigError:  # it had not come so far
         return NOTHING_KEPT
-    kept = "the fit up to its last checkpoint" if (folder / "checkpoints" / "last.ckpt").exists() else "its options"
+    kept = "its options and automatic settings" if (folder / SETTLED).exists() else "its options"
+    kept = "the fit up to its last checkpoint" if (folder / "checkpoints" / "last.ckpt").exists() else kept
     return f"{folder} keeps {kept}; go on with resume={folder}"
 
 

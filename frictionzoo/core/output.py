@@ -21,6 +21,7 @@ from frictionzoo.core.manifest import ABANDONED, Manifest, State, remove_if_empt
 # Files by which the folder of a job tells how it stands.
 RESULT = "result.json"  # done
 FAILURE = "failure.json"  # it failed, and why
+SETTLED = "checkpoints/settled.safetensors"  # automatic settings that were found
 RUNNING = ".running"  # locked while it runs, in whatever process; left behind unlocked by a job that was killed
 
 _CLAIMED: ContextVar[tuple[tuple[Path, Manifest | None], ...]] = ContextVar("claimed", default=())
@@ -29,7 +30,7 @@ _log = logging.getLogger(__name__)
 
 RUN_FILES = (
     *(RESULT, FAILURE, "report.html", "curves.safetensors", "friction.safetensors", "distillation.json"),
-    *("identified.xml", "identified.urdf", "bench.xml", "checkpoints/last.ckpt"),
+    *("identified.xml", "identified.urdf", "bench.xml", "checkpoints/last.ckpt", SETTLED),
     *(f"figures/{name}.png" for name in ("figure3_parameters", "figure4_trajectory", "figure5_error")),
     *(f".hydra/{name}.yaml" for name in ("config", "hydra", "overrides")),
     ".hydra/settings.json",

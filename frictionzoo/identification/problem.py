@@ -4,7 +4,7 @@ import contextlib
 import logging
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -66,12 +66,15 @@ class Parts(NamedTuple):
     seconds: float
 
     @classmethod
-    def from_settings(cls, settings: Mapping[str, Any], given: Given | None = None) -> "Parts":
+    def from_settings(
+        cls, settings: Mapping[str, Any], given: Given | None = None, choose: Callable[..., Settled] = settle
+    ) -> "Parts":
         """The parts that the settings describe.
 
         Args:
             settings: All options.
             given: Bench and recordings, if they have been read already.
+            choose: As in `settle`.
 
         Raises:
             FrictionzooError: The input is at fault.
@@ -82,12 +85,18 @@ class Parts(NamedTuple):
         model = build(settings["model"], FrictionModel, nv=bench.nv)
         model.bind(bench.joints)
         model.begin(bench.initial_friction(model.params))
-        parts = cls.settle(settings, bench, dataset, model, build(settings["fit"], Fit))
+        parts = cls.settle(settings, bench, dataset, model, build(settings["fit"], Fit), choose)
         return parts._replace(seconds=earlier + time.perf_counter() - began)
 
     @classmethod
     def settle(
-        cls, settings: Mapping[str, Any], bench: Bench, dataset: Dataset, model: FrictionModel, fit: Fit
+        cls,
+        settings: Mapping[str, Any],
+        bench: Bench,
+        dataset: Dataset,
+        model: FrictionModel,
+        fit: Fit,
+        choose: Callable[..., Settled] = settle,
     ) -> "Parts":
         """These parts, with what the settings leave open found on the training recordings.
 
@@ -97,6 +106,7 @@ class Parts(NamedTuple):
             dataset: Recordings, train and test.
             model: The friction law.
             fit: How to find the parameters.
+            choose: Finds what is open, as `frictionzoo.identification.recipe.settle`.
 
         Raises:
             FrictionzooError: The input is at fault.
@@ -118,7 +128,7 @@ class Parts(NamedTuple):
         train, test = (tuple(map(watching.accept, logs)) for logs in (dataset.train, dataset.test))
         doubts = check_up(Dataset(dataset.name, train, test), watching, settings["checkup"])
         with computing("float64", settings["device"], settings["compilation_cache"]):
-            settled = settle(settings, bench, dataset, model, fit)
+            settled = choose(settings, bench, dataset, model, fit)
         return cls(settled, dataset, model, fit, doubts, time.perf_counter() - began)
 
     def computing(self) -> contextlib.AbstractContextManager[str]:

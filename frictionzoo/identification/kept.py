@@ -1,0 +1,149 @@
+"""Automatic settings of a run, kept in its folder: a run that goes on takes them from there."""
+
+import copy
+import hashlib
+import json
+import logging
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import safetensors
+import safetensors.numpy
+
+from frictionzoo import __version__
+from frictionzoo.bench import Bench
+from frictionzoo.checkup.findings import Doubt, Repair
+from frictionzoo.core.config import list_options
+from frictionzoo.core.described import remake
+from frictionzoo.core.log import Dataset
+from frictionzoo.core.output import SETTLED, to_json, write_atomically
+from frictionzoo.core.params import AUTO
+from frictionzoo.fit import Fit
+from frictionzoo.identification.choices import Choice
+from frictionzoo.identification.pilot import Found
+from frictionzoo.identification.recipe import Settled, settle
+from frictionzoo.logs.cache import digest
+from frictionzoo.models import FrictionModel
+from frictionzoo.result.record import describe_data
+
+_TEXT = "settled"  # entry of the file's header
+_ARRAYS = ("vector", "half", "enough", "at_bound", "measured", "states")
+_INDIFFERENT = ("compilation_cache", "device", "logger", "loop", "resume", "threads")
+_OF_THE_BENCH = ("params", "timestep", "solreffriction", "second_order")
+_log = logging.getLogger(__name__)
+
+
+class Kept:
+    """`settle` for a run's folder: what it finds is kept there, and found once for the same options and data.
+
+    Args:
+        folder: The run's, which may be a stranger's: nothing in it is executed.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / SETTLED
+
+    def settle(
+        self, settings: Mapping[str, Any], bench: Bench, dataset: Dataset, model: FrictionModel, fit: Fit
+    ) -> Settled:
+        """Choose as `frictionzoo.identification.recipe.settle` does, or return what it chose before.
+
+        Raises:
+            FrictionzooError: The input is at fault, or the file cannot be written.
+        """
+        if settings["recipe"] != AUTO:
+            return settle(settings, bench, dataset, model, fit)
+        identity = _identify(settings, bench, dataset, model)
+        if (kept := self._read(identity, settings, bench)) is not None:
+            _log.info("automatic settings, as found before: %s", self._path)
+            return kept
+        settled = settle(settings, bench, dataset, model, fit)
+        self._write(identity, settings, settled)
+        return settled
+
+    def _write(self, identity: str, settings: Mapping[str, Any], settled: Settled) -> None:
+        before, start = dict(list_options(settings)), settled.start
+        arrays = {} if start is None else {name: getattr(start, name) for name in _ARRAYS}
+        arrays = {name: array for name, array in arrays.items() if array is not None}
+        text = {
+            "identity": identity,
+            "options": {key: value for key, value in list_options(settled.settings) if before.get(key) != value},
+            "choices": settled.choices,
+            "doubts": settled.doubts,
+            "labels": start and start.labels,
+            "loss": start and start.loss,
+        }
+        header = {_TEXT: json.dumps(to_json(text)), "sha256": ""}
+        header["sha256"] = _sign(header[_TEXT], arrays)
+        write_atomically(self._path, safetensors.numpy.save(arrays, header))
+
+    def _read(self, identity: str, settings: Mapping[str, Any], bench: Bench) -> Settled | None:
+        """What the file holds for these options and data; None where it holds nothing, others', or is damaged."""
+        if not self._path.exists():
+            return None
+        try:
+            with safetensors.safe_open(self._path, "numpy") as file:
+                names, header = file.keys(), file.metadata() or {}
+                arrays = {name: file.get_tensor(name) for name in names}
+        except (OSError, safetensors.SafetensorError):
+            header, arrays = {}, {}
+        said = header.get(_TEXT, "")
+        if header.get("sha256") != _sign(said, arrays):
+            _log.info("%s: damaged; automatic settings are found again", self._path)
+            return None
+        text = json.loads(said)
+        if text["identity"] != identity or not set(text["options"]) <= {*_list_open(settings)}:
+            _log.info("%s: of other options or data; automatic settings are found again", self._path)
+            return None
+        chosen = _put(settings, text["options"])
+        section, start = chosen["bench"], None
+        if text["labels"] is not None:
+            start = Found(labels=text["labels"], loss=text["loss"], **{"states": None, **arrays})
+        return Settled(
+            chosen,
+            remake(bench, **{name: section[name] for name in _OF_THE_BENCH if name in section}),
+            tuple(Choice(*choice) for choice in text["choices"]),
+            start,
+            tuple(Doubt(said, tuple(Repair(*repair) for repair in repairs)) for said, repairs in text["doubts"]),
+        )
+
+
+def _sign(text: str, arrays: Mapping[str, Any]) -> str:
+    """SHA-256 of all that the file holds, by which damage is told."""
+    ordered = {name: arrays[name] for name in _ARRAYS if name in arrays}
+    return hashlib.sha256(f"{text}{[*ordered]}{digest(ordered)}".encode()).hexdigest()
+
+
+def _identify(settings: Mapping[str, Any], bench: Bench, dataset: Dataset, model: FrictionModel) -> str:
+    """SHA-256 of what settings are chosen by."""
+    state = {name: value.numpy() for name, value in model.state_dict().items()}
+    told = {
+        "version": __version__,
+        "settings": {name: value for name, value in settings.items() if name not in _INDIFFERENT},
+        "data": describe_data(dataset),
+        "bench": [bench.template(), bench.initial_values() and digest(bench.initial_values())],
+        "model": digest(state),
+    }
+    return hashlib.sha256(json.dumps(to_json(told), sort_keys=True).encode()).hexdigest()
+
+
+def _list_open(settings: Mapping[str, Any]) -> Iterator[str]:
+    """Options that are left open, and initial values of what is identified if recordings show it."""
+    for option, value in list_options(settings):
+        if value == AUTO:
+            yield option
+            if option.endswith(".identify"):
+                yield f"{option.removesuffix('identify')}init"
+
+
+def _put(settings: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, Any]:
+    """The same settings with other values of these options."""
+    changed = copy.deepcopy(dict(settings))
+    for option, value in options.items():
+        *path, key = option.split(".")
+        part = changed
+        for name in path:
+            part = part[name]
+        part[key] = value
+    return changed
