@@ -186,8 +186,9 @@ def test_a_robot_that_mujoco_compiles_is_compiled_with_the_drive(tmp_path: Path)
 
 @pytest.mark.parametrize("target", [Mjlab, IsaacLab])
 def test_configurations_list_every_joint(target: Any, tmp_path: Path) -> None:
-    pulling = JointPD({name: {"init": size} for name, size in {"kp": 20.0, "kd": 1.0, "torque_offset": 0.4}.items()})
-    fitted = fit(save(tmp_path, ROBOT), ["hip", "knee"], actuator=pulling)
+    fitted = fit(
+        save(tmp_path, ROBOT), ["hip", "knee"], actuator=JointPD(kp=20.0, kd=1.0), params={"torque_offset": 0.4}
+    )
     export = target().write(fitted, tmp_path, {})
     joints = target().read((tmp_path / target.file).read_text())
     np.testing.assert_array_equal([joint.armature for joint in joints], fitted.values["bench"]["armature"])

@@ -54,8 +54,8 @@ def record(path: Path) -> Log:
 def test_mirrored_hips_that_share_a_motor_keep_offsets_of_their_own(hips: Path) -> None:
     offset = {"init": 0.0, "low": -5.0, "high": 5.0, "scale": 1.0, "identify": True}
     known = {"kp": {"init": KP}, "kd": {"init": KD}}
-    actuator = JointPD(params={**known, "torque_offset": offset})
-    bench = Bench(str(hips), ["left_hip", "right_hip"], actuator=actuator, tie={"hip": ".*_hip"}, timestep=0.0005)
+    about = {"params": {"torque_offset": offset}, "tie": {"hip": ".*_hip"}, "timestep": 0.0005}
+    bench = Bench(str(hips), ["left_hip", "right_hip"], actuator=JointPD(params=known), **about)
     how = {"recipe": "given", "test": 0.3, "method": "lm", "dtype": "float64", "checkup": "warn"}
     evaluation = {"horizons": [0.2], "trajectory": 0.5}
     segments = {"length": 20, "count": 120}

@@ -112,8 +112,13 @@ def identify(folder: Path, text: str, foot: str) -> Identified:
     size = {"init": 0.1, "low": 1e-3, "high": 1.0, "identify": False, "scale": "log"}
     bench = fz.Robot(
         str(path),
-        actuator=fz.JointPD(kp=KP, kd=KD, torque_gain=GAIN, torque_offset=pulls.tolist()),
-        params={"armature": 0.02, "delay": LATE, "position_offset": encoders.tolist()},
+        actuator=fz.JointPD(kp=KP, kd=KD, torque_gain=GAIN),
+        params={
+            "armature": 0.02,
+            "delay": LATE,
+            "position_offset": encoders.tolist(),
+            "torque_offset": pulls.tolist(),
+        },
         payload=foot,
     )
     how: dict[str, Any] = {
@@ -220,8 +225,8 @@ def test_a_single_joint_is_late_by_any_delay(steps: float, substeps: int) -> Non
 
 
 PULLED = {
-    "params": {"armature": 0.02, "delay": LATE, "position_offset": [0.03, -0.05]},
-    "actuator": {"kp": KP, "kd": KD, "torque_gain": GAIN, "torque_offset": [0.3, -0.2]},
+    "params": {"armature": 0.02, "delay": LATE, "position_offset": [0.03, -0.05], "torque_offset": [0.3, -0.2]},
+    "actuator": {"kp": KP, "kd": KD, "torque_gain": GAIN},
 }
 
 

@@ -32,16 +32,18 @@ _MOST_SUBSTEPS = 10_000  # simulation steps from sample to sample
 _MOST_HISTORY = 10_000  # samples by which commands may act late
 DEFAULT_SOLREFFRICTION = (0.02, 1.0)
 """MuJoCo's own: the time constant [s] and the damping ratio of the friction constraint."""
-_PARAMS = {"armature": "inertia", "delay": "time", "position_offset": "position"}
-_OPTIONAL = ("delay", "position_offset")
+_PARAMS = {"armature": "inertia", "delay": "time", "position_offset": "position", "torque_offset": "torque"}
+_IN_ROLLOUTS = ("delay", "position_offset")  # which a compiled model leaves to them
+_OPTIONAL = (*_IN_ROLLOUTS, "torque_offset")
 _OF_ASSEMBLY = re.compile(r"(.*\.)?(\w+_offset|(sine|cosine)_\d+)")  # a sensor's or a cable's offset, a gear's phase
 DEFAULTS: dict[str, dict[str, Any]] = {
     "armature": {"init": 0.01, "low": 1e-5, "high": 1.0, "scale": "log", "identify": True},
     "delay": {"init": 0.0, "low": 0.0, "high": 0.1, "scale": 0.01, "identify": False},
     "position_offset": {"init": 0.0, "low": -0.2, "high": 0.2, "scale": 0.1, "identify": False},
+    "torque_offset": {"init": 0.0, "low": -20.0, "high": 20.0, "scale": 1.0, "identify": False},
 }
-"""What a bench's parameter is where nothing else is said: the armature of a servo's joint [kg m^2], no delay [s], and
-an encoder whose zero is right [rad or m]."""
+"""What a bench's parameter is where nothing else is said: the armature of a servo's joint [kg m^2], no delay [s], an
+encoder whose zero is right [rad or m], and no constant torque [N m or N]."""
 _HEAVIER = 100.0  # times a fitted armature, or a part of it, within which it may move where a bench starts again
 
 
@@ -54,7 +56,7 @@ class Bench(Described):
     Attributes:
         joints: Names of the identified joints, in MuJoCo's order.
         joint_type: `hinge` or `slide`.
-        params: The armature, the delay and the position offset where there are any, and the actuator's parameters.
+        params: The armature, the delay and the offsets where there are any, and the actuator's parameters.
         timestep: Simulation step [s].
         solreffriction: As the argument, without `auto`.
         second_order: Likewise.
@@ -73,10 +75,12 @@ class Bench(Described):
         mjcf: Path of the template, or the name of one that the package ships (`knee_rod.xml`, `emps.xml`).
         joint: Name or names of the identified joints; None where the template has one joint only.
         actuator: The law that turns a command into torque.
-        params: Sections of `armature`, and where wanted of `delay`, by which commands act late [s], and of
-            `position_offset`, which the measured position lacks [rad or m]; a number stands for a known value. What a
-            section does not say is that of `DEFAULTS`. Known to be 0, the two are left out. Values, bounds and whether
-            they are identified may be lists, one entry a joint, or go by patterns of joints' names.
+        params: Sections of `armature`, and where wanted of `delay`, by which commands act late [s], of
+            `position_offset`, which the measured position lacks [rad or m], and of `torque_offset`, a constant torque
+            besides the actuator's, of a cable or of a link that is heavier than the model's [N m or N]; a number stands
+            for a known value. What a section does not say is that of `DEFAULTS`. Known to be 0, these three are left
+            out. Values, bounds and whether they are identified may be lists, one entry a joint, or go by patterns of
+            joints' names.
         solreffriction: Time constant [s] and damping ratio of MuJoCo's friction constraint. MuJoCo's default is
             (0.02, 1), with which dry friction is viscous at low speed; a shorter time constant makes sticking stiffer.
             None is the default, `auto` likewise until a recipe has chosen.
@@ -342,7 +346,7 @@ class Bench(Described):
         """
         rows = np.broadcast_to(constraint, self.nv)
         # Rollouts delay the command themselves, and the engine sets the reference position.
-        values = {name: value for name, value in self.initial_values().items() if name not in _OPTIONAL}
+        values = {name: value for name, value in self.initial_values().items() if name not in _IN_ROLLOUTS}
         return self._template.compile(self.mjcf(values, rows.astype(float) if rows.any() else None), bool(rows.any()))
 
     def accept(self, log: Log) -> Log:

@@ -162,7 +162,7 @@ def aim(fitted: Identified, drives: Sequence[Motor]) -> Callable[[Signals], Floa
     law = fitted.bench.actuator
     told = isinstance(law, JointPD | RecordedPD)
     gains = {**fitted.values["bench"], **(_constant_gains(fitted) if isinstance(law, RecordedPD) else {})}
-    pull = fitted.values["bench"].get("torque_offset", 0.0) if told else 0.0  # of OFFSET in joint_pd
+    pull = fitted.values["bench"].get("torque_offset", 0.0)
     moved = pull / np.array([drive.stiffness for drive in drives])
     return lambda signals: (aim_at(np, gains, signals.ctrl, signals.inputs) if told else signals.ctrl) + moved
 
@@ -218,6 +218,12 @@ def say_common(fitted: Identified, nearest: Nearest, inputs: Mapping[str, float]
             f"The position offset, {listed} {units['position']}, is not in the file: add it to measured positions and "
             "to commands."
         )
+    if "torque_offset" in values:
+        listed = list_values(values["torque_offset"])
+        said.append(
+            f"The constant torque, {listed} {units['torque']}, is not in the file: add it, divided by the stiffness, "
+            "to position targets, as for the difference."
+        )
     return said
 
 
@@ -235,13 +241,6 @@ def _say_commands(fitted: Identified) -> list[str]:
     if (values["torque_gain"] != 1).any():
         listed = list_values(values["torque_gain"])
         said.append(f"Gains and limits in the file are those of the controller times torque_gain, {listed}.")
-    if "torque_offset" in values and values["torque_offset"].any():
-        listed = list_values(values["torque_offset"])
-        unit = UNITS[fitted.bench.joint_type]["torque"]
-        said.append(
-            f"The constant torque, {listed} {unit}, is not in the file: add it, divided by the stiffness, to position "
-            "targets, as for the difference."
-        )
     if "torque_low" in values:
         said.append("The torque's range is not symmetrical; limits in the file are those of its upper end.")
     if "torque_saturation" in values:

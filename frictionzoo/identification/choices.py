@@ -5,8 +5,14 @@ from typing import Any, NamedTuple
 
 from frictionzoo.core.params import AUTO
 
-OPTIONAL = {"delay": "commands act late", "position_offset": "the encoder's zero is another"}
+OPTIONAL = {
+    "delay": "commands act late",
+    "position_offset": "the encoder's zero is another",
+    "torque_offset": "a constant torque acts besides the actuator's",
+}
 """Parameters of a bench that are identified where recordings show them, and what they stand for."""
+RIVALS = "torque_offset", "position_offset"
+"""Those among them that shift a balance with gravity alike: together, neither may show. The first is tried first."""
 
 
 class Choice(NamedTuple):

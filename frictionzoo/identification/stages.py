@@ -17,7 +17,7 @@ from frictionzoo.fit import Fit, Space
 from frictionzoo.fit.auto import Auto
 from frictionzoo.fit.lm import MOST_COORDINATES, LevenbergMarquardt
 from frictionzoo.fit.loss import soft_width
-from frictionzoo.identification.choices import OPTIONAL, Choice, imply, is_open
+from frictionzoo.identification.choices import OPTIONAL, RIVALS, Choice, imply, is_open
 from frictionzoo.identification.misfit import Misfit
 from frictionzoo.identification.noise import Noise
 from frictionzoo.identification.pilot import Found, Pilot
@@ -291,6 +291,8 @@ class Stages:
             return
         self._found = self._found or self._go_on(self._pilot(), shifted=True)
         shown = {name: self._is_shown(self._found, name) for name in free}
+        if all(name in free and not shown[name][0] for name in RIVALS):
+            shown |= self._try_alone()
         doubtful = [name for name, (is_shown, _) in shown.items() if not is_shown]
         self._shown = [name for name in free if name not in doubtful]
         # Where a law lacks something, intervals are wide, and what makes up for it may be of use all the same.
@@ -304,6 +306,21 @@ class Stages:
             why = OPTIONAL[name] if is_shown else "of use" if helps else "not shown"
             beside = f"; with it, the error on a validation block is {share:.3g} times as large" if helps else ""
             yield Choice(f"bench.params.{name}.identify", is_shown or helps, f"{why}: {told}{beside}")
+
+    def _try_alone(self) -> dict[str, tuple[bool, str]]:
+        """What shows of rivals one at a time: the one that fits better, where the first is shown without the other."""
+        found, alone = self._found, dict[str, Found]()
+        for name, other in (RIVALS, RIVALS[::-1]):
+            params = self.settings["bench"]["params"]
+            before = self._change(params={**params, other: {**params[other], "identify": False, "init": 0.0}})
+            alone[name] = self._go_on(self._pilot(), found)
+            self.settings["bench"] = before
+            if not self._is_shown(alone[name], name)[0]:
+                break
+        best = min(alone, key=lambda name: alone[name].loss)
+        is_shown = self._is_shown(alone[best], best)
+        self._found = alone[best] if is_shown[0] else found
+        return {best: is_shown} if is_shown[0] else {}
 
     def _is_shown(self, found: Found, name: str) -> tuple[bool, str]:
         """Whether an optional parameter is, and its values with half their intervals."""

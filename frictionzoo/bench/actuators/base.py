@@ -1,8 +1,9 @@
 """The interface of an actuator law: how a recorded command becomes torque.
 
 MuJoCo's affine actuator gives `gain * ctrl + bias0 + bias1 * qpos + bias2 * qvel`. A law here is these four
-coefficients as functions of its parameters, so that the fitted simulation and the exported MJCF hold the same actuator,
-and, where that is not enough, what its controller makes of the command before the actuator gets it.
+coefficients as functions of its parameters and of the bench's `torque_offset`, a part of bias0, so that the fitted
+simulation and the exported MJCF hold the same actuator, and, where that is not enough, what its controller makes of the
+command before the actuator gets it.
 """
 
 from abc import ABC, abstractmethod
@@ -100,7 +101,11 @@ class Actuator(Described, ABC):
 
     @abstractmethod
     def affine(self, values: Mapping[str, Any]) -> Affine:
-        """MuJoCo's coefficients for these parameter values, each of shape (nv,)."""
+        """MuJoCo's coefficients for these parameter values, each of shape (nv,).
+
+        Args:
+            values: Value of each parameter, and the bench's `torque_offset` [N m or N] where it has one; bias0 has it.
+        """
 
     def control(
         self, xp: Any, values: Mapping[str, Any], qpos: Any, qvel: Any, command: Any, inputs: Mapping[str, Any]

@@ -30,7 +30,7 @@ class DcMotorPD(Actuator):
     def affine(self, values: Mapping[str, Any]) -> Affine:
         """See `Actuator.affine`."""
         zero = 0 * values["kp"]
-        return Affine(zero + 1, zero, zero, zero)
+        return Affine(zero + 1, values.get("torque_offset", zero), zero, zero)
 
     def control(
         self, xp: Any, values: Mapping[str, Any], qpos: Any, qvel: Any, command: Any, inputs: Mapping[str, Any]

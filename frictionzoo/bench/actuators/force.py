@@ -40,7 +40,7 @@ class Force(Actuator):
     def affine(self, values: Mapping[str, Any]) -> Affine:
         """See `Actuator.affine`."""
         zero = 0 * values["force_gain"]
-        return Affine(values["force_gain"], values["force_offset"], zero, zero)
+        return Affine(values["force_gain"], values["force_offset"] + values.get("torque_offset", zero), zero, zero)
 
     def control(
         self, xp: Any, values: Mapping[str, Any], qpos: Any, qvel: Any, command: Any, inputs: Mapping[str, Any]

@@ -21,21 +21,17 @@ from frictionzoo.bench.actuators.saturation import (
 GAIN: Mapping[str, Any] = {"init": 1.0, "low": 0.5, "high": 2.0, "scale": "log", "identify": False}
 """Section of a `torque_gain` of which nothing is said: the torque is what the controller asks for."""
 
-OFFSET: Mapping[str, str] = {"torque_offset": "torque"}
-"""Dimension of a constant torque besides the controller's, which a law may have among its `optional`."""
-
 
 @register_actuator("joint_pd")
 class JointPD(Actuator):
     """Impedance controller of a robot's joint: position, velocity and torque are commanded at once.
 
-        torque = torque_gain sat(kp (ctrl - qpos) + kd (ctrl_velocity - qvel) + ctrl_torque) + torque_offset
+        torque = torque_gain sat(kp (ctrl - qpos) + kd (ctrl_velocity - qvel) + ctrl_torque)
 
     with kp [N m/rad or N/m], kd [N m s/rad or N s/m], the desired position ctrl [rad or m], the desired velocity
     ctrl_velocity [rad/s or m/s] and the feed-forward torque ctrl_torque [N m or N], both 0 where recordings lack them.
-    torque_gain [1] is what the joint gives of the torque that the controller asks for. Where parameters say so,
-    torque_offset [N m or N] acts besides: a cable that pulls, a link that is heavier than the model's; and sat is
-    there: torque_saturation [N m or N] is kappa of kappa tanh(torque / kappa), torque_limit [N m or N] cuts off, below
+    torque_gain [1] is what the joint gives of the torque that the controller asks for. sat is there where parameters
+    say so: torque_saturation [N m or N] is kappa of kappa tanh(torque / kappa), torque_limit [N m or N] cuts off, below
     at torque_low [N m or N] instead of -torque_limit if there is one. ctrl ends at ctrl_low and ctrl_high [rad or m]
     if parameters say so. `bench=robot` has these ends from the file.
 
@@ -51,11 +47,10 @@ class JointPD(Actuator):
         "kp": "stiffness",
         "kd": "damping",
         "torque_gain": "1",
-        **OFFSET,
         **LIMITS,
         **POSITIONS,
     }
-    optional: ClassVar[tuple[str, ...]] = (*LIMITS, *OFFSET, *POSITIONS)
+    optional: ClassVar[tuple[str, ...]] = (*LIMITS, *POSITIONS)
     ends: ClassVar[tuple[str, ...]] = ENDS
     positive: ClassVar[Mapping[str, str]] = {
         "kp": "take Force for commands of torque alone, RecordedPD for gains that recordings have",
@@ -91,8 +86,7 @@ class JointPD(Actuator):
 
     def force_range(self, values: Mapping[str, Any]) -> Float[np.ndarray, "nv 2"] | None:
         """See `Actuator.force_range`."""
-        ends, gain = force_range(values), values["torque_gain"]
-        return None if ends is None else values.get("torque_offset", 0 * gain)[:, None] + gain[:, None] * ends
+        return force_range(values, values["torque_gain"])
 
 
 def aim_at(xp: Any, values: Mapping[str, Any], command: Any, inputs: Mapping[str, Any]) -> Any:

@@ -14,4 +14,4 @@ class PositionPD(Actuator):
 
     def affine(self, values: Mapping[str, Any]) -> Affine:
         """See `Actuator.affine`."""
-        return Affine(values["kp"], 0 * values["kp"], -values["kp"], -values["kd"])
+        return Affine(values["kp"], values.get("torque_offset", 0 * values["kp"]), -values["kp"], -values["kd"])

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from frictionzoo.bench.actuators.base import Actuator, Affine, register_actuator
-from frictionzoo.bench.actuators.joint_pd import GAIN, OFFSET
+from frictionzoo.bench.actuators.joint_pd import GAIN
 from frictionzoo.bench.actuators.saturation import ENDS, LIMITS, POSITIONS, POSITIVE, saturate, within_range
 
 
@@ -12,7 +12,7 @@ from frictionzoo.bench.actuators.saturation import ENDS, LIMITS, POSITIONS, POSI
 class RecordedPD(Actuator):
     """Impedance controller of a robot's joint whose gains are commands, and recorded as such.
 
-        torque = torque_gain sat(kp (ctrl - qpos) + kd (ctrl_velocity - qvel) + ctrl_torque) + torque_offset
+        torque = torque_gain sat(kp (ctrl - qpos) + kd (ctrl_velocity - qvel) + ctrl_torque)
 
     with recorded kp [N m/rad or N/m] and kd [N m s/rad or N s/m], and all else as in `JointPD`. MuJoCo's actuator gets
     the torque.
@@ -20,8 +20,8 @@ class RecordedPD(Actuator):
     Source: as of `JointPD`.
     """
 
-    dimensions: ClassVar[Mapping[str, str]] = {"torque_gain": "1", **LIMITS, **OFFSET, **POSITIONS}
-    optional: ClassVar[tuple[str, ...]] = (*LIMITS, *OFFSET, *POSITIONS)
+    dimensions: ClassVar[Mapping[str, str]] = {"torque_gain": "1", **LIMITS, **POSITIONS}
+    optional: ClassVar[tuple[str, ...]] = (*LIMITS, *POSITIONS)
     ends: ClassVar[tuple[str, ...]] = ENDS
     positive: ClassVar[Mapping[str, str]] = POSITIVE
     defaults: ClassVar[Mapping[str, Mapping[str, Any]]] = {"torque_gain": GAIN}

@@ -51,12 +51,18 @@ def beyond_mujoco(params: Container[str]) -> bool:
     return "torque_saturation" in params or ("torque_low" in params and "torque_limit" not in params)
 
 
-def force_range(values: Mapping[str, Any]) -> Float[np.ndarray, "nv 2"] | None:
-    """Return the ends of `saturate` [N m or N] where a MuJoCo actuator can hold them; None where there are none."""
+def force_range(values: Mapping[str, Any], gain: Any = 1.0) -> Float[np.ndarray, "nv 2"] | None:
+    """Return the ends of an actuator's torque [N m or N] where MuJoCo can hold them; None where there are none.
+
+    Args:
+        values: As in `saturate`, and the bench's `torque_offset` [N m or N] where it has one.
+        gain: By which a torque within the limits is multiplied, of shape (nv,).
+    """
     if "torque_limit" not in values:
         return None
     high = values["torque_limit"]
-    return np.stack([values.get("torque_low", -high), high], axis=1)
+    ends = np.stack([gain * values.get("torque_low", -high), gain * high], axis=1)
+    return ends + np.reshape(values.get("torque_offset", 0.0), (-1, 1))
 
 
 def within_range(xp: Any, values: Mapping[str, Any], command: Any) -> Any:

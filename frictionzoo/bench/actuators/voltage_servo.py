@@ -33,7 +33,7 @@ class VoltageServo(Actuator):
     def affine(self, values: Mapping[str, Any]) -> Affine:
         """See `Actuator.affine`."""
         zero = 0 * values["kt_over_r"]
-        return Affine(values["kt_over_r"], zero, zero, -values["kt2_over_r"])
+        return Affine(values["kt_over_r"], values.get("torque_offset", zero), zero, -values["kt2_over_r"])
 
     def control(
         self, xp: Any, values: Mapping[str, Any], qpos: Any, qvel: Any, command: Any, inputs: Mapping[str, Any]
