@@ -189,3 +189,27 @@ def test_the_drives_of_legs_are_found_with_values_that_they_share(
     again = fz.load(tmp_path)
     assert isinstance(again.bench, fz.Robot) and again.bench.notes == robot.notes
     np.testing.assert_array_equal(again.rollout()[0], found.rollout()[0])
+
+
+KNOWN: dict[str, Any] = {name: {"identify": False} for name in ("frictionloss", "damping")}
+
+
+def test_known_friction_is_that_of_the_file_unless_it_is_stated(dog: Callable[..., fz.Robot]) -> None:
+    """What `fit=known` judges: a default that nobody stated is no published value."""
+    begun = dog().initial_friction(fz.law("mujoco_default", 4, params=KNOWN).params)
+    assert {name: value.tolist() for name, value in begun.items()} == {"frictionloss": [0.2] * 4, "damping": [0.1] * 4}
+    for identify in (False, True):
+        stated = {**KNOWN, "frictionloss": {"identify": identify, "init": 0.03}}
+        assert set(dog().initial_friction(fz.law("mujoco_default", 4, params=stated).params)) == {"damping"}
+
+
+def test_known_friction_is_none_where_the_file_has_none(tmp_path: Path) -> None:
+    path, joint = tmp_path / "bare.xml", '<joint name="left" axis="0 1 0"/><geom size="0.1" pos="0 0 -0.2"/>'
+    path.write_text(
+        f"<mujoco><worldbody><body>{joint}</body></worldbody><actuator>"
+        '<position joint="left" kp="9" kv="1"/></actuator></mujoco>'
+    )
+    law, free = fz.law("mujoco_default", params=KNOWN), fz.law("mujoco_default")
+    begun = fz.Robot(str(path)).initial_friction(law.params)
+    assert begun["damping"] == 0 and begun["frictionloss"] == law.params["frictionloss"].low
+    assert fz.Robot(str(path)).initial_friction(free.params) == {}  # a fit begins at its defaults

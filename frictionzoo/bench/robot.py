@@ -172,10 +172,15 @@ class Robot(Bench):
         """See `Bench.initial_friction`: frictionloss and damping that the file has, and bristles of its DC motors."""
         begun = {}
         for name, param in params.items():
-            own, values = param.members(self.nv), self._say_friction(name, params)
-            if param.is_identified and np.nan_to_num(values[own]).any():
-                values = np.where(np.isnan(values), param.each("init", self.nv), values)
-                begun[name] = self._begin(param, values).each("init", self.nv)
+            values = self._say_friction(name, params)
+            said = values[param.members(self.nv)]
+            # A fit begins at 0 nowhere; what is known is 0 where the file has nothing.
+            if param.is_stated or np.isnan(said).all() or (param.is_identified and not np.nan_to_num(said).any()):
+                continue
+            values = np.where(np.isnan(values), param.each("init", self.nv), values)
+            if name.rpartition(".")[2] == "frictionloss":  # at 0 MuJoCo locks the joint
+                values = np.where(values == 0, param.each("low", self.nv), values)
+            begun[name] = self._begin(param, values).each("init", self.nv)
         return begun
 
     def _say_friction(self, name: str, params: Mapping[str, Param]) -> Float[np.ndarray, "nv"]:

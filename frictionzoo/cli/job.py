@@ -91,5 +91,5 @@ def _list_hyperparameters(name: str, problem: Problem) -> dict[str, Any]:
     options = dict(list_options(problem.settings))
     indifferent = ("resume", "compilation_cache", "loop.progress", "logger.")
     # Bounds and scales come with a choice. TensorBoard shows the first few that differ: they would hide the choice.
-    implied = ("_target_", ".low", ".high", ".scale")
+    implied = ("_target_", ".default", ".low", ".high", ".scale")
     return chosen | {k: v for k, v in options.items() if not k.startswith(indifferent) and not k.endswith(implied)}

@@ -75,6 +75,7 @@ class Param:
         tie: Joints that share one value; None: those that the bench ties.
         joints: Indices of the joints that have such a quantity, in order; what differs from joint to joint has entries
             for these alone. None: all.
+        is_stated: Whether somebody stated `init`; a robot's file goes before a default that nobody stated.
 
     Raises:
         ConfigError: The bounds are empty, an identified value begins outside them, a known one is not finite, or the
@@ -90,6 +91,7 @@ class Param:
     identify: bool | tuple[bool, ...] | Mapping[str, bool]
     tie: Tie = None
     joints: tuple[int, ...] | None = None
+    is_stated: bool = True
 
     def __post_init__(self) -> None:
         if self.scale != "log" and (isinstance(self.scale, str) or not self.scale > 0):
@@ -116,26 +118,32 @@ class Param:
     def from_config(cls, name: str, dimension: str, config: Mapping[str, Any]) -> "Param":
         """A parameter from its section of the configuration: `init`, `low`, `high`, `scale`, `identify`, all given.
 
+        Where `init` is None and there is a `default`, that is the initial value, and nobody has stated one.
+
         Raises:
             ConfigError: A key is missing, unknown or of the wrong type.
         """
         keys = {"init", "low", "high", "scale", "identify"}
         if not isinstance(config, Mapping):
             raise ConfigError(f"{name}={config!r}; expected a number, or a section with {', '.join(sorted(keys))}")
-        for key in set(config) - keys - {"tie"}:
-            raise ConfigError(f"{name}.{key}: unknown option; {closest(str(key), {*keys, 'tie'})}")
+        optional = {"tie", "default"}
+        for key in set(config) - keys - optional:
+            raise ConfigError(f"{name}.{key}: unknown option; {closest(str(key), keys | optional)}")
         for key in keys - set(config):
             raise ConfigError(f"{name}.{key}: missing; give {', '.join(sorted(keys))}")
         try:
             scale = config["scale"] if config["scale"] == "log" else float(config["scale"])
-            init, low, high = (_per_joint(config[key], float) for key in ("init", "low", "high"))
+            init, low, high, default = (
+                _per_joint(config.get(key), float) for key in ("init", "low", "high", "default")
+            )
         except (TypeError, ValueError) as error:
             raise ConfigError(f"{name}: {error}; init, low, high are numbers, scale is log or a number") from None
         try:
             identify = config["identify"] != AUTO and _per_joint(config["identify"], _truth)
         except TypeError:
             raise ConfigError(f"{name}.identify={config['identify']}; expected true or false") from None
-        return cls(name, dimension, init, low, high, scale, identify, read_tie(f"{name}.tie", config.get("tie")))
+        tie, is_stated = read_tie(f"{name}.tie", config.get("tie")), init is not None or default is None
+        return cls(name, dimension, init if is_stated else default, low, high, scale, identify, tie, None, is_stated)
 
     @property
     def is_resolved(self) -> bool:
