@@ -24,6 +24,7 @@ from frictionzoo.identification.stages import divide
 from frictionzoo.logs.signals import find_noise
 
 TIMESTEP, DELAY = 0.005, 0.012
+PULL = 0.2  # N m, constant
 OPTIONS = ("data=twin", f"data.timestep={TIMESTEP}", "data.substeps=20", "data.samples=2400", "data.cache_dir=null")
 DRIVE = {"command_delay": DELAY, "load_share": 0.0, "ripple_torque": 0.0, "static_torque": 0.11}
 QUICK: dict[str, Any] = {"evaluation": {"horizons": [0.5], "rollouts": 2, "places": 2, "trajectory": 1.0}}
@@ -43,8 +44,9 @@ def recorded() -> Dataset:
 
 @pytest.fixture(scope="module")
 def found(recorded: Dataset) -> fz.Identified:
-    """What is found with nothing but the recording and the bench."""
-    return fz.identify(knee(), "coulomb_smooth", list(recorded.train), test=0.2, **QUICK)
+    """What is found with nothing but the recording and the bench, of a drive that is pulled besides."""
+    logs = [Log(**{**vars(log), "ctrl": log.ctrl - PULL / 20}) for log in recorded.train]
+    return fz.identify(knee(), "coulomb_smooth", logs, test=0.2, **QUICK)
 
 
 @pytest.mark.parametrize("noise", [1e-4, 1e-2])
@@ -96,7 +98,10 @@ def test_a_drive_is_found_with_nothing_said(found: fz.Identified) -> None:
     values = {row["name"]: row["value"] for row in found.result["parameters"]}
     assert values["armature"] == pytest.approx(0.04, rel=0.05)
     assert values["delay"] == pytest.approx(DELAY, abs=5e-4)
+    assert values["torque_offset"] == pytest.approx(PULL, rel=0.05)
     chosen = {row["option"]: row["value"] for row in found.result["recipe"]}
+    assert chosen["bench.params.torque_offset.identify"] is True
+    assert chosen["bench.params.position_offset.identify"] is False
     assert chosen["bench.params.delay.identify"] is True and chosen["loss.refine"] is True
     assert chosen["dtype"] == found.result["dtype"] == "float64"
     settings = found.result["settings"]

@@ -12,7 +12,7 @@ OPTIONAL = {
 }
 """Parameters of a bench that are identified where recordings show them, and what they stand for."""
 RIVALS = "torque_offset", "position_offset"
-"""Those among them that shift a balance with gravity alike: together, neither may show. The first is tried first."""
+"""Those among them that shift a balance with gravity alike, so that one of them is identified at most."""
 
 
 class Choice(NamedTuple):

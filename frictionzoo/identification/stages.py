@@ -50,6 +50,7 @@ class Stages:
         self.start: Found | None = None
         self._given, self._plain, self._train, self._model, self._fit = settings, bench, dataset.train, model, fit
         self._free = {name: is_open(settings["bench"]["params"], name) for name in OPTIONAL}
+        self._closed = ""  # what is left out while its rival is free
         self._interval = dataset.train[0].timestep
         self._step_is_open = settings["bench"].get("timestep") == AUTO
         if self._step_is_open:  # the longest whole part of a sample interval that is no longer
@@ -63,6 +64,7 @@ class Stages:
             stiff = [max(2 * self._step, _STIFFEST), 1.0] if np.any(model.constrained) else DEFAULT_SOLREFFRICTION
             self._change(solreffriction=list(stiff))
         self._bench = self.bench(free=True)
+        self._closed = RIVALS[1] if all(self._free[name] for name in RIVALS) else ""
         self._samples = sum(log.samples for log in dataset.train) * self._bench.nv
         self._small = self._is_small()
         self._found: Found | None = None  # where a pilot with all that is free ended, with the loss that was chosen
@@ -85,7 +87,7 @@ class Stages:
         section = self.settings["bench"]
         params = dict(section.get("params") or {})
         for name in (name for name in OPTIONAL if is_open(params, name)):
-            params[name] = {**params[name], "identify": free}
+            params[name] = {**params[name], "identify": free and name != self._closed}
         changed = {name: section[name] for name in ("timestep", "solreffriction", "second_order") if name in section}
         return remake(self._plain, params=params, **changed)
 
@@ -290,9 +292,9 @@ class Stages:
         if not free:
             return
         self._found = self._found or self._go_on(self._pilot(), shifted=True)
-        shown = {name: self._is_shown(self._found, name) for name in free}
-        if all(name in free and not shown[name][0] for name in RIVALS):
-            shown |= self._try_alone()
+        shown = {name: self._is_shown(self._found, name) for name in free if name != self._closed}
+        if self._closed:
+            shown |= self._judge_rivals()
         doubtful = [name for name, (is_shown, _) in shown.items() if not is_shown]
         self._shown = [name for name in free if name not in doubtful]
         # Where a law lacks something, intervals are wide, and what makes up for it may be of use all the same.
@@ -301,26 +303,23 @@ class Stages:
             self._identify(name, name not in doubtful)
         share = helping / self._validate() if math.isfinite(helping) else 1.0
         for name, (is_shown, told) in shown.items():
-            helps = not is_shown and share < 1 - _HELPFUL
+            helps = not is_shown and name != self._closed and share < 1 - _HELPFUL
             self._identify(name, is_shown or helps)
             why = OPTIONAL[name] if is_shown else "of use" if helps else "not shown"
             beside = f"; with it, the error on a validation block is {share:.3g} times as large" if helps else ""
             yield Choice(f"bench.params.{name}.identify", is_shown or helps, f"{why}: {told}{beside}")
 
-    def _try_alone(self) -> dict[str, tuple[bool, str]]:
-        """What shows of rivals one at a time: the one that fits better, where the first is shown without the other."""
-        found, alone = self._found, dict[str, Found]()
-        for name, other in (RIVALS, RIVALS[::-1]):
-            params = self.settings["bench"]["params"]
-            before = self._change(params={**params, other: {**params[other], "identify": False, "init": 0.0}})
-            alone[name] = self._go_on(self._pilot(), found)
-            self.settings["bench"] = before
-            if not self._is_shown(alone[name], name)[0]:
-                break
-        best = min(alone, key=lambda name: alone[name].loss)
-        is_shown = self._is_shown(alone[best], best)
-        self._found = alone[best] if is_shown[0] else found
-        return {best: is_shown} if is_shown[0] else {}
+    def _judge_rivals(self) -> dict[str, tuple[bool, str]]:
+        """Which of the rivals shows, each tried without the other: of two that do, the one that fits better."""
+        first, second = RIVALS
+        self._closed = first
+        ends = {first: self._found, second: self._go_on(self._pilot(), self._found)}
+        shown = {name: self._is_shown(end, name) for name, end in ends.items() if end is not None}
+        best, other = sorted(RIVALS, key=lambda name: (not shown[name][0], ends[name].loss))
+        self._closed, self._found = other, ends[best]
+        if shown[other][0]:
+            shown[other] = False, f"{shown[other][1]}; {best} fits better"
+        return shown
 
     def _is_shown(self, found: Found, name: str) -> tuple[bool, str]:
         """Whether an optional parameter is, and its values with half their intervals."""
