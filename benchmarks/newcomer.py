@@ -2,12 +2,15 @@
 
     python benchmarks/newcomer.py
     python benchmarks/newcomer.py --drives 5 --first 20 --kinds late leg
+    python benchmarks/newcomer.py --drives 3 --kinds arm slow_arm quadruped
 
-Each drive is of one of eight kinds, with friction, armature, link, gains, encoder and delay of its own. Its motion is
-that of `event_exact.py`, which knows nothing of MuJoCo. The fitted law is the one by which the drive was made.
+Each drive is of one of eight kinds, with friction, armature, link, gains, encoder and delay of its own; robots are made
+where they are asked for. Motion is that of `event_exact.py`, which knows nothing of MuJoCo. The fitted law is the one
+by which the drive was made.
 """
 
 import argparse
+import itertools
 import json
 import resource
 import subprocess
@@ -25,7 +28,7 @@ from jaxtyping import Float
 from measure import make_parser, report
 
 VELOCITY_NOISE = 0.02  # rad/s
-SECONDS = 40.0
+AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 PAYLOADS = (0.0, 0.3, 0.6)  # kg
 COLUMNS = {
     "drive": "drive",
@@ -55,7 +58,10 @@ class Kind:
         velocity: In the log: `noisy`, `filtered` from positions, or `none`.
         speed: Of the excitation, over the usual one.
         payloads: Whether it carries another mass in each of several recordings.
-        joints: Their number.
+        axes: Of the joints of a chain, from its base.
+        chains: Their number.
+        mass: The least of a link [kg]; the most is four times that.
+        seconds: Length of the recordings.
     """
 
     law: str = "mujoco_default"
@@ -64,7 +70,10 @@ class Kind:
     velocity: str = "noisy"
     speed: float = 1.0
     payloads: bool = False
-    joints: int = 1
+    axes: str = "y"
+    chains: int = 1
+    mass: float = 0.2
+    seconds: float = 40.0
 
     def draw(self, rng: np.random.Generator, late: bool) -> Drive:
         """Draw one joint's drive."""
@@ -97,8 +106,12 @@ KINDS: Mapping[str, Kind] = {
     "sticking": Kind(speed=0.12),
     "directional": Kind("asymmetric"),
     "presliding": Kind("dahl", rate=1000, bits=16),
-    "leg": Kind(joints=2, bits=15),
+    "leg": Kind(bits=15, axes="yy"),
+    "arm": Kind(bits=12, velocity="none", axes="zyyyxy", mass=0.05, seconds=12.0),
+    "slow_arm": Kind(rate=50, bits=12, velocity="none", speed=0.5, axes="zyyyxy", mass=0.05, seconds=120.0),
+    "quadruped": Kind(bits=15, axes="xyy", chains=4, seconds=24.0),
 }
+ROBOTS = ("arm", "slow_arm", "quadruped")
 
 
 @dataclass(frozen=True)
@@ -115,18 +128,20 @@ class Hidden:
     def draw(cls, name: str, seed: int) -> "Hidden":
         """Draw the drives of this kind and seed."""
         rng, kind = np.random.default_rng(5000 + seed), KINDS[name]
-        links = []
-        for joint in range(kind.joints):
-            mass, length = rng.uniform(0.2, 0.8), rng.uniform(0.1, 0.25)
+        links: list[Link] = []
+        for chain, (joint, axis) in itertools.product(range(kind.chains), enumerate(kind.axes)):
+            mass, length = rng.uniform(kind.mass, 4 * kind.mass), rng.uniform(0.1, 0.25)
             round_it = mass * length**2 / 12
-            place = (0.0, 0.0, 0.0) if joint == 0 else (0.0, 0.02, links[-1].centre[2] * 2)
-            links.append(Link(joint - 1, (0, 1, 0), place, mass, (0, 0, -length / 2), (round_it, round_it, 1e-5)))
+            parent = len(links) - 1 if joint else -1
+            place = (0.0, 0.02, links[-1].centre[2] * 2) if joint else (0.3 * chain, 0.0, 0.0)
+            inertia = round_it, round_it, 1e-5
+            links.append(Link(parent, AXES[axis], place, mass, (0, 0, -length / 2), inertia))
         return cls(name, kind, seed, links, [kind.draw(rng, name == "late") for _ in links])
 
     @property
     def names(self) -> list[str]:
         """Of the joints."""
-        return ["motor"] if len(self.links) == 1 else ["hip", "knee"]
+        return ["motor"] if len(self.links) == 1 else [f"joint{number}" for number, _ in enumerate(self.links)]
 
     def record(self, folder: Path) -> float:
         """Write the stand's MJCF and the logs; returns the share of time in which joints stick."""
@@ -135,7 +150,7 @@ class Hidden:
         (folder / "stand.xml").write_text(write_mjcf(self.links, self.names))
         sticking = []
         for number, payload in enumerate(PAYLOADS if self.kind.payloads else (0.0,)):
-            time = np.arange(round(SECONDS / (2 if self.kind.payloads else 1) / interval)) * interval
+            time = np.arange(round(self.kind.seconds / (2 if self.kind.payloads else 1) / interval)) * interval
             ctrl = np.stack([_excite(time, self.kind.speed, rng) for _ in self.links], axis=1)
             at = (0.0, 0.0, 2 * self.links[-1].centre[2])
             links = [*self.links[:-1], self.links[-1].with_payload(payload, at)]
@@ -162,7 +177,7 @@ class Hidden:
         one = len(self.drives) == 1
         options = ["data=files", f"data.train=[{logs}]", f"bench.mjcf={folder / 'stand.xml'}", f"model={self.kind.law}"]
         options.append("bench=knee" if one else "bench=robot")
-        options.append(f"bench.joint={'motor' if one else '[hip,knee]'}")
+        options.append(f"bench.joint={'motor' if one else '[' + ','.join(self.names) + ']'}")
         for gain in ("kp", "kd"):
             values = [getattr(drive, gain) for drive in self.drives]
             options.append(f"bench.actuator.params.{gain}.init={values[0] if one else values}".replace(" ", ""))
@@ -227,7 +242,9 @@ def parse() -> argparse.Namespace:
     parser = make_parser("newcomer", __doc__)
     parser.add_argument("--drives", type=int, default=24, metavar="N", help="how many hidden drives")
     parser.add_argument("--first", type=int, default=0, metavar="SEED", help="seed of the first")
-    parser.add_argument("--kinds", nargs="+", choices=tuple(KINDS), default=[*KINDS])
+    parser.add_argument(
+        "--kinds", nargs="+", choices=tuple(KINDS), default=[each for each in KINDS if each not in ROBOTS]
+    )
     parser.add_argument("--more", nargs="*", default=[], metavar="OPTION", help="options of frictionzoo.run besides")
     return parser.parse_args()
 
