@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
@@ -54,6 +54,7 @@ class Bench(Described):
     model that is fitted and the model that is exported are therefore one text with different numbers.
 
     Attributes:
+        armature_high: Upper bound of the armature where none is stated [kg m^2 or kg].
         joints: Names of the identified joints, in MuJoCo's order.
         joint_type: `hinge` or `slide`.
         params: The armature, the delay and the offsets where there are any, and the actuator's parameters.
@@ -102,6 +103,8 @@ class Bench(Described):
         BenchError: The template cannot be read or compiled, or does not have these joints.
         ConfigError: A parameter's section makes no sense.
     """
+
+    armature_high: ClassVar[float] = DEFAULTS["armature"]["high"]
 
     def __init__(
         self,

@@ -42,7 +42,7 @@ class Robot(Bench):
         joint: Names of joints, or regular expressions that match whole names; None for all with one degree of freedom.
         actuator: The law that turns commands into torque; None for that of the file: a position controller for its
             position actuators, a torque command for its motors.
-        params: As of `Bench`; `armature.init` and `delay.init` of None for those of the file.
+        params: As of `Bench`; `armature.init` and `delay.init` of None for those of the file, `armature.high` of 10.
         base: `fixed`: a floating base is welded; `as_is`: it is refused.
         contacts: `leave_out` or `keep`.
         limits: `leave_out` or `keep`, of joints.
@@ -62,6 +62,8 @@ class Robot(Bench):
         BenchError: The file cannot be read, or has what can neither be simulated nor left out.
         ConfigError: A parameter's section makes no sense, or has no value and the file has none.
     """
+
+    armature_high = 10.0
 
     def __init__(
         self,
@@ -89,8 +91,8 @@ class Robot(Bench):
         step = None if timestep is None or timestep == AUTO else float(timestep)
         self.file: RobotFile = read_robot(mjcf, joint, **self.choices, keep=keep, timestep=step)
         sections = {**(params or {})}
-        for name in ("armature", "delay"):
-            sections[name] = {"init": None, **_section(sections.get(name, {}))}
+        for name, high in {"armature": {"high": self.armature_high}, "delay": {}}.items():
+            sections[name] = {"init": None, **high, **_section(sections.get(name, {}))}
         if ranges not in ("keep", "leave_out"):
             raise ConfigError(f"bench.ranges={ranges}: no such choice; {closest(str(ranges), ('keep', 'leave_out'))}")
         actuator = _read_actuator(mjcf, self.file) if actuator is None else actuator

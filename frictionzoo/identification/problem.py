@@ -27,6 +27,7 @@ from frictionzoo.fit import Fit, Objective, Space
 from frictionzoo.fit.link_inertia import LinkInertia
 from frictionzoo.fit.recordings import Recordings
 from frictionzoo.fit.start import begin_where
+from frictionzoo.identification.bounds import widen_bounds
 from frictionzoo.identification.choices import Choice
 from frictionzoo.identification.recipe import Settled, settle
 from frictionzoo.logs.pairing import describe_columns
@@ -127,8 +128,10 @@ class Parts(NamedTuple):
         watching = bench.observing(model.inputs)
         train, test = (tuple(map(watching.accept, logs)) for logs in (dataset.train, dataset.test))
         doubts = check_up(Dataset(dataset.name, train, test), watching, settings["checkup"])
+        settings, bench, widened = widen_bounds(settings, bench, train, model)
         with computing("float64", settings["device"], settings["compilation_cache"]):
             settled = choose(settings, bench, dataset, model, fit)
+        settled = replace(settled, choices=(*widened, *settled.choices))
         return cls(settled, dataset, model, fit, doubts, time.perf_counter() - began)
 
     def computing(self) -> contextlib.AbstractContextManager[str]:
