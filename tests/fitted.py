@@ -8,6 +8,7 @@ import torch
 from conftest import trace_nothing
 
 from frictionzoo.bench import Bench, JointPD, Robot
+from frictionzoo.core.described import describe
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import Signals
 from frictionzoo.models import MujocoDefault
@@ -53,5 +54,9 @@ def fit(
     qpos, qvel = np.random.default_rng(0).normal(scale=0.2, size=(2, 2, length + 1, bench.nv))
     loads = None if load is None else np.stack([bench.load(each) for each in load])
     segments = Segments(qpos, qvel, signals, sampling.interval, loads)
-    result: Any = {"settings": {}, "model": law.name, "metrics": {"test": {"position_mae": ERROR}}}
+    result: Any = {
+        "settings": {"bench": describe(bench)},
+        "model": law.name,
+        "metrics": {"test": {"position_mae": ERROR}},
+    }
     return Identified(None, result, bench, law, {}, values, segments, sampling, trace_nothing(segments))

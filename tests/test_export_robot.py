@@ -17,7 +17,7 @@ from robot_texts import ARM, LEG, changed, save
 
 from frictionzoo.bench import JointPD
 from frictionzoo.bench.robot_file import read_robot
-from frictionzoo.core.errors import ExportError, FrictionzooError
+from frictionzoo.core.errors import ConfigError, ExportError, FrictionzooError
 from frictionzoo.export.bench import Mjcf, write_bench, write_identified
 from frictionzoo.export.in_place import InPlace
 from frictionzoo.export.isaaclab import IsaacLab
@@ -26,6 +26,7 @@ from frictionzoo.export.nearest import Nearest
 from frictionzoo.export.robot import Equipped, put_into, say_whole
 from frictionzoo.result.identified import Identified
 
+INTEGRATORS = {"implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST, "RK4": mujoco.mjtIntegrator.mjINT_RK4}
 EXACT = 1e-9  # N m or rad; rounding stays far below
 ROBOT = changed(
     LEG,
@@ -83,6 +84,32 @@ def test_the_bench_beside_it_is_what_was_simulated(tmp_path: Path) -> None:
     assert mujoco.MjModel.from_xml_path(str(folder / "bench.xml")).nv == 2
     assert any("nor the original" in limit for limit in export.limits)  # its meshes are not there
     assert '<joint name="toe" axis="0 1 0" ref="15"/>' in (folder / "identified.xml").read_text()
+
+
+def test_a_robots_file_has_the_steps_that_its_parameters_are_for(tmp_path: Path) -> None:
+    fitted = fit(save(tmp_path, ROBOT), substeps=4, second_order=True)
+    timestep = 4 * fitted.timestep
+    option = ET.fromstring(put(fitted.at()).content).find("option")
+    own = ET.fromstring(ROBOT).find("option")
+    assert option is not None and own is not None and option.attrib == own.attrib
+    for integrator in ("implicitfast", "RK4"):
+        robot = put(fitted.at(timestep, integrator))
+        option = robot.model.opt
+        assert (option.timestep, mujoco.mjtIntegrator(option.integrator)) == (timestep, INTEGRATORS[integrator])
+        assert "<option>" in robot.notes[0] and integrator in robot.notes[0]
+    with pytest.raises(ConfigError, match="integrator=RK4: target=mujoco"):
+        fitted.export("mujoco", tmp_path / "no", integrator="RK4")
+    with pytest.raises(ConfigError, match="integrator=RK4: the parameters"):
+        fit(fitted.bench.source).at(None, "RK4")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("delay", [0.0, 0.009, 0.021])
+def test_rk4_moves_as_the_drive_in_continuous_time(delay: float, tmp_path: Path) -> None:
+    """As loaded in MuJoCo C, with commands that are late by up to a few steps; half a step is 4 mrad at 1 rad/s."""
+    fitted = fit(save(tmp_path, LEG), substeps=2, second_order=True, params={"delay": delay})
+    for file in write_identified(fitted.at(2 * fitted.timestep, "RK4")):
+        assert file.difference is not None and file.difference.mean < 4e-4
 
 
 def put(fitted: Identified) -> Equipped:

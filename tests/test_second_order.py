@@ -10,11 +10,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import frictionzoo as fz
+from frictionzoo.bench.delay import stretch, write_delay
 from frictionzoo.core.described import describe, remake
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import Signals
-from frictionzoo.result.simulator import build_simulated, compensate
+from frictionzoo.result.simulator import build_simulated, compensate, find_residual
 from frictionzoo.simulate.drive import Drive
 
 KP, KD, OWN, ARMATURE = 40.0, 1.5, 0.05, 0.02
@@ -104,8 +105,8 @@ def test_a_simulator_gets_the_parameters_with_which_it_moves_as_the_drive(
     simulated = build_simulated(stand, describe(stand), values, {"timestep": timestep})
     qpos = np.concatenate([[START[0]], truth])[None, :, None]
     segments = Segments(qpos, np.gradient(qpos, INTERVAL, axis=1), Signals(COMMANDS[None, :, None]), INTERVAL)
-    found, lacking = compensate(simulated, friction, values, segments)
-    assert not lacking.any() and found["bench"]["delay"] == pytest.approx(timestep / 2)
+    found = compensate(simulated, friction, values, segments)
+    assert found["bench"]["delay"] == pytest.approx(timestep / 2)
     kept = {**found["bench"], "armature": values["bench"]["armature"], "delay": np.zeros(1)}
     begun = round(0.3 / INTERVAL)  # what begins out of step with the half drift has decayed by then
     errors = [np.abs(play(simulated, of) - truth)[begun:].max() for of in (found["bench"], kept)]
@@ -118,8 +119,27 @@ def test_a_drive_without_recordings_has_a_simulator_too(tmp_path: Path) -> None:
     values = {"bench": stand.initial_values(), "friction": own}
     simulated = build_simulated(stand, describe(stand), values, {"timestep": 2e-3})
     none = np.zeros((0, 3, 1))
-    found, _ = compensate(simulated, friction, values, Segments(none, none, Signals(none[:, :2]), INTERVAL))
+    found = compensate(simulated, friction, values, Segments(none, none, Signals(none[:, :2]), INTERVAL))
     assert found["bench"]["armature"][0] == pytest.approx(ARMATURE + 1e-3 * (KD - OWN - 0.3))
+
+
+@pytest.mark.parametrize("steps", [0.4, 1.0, 1.05, 1.3, 1.7, 2.0, 4.6])
+def test_commands_are_as_late_under_rk4_as_they_should(steps: float) -> None:
+    """A force that rises steadily, as it comes out of MuJoCo's actuator in RK4."""
+    timestep = 2e-3
+    delay = steps * timestep
+    late = write_delay(float(stretch(np.array(delay), timestep)), timestep)
+    written = " ".join(f'{name}="{value}"' for name, value in late.items())
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><option timestep="{timestep}" gravity="0 0 0" integrator="RK4"/><worldbody><body>
+        <joint name="j" type="slide"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></worldbody>
+        <actuator><general joint="j" {written}/></actuator></mujoco>"""
+    )
+    data = mujoco.MjData(model)
+    for data.ctrl[0] in timestep * np.arange(60):
+        before = data.qvel[0]
+        mujoco.mj_step(model, data)
+    assert data.ctrl[0] - (data.qvel[0] - before) / timestep == pytest.approx(delay)
 
 
 def play(simulated: fz.Bench, values: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -162,6 +182,13 @@ def test_exact_coulomb_friction_is_found(tmp_path: Path, monkeypatch: pytest.Mon
     assert values["friction.damping"] == pytest.approx(0.2, rel=1e-2)
     chosen = {row["option"]: row["value"] for row in found.result["recipe"]}
     assert chosen["bench.second_order"] is True and chosen["bench.solreffriction"] == [2e-3, 1.0]
+    own = np.abs(find_residual(found)).mean()
+    for integrator in ("Euler", "implicitfast", "RK4"):
+        for timestep in (2e-3, 5e-3):
+            folder = tmp_path / f"{integrator}{1e3 * timestep:g}"
+            export = found.export("mjcf", folder, timestep=timestep, integrator=integrator).export
+            assert export is not None and export.differences[0].error is not None
+            assert export.differences[0].error < 2 * own
 
 
 def test_an_integrator_that_is_none_is_refused(tmp_path: Path) -> None:

@@ -2,6 +2,9 @@
 
 import math
 
+import numpy as np
+from jaxtyping import Float
+
 from frictionzoo.bench.template import in_full
 
 _ROUNDING = 1e-9  # share of a step
@@ -24,6 +27,18 @@ def write_delay(delay: float, timestep: float) -> dict[str, str]:
     if steps < _ROUNDING:
         return {}
     return {"dyntype": "filterexact", "dynprm": in_full(timestep / math.log1p(1 / steps)), "actearly": "true"}
+
+
+def stretch(delay: Float[np.ndarray, "..."], timestep: float) -> Float[np.ndarray, "..."]:
+    """Return the delays [s] to write for MuJoCo's RK4, so that commands act this late in steps of this length [s].
+
+    RK4 looks at a late command at a step's begin, middle and end, with weights of 1/6, 2/3 and 1/6, and takes the last
+    one that is stored where a later one is needed. A steady change is late by half a step less than the delay says, and
+    by less than that where the delay is shorter than two steps. Filters are as late as they say.
+    """
+    steps = delay / timestep
+    short = np.interp(steps, [1.0, 13 / 12, 1.5], [1.0, 1.5, 2.0])
+    return np.where(steps < 1, delay, np.where(steps < 1.5, short, steps + 0.5) * timestep)
 
 
 def is_filtered(delay: float, timestep: float) -> bool:

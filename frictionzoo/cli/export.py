@@ -8,8 +8,9 @@ from frictionzoo.cli.mistakes import mistakes_in_one_line
 from frictionzoo.core.options import read_options
 from frictionzoo.core.telling import Parser, say, tell
 
-_OPTIONS = """options: target=NAME or target=all; timestep=SECONDS of the simulation, that of the run where it is left
-out; output=FOLDER, export/NAME in the run's where it is left out; and those of the target."""
+_OPTIONS = """options: target=NAME or target=all; timestep=SECONDS and integrator=NAME of the simulator (Euler,
+implicitfast or RK4), those of the model file where they are left out; output=FOLDER, export/NAME in the run's where it
+is left out; and those of the target."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -2,13 +2,14 @@
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
 
+from frictionzoo.bench.template import INTEGRATORS
 from frictionzoo.core.errors import ConfigError, ExportError
 from frictionzoo.core.params import UNITS
 from frictionzoo.core.registry import KINDS, Registry
@@ -22,12 +23,14 @@ class Target(ABC):
     Attributes:
         name: Set by `register_target`.
         options: What it takes besides `timestep` and `output`: name to meaning, in a few words.
+        integrators: MuJoCo's integrators that it can be written for.
         packages: Python packages without which it can be neither written nor run; their versions are noted.
         instant: Whether it writes the law itself as a function of one instant, which a law with a memory is not.
     """
 
     name: ClassVar[str]
     options: ClassVar[Mapping[str, str]] = {}
+    integrators: ClassVar[Sequence[str]] = tuple(INTEGRATORS.values())
     packages: ClassVar[tuple[str, ...]] = ()
     instant: ClassVar[bool] = False
 

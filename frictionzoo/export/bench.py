@@ -13,15 +13,17 @@ from frictionzoo.bench import Robot
 from frictionzoo.core.errors import ConfigError, FrictionzooError
 from frictionzoo.core.params import UNITS
 from frictionzoo.export.base import Target, list_values, register_target
+from frictionzoo.export.in_place import InPlace
 from frictionzoo.export.loaded import ModelFile, is_clipped, list_lacks, play, say_delay, say_difference
 from frictionzoo.export.nearest import Nearest, find_nearest, say_law
-from frictionzoo.export.robot import ACTUATORS, Equipped, compare_torque, put_into, say_whole
+from frictionzoo.export.robot import ACTUATORS, Equipped, compare_torque, put_into, say_whole, set_option, write_late
 from frictionzoo.export.simulate import PAYLOADS
 from frictionzoo.export.stand import list_coupled, mount
 from frictionzoo.export.written import Difference, Export
 from frictionzoo.result.evaluate import Prediction
 from frictionzoo.result.identified import Identified
 from frictionzoo.result.names import name_some
+from frictionzoo.result.simulator import RK4, predict_origin, read_integrator, stands_in
 
 _log = logging.getLogger(__name__)
 FILE = "bench.xml"
@@ -37,6 +39,7 @@ class Mjcf(Target):
         "joint": "its joint, or several with commas between",
         "actuator": "identified, to replace or add the joints' actuators, or keep",
     }
+    integrators: ClassVar[Sequence[str]] = (*Target.integrators, RK4)
     packages: ClassVar[tuple[str, ...]] = ("mujoco",)
 
     def write(self, fitted: Identified, folder: Path, options: Mapping[str, str]) -> Export:
@@ -73,7 +76,7 @@ def write_identified(fitted: Identified) -> list[ModelFile]:
     That is the bench; of a robot's own file, the bench that was simulated, and that file with the drive in it. Where it
     cannot hold the drive, a line of the log says why.
     """
-    fitted = fitted.at_home() if fitted.bench.second_order else fitted
+    fitted = fitted.at() if fitted.bench.second_order and fitted.origin is None else fitted
     own = isinstance(fitted.bench, Robot)
     robot = _Robot(Path(fitted.bench.source), fitted.bench.joints) if own else None
     (bench, *others), _ = _write_models(fitted, robot, asked=False)
@@ -90,7 +93,7 @@ def _write_models(
     A robot that cannot hold the drive is left out, which the last of the bench's limits says; with `asked` it raises.
     """
     nearest = find_nearest(fitted)
-    expected = fitted.meant() if fitted.stands_in else Prediction(*fitted.rollout())
+    expected = predict_origin(fitted) if stands_in(fitted) else Prediction(*fitted.rollout())
     bench = _write_bench_file(fitted, nearest, expected)
     if robot is None:
         return [bench], ()
@@ -156,7 +159,7 @@ def _list_remarks(
 ) -> list[str]:
     """What a file's comment says besides its friction law."""
     return [
-        f"Its parameters are those for steps of {fitted.timestep:g} s with the integrator {fitted.bench.integrator}.",
+        f"Its parameters are those for steps of {fitted.timestep:g} s with the integrator {read_integrator(fitted)}.",
         *([say_difference(fitted, difference)] if difference else []),
         *(limit for limit in limits if limit != nearest.remark),
     ]
@@ -189,8 +192,13 @@ def _say_robot(robot: Equipped, fitted: Identified, nearest: Nearest, actuators:
 def write_bench(fitted: Identified, nearest: Nearest, remarks: Sequence[str] = ()) -> str:
     """The bench's MJCF with these values, in steps of the drive's length, and remarks in its comments."""
     loss = nearest.frictionloss if nearest.frictionloss.any() else None  # 0 would be a constraint without effect
-    comments = (nearest.remark or say_law(fitted.model), *remarks)
-    return fitted.bench.mjcf(nearest.bench, loss, nearest.damping, comments, limited=True)
+    comments, late = (nearest.remark or say_law(fitted.model), *remarks), write_late(fitted, nearest, fitted.timestep)
+    text = fitted.bench.mjcf({**nearest.bench, **late}, loss, nearest.damping, comments, limited=True)
+    if read_integrator(fitted) == fitted.bench.integrator:
+        return text
+    file = InPlace.read(text.encode())
+    set_option(file, fitted)
+    return file.write().decode()
 
 
 def say_limits(fitted: Identified, nearest: Nearest, timestep: float | None = None) -> tuple[str, ...]:

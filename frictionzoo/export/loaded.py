@@ -1,6 +1,6 @@
 """Model files for MuJoCo: loaded as their users do, played beside the identified drive, and what they cannot hold."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, cast
 
 import mujoco
@@ -16,6 +16,7 @@ from frictionzoo.result.evaluate import Prediction
 from frictionzoo.result.identified import Identified
 from frictionzoo.result.names import name_some
 from frictionzoo.result.run_types import WrittenRow
+from frictionzoo.result.simulator import find_errors, stands_in
 
 EXACT = 1e-9
 """Largest difference of a position [rad or m] that counts as rounding."""
@@ -71,7 +72,7 @@ def play(
         place: Where the joints are in the model; None for the bench's own.
 
     Returns:
-        The difference of positions, or None and a sentence why there is none.
+        The difference of positions and their error, or None and a sentence why there is none.
     """
     sound = ~expected.diverged
     if not sound.any():
@@ -81,7 +82,8 @@ def play(
     if lost.any():
         return None, (f"As loaded, it diverges in {lost.sum()} of {fitted.over}: do not use it.",)
     over = fitted.over if sound.all() else f"{sound.sum()} of {fitted.over}, in which the drive does not diverge"
-    return measure("qpos", fitted, came[sound], expected.qpos[sound], over, ", ".join(why)), ()
+    difference = measure("qpos", fitted, came[sound], expected.qpos[sound], over, ", ".join(why))
+    return replace(difference, error=float(np.abs(find_errors(fitted, came)[sound]).mean())), ()
 
 
 def is_clipped(model: mujoco.MjModel, fitted: Identified, place: Place) -> bool:
@@ -118,7 +120,7 @@ def list_lacks(fitted: Identified, nearest: Nearest, timestep: float) -> list[st
     lacks = [nearest.lacks] if nearest.lacks else []
     if say_delay(fitted, timestep):
         lacks.append("a delay below one step is a filter")
-    continuous = fitted.origin is not None and fitted.origin.bench.second_order
+    continuous = stands_in(fitted)
     own = fitted.origin.timestep if fitted.origin is not None and not continuous else fitted.timestep
     if not np.isclose(timestep, own, rtol=1e-6):
         lacks.append(f"steps of {timestep:g} s in place of {own:g} s")

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from frictionzoo.bench import Affine
-from frictionzoo.bench.delay import write_delay
+from frictionzoo.bench.delay import stretch, write_delay
 from frictionzoo.bench.robot_file.actuators import read_actuators, read_armature, read_damping, read_friction
 from frictionzoo.bench.robot_file.source import Source, load
 from frictionzoo.bench.template import in_full
@@ -23,6 +23,7 @@ from frictionzoo.export.nearest import Nearest, say_law
 from frictionzoo.export.ranges import list_limits
 from frictionzoo.export.written import Difference
 from frictionzoo.result.identified import Identified
+from frictionzoo.result.simulator import RK4, read_integrator
 
 _JOINT = ("armature", "solreffriction", "frictionloss", "damping")
 _PLAIN = {"dyntype": "none", "gaintype": "fixed", "gear": "1 0 0 0 0 0"}  # whatever the robot's defaults are
@@ -110,6 +111,9 @@ def put_into(
     columns = _match(path, joints, list(tags), fitted)
     before, notes = load(str(path), file.content), list[str]()
     _refuse_other_types(before.model, path, joints, fitted.bench.joint_type)
+    timestep = float(before.model.opt.timestep)
+    if fitted.origin is not None and not urdf:
+        notes, timestep = _change_option(file, before.model.opt, fitted), fitted.timestep
     template = ET.fromstring(bench)
     for name, column in zip(joints, columns, strict=True):
         if urdf:
@@ -119,7 +123,7 @@ def put_into(
         own = next(element for element in template.iter("joint") if element.get("name") == general.get("joint"))
         file.set(tags[name], {attribute: own.get(attribute, "0") for attribute in _JOINT})
         if actuators == "identified":
-            law = describe_law(fitted, nearest, column, general, float(before.model.opt.timestep))
+            law = describe_law(fitted, nearest, column, general, timestep)
             notes += _write_actuator(file, path, name, law, before)
     what = "armature, frictionloss, damping, solreffriction" + (" and actuator" if actuators == "identified" else "")
     remark = nearest.remark or say_law(fitted.model)
@@ -223,6 +227,8 @@ def _torque_in(robot: Equipped, data: mujoco.MjData, state: DriveState, actuator
             if count := int(model.actuator_history[actuator, 0]):
                 times = model.opt.timestep * np.arange(-count, 0)
                 mujoco.mj_initCtrlHistory(model, data, actuator, times, np.full(count, ctrl))
+            if model.actuator_actnum[actuator]:  # a delay below one step, as a filter
+                data.act[model.actuator_actadr[actuator]] = ctrl
     mujoco.mj_fwdPosition(model, data)
     mujoco.mj_fwdVelocity(model, data)
     mujoco.mj_fwdActuation(model, data)
@@ -305,8 +311,37 @@ def describe_law(
     law = {key: value for key, value in general.attrib.items() if key not in ("name", "joint", *_LATE)}
     law["biasprm"] = " ".join(in_full(bias[column]) for bias in _meant(fitted, nearest)[1:])
     if "delay" in nearest.bench and not fitted.bench.actuator.needs_state:
-        law |= write_delay(float(nearest.bench["delay"][column]), timestep)
+        law |= write_delay(float(write_late(fitted, nearest, timestep)["delay"][column]), timestep)
     return law
+
+
+def write_late(fitted: Identified, nearest: Nearest, timestep: float) -> dict[str, Float[np.ndarray, "nv"]]:
+    """Return the delays [s], where there are any, that actuators need in steps of this length [s]."""
+    late = {name: value for name, value in nearest.bench.items() if name == "delay"}
+    return {name: stretch(value, timestep) for name, value in late.items()} if read_integrator(fitted) == RK4 else late
+
+
+def set_option(file: InPlace, fitted: Identified) -> None:
+    """Let an MJCF have the step and the integrator that the drive's parameters are for."""
+    said = {"timestep": in_full(fitted.timestep), "integrator": read_integrator(fitted)}
+    options = [tag for tag in file.tags if tag.path == ("mujoco",) and tag.name == "option"]
+    for tag in options:
+        file.set(tag, said)
+    if not options:
+        file.append(file.tags[0], ET.Element("option", said))
+
+
+def _change_option(file: InPlace, option: mujoco.MjOption, fitted: Identified) -> list[str]:
+    """The same where the file has others, and a sentence that says so."""
+    own, wanted = mujoco.mjtIntegrator(option.integrator).name.removeprefix("mjINT_"), read_integrator(fitted)
+    # Parameters for implicitfast are those for implicit.
+    if np.isclose(option.timestep, fitted.timestep, rtol=1e-6) and wanted.lower().startswith(own.lower()):
+        return []
+    set_option(file, fitted)
+    return [
+        f"Its <option> has timestep {fitted.timestep:g} and integrator {wanted}, which the parameters are for, in "
+        f"place of {option.timestep:g} and {own}; the options timestep and integrator choose others."
+    ]
 
 
 def _list_unknown(after: Source, joints: Sequence[str]) -> tuple[str, ...]:

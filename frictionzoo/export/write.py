@@ -21,7 +21,15 @@ from frictionzoo.export.base import get_target, read_number, target_names
 from frictionzoo.export.written import Export, Written
 from frictionzoo.result.identified import Identified
 from frictionzoo.result.names import name_some
-from frictionzoo.result.simulator import compensate
+from frictionzoo.result.simulator import (
+    RK4,
+    find_errors,
+    find_limited,
+    find_residual,
+    predict_origin,
+    read_integrator,
+    stands_in,
+)
 from frictionzoo.show.terminal import align
 
 NOTE = "export.json"
@@ -63,7 +71,7 @@ def write_exports(folder: Path, options: Mapping[str, str]) -> list[Written]:
 
 def summarise_exports(written: Sequence[Written]) -> str:
     """A table with one row a comparison, then what each target cannot represent, and where the files are."""
-    rows = [("target", "compared", "over", "largest difference", "mean", "limits", "")]
+    rows = [("target", "compared", "over", "largest difference", "mean", "error", "limits", "")]
     rows += [row for one in written for row in _list_rows(one)]
     limits = [f"{one.target}: {limit}" for one in written if one.export for limit in one.export.limits]
     reasons = [f"{one.target}: nothing written: {one.reason}" for one in written if one.export is None]
@@ -73,12 +81,16 @@ def summarise_exports(written: Sequence[Written]) -> str:
 
 def _list_rows(one: Written) -> Iterator[tuple[str, ...]]:
     if one.export is None:
-        yield one.target, "", "", "", "", "not written", ""
+        yield one.target, "", "", "", "", "", "not written", ""
         return
     limits = str(len(one.export.limits) or "none")
     for difference in one.export.differences:
-        compared, sizes = f"{difference.quantity} [{difference.unit}]", (difference.largest, difference.mean)
-        yield one.target, compared, difference.over, *(f"{s:.2g}" for s in sizes), limits, one.mark(difference)
+        compared, sizes = (
+            f"{difference.quantity} [{difference.unit}]",
+            (difference.largest, difference.mean, difference.error),
+        )
+        shown = ("" if size is None else f"{size:.2g}" for size in sizes)
+        yield one.target, compared, difference.over, *shown, limits, one.mark(difference)
 
 
 def export_to(drive: Identified, target: str, path: Path, options: Mapping[str, str]) -> Written:
@@ -131,11 +143,11 @@ def _choose(options: Mapping[str, str]) -> list[str]:
 
 
 def _in_simulator(fitted: Identified, options: Mapping[str, str]) -> Identified:
-    """The drive with the parameters for the simulator that is asked for; MuJoCo's own step is of first order."""
+    """The drive with the parameters for the simulator that is asked for, or for the steps of its model file."""
     timestep, integrator = read_number(options, "timestep"), options.get("integrator")
-    if timestep is not None or integrator is not None:
-        return fitted.at(timestep, integrator)
-    return fitted.at_home() if fitted.bench.second_order else fitted
+    if timestep is None and integrator is None and (fitted.origin is not None or not fitted.bench.second_order):
+        return fitted
+    return fitted.at(timestep, integrator)
 
 
 def _write(moved: Identified, name: str, place: Path, options: Mapping[str, str]) -> Written:
@@ -143,6 +155,11 @@ def _write(moved: Identified, name: str, place: Path, options: Mapping[str, str]
     for package in target.packages:
         if find_spec(package) is None:
             raise ExportError(f"target={name}: {package} is not installed; pip install {package}")
+    if read_integrator(moved) not in target.integrators:
+        raise ConfigError(
+            f"integrator={read_integrator(moved)}: target={name} takes {' or '.join(target.integrators)}; change it, "
+            "or write target=mjcf"
+        )
     if target.instant and moved.model.memory:
         raise ExportError(
             f"target={name}: {moved.model.name} remembers what was before, expected a law of the present state; take "
@@ -162,28 +179,30 @@ def _write(moved: Identified, name: str, place: Path, options: Mapping[str, str]
 
 def _say_simulator(moved: Identified) -> list[str]:
     """For which steps the parameters are, and how far the drive moves differently in them."""
-    origin, step = moved.origin, moved.timestep
-    if origin is None or (np.isclose(origin.timestep, step, rtol=1e-6) and not moved.stands_in):
+    origin, step, continuous = moved.origin, moved.timestep, stands_in(moved)
+    if origin is None or (np.isclose(origin.timestep, step, rtol=1e-6) and not continuous):
         return []
-    distance, own = np.abs(moved.rollout()[0] - moved.meant().qpos), moved.result["metrics"]["test"]["position_mae"]
-    unit = UNITS[moved.bench.joint_type]["position"]
+    came, unit, integrator = moved.rollout()[0], UNITS[moved.bench.joint_type]["position"], read_integrator(moved)
+    distance = np.abs(came - predict_origin(moved).qpos)
     by = f"by {distance.mean():.2g} {unit} in the mean and {distance.max():.2g} {unit} at most, over {moved.over}"
-    if not moved.stands_in:
+    if not continuous:
         fitted = f"those of {origin.timestep:g} s with which it was fitted"
         return [f"In steps of {step:g} s the drive moves differently than in {fitted}: {by}."]
-    share = f", {distance.mean() / own:.2g} times the drive's own test error" if own else ""
-    return [
-        f"Parameters are those for steps of {step:g} s with the integrator {moved.bench.integrator}, and others for "
-        f"other steps. In these the drive moves differently than in continuous time: {by}{share}.",
-        *_say_left_over(moved, origin),
+    here, own = (f"{np.abs(errors).mean():.2g} {unit}" for errors in (find_errors(moved, came), find_residual(moved)))
+    if integrator == RK4:
+        return [
+            f"Parameters are those for steps of {step:g} s with the integrator {RK4}: those of continuous time, with a "
+            f"softer solreffriction. In continuous time the mean error under held-out commands is {own}."
+        ]
+    said = [
+        f"Parameters are those for steps of {step:g} s with the integrator {integrator}, and others for other steps. "
+        f"In these the drive moves differently than in continuous time: {by}. Its mean error under held-out commands "
+        f"is {here}, in continuous time {own}."
     ]
-
-
-def _say_left_over(moved: Identified, origin: Identified) -> list[str]:
-    """Where steps are too long for what armatures can make up for."""
-    excess = compensate(moved.bench, moved.model, origin.values, moved.segments)[1]
-    joints = name_some([moved.bench.joints[joint] for joint in np.flatnonzero(excess > 0)])
-    return [f"For {joints} an armature cannot be as small as such steps need: take shorter ones."] if joints else []
+    if limited := find_limited(moved):
+        joints = name_some([moved.bench.joints[joint] for joint in limited])
+        said.append(f"For {joints} an armature cannot be as small as such steps need: take shorter ones.")
+    return said
 
 
 def _note(fitted: Identified, written: Written, packages: Sequence[str], export: Export) -> dict[str, object]:

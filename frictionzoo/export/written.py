@@ -17,6 +17,7 @@ class Difference:
         mean: Mean absolute difference.
         over: Of what, in words: `10 rollouts of 3 s`.
         reason: In a few words, what the target lacks of the drive; empty where it should move as that.
+        error: Mean absolute position error against the recordings; None where that was not measured.
     """
 
     quantity: str
@@ -25,6 +26,7 @@ class Difference:
     mean: float
     over: str
     reason: str = ""
+    error: float | None = None
 
 
 @dataclass(frozen=True)

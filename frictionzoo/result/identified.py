@@ -19,9 +19,7 @@ from matplotlib.figure import Figure
 
 from frictionzoo import __version__
 from frictionzoo.bench import Bench
-from frictionzoo.core.build import build
-from frictionzoo.core.described import remake
-from frictionzoo.core.errors import ConfigError, RunError
+from frictionzoo.core.errors import RunError
 from frictionzoo.core.output import RESULT, RUN_FILES, claim, write_atomically
 from frictionzoo.core.segments import Sampling, Segments
 from frictionzoo.core.state import DriveState, Signals
@@ -33,18 +31,15 @@ from frictionzoo.result.curves import FILE as CURVES
 from frictionzoo.result.curves import Curves, write_curves
 from frictionzoo.result.draws import Posterior, draw_parameters, draw_with_chains, put_values
 from frictionzoo.result.evaluate import JointErrors, Metrics, Prediction, Values
-from frictionzoo.result.read_back import LAW, build_drive, hold, load_law, read_bench, read_segments, thin
+from frictionzoo.result.read_back import LAW, build_drive, load_law, read_bench, read_segments
 from frictionzoo.result.record import read_run, write_result
-from frictionzoo.result.simulator import build_simulated, compensate
+from frictionzoo.result.simulator import predict_origin, put_into_simulator, stands_in
 from frictionzoo.result.types import Result
 from frictionzoo.result.values import Parameter, read_parameters
 from frictionzoo.simulate import Engine
 from frictionzoo.simulate.drive import Drive
 from frictionzoo.simulate.proof import Proof, Recorded, prove
 from frictionzoo.simulate.rollout import applied, make_observer
-
-_MOST_SHARED = 20  # samples that last a whole number of steps
-_WHOLE = 0.01  # share by which a time step may differ from a whole number of others, as for recordings
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -321,64 +316,19 @@ class Identified:
         """The same drive in a simulator that takes MuJoCo's steps.
 
         A drive whose parameters are those of continuous time (`bench.second_order`) gets the parameters with which this
-        simulator moves as the drive does; any other keeps its own. Where the recordings' interval is no whole number of
-        steps, only every so many of their samples are kept.
+        simulator moves as the drive does; any other keeps its parameters. Where the recordings' interval is no whole
+        number of steps, only every so many of their samples are kept.
 
         Args:
-            timestep: Step of the simulation [s]; None for this drive's.
-            integrator: `Euler` or `implicitfast`; None for the bench's.
+            timestep: Step of the simulation [s]. None is this drive's; for a drive in continuous time it is the model
+                file's, where a few samples of the recordings last a whole number of such steps.
+            integrator: `Euler`, `implicitfast`, or `RK4` for a drive in continuous time; None for the bench's.
 
         Raises:
-            ConfigError: No whole number of such steps lasts one or a few samples of the recordings, or there is no such
-                integrator.
+            ConfigError: No whole number of such steps lasts one or a few samples of the recordings, there is no such
+                integrator, or `RK4` is asked for a drive whose parameters are for its steps.
         """
-        timestep = self.timestep if timestep is None else timestep
-        interval, every = self.segments.timestep, self._shared(timestep)
-        if every is None:
-            raise ConfigError(
-                f"timestep={timestep:g}; expected steps that divide {interval:g} s, the recordings' interval, or up to "
-                f"{_MOST_SHARED} of these"
-            )
-        step = {"timestep": timestep} | ({} if integrator is None else {"integrator": integrator})
-        settings, values = self.result["settings"]["bench"], self.values
-        if self.bench.second_order:
-            bench = build_simulated(self.bench, settings, self.values, step)
-            values, _ = compensate(bench, self.model, self.values, self.segments)
-        else:
-            bench = build({**settings, **step}, Bench).observing(self.bench.observed)
-        sampling = bench.sampling(every * interval)
-        thinned = thin(self.segments, every, sampling.history)
-        return replace(self, bench=bench, values=values, segments=thinned, sampling=sampling, origin=self)
-
-    def at_home(self) -> "Identified":
-        """The drive in steps of its model file, or where recordings do not have such steps, of its own."""
-        home = remake(self.bench, timestep=None)
-        return self.at(None if self._shared(home.timestep) is None else home.timestep)
-
-    def _shared(self, timestep: float) -> int | None:
-        """Samples of the recordings that last a whole number of such steps, the fewest; None where none do."""
-        for every in range(1, min(_MOST_SHARED, self.segments.length) + 1 if timestep > 0 else 0):
-            steps = every * self.segments.timestep / timestep
-            if round(steps) and abs(steps / round(steps) - 1) <= _WHOLE / every**2:
-                return every
-        return None
-
-    @property
-    def stands_in(self) -> bool:
-        """Whether it is what a simulator has in place of a drive in continuous time."""
-        return self.origin is not None and self.origin.bench.second_order
-
-    def meant(self) -> Prediction:
-        """The long test rollouts of the drive itself: of the one that this one stands for in a simulator.
-
-        At this drive's samples, and under commands that are held from one to the next of these.
-        """
-        if self.origin is None:
-            return Prediction(*self.rollout())
-        every = max(1, round(self.segments.timestep / self.origin.segments.timestep))
-        held = hold(self.origin.recorded, every)
-        qpos, qvel = (part[:, every - 1 :: every][:, : self.segments.length] for part in self.origin.rollout(held))
-        return Prediction(qpos, qvel)
+        return put_into_simulator(self, timestep, integrator)
 
     def rollout(
         self, segments: Segments | None = None, timestep: float | None = None, values: Values | None = None
@@ -410,8 +360,8 @@ class Identified:
         Raises:
             RunError: The drive diverges in one of them.
         """
-        itself = self.stands_in and values is None and segments is self.segments
-        moved = self.meant() if itself else Prediction(*self.rollout(segments, values=values))
+        itself = stands_in(self) and values is None and segments is self.segments
+        moved = predict_origin(self) if itself else Prediction(*self.rollout(segments, values=values))
         pairs = zip((segments.qpos, segments.qvel), (moved.qpos, moved.qvel), strict=True)
         qpos, qvel = (np.concatenate([states[:, :1], own], axis=1) for states, own in pairs)
         lost = Prediction(qpos, qvel).diverged

@@ -1,7 +1,8 @@
-"""A drive for a simulator of first order: the parameters with which its steps move as the drive does."""
+"""A drive for a simulator that takes MuJoCo's steps: the parameters with which these steps move as the drive does."""
 
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
@@ -10,12 +11,101 @@ from jaxtyping import Float
 
 from frictionzoo.bench import Bench
 from frictionzoo.core.build import build
+from frictionzoo.core.described import remake
+from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.segments import Segments
 from frictionzoo.models import FrictionModel
+from frictionzoo.result.evaluate import Prediction
+from frictionzoo.result.read_back import hold, thin
 from frictionzoo.simulate import Values, friction_of
 from frictionzoo.simulate.second_order import SecondOrder
 
-_LEAST = 0.1  # of an armature that is left at least
+if TYPE_CHECKING:
+    from frictionzoo.result.identified import Identified
+
+RK4 = "RK4"
+"""MuJoCo's integrator of fourth order: its steps need the parameters of continuous time."""
+_LEAST = 0.1  # share of an armature that stays at least
+_MOST_SHARED = 20  # samples that last a whole number of steps
+_WHOLE = 0.01  # share by which a time step may differ from a whole number of others, as for recordings
+
+
+def put_into_simulator(drive: "Identified", timestep: float | None, integrator: str | None) -> "Identified":
+    """Return the drive for a simulator, as `Identified.at` does."""
+    drive = drive.origin if drive.origin is not None and stands_in(drive) else drive
+    settings, values, continuous = drive.result["settings"]["bench"], drive.values, drive.bench.second_order
+    if integrator == RK4 and not continuous:
+        raise ConfigError(
+            f"integrator={RK4}: the parameters are those for steps of {drive.timestep:g} s, expected a drive in "
+            "continuous time; identify it with bench.second_order=true"
+        )
+    if timestep is None:
+        home = remake(drive.bench, timestep=None).timestep if continuous else drive.timestep
+        timestep = drive.timestep if _share_samples(drive.segments, home) is None else home
+    every, interval = _share_samples(drive.segments, timestep), drive.segments.timestep
+    if every is None:
+        raise ConfigError(
+            f"timestep={timestep:g}; expected steps that divide {interval:g} s, the recordings' interval, or up to "
+            f"{_MOST_SHARED} of these"
+        )
+    step: dict[str, Any] = {"timestep": timestep}
+    if integrator not in (None, RK4):
+        step["integrator"] = integrator
+    if integrator == RK4:
+        bench = build({**settings, **step, **_soften(drive.bench, timestep)}, Bench)
+    elif continuous:
+        bench = build_simulated(drive.bench, settings, values, step)
+        values = compensate(bench, drive.model, values, drive.segments)
+    else:
+        bench = build({**settings, **step}, Bench)
+    bench = bench.observing(drive.bench.observed)
+    sampling = bench.sampling(every * interval)
+    thinned = thin(drive.segments, every, sampling.history)
+    return replace(drive, bench=bench, values=values, segments=thinned, sampling=sampling, origin=drive)
+
+
+def stands_in(drive: "Identified") -> bool:
+    """Return whether the drive is what a simulator has in place of a drive in continuous time."""
+    return drive.origin is not None and drive.origin.bench.second_order
+
+
+def read_integrator(drive: "Identified") -> str:
+    """Return the integrator of the simulator that the drive's parameters are for."""
+    return RK4 if stands_in(drive) and drive.bench.second_order else drive.bench.integrator
+
+
+def predict_origin(drive: "Identified") -> Prediction:
+    """Predict the long test rollouts of the drive that this one stands for in a simulator.
+
+    The rollouts have this drive's samples, and hold each command from one sample to the next.
+    """
+    if drive.origin is None:
+        return Prediction(*drive.rollout())
+    held = hold(drive.origin.recorded, _every(drive))
+    return Prediction(*(_pick(drive, part) for part in drive.origin.rollout(held)))
+
+
+def find_residual(drive: "Identified") -> Float[np.ndarray, "batch time nv"]:
+    """Return what the drive itself, in its own steps, lacks of the measured positions [rad or m]."""
+    origin = drive.origin or drive
+    return _pick(drive, origin.recorded.qpos[:, 1:] - origin.rollout()[0])
+
+
+def find_errors(drive: "Identified", qpos: Float[np.ndarray, "batch time nv"]) -> Float[np.ndarray, "batch time nv"]:
+    """Return what positions of the long test rollouts in a simulator lack of the measured ones [rad or m].
+
+    A simulator with steps longer than the recordings' interval holds commands that were not recorded. There the
+    measured position is the recorded one, moved as the drive itself moves under the held commands.
+    """
+    return find_residual(drive) + predict_origin(drive).qpos - qpos
+
+
+def find_limited(drive: "Identified") -> list[int]:
+    """Find the joints whose armature cannot be as small as the simulator's steps need."""
+    if drive.origin is None or not stands_in(drive):
+        return []
+    armature, own = drive.values["bench"]["armature"], drive.origin.values["bench"]["armature"]
+    return np.flatnonzero(armature == _LEAST * own).tolist()
 
 
 def build_simulated(bench: Bench, settings: Mapping[str, Any], values: Values, step: Mapping[str, Any]) -> Bench:
@@ -24,47 +114,68 @@ def build_simulated(bench: Bench, settings: Mapping[str, Any], values: Values, s
     Commands act half a step later, and dry friction is no stiffer than the simulator takes.
 
     Args:
-        bench: Of second order.
+        bench: Bench of second order.
         settings: Its section.
-        values: The drive's.
-        step: `timestep` [s], and `integrator` where it is another.
+        values: The drive's values.
+        step: `timestep` [s], and `integrator` where it differs.
     """
-    constant, ratio = bench.solreffriction
-    softer = [max(constant, 2 * step["timestep"]), ratio] if constant > 0 else [constant, ratio]
     known = {"init": _delay(values, step["timestep"]).tolist(), "high": 1.0, "identify": False}
     params = {**(settings.get("params") or {}), "delay": known}
-    section = {**settings, **step, "second_order": False, "solreffriction": softer, "params": params}
-    return build(section, Bench).observing(bench.observed)
+    softer = _soften(bench, step["timestep"])
+    return build({**settings, **step, **softer, "second_order": False, "params": params}, Bench)
 
 
 def compensate(
     bench: Bench, model: FrictionModel, values: Values, segments: Segments
-) -> tuple[dict[str, dict[str, np.ndarray]], Float[np.ndarray, "nv"]]:
-    """Return a drive's values for a simulator of first order, and what its armatures should lose besides and cannot.
+) -> dict[str, dict[str, np.ndarray]]:
+    """Return a drive's values for a simulator of first order.
 
-    Such a step takes torques that go with the velocity at its begin or at its end, and not in its middle: for a torque
-    -d v, an armature that is h/2 d larger, or smaller, has the same effect. Where d depends on the state, its median
-    over the measured states counts.
+    Such a step takes torques that depend on the velocity at its begin or at its end, and not in its middle. For a
+    torque -d v, an armature that is h/2 d larger, or smaller, has the same effect. Where d depends on the state, its
+    median over the measured states counts. An armature keeps at least a tenth of its value.
 
     Args:
-        bench: Of first order, as `build_simulated` makes it.
+        bench: Bench of first order, as `build_simulated` makes it.
         model: The friction law.
-        values: Of the drive in continuous time.
+        values: Values of the drive in continuous time.
         segments: Measured states; without any, a velocity of 1 rad/s or m/s counts.
     """
     stepping = SecondOrder(bench, friction_of(model))
     with jax.enable_x64(True):
         states = segments.qpos[:, :-1], segments.qvel[:, :-1], segments.acting
         rows = jax.tree.map(lambda signal: jnp.asarray(signal, jnp.float64).reshape(-1, bench.nv), states)
-        if not segments.count:  # of a card, which has no recordings: one state in motion
+        if not segments.count:  # a card has no recordings: one state in motion
             rows = jax.tree.map(lambda signal: jnp.ones((1, bench.nv)), rows)
         known = jax.tree.map(lambda value: jnp.asarray(value, jnp.float64), values)
         more = np.asarray(stepping.surplus(known, *rows), np.float64)
     armature = np.asarray(values["bench"]["armature"])
-    changed = np.maximum(armature + more, _LEAST * armature)
-    own = {owner: dict(of) for owner, of in values.items()}
-    own["bench"] |= {"armature": changed, "delay": _delay(values, bench.timestep)}
-    return own, changed - (armature + more)
+    changed = {"armature": np.maximum(armature + more, _LEAST * armature), "delay": _delay(values, bench.timestep)}
+    return {owner: {**of, **changed} if owner == "bench" else dict(of) for owner, of in values.items()}
+
+
+def _soften(bench: Bench, timestep: float) -> dict[str, list[float]]:
+    """The stiffest friction constraint that MuJoCo takes in such steps [s]."""
+    constant, ratio = bench.solreffriction
+    return {"solreffriction": [max(constant, 2 * timestep), ratio] if constant > 0 else [constant, ratio]}
+
+
+def _share_samples(segments: Segments, timestep: float) -> int | None:
+    """The fewest samples of the recordings that last a whole number of such steps [s]; None where none do."""
+    for every in range(1, min(_MOST_SHARED, segments.length) + 1 if timestep > 0 else 0):
+        steps = every * segments.timestep / timestep
+        if round(steps) and abs(steps / round(steps) - 1) <= _WHOLE / every**2:
+            return every
+    return None
+
+
+def _every(drive: "Identified") -> int:
+    """Samples of the recordings in one sample of the drive."""
+    return max(1, round(drive.segments.timestep / (drive.origin or drive).segments.timestep))
+
+
+def _pick(drive: "Identified", rows: Float[np.ndarray, "batch time nv"]) -> Float[np.ndarray, "batch samples nv"]:
+    """The rows at the drive's samples, of rows at those of the recordings."""
+    return rows[:, _every(drive) - 1 :: _every(drive)][:, : drive.segments.length]
 
 
 def _delay(values: Values, timestep: float) -> Float[np.ndarray, "nv"]:
