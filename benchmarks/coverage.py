@@ -3,10 +3,11 @@
     python benchmarks/coverage.py
     python benchmarks/coverage.py --cases load --logs 50 --recordings 1
 
-Each data set is ten recordings, each with an excitation and noise of its own. With the right law, the share of data
-sets whose interval holds the true value counts, for each parameter. Where the law lacks a term, there is no true value:
-then the share of speeds counts at which the drive's mean friction lies within the band of curves that are drawn from
-the intervals.
+Each data set is ten recordings, each with another excitation and other noise, of a drive that sticks and slides from
+event to event (`event_exact.py`), which knows nothing of MuJoCo and its friction constraint. With the right law, the
+share of data sets whose interval holds the true value counts, for each parameter. Where the law lacks a term, there is
+no true value: then the share of speeds counts at which the drive's mean friction lies within the band of curves that
+are drawn from the intervals.
 """
 
 import argparse
@@ -15,18 +16,19 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from event_exact import Drive, Link, simulate
 from jaxtyping import Float
 from measure import make_parser, report
 from omegaconf import OmegaConf
 
 import frictionzoo as fz
 from frictionzoo.core.config import compose_config
-from frictionzoo.core.described import remake
 from frictionzoo.core.log import Log
 from frictionzoo.core.segments import cut_rollouts, cut_segments
 from frictionzoo.core.state import DriveState
@@ -36,39 +38,27 @@ from frictionzoo.fit.loss import soft_width
 from frictionzoo.fit.uncertainty import Uncertainty
 from frictionzoo.identification import Parts, Problem, solve
 from frictionzoo.identification.pilot import Pilot
-from frictionzoo.logs.twin import Controller, Excitation, HiddenDrive
+from frictionzoo.logs.twin import Excitation
 from frictionzoo.models.base import sliding_torque
 
 RATE, SECONDS = 200, 20  # Hz, s of each data set
-SUBSTEPS = 10  # of a sample interval, steps of Runge and Kutta by which logs are simulated
-TIMESTEP = 2.5e-4  # s, of the fitted simulation
+TIMESTEP = 1e-3  # s, of the fitted simulation, as the automatic settings choose it
 POSITION_NOISE, VELOCITY_NOISE = 2e-4, 0.02  # rad, rad/s
 EXCITATION = Excitation(12, (0.2, 1.0), (0.5, 10.0), (0.0, 2 * np.pi), 4.0)
-CONTROLLER = Controller(20.0, 1.0)  # as published of the bench
-MASS, CENTRE, INERTIA = 0.26, 0.1127, 0.0011  # of the rod of knee_rod.xml
-GRAVITY = 9.81
+ROD = Link(-1, (0, 1, 0), (0, 0, 0), 0.26, (0, 0, -0.1127), (0.0011, 0.0011, 0.0011))  # of knee_rod.xml
+GRAVITY_TORQUE = 9.81 * 0.26 * 0.1127  # N m, of the rod at 90 degrees
 DRAWS, SPEEDS = 1000, 40
 NEAREST = 1 / 400  # of all samples, on either side of a speed, make its mean friction
 
-DRIVE = HiddenDrive(
-    armature=0.05,
-    coulomb_torque=0.25,
-    static_torque=0.25,
-    stribeck_velocity=0.2,
-    viscous_coefficient=0.2,
-    smoothing_velocity=0.05,
-    load_share=0.0,
-    ripple_torque=0.0,
-    ripple_periods=12.0,
-    command_delay=0.0,
-)
-CASES: dict[str, tuple[HiddenDrive, str]] = {
-    "coulomb": (DRIVE, "coulomb_smooth"),
-    "stribeck": (replace(DRIVE, static_torque=0.4), "coulomb_stribeck"),
-    "rounded": (replace(DRIVE, static_torque=0.4), "coulomb_stribeck"),
-    "ripple": (replace(DRIVE, ripple_torque=0.1), "coulomb_smooth"),
-    "load": (replace(DRIVE, load_share=0.38, coulomb_torque=0.11, static_torque=0.11), "coulomb_smooth"),
-    "all": (replace(DRIVE, load_share=0.38, ripple_torque=0.1, static_torque=0.4), "coulomb_smooth"),
+DRIVE = Drive(armature=0.05, viscous=0.2, forward=0.25, kp=20.0, kd=1.0)  # gains as published of the bench
+STRIBECK = replace(DRIVE, breakaway=1.6, stribeck=0.2)
+CASES: dict[str, tuple[Drive, str]] = {
+    "coulomb": (DRIVE, "mujoco_default"),
+    "stribeck": (STRIBECK, "stribeck"),
+    "rounded": (STRIBECK, "stribeck"),
+    "ripple": (replace(DRIVE, ripple=0.1), "mujoco_default"),
+    "load": (replace(DRIVE, load=0.38, forward=0.11), "mujoco_default"),
+    "all": (replace(STRIBECK, load=0.38, ripple=0.1), "mujoco_default"),
 }
 """Drive and fitted law. The first three laws are right."""
 RIGHT = ("coulomb", "stribeck", "rounded")
@@ -78,12 +68,12 @@ ENCODERS = {"rounded": 2 * np.pi / 2**12}
 
 @dataclass(frozen=True)
 class Recorded:
-    """Logs, and what is true in the intervals between their samples, means of shape (logs, time).
+    """Logs, and true values at their samples.
 
     Attributes:
         logs: As measured.
-        qvel: True velocity [rad/s].
-        friction: True friction torque [N m].
+        qvel: Velocity [rad/s].
+        friction: Friction torque [N m]; NaN where the joint sticks.
     """
 
     logs: Sequence[Log]
@@ -91,69 +81,31 @@ class Recorded:
     friction: Float[np.ndarray, "logs time"]
 
 
-def friction_of(drive: HiddenDrive, qpos: Any, qvel: Any, motor: Any) -> Any:
-    """`HiddenDrive.friction` of arrays."""
-    excess = (drive.static_torque - drive.coulomb_torque) * np.exp(-np.square(qvel / drive.stribeck_velocity))
-    ripple = drive.ripple_torque * np.sin(drive.ripple_periods * qpos)
-    dry = drive.coulomb_torque + excess + drive.load_share * np.abs(motor) + ripple
-    return dry * np.tanh(qvel / drive.smoothing_velocity) + drive.viscous_coefficient * qvel
-
-
-def record(drive: HiddenDrive, count: int, first: int, seconds: float, encoder: float = 0.0) -> Recorded:
-    """So many logs, simulated side by side and nearly without an error of the step."""
-    samples, step = round(RATE * seconds), 1 / RATE / SUBSTEPS
-    times = np.arange(samples) / RATE
-    rngs = [np.random.default_rng(first + number) for number in range(count)]
-    ctrl = np.stack([EXCITATION.command(times, rng) for rng in rngs])
-    state = np.stack([ctrl[:, 0], np.zeros(count)])
-    states, means = np.empty((2, count, samples)), np.zeros((2, count, samples))
-    for sample, command in enumerate(ctrl.T):
-        states[:, :, sample] = state
-        for _ in range(SUBSTEPS):
-            slope, friction = move(drive, state, command)
-            means[:, :, sample] += np.stack([state[1], friction]) / SUBSTEPS
-            second = move(drive, state + step / 2 * slope, command)[0]
-            third = move(drive, state + step / 2 * second, command)[0]
-            last = move(drive, state + step * third, command)[0]
-            state = state + step / 6 * (slope + 2 * second + 2 * third + last)
-    noise = np.array([POSITION_NOISE, VELOCITY_NOISE])[:, None]
-    logs = []
-    for number, rng in enumerate(rngs):
-        qpos, qvel = states[:, number] + noise * rng.standard_normal((2, samples))
-        if encoder:
-            qpos = np.round(states[0, number] / encoder) * encoder
-        columns = [qpos, qvel, ctrl[number]]
-        columns = [signal[:, None] for signal in columns]
+def record(drive: Drive, count: int, first: int, seconds: float, encoder: float = 0.0) -> Recorded:
+    """Record so many logs, simulated from event to event."""
+    times, logs, states = np.arange(round(RATE * seconds)) / RATE, [], []
+    for number in range(count):
+        rng = np.random.default_rng(first + number)
+        ctrl = EXCITATION.command(times, rng)[:, None]
+        qpos, qvel, _ = simulate([ROD], [drive], ctrl, 1 / RATE)
+        load = drive.kp * (ctrl - qpos) - drive.kd * qvel + GRAVITY_TORQUE * np.sin(qpos)
+        states.append((qvel[:, 0], np.where(qvel == 0, np.nan, drive.friction(qvel, qpos, load))[:, 0]))
+        noise = rng.standard_normal((2, *qpos.shape))
+        qpos = np.round(qpos / encoder) * encoder if encoder else qpos + POSITION_NOISE * noise[0]
+        columns = qpos, qvel + VELOCITY_NOISE * noise[1], ctrl
         logs.append(Log(f"log {number}", times, *columns, sha256=64 * "0", simulated=True))
-    return Recorded(logs, *means)
+    return Recorded(logs, *(np.array(each) for each in zip(*states, strict=True)))
 
 
-def move(drive: HiddenDrive, state: Float[np.ndarray, "2 logs"], command: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Derivative of position and velocity by time, and friction torque [N m]."""
-    qpos, qvel = state
-    motor = CONTROLLER.kp * (command - qpos) - CONTROLLER.kd * qvel
-    friction = friction_of(drive, qpos, qvel, motor)
-    torque = motor - friction - MASS * GRAVITY * CENTRE * np.sin(qpos)
-    return np.stack([qvel, torque / (INERTIA + MASS * CENTRE**2 + drive.armature)]), friction
-
-
-def law_of(name: str, drive: HiddenDrive) -> fz.FrictionModel:
-    """The fitted law; what belongs to the simulation rather than to the drive is known."""
-    params: dict[str, Any] = (
-        {"smoothing_velocity": {"init": drive.smoothing_velocity}} if name == "coulomb_stribeck" else {}
-    )
-    return fz.law(name, params=params)
-
-
-def true_values(drive: HiddenDrive) -> dict[str, float]:
+def true_values(drive: Drive) -> dict[str, float]:
     """Of the parameters of the right laws."""
     return {
         "bench.armature": drive.armature,
-        "friction.static_torque": drive.static_torque,
-        "friction.kinetic_torque": drive.coulomb_torque,
-        "friction.stribeck_velocity": drive.stribeck_velocity,
-        "friction.viscous_coefficient": drive.viscous_coefficient,
-        "friction.smoothing": 0.1 / drive.smoothing_velocity,
+        "friction.frictionloss": drive.forward,
+        "friction.damping": drive.viscous,
+        "friction.stribeck_torque": drive.forward * (drive.breakaway - 1),
+        "friction.stribeck_velocity": drive.stribeck,
+        "friction.stribeck_exponent": 2.0,
     }
 
 
@@ -161,21 +113,18 @@ class Fits:
     """Fits of one law to one data set after the other; what the first compiles serves them all."""
 
     def __init__(self, law: fz.FrictionModel, logs: Sequence[Log], length: int, encoder: float = 0.0) -> None:
-        actuator = fz.PositionPD(kp=CONTROLLER.kp, kd=CONTROLLER.kd)
-        self._bench = fz.Bench("knee_rod.xml", actuator=actuator, timestep=TIMESTEP)
+        stand = partial(fz.Bench, "knee_rod.xml", actuator=fz.PositionPD(kp=DRIVE.kp, kd=DRIVE.kd), second_order=True)
+        benches = [stand(timestep=step, solreffriction=(2 * step, 1.0)) for step in (TIMESTEP, TIMESTEP / 2)]
         noise = soft_width(encoder) if encoder else POSITION_NOISE
         loss = {"velocity": (noise / VELOCITY_NOISE) ** 2, "robust": "none", "refine": True, "encoder_step": encoder}
         segments, self._length = {"length": length, "count": None}, length
-        self.pilot, self._finer = (
-            Pilot(remake(self._bench, timestep=step), law, logs, segments, loss, "specialised")
-            for step in (TIMESTEP, TIMESTEP / 2)
-        )
+        self.pilot, self._finer = (Pilot(bench, law, logs, segments, loss, "specialised") for bench in benches)
         self._law, self._curves = law, jax.jit(jax.vmap(self._curve, in_axes=(0, None)))
 
     def fit(self, logs: Sequence[Log]) -> tuple[np.ndarray, Uncertainty]:
         """The best vector, and how far the logs determine it."""
         objective, finer = self.pilot.objective, self._finer.objective
-        segments = cut_segments([self._bench.accept(log) for log in logs], None, self._length)
+        segments = cut_segments([self.pilot.bench.accept(log) for log in logs], None, self._length)
         for own in (objective, finer):
             own.data = into_blocks(segments, divide(segments), jnp.float64, own._rollout)
         vector = minimise(objective)
@@ -205,7 +154,8 @@ def minimise(objective: Objective) -> np.ndarray:
 
 def mean_friction(recorded: Recorded, speed: np.ndarray) -> np.ndarray:
     """The drive's mean friction at each speed, over all that was visited in any log [N m]."""
-    qvel, friction = recorded.qvel.ravel(), recorded.friction.ravel()
+    slides = np.isfinite(recorded.friction)
+    qvel, friction = recorded.qvel[slides], recorded.friction[slides]
     order = np.argsort(qvel)
     count = math.ceil(NEAREST * len(qvel))
     at = np.clip(np.searchsorted(qvel[order], speed), count, len(qvel) - count)
@@ -221,10 +171,10 @@ def judge(name: str, options: argparse.Namespace) -> dict[str, Any]:
     each = options.recordings
     recorded = record(drive, options.logs * each, options.first, SECONDS / each, encoder)
     sets = [recorded.logs[start : start + each] for start in range(0, len(recorded.logs), each)]
-    low, high = np.quantile(np.abs(recorded.qvel), [0.05, 0.99])
+    low, high = np.quantile(np.abs(recorded.qvel[recorded.qvel != 0]), [0.05, 0.99])
     speed = np.concatenate([-np.geomspace(low, high, SPEEDS // 2)[::-1], np.geomspace(low, high, SPEEDS // 2)])
     mean, truth = mean_friction(recorded, speed), true_values(drive)
-    began, fits = time.perf_counter(), Fits(law_of(options.law or law_name, drive), sets[0], options.length, encoder)
+    began, fits = time.perf_counter(), Fits(fz.law(options.law or law_name), sets[0], options.length, encoder)
     held, inside, errors, ratios = [], [], [], []
     space = fits.pilot.space
     for number, logs in enumerate(sets):

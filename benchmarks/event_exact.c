@@ -3,9 +3,10 @@
  * It knows nothing of MuJoCo: links move by Newton and Euler, one after the other; a joint sticks or slides, and the
  * moment at which it changes is found within a step. Friction of a joint that slides at v, under a motor torque u:
  *
- *     sign(v) (c + (s - c) exp(-(v / w)^2) + l |u - e|) + d v,    c of its direction, e the torque from outside
+ *     sign(v) (c + (s - c) exp(-(v / w)^2) + l |u - e| + r sin(p q)) + d v,    c of its direction, e the torque from
+ *                                                                             outside, q its position
  *
- * and what holds a joint that sticks goes up to s + l |u - e|. With a bristle stiffness k it is LuGre's instead, whose
+ * and what holds a joint that sticks goes up to s + l |u - e| + r sin(p q). With a bristle stiffness k it is LuGre's instead, whose
  * deflection z moves by z' = v - k |v| z / g(v), and whose torque is k z + d v.
  *
  * Sources: R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, section 5.3; B. Armstrong-Helouvry, P. Dupont,
@@ -22,7 +23,7 @@ typedef struct {
 
 typedef struct {
     double armature, viscous, forward, backward, breakaway, stribeck, load, bristle;
-    double kp, kd, delay, limit, offset, gain;
+    double kp, kd, delay, limit, offset, gain, ripple, periods;
 } Drive;
 
 typedef struct {
@@ -102,9 +103,10 @@ static void torques(const Tree *tree, const double *qd, const double *qdd, int f
     }
 }
 
-static double level(const Drive *drive, double v, double sign, double load) {
+static double level(const Drive *drive, double q, double v, double sign, double load) {
     const double c = sign < 0 ? drive->backward : drive->forward, share = v / drive->stribeck;
-    return c * (1 + (drive->breakaway - 1) * exp(-share * share)) + drive->load * fabs(load);
+    const double dry = c * (1 + (drive->breakaway - 1) * exp(-share * share)) + drive->load * fabs(load);
+    return drive->ripple ? dry + drive->ripple * sin(drive->periods * q) : dry;
 }
 
 /* Solve for the accelerations of the joints that slide; the others have none. */
@@ -156,7 +158,7 @@ static void slopes(Tree *tree, const double *q, const double *v, const double *z
         dz[i] = 0;
         if (d->bristle > 0) {
             push[i] -= d->bristle * z[i];
-            dz[i] = v[i] - d->bristle * fabs(v[i]) * z[i] / level(d, v[i], v[i], load[i]);
+            dz[i] = v[i] - d->bristle * fabs(v[i]) * z[i] / level(d, q[i], v[i], v[i], load[i]);
         }
     }
     for (int again = 0; again <= count; again++) {
@@ -164,14 +166,14 @@ static void slopes(Tree *tree, const double *q, const double *v, const double *z
         double most = 0;
         for (int i = 0; i < count; i++) {
             right[i] = push[i];
-            if (sign[i] && tree->drives[i].bristle <= 0) right[i] -= sign[i] * level(&tree->drives[i], v[i], sign[i], load[i]);
+            if (sign[i] && tree->drives[i].bristle <= 0) right[i] -= sign[i] * level(&tree->drives[i], q[i], v[i], sign[i], load[i]);
         }
         solve(count, m, right, sign, a);
         for (int i = 0; free && i < count; i++) {
             if (sign[i]) continue;
             double pull = push[i];
             for (int k = 0; k < count; k++) pull -= m[i][k] * a[k];
-            const double over = fabs(pull) - level(&tree->drives[i], 0, pull, load[i]);
+            const double over = fabs(pull) - level(&tree->drives[i], q[i], 0, pull, load[i]);
             if (over > most) most = over, worst = pull > 0 ? i : i + count;
         }
         if (worst < 0) return;

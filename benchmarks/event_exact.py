@@ -16,7 +16,7 @@ from jaxtyping import Float
 GRAVITY = (0.0, 0.0, -9.81)  # m/s^2
 STEP = 5e-6  # s, the longest
 _DRIVE = ("armature", "viscous", "forward", "backward", "breakaway", "stribeck", "load", "bristle", "kp", "kd", "delay")
-_DRIVE += ("torque_limit", "torque_offset", "gain")
+_DRIVE += ("torque_limit", "torque_offset", "gain", "ripple", "periods")
 
 
 @dataclass(frozen=True)
@@ -70,6 +70,8 @@ class Drive:
         torque_limit: Of the motor [N m]; 0 for none.
         torque_offset: Constant torque [N m].
         gain: Over the gains that are known.
+        ripple: Amplitude of the dry friction's change with the position [N m].
+        periods: Of that in a turn.
     """
 
     armature: float
@@ -86,12 +88,20 @@ class Drive:
     torque_limit: float = 0.0
     torque_offset: float = 0.0
     gain: float = 1.0
+    ripple: float = 0.0
+    periods: float = 12.0
 
-    def friction(self, velocity: Float[np.ndarray, "_"]) -> Float[np.ndarray, "_"]:
-        """Friction torque of an unloaded joint that slides [N m]."""
+    def friction(
+        self,
+        velocity: Float[np.ndarray, "_"],
+        qpos: Float[np.ndarray, "_"] | float = 0.0,
+        load: Float[np.ndarray, "_"] | float = 0.0,
+    ) -> Float[np.ndarray, "_"]:
+        """Return the friction torque of a joint that slides at this position, under this load of its gear [N m]."""
         backward = self.forward if self.backward is None else self.backward
         dry = np.where(velocity < 0, backward, self.forward)
         dry = dry * (1 + (self.breakaway - 1) * np.exp(-np.square(velocity / self.stribeck)))
+        dry = dry + self.load * np.abs(load) + self.ripple * np.sin(self.periods * np.asarray(qpos))
         return np.sign(velocity) * dry + self.viscous * velocity
 
 
