@@ -8,6 +8,7 @@ from jaxtyping import Float
 from frictionzoo.bench.template import in_full
 
 _ROUNDING = 1e-9  # share of a step
+_SHORTEST = 0.1  # of a step, filter under RK4
 
 
 def write_delay(delay: float, timestep: float) -> dict[str, str]:
@@ -34,11 +35,13 @@ def stretch(delay: Float[np.ndarray, "..."], timestep: float) -> Float[np.ndarra
 
     RK4 looks at a late command at a step's begin, middle and end, with weights of 1/6, 2/3 and 1/6, and takes the last
     one that is stored where a later one is needed. A steady change is late by half a step less than the delay says, and
-    by less than that where the delay is shorter than two steps. Filters are as late as they say.
+    by less than that where the delay is shorter than two steps. Filters are as late as they say, but RK4 is unstable
+    for those of less than a fifteenth of a step: below a tenth, the delay is rounded to that or to none.
     """
-    steps = delay / timestep
+    steps = np.asarray(delay) / timestep
+    filtered = np.where(steps < _SHORTEST, np.round(steps / _SHORTEST) * _SHORTEST, steps)
     short = np.interp(steps, [1.0, 13 / 12, 1.5], [1.0, 1.5, 2.0])
-    return np.where(steps < 1, delay, np.where(steps < 1.5, short, steps + 0.5) * timestep)
+    return np.where(steps < 1, filtered, np.where(steps < 1.5, short, steps + 0.5)) * timestep
 
 
 def is_filtered(delay: float, timestep: float) -> bool:

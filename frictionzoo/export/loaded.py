@@ -6,7 +6,7 @@ from typing import Literal, cast
 import mujoco
 import numpy as np
 
-from frictionzoo.bench.delay import is_filtered
+from frictionzoo.bench.delay import is_filtered, stretch
 from frictionzoo.core.params import UNITS
 from frictionzoo.export.base import measure
 from frictionzoo.export.nearest import Nearest
@@ -16,7 +16,7 @@ from frictionzoo.result.evaluate import Prediction
 from frictionzoo.result.identified import Identified
 from frictionzoo.result.names import name_some
 from frictionzoo.result.run_types import WrittenRow
-from frictionzoo.result.simulator import find_errors, stands_in
+from frictionzoo.result.simulator import RK4, find_errors, read_integrator, stands_in
 
 EXACT = 1e-9
 """Largest difference of a position [rad or m] that counts as rounding."""
@@ -134,6 +134,7 @@ def say_delay(fitted: Identified, timestep: float) -> list[str]:
     delays = fitted.values["bench"].get("delay", np.empty(0))
     if fitted.bench.actuator.needs_state:  # whose commands the caller delays
         return []
+    delays = stretch(delays, timestep) if read_integrator(fitted) == RK4 else delays
     each = zip(fitted.bench.joints, map(float, delays), strict=False)
     filtered = [(joint, delay) for joint, delay in each if is_filtered(delay, timestep)]
     if not filtered:
