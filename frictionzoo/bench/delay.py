@@ -1,4 +1,4 @@
-"""The delay of MuJoCo's actuators: attributes that say it."""
+"""Attributes for the delay of MuJoCo's actuators."""
 
 import math
 
@@ -14,10 +14,10 @@ _SHORTEST = 0.1  # of a step, filter under RK4
 def write_delay(delay: float, timestep: float) -> dict[str, str]:
     """Return the attributes by which an actuator delays its commands in steps of this length [s].
 
-    Between two steps MuJoCo interpolates linearly: for a command that is held, that is its mean over the step, as in
-    `frictionzoo.simulate.rollout.applied`. It stores a command at the end of its step, so that such a delay is one step
-    or more. A shorter one is a first-order filter whose activation lags a steady change by as much: in each step it
-    goes 1 / (1 + delay / timestep) of the way to the command.
+    Between two steps MuJoCo interpolates linearly: a held command acts with its mean over the step, as in
+    `frictionzoo.simulate.rollout.applied`. MuJoCo stores a command at the end of its step, so its shortest delay is one
+    step. A shorter delay is written as a first-order filter that lags a steady change by the same time: in each step
+    its activation goes 1 / (1 + delay / timestep) of the way to the command.
 
     Source: MuJoCo documentation, XML reference, `actuator/general/delay`; "Computation", "Actuation model".
     """
@@ -33,10 +33,10 @@ def write_delay(delay: float, timestep: float) -> dict[str, str]:
 def stretch(delay: Float[np.ndarray, "..."], timestep: float) -> Float[np.ndarray, "..."]:
     """Return the delays [s] to write for MuJoCo's RK4, so that commands act this late in steps of this length [s].
 
-    RK4 looks at a late command at a step's begin, middle and end, with weights of 1/6, 2/3 and 1/6, and takes the last
-    one that is stored where a later one is needed. A steady change is late by half a step less than the delay says, and
-    by less than that where the delay is shorter than two steps. Filters are as late as they say, but RK4 is unstable
-    for those of less than a fifteenth of a step: below a tenth, the delay is rounded to that or to none.
+    RK4 reads the late command at a step's begin, middle and end, with weights of 1/6, 2/3 and 1/6. It takes the last
+    stored command where it needs a later one. From a delay of two steps on, a steady change is late by half a step less
+    than the delay; the difference is smaller for shorter delays. Filters lag by their delay, but RK4 is unstable for
+    less than a fifteenth of a step: below a tenth, the delay is rounded to a tenth or to none.
     """
     steps = np.asarray(delay) / timestep
     filtered = np.where(steps < _SHORTEST, np.round(steps / _SHORTEST) * _SHORTEST, steps)

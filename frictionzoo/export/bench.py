@@ -1,4 +1,4 @@
-"""The target `mjcf`: the bench as a model that MuJoCo loads as it is."""
+"""The target `mjcf`: the bench as a model for MuJoCo."""
 
 import logging
 from collections.abc import Mapping, Sequence
@@ -32,7 +32,7 @@ IDENTIFIED = "identified"
 
 @register_target("mjcf")
 class Mjcf(Target):
-    """The bench with its identified values as MJCF, or a robot; friction as the nearest that MuJoCo's joints have."""
+    """The bench or a robot as MJCF with the identified values; friction is the nearest of MuJoCo's joints."""
 
     options: ClassVar[Mapping[str, str]] = {
         "into": "a robot's MJCF or URDF, of which a copy gets the drive",
@@ -63,7 +63,7 @@ class Mjcf(Target):
 
 
 class _Robot(NamedTuple):
-    """A robot's file that is to get the drive: its path, the joints' names, and one of `ACTUATORS`."""
+    """A robot's file for the drive: its path, the joints' names, and one of `ACTUATORS`."""
 
     path: Path
     joints: tuple[str, ...]
@@ -71,10 +71,10 @@ class _Robot(NamedTuple):
 
 
 def write_identified(fitted: Identified) -> list[ModelFile]:
-    """Write what a run leaves behind for MuJoCo.
+    """Write a run's model files for MuJoCo.
 
-    That is the bench; of a robot's own file, the bench that was simulated, and that file with the drive in it. Where it
-    cannot hold the drive, a line of the log says why.
+    These are the bench and, for a robot, its own file with the drive. Where that file cannot hold the drive, a line of
+    the log says why.
     """
     fitted = fitted.at() if fitted.bench.second_order and fitted.origin is None else fitted
     own = isinstance(fitted.bench, Robot)
@@ -88,9 +88,9 @@ def write_identified(fitted: Identified) -> list[ModelFile]:
 def _write_models(
     fitted: Identified, robot: _Robot | None, asked: bool
 ) -> tuple[list[ModelFile], tuple[Difference, ...]]:
-    """The bench with the drive, and a robot's file if there is one; and how far that file's torque is off.
+    """Write the bench with the drive and a robot's file if there is one; also return that file's torque difference.
 
-    A robot that cannot hold the drive is left out, which the last of the bench's limits says; with `asked` it raises.
+    A robot that cannot hold the drive is left out, and the bench's last limit says so; with `asked` it raises.
     """
     nearest = find_nearest(fitted)
     expected = predict_origin(fitted) if stands_in(fitted) else Prediction(*fitted.rollout())
@@ -107,7 +107,7 @@ def _write_models(
 
 
 def _write_bench_file(fitted: Identified, nearest: Nearest, expected: Prediction) -> ModelFile:
-    """The bench, played as it is loaded, which its comment says."""
+    """Write the bench, played as loaded; its comment gives the difference."""
     model = mujoco.MjModel.from_xml_string(write_bench(fitted, nearest))
     difference, more = play(model, fitted, expected, list_lacks(fitted, nearest, fitted.timestep))
     limits = (*say_limits(fitted, nearest), *more)
@@ -118,9 +118,9 @@ def _write_bench_file(fitted: Identified, nearest: Nearest, expected: Prediction
 def _write_robot_file(
     fitted: Identified, nearest: Nearest, expected: Prediction, asked: _Robot
 ) -> tuple[ModelFile, Difference]:
-    """A robot's file with the drive, played as it is loaded where it is the one that was recorded.
+    """Write a robot's file with the drive, played as loaded if it is the recorded robot's.
 
-    And the difference of its actuators' torque.
+    Also return the difference of its actuators' torque.
     """
     text, (path, joints, actuators) = write_bench(fitted, nearest), asked
     robot = put_into(path, joints, actuators, fitted, nearest, text)
@@ -157,7 +157,7 @@ def _play_robot(
 def _list_remarks(
     fitted: Identified, nearest: Nearest, difference: Difference | None, limits: tuple[str, ...]
 ) -> list[str]:
-    """What a file's comment says besides its friction law."""
+    """List the sentences of a file's comment, without its friction law."""
     return [
         f"Its parameters are those for steps of {fitted.timestep:g} s with the integrator {read_integrator(fitted)}.",
         *([say_difference(fitted, difference)] if difference else []),
@@ -166,7 +166,7 @@ def _list_remarks(
 
 
 def _say_robot(robot: Equipped, fitted: Identified, nearest: Nearest, actuators: str) -> list[str]:
-    """What the robot's file leaves out."""
+    """List what the robot's file leaves out, a sentence each."""
     units, armature = UNITS[fitted.bench.joint_type], ", ".join(f"{value:.6g}" for value in nearest.bench["armature"])
     limits, timestep = [], robot.model.opt.timestep
     if robot.urdf:
@@ -190,7 +190,7 @@ def _say_robot(robot: Equipped, fitted: Identified, nearest: Nearest, actuators:
 
 
 def write_bench(fitted: Identified, nearest: Nearest, remarks: Sequence[str] = ()) -> str:
-    """The bench's MJCF with these values, in steps of the drive's length, and remarks in its comments."""
+    """Return the bench's MJCF with these values, in the drive's steps, with remarks in its comments."""
     loss = nearest.frictionloss if nearest.frictionloss.any() else None  # 0 would be a constraint without effect
     comments, late = (nearest.remark or say_law(fitted.model), *remarks), write_late(fitted, nearest, fitted.timestep)
     text = fitted.bench.mjcf({**nearest.bench, **late}, loss, nearest.damping, comments, limited=True)
@@ -202,7 +202,7 @@ def write_bench(fitted: Identified, nearest: Nearest, remarks: Sequence[str] = (
 
 
 def say_limits(fitted: Identified, nearest: Nearest, timestep: float | None = None) -> tuple[str, ...]:
-    """What a user of an MJCF with the drive has to know, in steps of this length [s] or of the drive's."""
+    """List what a user of an MJCF with the drive has to know, in steps of this length [s] or of the drive's."""
     law, limits = fitted.bench.actuator, [nearest.remark] if nearest.remark else []
     limits += say_delay(fitted, fitted.timestep if timestep is None else timestep)
     if not law.needs_state and any(np.any(fitted.segments.signals.inputs[name]) for name in fitted.sampling.commands):

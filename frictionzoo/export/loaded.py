@@ -1,4 +1,4 @@
-"""Model files for MuJoCo: loaded as their users do, played beside the identified drive, and what they cannot hold."""
+"""Model files for MuJoCo, loaded as their users do and compared with the identified drive."""
 
 from dataclasses import dataclass, replace
 from typing import Literal, cast
@@ -30,9 +30,10 @@ class ModelFile:
         name: Of the file.
         content: The file.
         timestep: Of the model as loaded [s].
-        difference: Of its positions from the identified drive's; None where it was not played, and `limits` say why.
+        difference: Difference of its positions from the identified drive's; None where it was not played, and `limits`
+            say why.
         limits: What it cannot hold and what a user has to know, a sentence each.
-        notes: What is so on this machine alone, likewise; neither the file nor `result.json` says it.
+        notes: Remarks for this machine alone, a sentence each; neither the file nor `result.json` has them.
     """
 
     name: str
@@ -68,7 +69,7 @@ def play(
         model: The file compiled; payloads are put into it.
         fitted: The identified drive.
         expected: Its rollouts.
-        why: What the file lacks of the drive, in a few words each.
+        why: What the file lacks, in a few words each.
         place: Where the joints are in the model; None for the bench's own.
 
     Returns:
@@ -102,7 +103,7 @@ def read_error(fitted: Identified) -> float | None:
 
 
 def say_difference(fitted: Identified, difference: Difference) -> str:
-    """Say how a file moves as loaded, for its comment."""
+    """Describe how a file moves as loaded, for its comment."""
     played = f"Loaded unchanged in MuJoCo and played under held-out commands ({difference.over}):"
     if difference.largest <= EXACT:
         return f"{played} the identified drive is represented exactly, positions within {EXACT:g} {difference.unit}."
@@ -116,7 +117,7 @@ def say_difference(fitted: Identified, difference: Difference) -> str:
 
 
 def list_lacks(fitted: Identified, nearest: Nearest, timestep: float) -> list[str]:
-    """List in a few words each what a file with steps of this length [s] lacks of the drive."""
+    """List what a file with steps of this length [s] lacks of the drive, in a few words each."""
     lacks = [nearest.lacks] if nearest.lacks else []
     if say_delay(fitted, timestep):
         lacks.append("a delay below one step is a filter")
@@ -130,7 +131,7 @@ def list_lacks(fitted: Identified, nearest: Nearest, timestep: float) -> list[st
 
 
 def say_delay(fitted: Identified, timestep: float) -> list[str]:
-    """Say which delays are filters in steps of this length [s]."""
+    """Name the delays that are written as filters in steps of this length [s]."""
     delays = fitted.values["bench"].get("delay", np.empty(0))
     if fitted.bench.actuator.needs_state:  # whose commands the caller delays
         return []

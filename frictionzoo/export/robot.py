@@ -43,11 +43,11 @@ class Equipped:
         content: The file.
         urdf: Whether it is URDF, else MJCF.
         joints: Names of the joints that were identified.
-        column: Column of the drive's values of each of them.
+        column: Column of each joint in the drive's values.
         model: The file compiled, with every joint and actuator; without meshes, sensors and keyframes.
         remark: What was changed, for a comment of the file.
-        notes: What a user has to know of what was changed, a sentence each.
-        unknown: Names of bodies that move with the joints and whose inertia the model does not have.
+        notes: What a user has to know of the changes, a sentence each.
+        unknown: Names of bodies that move with the joints and lack an inertia in the model.
     """
 
     content: bytes
@@ -60,18 +60,18 @@ class Equipped:
     unknown: tuple[str, ...]
 
     def commented(self, *sentences: str) -> "Equipped":
-        """Return the same with a comment at the top of the file: what was changed, and these sentences."""
+        """Return the same with a comment at the top of the file: the changes, and these sentences."""
         file = InPlace.read(self.content)
         file.remark(" ".join([self.remark, *sentences]))
         return replace(self, content=file.write())
 
 
 def _refuse_inertia(path: Path, fitted: Identified) -> None:
-    """ExportError where the drive was identified with other links than those of its own file, or another gravity."""
+    """Raise ExportError where the drive was identified with other links or another gravity than its file's."""
     if fitted.bench.inertia and path == Path(fitted.bench.source):
         links = ", ".join(list(fitted.bench.inertia)[:3])
         raise ExportError(
-            f"into={path}: the inertias of {links} and others were identified along, expected those of the file; take "
+            f"into={path}: the inertias of {links} and others were identified too, expected those of the file; take "
             "the bench that was simulated, which has them"
         )
     if fitted.bench.gravity is not None and path == Path(fitted.bench.source):
@@ -85,16 +85,17 @@ def _refuse_inertia(path: Path, fitted: Identified) -> None:
 def put_into(
     path: Path, joints: Sequence[str], actuators: str, fitted: Identified, nearest: Nearest, bench: str
 ) -> Equipped:
-    """A robot's file with the drive in some of its joints; all else stays as it is, byte by byte.
+    """Put the drive into joints of a robot's file; all else stays as it was, byte by byte.
 
-    Meshes need not be there. What was written is read back as the file of a bench is. The file has no comment yet.
+    Meshes may be missing. The written file is read back and checked. It has no comment yet. Of a drive that `at` made
+    for a simulator, an MJCF gets the step and the integrator too.
 
     Args:
         path: Of the robot, MJCF or URDF.
         joints: Names of its joints. A drive of one joint is put into each of them, one of several into as many.
         actuators: `identified` to replace the joints' actuators, or add them, or `keep` to leave them.
         fitted: The drive.
-        nearest: What MuJoCo's joints can hold of it.
+        nearest: Its values in MuJoCo's joints.
         bench: The bench's MJCF with these values.
 
     Raises:
@@ -139,12 +140,12 @@ def put_into(
 def compare_torque(
     robot: Equipped, fitted: Identified, nearest: Nearest, actuators: bool
 ) -> tuple[Difference, tuple[str, ...]]:
-    """The robot's own actuator and damping in MuJoCo C, at recorded states, against those that were identified.
+    """Compare the torque of the file's actuators and damping, in MuJoCo C at recorded states, with the drive's.
 
-    Without the identified `actuators`, the damping alone.
+    Without the identified `actuators`, compare the damping alone.
 
     Returns:
-        The difference; and a sentence where limits of the robot are a part of it.
+        The difference; and a sentence where limits of the robot contribute to it.
     """
     states = _pick_states(fitted)
     data, column = mujoco.MjData(robot.model), list(robot.column)
@@ -159,12 +160,12 @@ def compare_torque(
 
 
 def offset_of(fitted: Identified) -> Float[np.ndarray, "nv"]:
-    """Return what recorded positions lack [rad or m]: the robot's own joints have true positions."""
+    """Return the offset of true positions, which the robot's joints have, from recorded ones [rad or m]."""
     return fitted.values["bench"].get("position_offset", np.zeros(fitted.bench.nv))
 
 
 def _say_cut(robot: Equipped, torque: Float[np.ndarray, "states joints"]) -> tuple[str, ...]:
-    """Whether limits of actuators and joints, which the bench has not, act in these states."""
+    """Say in how many states limits of actuators and joints act that the bench does not have."""
     model, cut = robot.model, np.zeros(len(torque), bool)
     ids = [model.joint(name).id for name in robot.joints]
     limits = [(model.jnt_actfrcrange[ids], model.jnt_actfrclimited[ids], ids)]
@@ -193,7 +194,7 @@ def say_whole(path: Path, robot: Equipped) -> tuple[str, ...]:
 
 
 def _compile(content: bytes, path: Path) -> str | None:
-    """Why MuJoCo does not compile a file that lies at this place; None where it does."""
+    """Return why MuJoCo does not compile a file at this path; None where it does."""
     try:
         spec = mujoco.MjSpec.from_string(ET.tostring(ET.fromstring(content), encoding="unicode"))
         spec.modelfiledir = str(path.resolve().parent)
@@ -204,7 +205,7 @@ def _compile(content: bytes, path: Path) -> str | None:
 
 
 def _pick_states(fitted: Identified) -> DriveState:
-    """Some of the recorded states, with what MuJoCo's actuators get in them as `ctrl`."""
+    """Pick some recorded states, with the `ctrl` of MuJoCo's actuators in them."""
     bench, samples = fitted.bench, fitted.samples
     signals = fitted.acting().map(lambda signal: signal[:, :, 0].reshape(-1, bench.nv))
     state = samples.qpos, samples.qvel
@@ -214,7 +215,7 @@ def _pick_states(fitted: Identified) -> DriveState:
 
 
 def _torque_in(robot: Equipped, data: mujoco.MjData, state: DriveState, actuators: bool) -> Float[np.ndarray, "joints"]:
-    """Of the identified joints' actuators and dampers in one state."""
+    """Return the torque of the identified joints' actuators and dampers in one state."""
     model = robot.model
     ids = [model.joint(name).id for name in robot.joints]
     dof = model.jnt_dofadr[ids]
@@ -322,7 +323,7 @@ def write_late(fitted: Identified, nearest: Nearest, timestep: float) -> dict[st
 
 
 def set_option(file: InPlace, fitted: Identified) -> None:
-    """Let an MJCF have the step and the integrator that the drive's parameters are for."""
+    """Write the step and the integrator that the drive's parameters are for into an MJCF's option."""
     said = {"timestep": in_full(fitted.timestep), "integrator": read_integrator(fitted)}
     options = [tag for tag in file.tags if tag.path == ("mujoco",) and tag.name == "option"]
     for tag in options:
@@ -332,7 +333,7 @@ def set_option(file: InPlace, fitted: Identified) -> None:
 
 
 def _change_option(file: InPlace, option: mujoco.MjOption, fitted: Identified) -> list[str]:
-    """The same where the file has others, and a sentence that says so."""
+    """Do so where the file has others, and return a sentence that says it."""
     own, wanted = mujoco.mjtIntegrator(option.integrator).name.removeprefix("mjINT_"), read_integrator(fitted)
     # Parameters for implicitfast are those for implicit.
     if np.isclose(option.timestep, fitted.timestep, rtol=1e-6) and wanted.lower().startswith(own.lower()):

@@ -1,22 +1,22 @@
-"""What came of an export: files, how far they are from the drive, and what they cannot represent."""
+"""Outcome of an export: files, their distance from the drive, and what they cannot represent."""
 
 from dataclasses import dataclass
 from pathlib import Path
 
-FAR = 0.1  # of the drive's own error; a target that moves otherwise by more is marked
+FAR = 0.1  # share of the drive's own error; larger differences are marked
 
 
 @dataclass(frozen=True)
 class Difference:
-    """What was written, run in the program that it is for, against the fitted drive.
+    """Difference between the written files, run in their program, and the fitted drive.
 
     Attributes:
-        quantity: What was compared: `qpos`, or `torque`.
+        quantity: The compared quantity: `qpos`, or `torque`.
         unit: Its unit.
         largest: Largest absolute difference.
         mean: Mean absolute difference.
-        over: Of what, in words: `10 rollouts of 3 s`.
-        reason: In a few words, what the target lacks of the drive; empty where it should move as that.
+        over: The compared data, in words: `10 rollouts of 3 s`.
+        reason: What the target lacks of the drive, in a few words; empty where it should move as the drive.
         error: Mean absolute position error against the recordings; None where that was not measured.
     """
 
@@ -31,12 +31,12 @@ class Difference:
 
 @dataclass(frozen=True)
 class Export:
-    """What a target wrote.
+    """Files that a target wrote.
 
     Attributes:
         files: Their names in the folder.
-        differences: Measured by running the written files.
-        limits: What they cannot represent and what a user has to know, a sentence each, with its loss of accuracy.
+        differences: Differences from the drive, measured by running the files.
+        limits: What they cannot represent and what a user has to know, a sentence each, with the loss of accuracy.
     """
 
     files: tuple[str, ...]
@@ -46,14 +46,14 @@ class Export:
 
 @dataclass(frozen=True)
 class Written:
-    """One target's outcome.
+    """Outcome of one target.
 
     Attributes:
         target: Its name.
-        folder: Where the files are; None where there are none.
-        export: What was written; None where nothing was.
+        folder: Folder of the files; None where there are none.
+        export: The written files; None where nothing was written.
         reason: Why nothing was written, in one line.
-        error: Mean absolute position error of the drive itself in the run's test rollouts; None where it has none.
+        error: Mean absolute position error of the drive itself in the run's test rollouts; None where that is unknown.
     """
 
     target: str
@@ -63,16 +63,16 @@ class Written:
     error: float | None = None
 
     def share(self, difference: Difference) -> float | None:
-        """The mean difference of positions over the drive's own error; None where there is no such."""
+        """Return the mean difference of positions over the drive's own error; None where that is unknown."""
         return difference.mean / self.error if difference.quantity == "qpos" and self.error else None
 
     def is_far(self, difference: Difference) -> bool:
-        """Whether what was written moves otherwise than the drive by more than a tenth of the drive's own error."""
+        """Return whether the files move differently than the drive by more than a tenth of its own error."""
         share = self.share(difference)
         return share is not None and not share <= FAR
 
     def mark(self, difference: Difference) -> str:
-        """What a row of the difference says at its end: empty, or that it is far, by how much and why."""
+        """Return the end of a difference's row: empty, or by how much the files are far and why."""
         if not self.is_far(difference):
             return ""
         reason = difference.reason or "for no known reason: do not use it"

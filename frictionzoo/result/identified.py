@@ -1,4 +1,4 @@
-"""An identified drive, of a fit that has just ended or of a run read back: to be looked at, simulated and exported."""
+"""An identified drive, from a fit that has just ended or a run read back: to inspect, simulate and export."""
 
 import copy
 import time
@@ -44,22 +44,22 @@ from frictionzoo.simulate.rollout import applied, make_observer
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Identified:
-    """The identified drive of one run, and the recordings that it was judged on.
+    """The identified drive of one run, and the recordings that it was evaluated on.
 
     Attributes:
         folder: The run's folder; None for a drive that is in memory only.
-        result: What its `result.json` holds.
+        result: Content of its `result.json`.
         bench: The test stand.
         model: The friction law with its identified values, in float64.
-        state: These values as they are saved, in the types in which the law came to hold them.
+        state: These values as they are saved, in the law's own types.
         values: Values of all parameters and of a network's weights, by owner (`bench`, `friction`) and name, as numpy
-            arrays in float64: those of the bench of shape (nv,), those of the law as in its `state_dict`.
-        segments: The long test rollouts: measured states and what drove them; none of a drive of a card.
+            arrays in float64: of shape (nv,) for the bench, as in its `state_dict` for the law.
+        segments: The long test rollouts: measured states and the signals that drove them; none for a drive of a card.
         sampling: From their samples to steps of the simulation.
-        curves: What figures are drawn from; empty for a drive of a card.
+        curves: Data of the figures; empty for a drive of a card.
         complaint: One line where the fit diverged; None otherwise.
-        fitted: What was minimised, with the training data; None for a drive that was read back.
-        origin: The drive for which this one stands in a simulator, as `at` makes it; None where it is the drive itself.
+        fitted: The minimised loss, with the training data; None for a drive that was read back.
+        origin: The drive that this one represents in a simulator, as `at` makes it; None for the drive itself.
     """
 
     folder: Path | None
@@ -81,7 +81,7 @@ class Identified:
 
         Raises:
             RunError: It is not the folder of a finished run of this version, or one of its files is damaged.
-            BenchError: The bench's MJCF is not there any more, or not what it was.
+            BenchError: The bench's MJCF is missing or has changed.
         """
         result, curves = read_run(folder)
         settings = result["settings"]
@@ -99,27 +99,27 @@ class Identified:
         return cls(folder, result, bench, model, state, values, segments, sampling, curves)
 
     def save(self, folder: str | Path) -> Result:
-        """Write figures, values, curves, MJCF and page, and `result.json` last: where that is, all is.
+        """Write figures, values, curves, MJCF and page, and `result.json` last: it marks a complete folder.
 
         Args:
-            folder: Where to; it is made if it is missing, and an earlier run's files in it are replaced where nobody
+            folder: Folder to write; made if it is missing. An earlier run's files in it are replaced where nobody
                 changed them.
 
         Returns:
-            What `result.json` holds: in `written`, how far each model file moves from the drive.
+            Content of `result.json`; its `written` says how far each model file moves from the drive.
 
         Raises:
             OutputError: A foreign file is in the way, or a file cannot be written.
             RunError: It is a drive of a card.
         """
-        self.recorded  # noqa: B018 - raises where there is nothing to draw
+        self.recorded  # noqa: B018 - raises for a card
         began, folder = time.perf_counter(), Path(folder)
         with claim(folder, "run", RUN_FILES) as manifest:
             manifest.remove(RESULT)
             return self._write(folder, began)
 
     def _write(self, folder: Path, began: float) -> Result:
-        # Imported here, so that what reads a run does not wait for what draws one.
+        # Imported here, so that reading a run does not wait for the plotting libraries.
         from frictionzoo.export.bench import write_identified
         from frictionzoo.show.replay import record_replay
         from frictionzoo.show.run_page import write_report
@@ -130,7 +130,7 @@ class Identified:
         header = {"frictionzoo": f"{self.model.name}, version {__version__}"}
         write_atomically(folder / LAW, safetensors.torch.save(dict(self.state), header))
         write_curves(folder, self.curves)
-        # What `python -m frictionzoo.export RUN target=mjcf` writes, too.
+        # The same files as those of `python -m frictionzoo.export RUN target=mjcf`.
         models = write_identified(self)
         for model in models:
             write_atomically(folder / model.name, model.content)
@@ -144,7 +144,7 @@ class Identified:
 
     @property
     def place(self) -> str:
-        """Where it lies, for messages."""
+        """Name of the drive for messages: its folder, or its law."""
         return str(self.folder) if self.folder else f"the drive with {self.result['model']}"
 
     @property
@@ -153,11 +153,11 @@ class Identified:
         return read_parameters(self.result, self.bench.nv)
 
     def sample(self, count: int, seed: int = 0) -> dict[str, Float[np.ndarray, "count nv"]]:
-        """Draw drives that the training data allow: values of parameters that go together.
+        """Draw drives that the training data allow, with the parameters' correlations.
 
-        They are drawn from a multivariate Student's t distribution of the optimiser's coordinates, `covariance` in
-        `result.json`, and brought into the bounds: of each parameter, 95 % of many draws lie in its interval. What the
-        data do not determine keeps its value.
+        The draws come from a multivariate Student's t distribution of the optimiser's coordinates, `covariance` in
+        `result.json`, and are brought into the bounds. Of many draws, 95 % of a parameter's values lie in its interval.
+        Parameters that the data do not determine keep their values.
 
         Args:
             count: Drives to draw.
@@ -173,14 +173,14 @@ class Identified:
         return draw_parameters(self.place, self.result, self.bench, self.model, count, seed)
 
     def posterior(self, count: int = 1000, seed: int = 0) -> Posterior:
-        """Draw drives that the training data allow, from a distribution with the shape that the data give it.
+        """Draw drives that the training data allow, from the posterior distribution.
 
-        As `sample`, which is faster: where the loss is a parabola as far as intervals reach, the draws are distributed
-        alike. Where it is not, these are skewed or curved as it is, and keep to the bounds. They come from four chains
-        of NUTS on the loss, adjusted to the intervals' covariance: see `frictionzoo.fit.posterior`. All parameters that
-        have an interval are drawn, those that are not identifiable, too.
+        `sample` is faster, and has the same distribution where the loss is a parabola over the intervals. Elsewhere
+        these draws follow the loss's own shape, within the bounds. They come from four chains of NUTS on the loss,
+        adjusted to the intervals' covariance: see `frictionzoo.fit.posterior`. All parameters with an interval are
+        drawn, also those that are not identifiable.
 
-        It takes the training data, so a drive that `identify` returned, and blackjax, the extra `posterior`.
+        It needs the training data, so a drive that `identify` returned, and blackjax, the extra `posterior`.
 
         Args:
             count: Drives to draw.
@@ -197,10 +197,10 @@ class Identified:
         return draw_with_chains(self.place, self.result, self.bench, self.fitted, count, seed)
 
     def band(self, segments: Segments | None = None, count: int = 100, seed: int = 0) -> Band:
-        """Where the measured position will be in rollouts, at each instant with 95 %.
+        """Predict the interval of the measured position in rollouts, with 95 % at each instant.
 
-        The spread of drives that the training data allow, `sample`, together with what the fitted one left of rollouts
-        of the training recordings, as long after their start: see `frictionzoo.result.band`.
+        It combines the spread of drives that the training data allow, `sample`, with the fitted drive's errors in
+        rollouts of the training recordings at the same time after their start: see `frictionzoo.result.band`.
 
         Args:
             segments: Initial states and commands; None for the run's long test rollouts.
@@ -211,7 +211,7 @@ class Identified:
             The band for as long as a rollout of the evaluation's main horizon.
 
         Raises:
-            RunError: Less than two training rollouts of the evaluation have stayed finite.
+            RunError: Fewer than two training rollouts of the evaluation have stayed finite.
         """
         segments = self.recorded if segments is None else segments
         draws = self.sample(count, seed) if self.result["covariance"] else {}
@@ -222,10 +222,10 @@ class Identified:
         return predict_band(self.place, simulate, draws, self.curves)
 
     def with_values(self, drawn: Mapping[str, Float[np.ndarray, "nv"] | float]) -> Values:
-        """Return the values of all parameters, with these in place of some, by full name as `sample` has them.
+        """Return the values of all parameters, with some replaced, by full name as `sample` gives them.
 
         Raises:
-            ConfigError: No such parameter, another shape, or a value that it cannot have.
+            ConfigError: There is no such parameter, or its value has another shape or is out of its bounds.
         """
         return put_values(
             self.values, drawn, {"bench": self.bench.params, "friction": self.model.params}, self.bench.nv
@@ -233,7 +233,7 @@ class Identified:
 
     @property
     def metrics(self) -> dict[str, Metrics]:
-        """Errors of open-loop rollouts: of `train`, of `test`, and of `baseline`, the test part without friction."""
+        """Errors of open-loop rollouts by part: `train`, `test`, and `baseline`, the test part without friction."""
         rows, nan = cast(Mapping[str, Mapping[str, Any]], self.result["metrics"]), cast(Any, np.nan)
         return {part: Metrics(**{k: nan if v is None else v for k, v in row.items()}) for part, row in rows.items()}
 
@@ -252,10 +252,10 @@ class Identified:
         Returns:
             A figure of matplotlib, which a notebook shows and `savefig` writes.
         """
-        # Imported here, so that what draws nothing does not wait for it.
+        # Imported here, so that other uses do not wait for the plotting libraries.
         from frictionzoo.show.run_plots import draw_rollout
 
-        self.recorded  # noqa: B018 - raises where there is nothing to draw
+        self.recorded  # noqa: B018 - raises for a card
         return draw_rollout(self.result, self.curves)
 
     def export(self, target: str, path: str | Path, **options: str | float | int | Mapping[str, Any]) -> Written:
@@ -263,21 +263,21 @@ class Identified:
 
         Args:
             target: Name of a target, `mjcf` say; the documentation lists them.
-            path: A folder for all that the target writes; or a file, whose ending says which of it is wanted.
-            options: `timestep` [s], and the target's own.
+            path: A folder for all files of the target; or one file, chosen by its ending.
+            options: `timestep` [s] and `integrator` of the simulator, and the target's own.
 
         Returns:
-            What was written, how far it is from this drive, and what it cannot represent.
+            The written files, their distance from this drive, and what they cannot represent.
 
         Raises:
-            FrictionzooError: No such target or option, or the target cannot hold the drive.
+            FrictionzooError: There is no such target or option, or the target cannot hold the drive.
         """
         from frictionzoo.export.write import as_text, export_to
 
         return export_to(self, target, Path(path), {name: as_text(value) for name, value in options.items()})
 
     def __repr__(self) -> str:
-        """Parameters with intervals, test errors beside those without friction, and warnings."""
+        """Parameters with intervals, test errors with and without friction, and warnings."""
         from frictionzoo.show.terminal import summarise
 
         return summarise(self.result, self.folder)
@@ -295,7 +295,7 @@ class Identified:
 
     @property
     def recorded(self) -> Segments:
-        """The long test rollouts, where there are any.
+        """The long test rollouts.
 
         Raises:
             RunError: It is a drive of a card, which has no recordings.
@@ -309,15 +309,15 @@ class Identified:
 
     @property
     def over(self) -> str:
-        """What rollouts there are, in words."""
+        """Number and length of the long test rollouts, in words."""
         return f"{self.segments.count} rollouts of {self.segments.length * self.segments.timestep:g} s"
 
     def at(self, timestep: float | None = None, integrator: str | None = None) -> "Identified":
-        """The same drive in a simulator that takes MuJoCo's steps.
+        """Return the same drive in a simulator that takes MuJoCo's steps.
 
-        A drive whose parameters are those of continuous time (`bench.second_order`) gets the parameters with which this
-        simulator moves as the drive does; any other keeps its parameters. Where the recordings' interval is no whole
-        number of steps, only every so many of their samples are kept.
+        A drive with parameters in continuous time (`bench.second_order`) gets the parameters with which this simulator
+        moves as the drive does; any other keeps its parameters. Where the recordings' interval is not a whole number of
+        steps, only every n-th sample is kept.
 
         Args:
             timestep: Step of the simulation [s]. None is this drive's; for a drive in continuous time it is the model
@@ -325,8 +325,8 @@ class Identified:
             integrator: `Euler`, `implicitfast`, or `RK4` for a drive in continuous time; None for the bench's.
 
         Raises:
-            ConfigError: No whole number of such steps lasts one or a few samples of the recordings, there is no such
-                integrator, or `RK4` is asked for a drive whose parameters are for its steps.
+            ConfigError: One sample of the recordings, or a few, do not last a whole number of such steps; there is no
+                such integrator; or `RK4` is asked for a drive whose parameters are for its steps.
         """
         return put_into_simulator(self, timestep, integrator)
 
@@ -337,8 +337,8 @@ class Identified:
 
         Args:
             segments: Initial states and commands; None for the run's long test rollouts.
-            timestep: Step of the simulation [s]; None for that of this drive.
-            values: Of another drive of this bench and law; None for its own.
+            timestep: Step of the simulation [s]; None for this drive's.
+            values: Values of another drive of this bench and law; None for this drive's.
 
         Returns:
             qpos and qvel after each sample interval.
@@ -353,9 +353,9 @@ class Identified:
         return qpos, qvel
 
     def follow(self, segments: Segments, values: Values | None = None) -> Segments:
-        """The segments with the states of this drive, from their first ones on, in place of the measured ones.
+        """Return the segments with simulated states in place of the measured ones, from the first states on.
 
-        With `values`, of another drive of this bench and law.
+        `values` are those of another drive of this bench and law; None for this drive's.
 
         Raises:
             RunError: The drive diverges in one of them.
@@ -373,10 +373,10 @@ class Identified:
         return replace(segments, qpos=qpos, qvel=qvel)
 
     def acting(self, late: bool = True) -> Signals:
-        """What drives each step of the long test rollouts, each of shape (batch, time, substeps, nv).
+        """Return the signals in each step of the long test rollouts, of shape (batch, time, substeps, nv).
 
         Args:
-            late: Whether the commands are late by the bench's delay.
+            late: Whether the bench's delay acts on the commands.
         """
         with jax.enable_x64(True):
             bench = self.jax_values["bench"] if late else {}
@@ -385,7 +385,7 @@ class Identified:
 
     @cached_property
     def samples(self) -> DriveState:
-        """What the friction law sees at the measured states of the rollouts, arrays of shape (samples, nv)."""
+        """Inputs of the friction law at the measured states of the rollouts, arrays of shape (samples, nv)."""
         segments = self.recorded
         qpos, qvel = segments.qpos[:, :-1], segments.qvel[:, :-1]
         with jax.enable_x64(True):
@@ -395,10 +395,10 @@ class Identified:
 
     @cached_property
     def proof(self) -> Proof:
-        """That this drive, with its fitted values, is simulated as MuJoCo C does.
+        """Verification of this drive's simulation, with its fitted values, against MuJoCo C.
 
         Raises:
-            BenchError: It is not; see `frictionzoo.simulate.proof.prove`.
+            BenchError: They differ; see `frictionzoo.simulate.proof.prove`.
         """
         segments = self.recorded
         qpos, qvel, signals = jax.tree.map(

@@ -1,4 +1,4 @@
-"""Rollouts of second order in the time step, made of MuJoCo's own steps, which are of first order."""
+"""Rollouts of second order in the time step, made of MuJoCo's steps, which are of first order."""
 
 from typing import Any
 
@@ -11,23 +11,23 @@ from frictionzoo.bench import Bench
 from frictionzoo.core.state import DriveState, FrictionTerms, Signals
 from frictionzoo.simulate.base import Friction, Values, control
 
-_MOST = 0.5  # share of an armature that is taken away at most: it stays positive
+_MOST = 0.5  # largest share of an armature that is taken away: it stays positive
 
 
 class SecondOrder:
-    """What turns MuJoCo's semi-implicit Euler or implicitfast step into position Verlet with a midpoint in velocity.
+    """A correction that makes position Verlet with a velocity midpoint of MuJoCo's Euler or implicitfast steps.
 
-    The step is a kick at q followed by a drift over the whole step. With q = Q + h/2 v it is position Verlet in Q: half
-    a drift, a kick, half a drift. So a rollout begins at Q + h/2 v, and Q = q - h/2 v is read. A torque -d v that the
-    integrator takes at the velocity before the kick belongs at the mean of both, which h/2 d more armature has the same
-    effect as; one that it takes at the velocity after the kick, h/2 d less.
+    A step is a kick at q, then a drift over the whole step. With q = Q + h/2 v it is position Verlet in Q: half a
+    drift, a kick, half a drift. So a rollout begins at Q + h/2 v, and Q = q - h/2 v is read. A torque -d v belongs at
+    the mean of the velocities before and after the kick. Where the integrator takes it before the kick, an armature
+    that is h/2 d larger has this effect; where it takes it after the kick, one that is h/2 d smaller.
 
     Source: E. Hairer, C. Lubich, G. Wanner, "Geometric numerical integration illustrated by the Stoermer-Verlet
     method", Acta Numerica 12, 2003, section 1.
 
     Args:
-        bench: What is simulated.
-        friction: The friction law, of which memory is not differentiated.
+        bench: The simulated bench.
+        friction: The friction law. Its memory is not differentiated.
     """
 
     def __init__(self, bench: Bench, friction: Friction) -> None:
@@ -45,18 +45,18 @@ class SecondOrder:
         return qpos + self._half * qvel
 
     def read(self, qpos: Any, qvel: Any) -> Any:
-        """Return the position that the drive has where MuJoCo's steps are at this state."""
+        """Return the drive's position for this state of MuJoCo's steps."""
         return qpos - self._half * qvel
 
     def adapt(self, values: Values, qpos: Array, qvel: Array, signals: Signals, memory: Array) -> Values:
-        """Return the values with the armature with which the step from this state is a midpoint's."""
+        """Return the values with the armature that makes the step from this state a midpoint step."""
         known = values["bench"]
         armature = known["armature"]
         more = self._half * self._slope(values, qpos, qvel, signals, memory)
         return {**values, "bench": {**known, "armature": armature + jnp.maximum(more, -_MOST * armature)}}
 
     def surplus(self, values: Values, qpos: Array, qvel: Array, signals: Signals) -> Float[Array, "nv"]:
-        """Return what `adapt` adds to armatures [kg m^2], the median over states of shape (samples, nv)."""
+        """Return the armature that `adapt` adds [kg m^2], its median over states of shape (samples, nv)."""
 
         def of_one(qpos: Array, qvel: Array, signals: Signals) -> Array:
             zero = jnp.zeros_like(qpos)
@@ -67,12 +67,12 @@ class SecondOrder:
         return jnp.median(jax.vmap(of_one)(qpos, qvel, signals), axis=0)
 
     def _slope(self, values: Values, qpos: Array, qvel: Array, signals: Signals, memory: Array) -> Float[Array, "nv"]:
-        """By how much torques fall with the velocity [N m s/rad], of implicit ones with the other sign."""
+        """The slope by which torques fall with the velocity [N m s/rad]; implicit torques count with the other sign."""
         known, ones = values["bench"], jnp.ones_like(qvel)
         affine = self._bench.actuator.affine(known)
 
         def brake(velocity: Array) -> tuple[Array, Array]:
-            """Torques against the motion but for the affine actuator's, and MuJoCo's damping."""
+            """Torques against the motion without the affine actuator's, and MuJoCo's damping."""
             ctrl = control(self._bench, values, qpos, velocity, signals)
             motor = affine.gain * ctrl + affine.bias0 + affine.bias1 * qpos + affine.bias2 * velocity
             state = DriveState(qpos, velocity, signals.ctrl, motor, jnp.zeros_like(qpos), **signals.observed)
