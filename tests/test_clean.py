@@ -367,3 +367,18 @@ def test_a_joint_that_stands_still_has_no_velocity(value):
     (log,) = clean(record(uniform(), qpos=still, qvel=np.full(500, value)), cleaning(spikes="keep"))
     np.testing.assert_allclose(log.qvel, 0.0, atol=1e-9)
     assert np.isfinite(Noise.of([log]).velocity_weight)
+
+
+@pytest.mark.parametrize(("rate", "step"), [(300, 0.002), (150, 0.005), (1000, 0.01)])
+def test_rounded_times_of_an_even_clock_are_evened_out(rate, step):
+    even = np.arange(600) / rate
+    (log,) = clean(record(np.round(even / step) * step, qpos=np.sin(even), qvel=np.cos(even), ctrl=even), cleaning())
+    assert any(said.startswith(f"times are rounded to {step:g} s") for said in log.repairs)
+    assert log.timestep == pytest.approx(1 / rate, rel=1e-3) and log.samples == 600
+    np.testing.assert_array_equal(log.qpos[:, 0], np.sin(even))
+
+
+def test_times_that_are_uneven_or_missing_are_not_rounded_ones():
+    for dropped in (np.arange(100, 103), np.arange(60, 300, 30)):
+        (log,) = clean(record(np.delete(np.arange(400) * 0.01, dropped)), cleaning())
+        assert not any("rounded" in said for said in log.repairs)

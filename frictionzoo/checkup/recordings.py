@@ -33,6 +33,7 @@ from frictionzoo.checkup.samples import (
 )
 from frictionzoo.checkup.torque import KNOWN, agrees, check_torque
 from frictionzoo.core.log import Dataset, Log
+from frictionzoo.logs.clean import TIMES_ROUNDED
 
 GAINS = ("kp", "kd")  # commands that move nothing by themselves
 BRIEF = 2.5  # s; a shorter recording has too few motions to compare commands and torque with
@@ -82,6 +83,8 @@ def takes_position(bench: Bench) -> bool:
 def _check_log(log: Log, bench: Bench, to_position: bool, closely: bool) -> Iterator[Finding]:
     clock = list(check_clock(log))
     yield from clock
+    for sentence in (each for each in log.repairs if each.startswith(TIMES_ROUNDED)):
+        yield Finding("rounded", False, f"{sentence}; record them with more digits", log.name)
     if clock:
         return
     cleaned = {name: getattr(log, name).copy() for name in ("qpos", "qvel", "ctrl")}

@@ -41,6 +41,11 @@ RESAMPLED = {**dict.fromkeys(COMMANDS, "mean"), "enable": "held"}  # how these a
 EXTRAS = tuple(signal for signal in SIGNALS if signal not in ("time", "qpos", "qvel", "ctrl"))
 FOLLOWED = 1e-6  # share of the median interval by which the same instant may differ in two clocks
 MOST_FINER = 1000.0  # factor by which resampling may make an interval shorter; more adds nothing but length
+FEWEST = 50  # intervals, from which on they show whether times are rounded
+SEVERAL = 5  # times that each of their lengths occurs at the least; a gap is there once
+ROUNDED = 0.55  # of the step by which times are rounded, that one is off by at the most
+TIMES_ROUNDED = "times are rounded to"
+"""How the sentence on such times begins."""
 NUMBER = re.compile(r"-?\d+(\.\d+)?(e-?\d+)?")
 
 
@@ -140,7 +145,7 @@ def clean(recording: Recording, cleaning: Cleaning) -> list[Log]:
         ConfigError: The cut-off is not below half the sample rate.
     """
     refuse_incomplete(recording)
-    whole = _drop_repeated(Piece(recording.time, recording.signals, recording.notes))
+    whole = _drop_repeated(_even_out(Piece(recording.time, recording.signals, recording.notes)))
     whole = _drop_velocity(_unwrap(whole, cleaning.wrap), recording.name, cleaning)
     if cleaning.spikes == "drop" and any(map(count_spikes, whole.signals["qpos"].T)):
         return []
@@ -186,6 +191,23 @@ def _finish(piece: Piece, name: str, recording: Recording, cleaning: Cleaning) -
         metadata=recording.fields,
         columns=recording.columns,
     )
+
+
+def _even_out(piece: Piece) -> Piece:
+    """With the even times that were rounded: then there are two intervals, and none is off by more than half a step."""
+    steps = np.diff(piece.time)
+    interval = float(piece.time[-1] - piece.time[0]) / max(len(steps), 1)
+    if len(steps) < FEWEST or not interval > 0:
+        return piece
+    apart, often = np.unique(np.round(steps / interval, 4), return_counts=True)
+    if len(apart) != 2 or often.min() < SEVERAL or not apart[1] - apart[0] > JITTER:
+        return piece
+    step, samples = interval * float(apart[1] - apart[0]), np.arange(len(piece.time))
+    slope, start = np.polyfit(samples, piece.time, 1)
+    if np.abs(piece.time - start - slope * samples).max() > ROUNDED * step:
+        return piece
+    said = f"{TIMES_ROUNDED} {step:.4g} s: even ones, {slope:.6g} s apart, stand in their place"
+    return replace(piece, time=start + slope * samples).say(said)
 
 
 def _drop_repeated(piece: Piece) -> Piece:
