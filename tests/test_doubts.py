@@ -3,15 +3,13 @@
 import re
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 from conftest import needs_data
 
-from frictionzoo.bench import Bench, Force, PositionPD
+from frictionzoo.bench import Bench, Force
 from frictionzoo.checkup import check_up, find_all
 from frictionzoo.checkup.commands import takes_energy
 from frictionzoo.checkup.findings import Repair
@@ -21,7 +19,7 @@ from frictionzoo.checkup.motion import check_motion
 from frictionzoo.core.errors import ConfigError, LogError
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.logs.twin import Twin
-from frictionzoo.result.verdict import doubt_gain, doubt_reference, doubt_sizes, explain_failure, list_moving
+from frictionzoo.result.verdict import doubt_gain, doubt_reference, explain_failure, list_moving
 
 ARMATURE = {"init": 50.0, "low": 1.0, "high": 1e3, "scale": "log", "identify": True}
 RNG = np.random.default_rng(0)
@@ -315,21 +313,3 @@ def test_a_law_that_explains_next_to_nothing_is_told() -> None:
     assert "is 90 % of that without friction" in (doubt_gain({"model": "stribeck", "metrics": metrics}) or "")
     assert doubt_gain({"model": "baseline", "metrics": metrics}) is None
     assert doubt_gain({"model": "stribeck", "metrics": metrics | {"test": {"position_mae": 0.05}}}) is None
-
-
-def test_a_value_of_another_size_than_it_began_with_is_told(tmp_path: Path) -> None:
-    path = tmp_path / "cart.xml"
-    path.write_text(
-        '<mujoco><worldbody><body><joint name="j" type="slide"/><geom size=".1"/></body></worldbody></mujoco>'
-    )
-
-    def stand(**changes: Any) -> Bench:
-        return Bench(str(path), actuator=PositionPD(kp=1, kd=1), params={"armature": ARMATURE | changes})
-
-    def sizes(bench: Bench, armature: float) -> list[str]:
-        return doubt_sizes(bench.params, {"armature": np.array([armature])}, bench.joints, bench.joint_type)
-
-    (said,) = sizes(stand(), 1.6)
-    assert said.startswith("bench.armature went from 50 to 1.6 kg, 31 times: look at the units")
-    assert sizes(stand(), 5.0) == []
-    assert sizes(stand(identify=False), 1.6) == []

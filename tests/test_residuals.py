@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -85,7 +86,8 @@ def told(found: Any) -> list[tuple[str, str | None]]:
 MISSING: dict[str, tuple[Friction, str | None]] = {
     "slow": (lambda q, v, motor, gravity, t: 0.25 * math.exp(-((v / 0.4) ** 2)), "stribeck"),
     "fast": (lambda q, v, motor, gravity, t: 0.03 * abs(v) ** 2, "polynomial_viscous"),
-    "direction": (lambda q, v, motor, gravity, t: 0.05 if v > 0 else -0.05, "asymmetric"),
+    "direction": (lambda q, v, motor, gravity, t: 0.06 * v, "asymmetric"),
+    "constant": (lambda q, v, motor, gravity, t: 0.05 if v > 0 else -0.05, None),
     "load": (lambda q, v, motor, gravity, t: 0.15 * abs(motor - gravity), "load_dependent"),
     "position": (lambda q, v, motor, gravity, t: 0.08 * math.sin(9 * q), "ripple"),
     "temperature": (lambda q, v, motor, gravity, t: -0.15 * (t / 20 - 0.5), "temperature_arrhenius"),
@@ -103,6 +105,18 @@ def test_what_a_law_lacks_is_told_by_where_it_is(place: str) -> None:
     assert most["share"] > 0.5 and most["chance"] < 0.01 and not most["known"] and most["whole"] == (name is not None)
     if place == "position":
         assert most["periods"] == 9
+    if place == "constant":  # what the drive has besides its actuator, which acts against positive velocities here
+        assert most["value"] == pytest.approx(-0.05, rel=0.1)
+
+
+def test_gains_and_limits_that_are_not_stated_are_told_with_their_size() -> None:
+    log = record(lambda *_: 0.0)
+    (most,) = looked_at(log, force_gain=1.25)["by_joint"][0]["places"]
+    assert most["place"] == "scale" and most["value"] == pytest.approx(0.8, rel=0.05)
+    limit = float(np.quantile(np.abs(log.ctrl), 0.97))
+    asked = np.where(np.abs(log.ctrl) > limit, 2 * log.ctrl - np.sign(log.ctrl) * limit, log.ctrl)  # more than it got
+    most = looked_at(replace(log, ctrl=asked))["by_joint"][0]["places"][0]
+    assert most["place"] == "limit" and most["value"] == pytest.approx(limit, rel=0.1)
 
 
 def test_a_drive_with_the_right_law_has_no_finding() -> None:

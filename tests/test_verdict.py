@@ -44,14 +44,19 @@ def good(finished_run: Run) -> dict[str, Any]:
 
 
 def place(**changes: Any) -> dict[str, Any]:
-    found = {"place": "load", "periods": None, "share": 0.6, "torque": 0.1, "chance": 1e-9, "known": False}
-    return {**found, "law": "load_dependent", "whole": True, **changes}
+    found = {"place": "load", "periods": None, "value": None, "share": 0.6, "torque": 0.1, "chance": 1e-9}
+    return {**found, "known": False, "law": "load_dependent", "whole": True, **changes}
 
 
 def residual(*places: dict[str, Any], **changes: Any) -> dict[str, Any]:
     row = {"joint": "knee", "rows": 900, "residual": 0.15, "noise": 0.01, "friction": 0.5, "correlation": 0.9}
     row |= {"noise_correlation": -0.5, "kurtosis": 0.0, "places": list(places)}
     return {"unit": "N m", "bandwidth": 20.0, "by_joint": [row | changes]}
+
+
+def torque(share: float, compared: str = "torque") -> dict[str, Any]:
+    row = {part: {"residual": share, "torque": 1.0} for part in ("train", "test")}
+    return {"compared": compared, "unit": "N m", "mean": row, "by_joint": [{"joint": "knee", **row}]}
 
 
 def spoil(result: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
@@ -87,8 +92,17 @@ def test_only_where_nothing_is_found_does_nothing_speak_against_it(good: dict[st
         ("by_horizon.0.baseline.diverged", 1, "use it with care", "frictionless test rollouts"),
         ("warnings", ["qvel is late"], "use it with care", "qvel is late"),
         ("not_identified", ["why", "this"], "do not use it", "this did not identify the drive: why; likely: this"),
-        ("residual", residual(place()), "use it with care", "goes with the load on the gear (0.1 N m, 20 % of the"),
-        ("residual", residual(), "use it with care", "30 % of the friction, is no noise"),
+        ("residual", residual(noise=0.01, residual=0.3), "do not use it", "60 % of the friction beyond noise"),
+        ("residual", residual(place(torque=0.3)), "do not use it", "60 % of the friction"),
+        ("torque", torque(0.3), "use it with care", "recorded torque contradicts the result"),
+        ("torque", torque(0.8), "do not use it", "80 % of it apart on test data"),
+        (
+            "residual",
+            residual(place()),
+            "use it with care",
+            "the load on the gear explains 60 % of it (0.1 N m, 20 % of the",
+        ),
+        ("residual", residual(), "use it with care", "30 % of the friction beyond noise"),
     ],
 )
 def test_one_finding_is_never_nothing(good: dict[str, Any], path: str, value: Any, grade: str, text: str) -> None:
@@ -98,7 +112,7 @@ def test_one_finding_is_never_nothing(good: dict[str, Any], path: str, value: An
 
 
 def test_what_is_left_is_no_finding_where_it_is_noise_or_little(good: dict[str, Any]) -> None:
-    for changes in ({"noise": 0.1}, {"correlation": 0.1}, {"residual": 0.02}):
+    for changes in ({"noise": 0.1495}, {"correlation": 0.1}, {"residual": 0.02}):
         assert judge(good | {"residual": residual(**changes)})["findings"] == []
 
 
@@ -110,13 +124,67 @@ def test_what_is_left_is_no_finding_where_it_is_noise_or_little(good: dict[str, 
         (place(whole=False), "; load_dependent has that term, but not all of this law's"),
         (place(law=None), "; no law has that"),
         (place(law=None, known=True), "; the law has a term for it; its form, or its bounds, do not fit"),
+        (place(place="constant", value=0.33, law=None), "; identify bench.params.torque_offset (about 0.33)"),
+        (place(place="limit", value=2.5, law=None), "torque_limit={init: 2.5,"),
+        (place(place="scale", value=0.83, law=None), "with 0.83 times the actuator's torque"),
+        (place(place="late", value=0.01, law=None), "; identify bench.params.delay (about 0.01 s)"),
+        (place(place="gap", law="backlash"), "; backlash has that"),
         (place(place="pull", law=None), "; no friction does that: look at gravity"),
-        (place(place="position", periods=12.0), "goes with the position, 12 periods in a turn ("),
+        (place(place="position", periods=12.0), "the position, 12 periods in a turn explains 60 % of it ("),
     ],
 )
 def test_where_the_error_is_and_what_has_that_is_said(good: dict[str, Any], found: dict, text: str) -> None:
     (finding,) = judge(good | {"residual": residual(found)})["findings"]
     assert finding["kind"] == "residual" and finding["law"] == found["law"] and text in say_finding(finding)
+
+
+def bound(name: str, unit: str, high: bool) -> dict[str, Any]:
+    row = {
+        "joint": "knee",
+        "value": 2.0 if high else 1.0,
+        "low": 1.0,
+        "high": 2.0,
+        "identified": True,
+        "at_bound": True,
+    }
+    row |= {"interval": None, "identifiable": True, "error": None}
+    owner, about = name.split("."), {"unit": unit, "scale": 1.0, "identified": True, "at_bound": True}
+    return {"owner": owner[0], "name": owner[1], **about, "identifiable": True, "by_joint": [row]}
+
+
+@pytest.mark.parametrize(
+    ("parameter", "severe"),
+    [
+        (bound("bench.armature", "kg m^2", True), True),
+        (bound("bench.armature", "kg m^2", False), False),
+        (bound("bench.position_offset", "rad", False), True),
+        (bound("friction.frictionloss", "N m", True), True),
+        (bound("friction.frictionloss", "N m", False), False),
+        (bound("friction.stribeck_velocity", "rad/s", True), False),
+    ],
+)
+def test_a_bound_that_cuts_a_size_off_forbids_use(good: dict[str, Any], parameter: dict, severe: bool) -> None:
+    usual = good["parameters"][0]
+    whole = {**usual, **parameter, "by_joint": [{**usual["by_joint"][0], **parameter["by_joint"][0]}]}
+    findings = judge(good | {"parameters": [whole]})["findings"]
+    assert [finding["severe"] for finding in findings if finding["kind"] == "bounds"] == [severe]
+
+
+def test_causes_come_first_and_few_parameters_are_not_overfitted(good: dict[str, Any]) -> None:
+    found = spoil(good | {"residual": residual(place())}, "metrics.train.position_mae", 0.005)
+    found = spoil(found, "fit.stopped", "diverged")
+    findings = judge(found)["findings"]
+    assert [finding["kind"] for finding in findings[:2]] == ["residual", "fit"]
+    (train,) = (say_finding(finding) for finding in findings if finding["kind"] == "train")
+    assert "overfitted" not in train
+    found["network"] = {"weights": 10_000}
+    assert any("overfitted" in say_finding(finding) for finding in judge(found)["findings"])
+
+
+def test_a_reference_at_a_bound_is_no_doubt_where_noise_is_all_that_is_left(good: dict[str, Any]) -> None:
+    found = spoil(good, "reference.0.at_bound", True)
+    assert judge(found | {"residual": residual(residual=0.01)})["findings"] == []
+    assert judge(found | {"residual": residual(residual=0.03)})["findings"] != []
 
 
 def test_three_commands_can_be_copied(finished_run: Run, tiny: tuple[str, ...]) -> None:

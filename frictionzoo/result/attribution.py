@@ -1,6 +1,6 @@
 """What goes with an error: the share of it that functions of the drive's state explain, and whether chance does so."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,11 +14,13 @@ FOLDS = 5  # by turns held out, of stretches
 LEVEL = 0.01  # chance that a drive with the right law has any finding, over all that is tried
 SHARE = 0.05  # of the variance that is left, below which nothing is told
 MOST = 3  # findings
-ALIKE = 0.9  # share of the largest gain from which on the candidate that was named first is taken
+ALIKE = 0.85  # share of the largest gain from which on the candidate that was named first is taken
 _SPANNED = 1e-4  # share of a column's size, of which less is left if others span it
 
 Column = Float[np.ndarray, "rows"]
 Columns = Float[np.ndarray, "rows _"]
+Factors = Float[np.ndarray, "_"] | float
+Usual = Callable[[str, Sequence[str]], Factors]
 
 
 class Candidate(NamedTuple):
@@ -27,12 +29,10 @@ class Candidate(NamedTuple):
     Attributes:
         columns: Their values in each row.
         tried: How many like it were looked through to choose it.
-        least: Share of the variance that it has to explain at the least.
     """
 
     columns: Columns
     tried: int = 1
-    least: float = SHARE
 
 
 class Explained(NamedTuple):
@@ -49,12 +49,18 @@ class Explained(NamedTuple):
     chance: float
 
 
-def attribute(error: Column, known: Columns, candidates: Mapping[str, Candidate], joints: int = 1) -> list[Explained]:
+def attribute(
+    error: Column,
+    known: Columns,
+    candidates: Mapping[str, Candidate],
+    joints: int = 1,
+    usual: Usual = lambda name, before: 0.0,
+) -> list[Explained]:
     """Candidates that explain an error, the largest share first, each beyond those found before it.
 
     The error is first freed of what `known` columns explain. A candidate counts if its coefficients are not 0 by Wald's
     test, with a covariance from the differences between stretches of time, within which errors may depend on each other
-    as they like; and if it lowers the error in stretches that were held out.
+    as they like; and if it lowers the error in stretches that were held out. Where factors are usual, 0 is there.
 
     Source: A. C. Cameron, D. L. Miller, "A Practitioner's Guide to Cluster-Robust Inference", Journal of Human
     Resources 50(2), 2015, section VI, the jackknife CR3.
@@ -64,12 +70,15 @@ def attribute(error: Column, known: Columns, candidates: Mapping[str, Candidate]
         known: What the law's own parameters may still move.
         candidates: By name, in the order in which they are preferred where they explain as much.
         joints: Number of joints that are looked at so.
+        usual: Factors of a candidate's columns, beyond those found before it, where nothing is wrong.
     """
     found: list[Explained] = []
     count = joints * sum(candidate.tried for candidate in candidates.values())
     left, whole = dict(candidates), _left_by(known, error)
     while left and len(found) < MOST:
-        tried = [one for name in left if (one := _try(error, known, name, left[name], count, whole)) is not None]
+        before = [one.name for one in found]
+        looks = [_try(error, known, name, one, count, whole, usual(name, before)) for name, one in left.items()]
+        tried = [one for one in looks if one is not None]
         if not tried:
             break
         most = max(one.share for one in tried)
@@ -77,6 +86,14 @@ def attribute(error: Column, known: Columns, candidates: Mapping[str, Candidate]
         found.append(best)
         known = np.column_stack([known, left.pop(best.name).columns])
     return sorted(found, key=lambda one: -one.share)
+
+
+def find_factors(error: Column, known: Columns, columns: Columns) -> Float[np.ndarray, "_"]:
+    """Return the factors of columns in an error beyond the known ones."""
+    basis = _orthogonal(known)
+    beyond = _beyond(columns, basis)
+    factors = np.linalg.lstsq(beyond / _sizes(beyond), error - basis @ (basis.T @ error), rcond=_SPANNED)[0]
+    return np.where(beyond.any(axis=0), factors / _sizes(beyond), 0.0)
 
 
 def pick(error: Column, known: Columns, choices: Sequence[Columns]) -> int:
@@ -107,16 +124,22 @@ def _left_by(known: Columns, error: Column) -> float:
     return max(float(error @ error - np.square(basis.T @ error).sum()), 1e-300)
 
 
-def _try(error: Column, known: Columns, name: str, candidate: Candidate, count: int, whole: float) -> Explained | None:
+def _try(
+    error: Column, known: Columns, name: str, candidate: Candidate, count: int, whole: float, usual: Factors
+) -> Explained | None:
     """What a candidate explains beyond known columns, of a whole sum of squares, if that is no chance and enough."""
     basis = _orthogonal(known)
-    rest, columns = error - basis @ (basis.T @ error), _orthogonal(_beyond(candidate.columns, basis))
+    columns = _orthogonal(_beyond(candidate.columns, basis))
+    as_it_is = float(np.square(columns.T @ error).sum()) / whole
+    error = error - (candidate.columns * usual).sum(axis=1)
+    rest = error - basis @ (basis.T @ error)
     stretch = _stretches(rest - columns @ (columns.T @ rest))
     if not columns.shape[1] or stretch[-1] < 2 * columns.shape[1]:
         return None
     chance = min(1.0, count * _chance(rest, columns, stretch))
     share = (float(rest @ rest) - _held_out(rest, columns, stretch % FOLDS)) / whole
-    return Explained(name, share, chance) if chance <= LEVEL and share >= candidate.least else None
+    # What is unusual counts only where it is a part of the error, and not of what is missing in it.
+    return Explained(name, share, chance) if chance <= LEVEL and min(share, as_it_is) >= SHARE else None
 
 
 def _stretches(error: Column) -> Int[np.ndarray, "rows"]:

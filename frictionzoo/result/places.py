@@ -1,10 +1,10 @@
-"""Where an error of the torque may be: functions of speed, direction, load, position, temperature and reversals."""
+"""What an error of the torque may go with: functions of the motion, of the commands and of what links need."""
 
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from frictionzoo.result.attribution import Candidate, pick
 
@@ -13,9 +13,12 @@ SINCE = 0.05, 0.2  # s since a reversal, over which friction may build up
 PERIODS = 200  # harmonics of the position that are looked through
 THIN = 1000  # rows by which they are
 WITHIN = 0.8  # share of the bandwidth in which a ripple may lie
-CONTAMINATED = 2.0  # times the share of a load's variance that noise is
+LIMITS = 0.8, 0.9, 0.95, 0.97, 0.98, 0.99, 0.995, 0.998  # quantiles of the torque asked for at which a limit may lie
+CROSSING = 0.05  # s before and after the motor's torque changes its sign, in which a gap may be crossed
 PULL = "pull"
 """What changes with the position alike in both directions: no friction."""
+OF_BENCH = ("constant", "scale", "limit", "late", PULL)
+"""What no friction law has."""
 
 Signal = Float[np.ndarray, "time"]
 Rows = Float[np.ndarray, "rows"]
@@ -32,6 +35,9 @@ class Seen(NamedTuple):
             give answers to any error, and goes with it [N m or N].
         external: Torque of everything but actuator and friction [N m or N].
         since: Time since the motion last turned round [s].
+        asked: Torque that the commands ask for by the actuator law [N m or N].
+        begins: First sample of each log.
+        timestep: [s].
         temperature: [degC]; None where it is not recorded.
     """
 
@@ -40,21 +46,24 @@ class Seen(NamedTuple):
     motor: Signal
     external: Signal
     since: Signal
+    asked: Signal
+    begins: Int[np.ndarray, "logs"]
+    timestep: float
     temperature: Signal | None
 
 
-def time_since_reversal(qvel: Signal, begins: Int[np.ndarray, "logs"], timestep: float) -> Signal:
-    """Time since a velocity last changed its sign, or since its log began [s].
+def time_since_reversal(signal: Signal, begins: Int[np.ndarray, "logs"], timestep: float) -> Signal:
+    """Time since a velocity, say, last changed its sign, or since its log began [s].
 
     Args:
-        qvel: Velocities of logs, one after the other.
+        signal: Of logs, one after the other.
         begins: First sample of each.
         timestep: [s].
     """
-    turned = np.flatnonzero(np.diff(np.sign(qvel), prepend=0.0))
-    last = np.zeros(len(qvel), int)
+    turned = np.flatnonzero(np.diff(np.sign(signal), prepend=0.0))
+    last = np.zeros(len(signal), int)
     last[np.union1d(turned, begins)] = np.union1d(turned, begins)
-    return timestep * (np.arange(len(qvel)) - np.maximum.accumulate(last))
+    return timestep * (np.arange(len(signal)) - np.maximum.accumulate(last))
 
 
 def list_places(seen: Seen) -> Iterator[tuple[str, Float[np.ndarray, "time _"]]]:
@@ -62,6 +71,9 @@ def list_places(seen: Seen) -> Iterator[tuple[str, Float[np.ndarray, "time _"]]]
     side, speed = np.sign(seen.qvel), np.abs(seen.qvel)
     share = speed / max(float(np.sqrt(np.mean(np.square(speed)))), 1e-300)
     plain = [side, side * share]
+    yield "constant", _stack(np.ones_like(side))
+    yield "scale", _stack(seen.motor)
+    yield "late", _stack(np.gradient(seen.motor, seen.timestep))
     yield "speed", _stack(*plain)
     yield "slow", _stack(*plain, *(side * np.exp(-np.square(share / over)) for over in SLOW))
     yield "fast", _stack(*plain, side * share**2, side * share**3)
@@ -75,6 +87,30 @@ def list_places(seen: Seen) -> Iterator[tuple[str, Float[np.ndarray, "time _"]]]
         warmer = (seen.temperature - seen.temperature.mean()) / seen.temperature.std()
         yield "temperature", _stack(side * warmer, side * share * warmer)
     yield "reversal", _stack(*(side * np.exp(-seen.since / over) for over in SINCE))
+
+
+def near_crossings(seen: Seen, at: Int[np.ndarray, "rows"]) -> Bool[np.ndarray, "rows"]:
+    """Return which rows, by their samples, are near a change of the motor's direction, when a gap is crossed."""
+    turned = np.flatnonzero(np.diff(np.sign(seen.motor)))
+    if not len(turned):
+        return np.zeros(len(at), bool)
+    after = np.minimum(np.searchsorted(turned, at), len(turned) - 1)
+    nearest = np.minimum(np.abs(turned[after] - at), np.abs(turned[np.maximum(after - 1, 0)] - at))
+    return nearest * seen.timestep < CROSSING
+
+
+def beyond_limit(seen: Seen, limit: float) -> Float[np.ndarray, "time 1"]:
+    """What the commands ask for beyond a limit of the torque [N m or N]."""
+    return _stack(seen.asked - np.clip(seen.asked, -limit, limit))
+
+
+def find_limit(seen: Seen, decimate: Filter, rows: np.ndarray, error: Rows, known: np.ndarray) -> float:
+    """Limit of the torque that explains most of an error [N m or N], of those that a share of the torque exceeds.
+
+    Arguments as in `as_candidates`, and the error in these rows, and columns that it has to explain more than.
+    """
+    limits = np.quantile(np.abs(seen.asked), LIMITS)
+    return float(limits[pick(error, known, [decimate(beyond_limit(seen, limit))[rows] for limit in limits])])
 
 
 def ripple(seen: Seen, periods: float, alike: bool) -> Float[np.ndarray, "time 4"]:
@@ -111,21 +147,16 @@ def find_ripple(
     return float(periods[pick(error[thin], known[thin], first)])
 
 
-def as_candidates(seen: Seen, decimate: Filter, rows: np.ndarray, noise: Rows) -> dict[str, Candidate]:
+def as_candidates(seen: Seen, decimate: Filter, rows: np.ndarray) -> dict[str, Candidate]:
     """The functions of `list_places` behind the filter of the error, in those of its rows that count.
 
     Args:
         seen: What the joint did.
         decimate: The filter.
         rows: Index of the rows.
-        noise: What the encoder's noise makes of the error in them.
     """
     found = {name: Candidate(decimate(columns)[rows]) for name, columns in list_places(seen)}
-    found = {name: one for name, one in found.items() if np.any(one.columns)}
-    # The torque that a motion needs has the noise of its acceleration, as the error has.
-    own = float(np.var(noise)) / max(float(np.var(decimate(seen.motor[:, None])[rows])), 1e-300)
-    load = found["load"]
-    return found | {"load": load._replace(least=max(load.least, CONTAMINATED * own))}
+    return {name: one for name, one in found.items() if np.any(one.columns)}
 
 
 def _stack(*columns: Signal) -> Float[np.ndarray, "time _"]:

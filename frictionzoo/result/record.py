@@ -32,7 +32,7 @@ from frictionzoo.result.links import describe_links
 from frictionzoo.result.names import label_values
 from frictionzoo.result.residual_types import ResidualRow
 from frictionzoo.result.values import list_values
-from frictionzoo.result.verdict import doubt_sizes, explain_failure, judge
+from frictionzoo.result.verdict import explain_failure, judge
 from frictionzoo.result.verdict_types import CommandRow
 from frictionzoo.simulate.proof import Proof
 
@@ -106,9 +106,6 @@ def build_result(found: Findings) -> types.Result:
         {"horizon": fitted["test"].horizon, **_describe_parts(fitted["train"], fitted["test"], without["test"])}
         for fitted, without in zip(found.judgement.by_horizon, found.baseline.by_horizon, strict=True)
     ]
-    # Without friction, inertia makes up for it.
-    of_bench = bench.params, found.values["bench"], bench.joints, bench.joint_type
-    sizes = [] if found.name == "baseline" else doubt_sizes(*of_bench)
     result: types.Result = {
         "schema_version": SCHEMA_VERSION,
         "model": found.name,
@@ -145,7 +142,7 @@ def build_result(found: Findings) -> types.Result:
         "dtype": found.settings["dtype"],
         "engine": cast(types.Simulator, found.engine),
         "proof": cast(run_types.ProofRow, asdict(found.proof)),
-        "warnings": [*found.warnings, *sizes],
+        "warnings": [*found.warnings],
         "notes": list(bench.notes),
         "device": found.device,
         "versions": _read_versions(),

@@ -8,14 +8,35 @@ from frictionzoo.result.kinds import Count, NotNegative, Positive, Text
 class PlaceRow(TypedDict):
     """Something of the motion that goes with the torque that is left."""
 
-    place: Literal["speed", "slow", "fast", "direction", "load", "position", "pull", "temperature", "reversal"]
-    """What it changes with: the speed; `slow`, low speeds; `fast`, high ones; the direction; the load on the gear; the
-    position, against the motion; `pull`, the position, alike in both directions, which is no friction; the temperature;
-    the time since the motion last turned round."""
+    place: Literal[
+        "constant",
+        "scale",
+        "limit",
+        "late",
+        "speed",
+        "slow",
+        "fast",
+        "direction",
+        "load",
+        "position",
+        "pull",
+        "temperature",
+        "reversal",
+        "gap",
+    ]
+    """What it changes with: nothing, a `constant` torque; `scale`, the torque that the motion needs; `limit`, what the
+    commands ask for beyond a limit; `late`, the rate of the actuator's torque; the speed; `slow`, low speeds; `fast`,
+    high ones; the direction; the load on the gear; the position, against the motion; `pull`, the position, alike in
+    both directions, which is no friction; the temperature; `reversal`, the time since the motion last turned round;
+    `gap`, the time around changes of the motor's direction."""
+    value: float | None
+    """What explains it: the constant torque or the limit [unit], the factor of the actuator's torque, or the delay [s];
+    null: no one number does."""
     periods: Positive | None
     """Of a ripple over the position, as the law `ripple` has them: on a hinge, periods in a turn. null: it is none."""
     share: float
-    """Share of the variance that is left, in stretches of time that were held out, beyond the places before it."""
+    """Share of the variance that is left, in stretches of time that were held out, beyond the places before it and
+    beyond what it explains where nothing is wrong."""
     torque: NotNegative
     """Root mean square of that part [unit]."""
     chance: float
@@ -38,7 +59,8 @@ class JointResidualRow(TypedDict):
     residual: NotNegative
     """Root mean square of what is left [unit]."""
     noise: NotNegative
-    """The same of what noise as large as the encoder's, as positions show it, makes of nothing [unit]."""
+    """The same where nothing is wrong [unit]: of the identified drive, simulated under the same commands and measured
+    by an encoder with the same step and noise; where that moves otherwise, what such noise makes of the recording."""
     friction: NotNegative
     """The same of the friction: the law's, and what is left [unit]."""
     correlation: float

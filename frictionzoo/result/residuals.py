@@ -9,10 +9,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.ndimage
+import scipy.stats
 import torch
 from jaxtyping import Bool, Float, Int
 
-from frictionzoo.bench import Bench
 from frictionzoo.core.errors import FrictionzooError
 from frictionzoo.core.log import Log
 from frictionzoo.core.params import UNITS
@@ -27,8 +27,31 @@ from frictionzoo.models.base import sliding_torque
 from frictionzoo.models.formula import torch_state
 from frictionzoo.models.sees import observe, suggest_law
 from frictionzoo.result import residual_types as types
-from frictionzoo.result.attribution import Candidate, Explained, attribute, correlation, excess
-from frictionzoo.result.places import PULL, Seen, as_candidates, find_ripple, list_periods, ripple, time_since_reversal
+from frictionzoo.result.attribution import (
+    LEVEL,
+    Candidate,
+    Explained,
+    Factors,
+    attribute,
+    correlation,
+    excess,
+    find_factors,
+)
+from frictionzoo.result.imitation import add_noise, imitate
+from frictionzoo.result.places import (
+    LIMITS,
+    OF_BENCH,
+    PULL,
+    Seen,
+    as_candidates,
+    beyond_limit,
+    find_limit,
+    find_ripple,
+    list_periods,
+    near_crossings,
+    ripple,
+    time_since_reversal,
+)
 from frictionzoo.result.portrait import Rows
 
 LONGEST = 40_000  # samples that are looked at, shared by the logs
@@ -36,8 +59,19 @@ SHORTEST = 1.0  # s; shorter logs are mostly the ends of filters
 FEWEST = 100  # rows of a joint; fewer tell nothing
 BANDWIDTHS = 10.0, 5.0  # Hz, where noise drowns what lies above
 DROWNED = 0.5  # share of the variance that is left, of which noise may be the cause
+SOFTER = 1.1  # times what is left, above which a simulated drive leaves more than it should
+LASTING = 0.3  # correlation of neighbours below which noise is mostly that of an encoder
 STEP = 1e-2  # of a coordinate, in the difference by it
-LITTLE = 0.02  # share of the friction below which nothing is told
+LITTLE = 0.01  # share of the friction below which nothing is told
+WRONG = 0.05  # by which a factor of the actuator's torque is off, from which on it is told however little it explains
+RIPPLES = {"ripple": "position", "cogging": PULL}
+"""What a ripple goes with, by whether it is against the motion."""
+GAP = "backlash"
+"""The law of a gear with a gap."""
+CONCENTRATED = 0.7  # share of what is left that is near changes of the motor's direction where a gear has a gap
+CLEAR = 2.0  # times noise, from which on that is looked at
+ALONE = 50  # part of the rows that either side has at the least
+ALIKE = 15.0  # neighbouring rows that are as good as one
 _log = logging.getLogger(__name__)
 
 Friction = Callable[[Mapping[str, Any], DriveState], np.ndarray]
@@ -50,24 +84,34 @@ class Left(NamedTuple):
     Attributes:
         equation: What it was found with.
         torque: What is left [N m or N].
-        noise: As much of it as the encoders' noise makes [N m or N].
         friction: The law's torque, filtered and decimated [N m or N].
         unfiltered: The same at the rows' instants.
         counts: Which rows count, joint by joint: those in motion.
         recordings: Bench, law and the logs that were looked at.
         state: What the law sees in all their samples.
         bandwidth: Up to which torques are compared [Hz].
+        nothing: What the identified drive itself leaves, simulated under the same commands and measured by the same
+            encoders: nothing is wrong there. Where its motion is another, as much as the encoders' noise makes of the
+            recorded one.
     """
 
     equation: TorqueEquation
     torque: Torque
-    noise: Torque
     friction: Torque
     unfiltered: Torque
     counts: Bool[np.ndarray, "rows nv"]
     recordings: Recordings
     state: DriveState
     bandwidth: float
+    nothing: "Left | None" = None
+
+    def of(self, joint: int) -> Float[np.ndarray, "counted"]:
+        """What is left of a joint's torque in the rows that count."""
+        return self.torque[self.counts[:, joint], joint]
+
+    def noise(self, joint: int) -> Float[np.ndarray, "counted"]:
+        """As much of it as there is where nothing is wrong."""
+        return np.zeros(1) if self.nothing is None else self.nothing.of(joint)
 
     def law(self, joint: int) -> tuple[FrictionModel, set[str]]:
         """The law of a joint, and what it sees."""
@@ -118,7 +162,7 @@ def find_left(
     except FrictionzooError as error:
         _log.info("what is left of the torque is not looked at: %s", error)
         return None
-    if not all(np.isfinite(part).all() for part in (left.torque, left.noise)):
+    if not np.isfinite(left.torque).all():
         _log.info("what is left of the torque is not looked at: it is not finite with these values")
         return None
     return left
@@ -135,9 +179,9 @@ def describe_residual(left: Left, space: Space, vector: Float[np.ndarray, "coord
     Returns:
         None where it has no finite derivative by the values; a line tells why.
     """
-    bench, model, logs = left.recordings
-    slopes = _slopes(left, _follow(model, logs), bench, space, vector)
-    if not np.isfinite(slopes).all():
+    bench = left.recordings.bench
+    slopes = [_slopes(each, space, vector) for each in (left, left.nothing) if each is not None]
+    if not all(np.isfinite(part).all() for part in slopes):
         _log.info("what is left of the torque is not looked at: it has no derivative with these values")
         return None
     rows = [_describe(left, joint, slopes) for joint in range(bench.nv)]
@@ -159,47 +203,68 @@ def _narrow(
     recordings: Recordings, space: Space, vector: Float[np.ndarray, "coordinates"], filtering: Filtering
 ) -> Left:
     """What is left up to the highest bandwidth in which noise is not most of it."""
-    left = _leave(recordings, space, vector, filtering)
+    imitations, noisier = imitate(recordings, space, vector), tuple(map(add_noise, recordings.logs))
+    if imitations is not None:
+        left, same = (
+            _leave(recordings._replace(logs=logs), space, vector, filtering) for logs in (recordings.logs, imitations)
+        )
+        # A soft constraint leaves more where the motion turns round than a drive that it does not describe.
+        if any(_rms(same.of(at)) > SOFTER * _rms(left.of(at)) for at in range(recordings.bench.nv)):
+            imitations = imitate(recordings, space, vector, stiff=True) or imitations
+
+    def leave(filtering: Filtering) -> Left:
+        left = _leave(recordings, space, vector, filtering)
+        same = _leave(recordings._replace(logs=imitations or noisier), space, vector, filtering)
+        if imitations is None:  # what more noise adds
+            same = same._replace(torque=same.torque - left.torque, counts=left.counts)
+        return left._replace(nothing=same)
+
+    left = leave(filtering)
     for bandwidth in BANDWIDTHS:
-        drowned = np.square(left.noise).mean(axis=0) > DROWNED * np.square(left.torque).mean(axis=0)
-        if not drowned.any() or bandwidth >= filtering.bandwidth:
+        if (
+            not any(_is_drowned(left, joint) for joint in range(recordings.bench.nv))
+            or bandwidth >= filtering.bandwidth
+        ):
             break
         try:
             narrower = replace(filtering, bandwidth=bandwidth)
             if sum(narrower.decimation(recordings.logs).rows) < FEWEST:
                 break
-            left, filtering = _leave(recordings, space, vector, narrower), narrower
+            left, filtering = leave(narrower), narrower
         except FrictionzooError:  # too short for it
             break
     return left
 
 
+def _is_drowned(left: Left, joint: int) -> bool:
+    """Whether most of what is left of a joint's torque may be noise of its encoder, which changes from row to row."""
+    noise = left.noise(joint)
+    return _rms(noise) ** 2 > DROWNED * _rms(left.of(joint)) ** 2 and correlation(noise) < LASTING
+
+
 def _leave(
     recordings: Recordings, space: Space, vector: Float[np.ndarray, "coordinates"], filtering: Filtering
 ) -> Left:
-    """What is left in this bandwidth, and how much of it comes with noise as large as the encoders' own."""
-    random, (bench, model, logs) = np.random.default_rng(0), recordings
-    noises = [np.array([find_noise(column) for column in log.qpos.T]) for log in logs]
-    spoilt = tuple(
-        replace(log, qpos=log.qpos + noise * random.normal(size=log.qpos.shape))
-        for log, noise in zip(logs, noises, strict=True)
-    )
+    """What is left in this bandwidth."""
+    bench, model, logs = recordings
     substeps = bench.sampling(logs[0].timestep).substeps
-    equations = [
-        TorqueEquation(space, recordings._replace(logs=each), filtering, held=True, substeps=substeps)
-        for each in (logs, spoilt)
-    ]
-    friction, values = _follow(model, logs), space.values(jnp.asarray(vector, space.start.dtype))["friction"]
-    states = [equation.state(vector) for equation in equations]
-    frictions = [friction(values, state) for state in states]
-    torque, worse = (e.left(vector, own) for e, own in zip(equations, frictions, strict=True))
-    equation, speeds = equations[0], [np.abs(e.motion.qvel) for e in equations]
-    error = np.sqrt(np.mean(np.square(equations[1].motion.qvel - equation.motion.qvel), axis=0))
-    slow = speeds[0] < np.maximum(filtering.slow * np.sqrt(np.mean(np.square(speeds[0]), axis=0)), 3 * error)
+    equation = TorqueEquation(space, recordings, filtering, held=True, substeps=substeps)
+    values, state = space.values(jnp.asarray(vector, space.start.dtype))["friction"], equation.state(vector)
+    friction = _follow(model, logs)(values, state)
+    speed = np.abs(equation.motion.qvel)
+    noise = np.concatenate([np.broadcast_to(_velocity_noise(log, filtering), log.qpos.shape) for log in logs])
+    slow = speed < np.maximum(filtering.slow * np.sqrt(np.mean(np.square(speed), axis=0)), 3 * noise)
     near = max(1, round(0.5 / filtering.bandwidth / logs[0].timestep))
     decimate, places = equation.decimate, _places(equation.decimate)
-    own = decimate(frictions[0]), frictions[0][places], ~_near_rest(slow, near, decimate)[places]
-    return Left(equation, torque, worse - torque, *own, recordings, states[0], filtering.bandwidth)
+    own = decimate(friction), friction[places], ~_near_rest(slow, near, decimate)[places]
+    return Left(equation, equation.left(vector, friction), *own, recordings, state, filtering.bandwidth)
+
+
+def _velocity_noise(log: Log, filtering: Filtering) -> Float[np.ndarray, "nv"]:
+    """Standard deviation of what the encoders' noise makes of velocities [rad/s or m/s]."""
+    noise = np.array([find_noise(column) for column in log.qpos.T])
+    white = np.random.default_rng(0).normal(size=log.qpos.shape)
+    return noise * np.sqrt(np.mean(np.square(filtering.motion(replace(log, qpos=white)).qvel), axis=0))
 
 
 def _near_rest(slow: Bool[np.ndarray, "time nv"], near: int, decimate: Decimation) -> Bool[np.ndarray, "time nv"]:
@@ -256,12 +321,14 @@ def _remember(model: FrictionModel, logs: Sequence[Log]) -> Friction:
 
 
 def _slopes(
-    left: Left, friction: Friction, bench: Bench, space: Space, vector: Float[np.ndarray, "coordinates"]
+    left: Left, space: Space, vector: Float[np.ndarray, "coordinates"]
 ) -> Float[np.ndarray, "rows nv parameters"]:
     """How what is left changes with each identified parameter, that of all joints at once, where it is at no bound.
 
     The actuator's are left out but for constants: with them, the balance has a solution in which all torques are 0.
     """
+    bench, model, logs = left.recordings
+    friction = _follow(model, logs)
     reached, slopes = space.at_bound(vector), [np.zeros((*left.torque.shape, 0))]
     scales = {f"bench.{name}" for name, of in bench.actuator.dimensions.items() if of != "torque"}
     for name, own in space.split(np.arange(len(vector))).items():
@@ -275,14 +342,13 @@ def _slopes(
     return np.concatenate(slopes, axis=2)
 
 
-def _describe(left: Left, joint: int, slopes: np.ndarray) -> types.JointResidualRow | None:
+def _describe(left: Left, joint: int, slopes: Sequence[np.ndarray]) -> types.JointResidualRow | None:
     """What is left of one joint's torque; None where it hardly moves."""
     rows = np.flatnonzero(left.counts[:, joint])
     if len(rows) < FEWEST:
         return None
-    error, noise, friction = (part[rows, joint] for part in (left.torque, left.noise, left.friction))
+    error, noise, friction = left.of(joint), left.noise(joint), left.friction[rows, joint]
     whole = _rms(friction + error)
-    found = _attribute(left, joint, rows, slopes[rows, joint])
     return {
         "joint": left.recordings.bench.joints[joint],
         "rows": len(rows),
@@ -292,43 +358,123 @@ def _describe(left: Left, joint: int, slopes: np.ndarray) -> types.JointResidual
         "correlation": correlation(error),
         "noise_correlation": correlation(noise),
         "kurtosis": excess(error),
-        "places": [row for row in found if row["torque"] > LITTLE * whole],
+        "places": [row for row in _attribute(left, joint, slopes) if _counts(row, whole)],
     }
 
 
-def _attribute(
-    left: Left, joint: int, rows: Int[np.ndarray, "counted"], known: Float[np.ndarray, "counted _"]
-) -> list[types.PlaceRow]:
-    """What the error of a joint goes with, and which law sees that."""
-    error, decimate, bench = left.torque[rows, joint], left.equation.decimate, left.recordings.bench
-    seen = _see(left, joint)
-    candidates = as_candidates(seen, decimate, rows, left.noise[rows, joint])
-    periods, chosen = list_periods(seen, bench.joint_type == "hinge", left.bandwidth), {}
+def _counts(place: types.PlaceRow, friction: float) -> bool:
+    """Whether a place is worth telling."""
+    scale = place["value"] if place["place"] == "scale" else None
+    return place["torque"] > LITTLE * friction or (scale is not None and abs(np.log(scale)) > WRONG)
+
+
+def _attribute(left: Left, joint: int, slopes: Sequence[np.ndarray]) -> list[types.PlaceRow]:
+    """What the error of a joint goes with by more than where nothing is wrong, and which law sees that."""
+    looked = _look(left, joint, slopes[0])
+    if (gap := _find_gap(looked, left, joint)) is not None:
+        return [gap]
+    chosen = _choose(looked)
+    same = looked if left.nothing is None else _look(left.nothing, joint, slopes[-1])
+    alike = _candidates(same, chosen)
+
+    def usual(name: str, before: Sequence[str]) -> Factors:
+        known = [alike[each].columns for each in before if each in alike]
+        there = name in alike and same is not looked
+        return find_factors(same.error, np.column_stack([same.known, *known]), alike[name].columns) if there else 0.0
+
+    found = attribute(looked.error, looked.known, _candidates(looked, chosen), left.recordings.bench.nv, usual)
+    return [_name_law(one, looked, chosen, usual(one.name, ()), left.law(joint)) for one in found]
+
+
+class _Looked(NamedTuple):
+    """A joint's error, and what it is explained by: rows that count, what parameters may move, what the joint did."""
+
+    error: Float[np.ndarray, "counted"]
+    known: Float[np.ndarray, "counted _"]
+    rows: Int[np.ndarray, "counted"]
+    seen: Seen
+    decimate: Decimation
+    periods: Float[np.ndarray, "periods"]
+
+
+def _find_gap(looked: _Looked, left: Left, joint: int) -> types.PlaceRow | None:
+    """What of an error is near changes of the motor's direction, where that is next to all of it."""
+    near = near_crossings(looked.seen, _places(looked.decimate)[looked.rows])
+    squares, few = np.square(looked.error), max(len(near) // ALONE, 1)
+    if not few < near.sum() < len(near) - few or _rms(looked.error) < CLEAR * _rms(left.noise(joint)):
+        return None
+    inside, outside = squares[near].mean(), max(squares[~near].mean(), 1e-300)
+    share = float((inside - outside) * near.sum() / squares.sum())
+    counts = [part.sum() / ALIKE for part in (near, ~near)]
+    chance = left.recordings.bench.nv * float(scipy.stats.f.sf(inside / outside, *counts))
+    law = left.law(joint)[0].name
+    if share < CONCENTRATED or chance > LEVEL:
+        return None
+    about = {"place": "gap", "periods": None, "value": None, "share": share, "chance": chance}
+    size = float(np.sqrt(share)) * _rms(looked.error)
+    named = {"known": law == GAP, "law": None if law == GAP else GAP, "whole": False}
+    return cast(types.PlaceRow, about | {"torque": size} | named)
+
+
+def _look(left: Left, joint: int, slopes: Float[np.ndarray, "rows nv parameters"]) -> _Looked:
+    rows, seen = np.flatnonzero(left.counts[:, joint]), _see(left, joint)
+    periods = list_periods(seen, left.recordings.bench.joint_type == "hinge", left.bandwidth)
+    return _Looked(left.of(joint), slopes[rows, joint], rows, seen, left.equation.decimate, periods)
+
+
+def _choose(looked: _Looked) -> dict[str, float]:
+    """The limit of the torque, and the periods of ripples, that explain most of an error."""
+    error, known, rows, seen, decimate, periods = looked
+    chosen = {"limit": find_limit(seen, decimate, rows, error, known)}
     if len(periods):
-        for name, alike in (("ripple", False), ("cogging", True)):
+        for name in RIPPLES:
+            alike = name == "cogging"
             chosen[name] = find_ripple(seen, periods, alike, error, known, _places(decimate)[rows])
-            columns = decimate(ripple(seen, chosen[name], alike))[rows]
-            candidates[name] = Candidate(columns, len(periods))
-    law, sees = left.law(joint)
-    return [_name_law(one, chosen, law, sees, _rms(error)) for one in attribute(error, known, candidates, bench.nv)]
+    return chosen
+
+
+def _candidates(looked: _Looked, chosen: Mapping[str, float]) -> dict[str, Candidate]:
+    """All that an error may go with."""
+    seen, decimate, rows = looked.seen, looked.decimate, looked.rows
+    candidates = {"limit": Candidate(decimate(beyond_limit(seen, chosen["limit"]))[rows], len(LIMITS))}
+    candidates |= as_candidates(seen, decimate, rows)
+    for name in chosen.keys() & RIPPLES.keys():
+        columns = decimate(ripple(seen, chosen[name], name == "cogging"))[rows]
+        candidates[name] = Candidate(columns, len(looked.periods))
+    return candidates
 
 
 def _name_law(
-    one: Explained, periods: Mapping[str, float], law: FrictionModel, sees: set[str], left: float
+    one: Explained,
+    looked: _Looked,
+    chosen: Mapping[str, float],
+    usual: Factors,
+    joint: tuple[FrictionModel, set[str]],
 ) -> types.PlaceRow:
-    place = {"ripple": "position", "cogging": PULL}.get(one.name, one.name)
-    name, whole = (None, False) if place == PULL else suggest_law(law, sees, place)
+    place = RIPPLES.get(one.name, one.name)
+    law, sees = joint
+    name, whole = (None, False) if place in OF_BENCH else suggest_law(law, sees, place)
     found = {
         "place": place,
-        "periods": periods.get(one.name),
+        "periods": chosen[one.name] if one.name in RIPPLES else None,
+        "value": chosen["limit"] if place == "limit" else _value(place, looked, usual),
         "share": one.share,
-        "torque": float(np.sqrt(one.share)) * left,
+        "torque": float(np.sqrt(one.share)) * _rms(looked.error),
         "chance": one.chance,
         "known": place in sees,
         "law": name,
         "whole": whole,
     }
     return cast(types.PlaceRow, found)
+
+
+def _value(place: str, looked: _Looked, usual: Factors) -> float | None:
+    """What a constant, a factor of the actuator's torque or a delay is by an error, beyond its usual factor there."""
+    if place not in ("constant", "scale", "late"):
+        return None
+    column = as_candidates(looked.seen, looked.decimate, looked.rows)[place].columns
+    slope = float(find_factors(looked.error, looked.known, column)[0] - np.ravel(usual)[0])
+    return {"constant": -slope, "scale": 1 / (1 + slope) if slope > -1 else None, "late": slope}[place]
 
 
 def _see(left: Left, joint: int) -> Seen:
@@ -339,9 +485,10 @@ def _see(left: Left, joint: int) -> Seen:
     known = [one for one in warmth if one is not None]
     temperature = np.concatenate(known)[:, joint] if len(known) == len(logs) else None
     since = time_since_reversal(qvel, begins, logs[0].timestep)
-    at = _places(left.equation.decimate)
-    motor = state.motor_torque[:, joint] - np.interp(np.arange(len(qpos)), at, left.torque[:, joint])
-    return Seen(qpos, qvel, motor, state.external_torque[:, joint], since, temperature)
+    at, asked = _places(left.equation.decimate), state.motor_torque[:, joint]
+    motor = asked - np.interp(np.arange(len(qpos)), at, left.torque[:, joint])
+    about = since, asked, begins, logs[0].timestep, temperature
+    return Seen(qpos, qvel, motor, state.external_torque[:, joint], *about)
 
 
 def _rms(values: Float[np.ndarray, "rows"]) -> float:

@@ -1,4 +1,4 @@
-"""What speaks against a result: all that a good reviewer would ask about, in one place.
+"""What speaks against a result, weighed: causes first, then what they lead to.
 
 The terminal, the page and `result.json` show these findings; none of them has doubts of its own.
 """
@@ -9,12 +9,13 @@ from typing import cast
 import numpy as np
 from jaxtyping import Float
 
-from frictionzoo.core.params import UNITS, Param
+from frictionzoo.core.params import UNITS
 from frictionzoo.core.telling import say_percent
 from frictionzoo.result.names import name_some, name_unidentifiable, name_where, say_bounds
 from frictionzoo.result.residual_types import JointResidualRow, PlaceRow, ResidualRow
 from frictionzoo.result.run_types import FitRow
-from frictionzoo.result.types import MetricsRow, ParameterRow, PartsRow, ReferenceRow, Result
+from frictionzoo.result.torque_types import TorqueErrorsRow, TorqueRow
+from frictionzoo.result.types import MetricsRow, ParameterRow, ReferenceRow, Result
 from frictionzoo.result.verdict_types import CommandRow, FindingRow, VerdictRow
 
 DO_NOT_USE = "do not use it"
@@ -30,28 +31,36 @@ PURPOSES = {
 BOUNDS = 2  # identified parameters at bounds from which on that is doubted
 LITTLE = 1 / 3  # of the test error without friction; a law that identifies a drive leaves less
 NOTHING = 2 / 3  # of that error; a law that leaves more explains next to nothing
-FAR = 20.0  # times from where it began, at which an identified value of the bench is told
 _SIZES = {UNITS[joint][of] for joint in UNITS for of in ("torque", "damping")}
 LATE = 0.1  # share of the iterations, the last ones, in which a parameter may not move
 MOVING = 1 / 3  # of half its interval, by which it moves then
 MOVING_BLINDLY = 0.01  # of its value, where it has no interval
 FALLING = 0.01  # share of the loss that the last tenth of the iterations may still take off
 OVERFIT = 1.5  # ratio of test to train error that is told
-UNEXPLAINED = 0.05  # share of the friction that may be left without being noise
-OUT_OF_NOISE = 3.0  # times what noise makes, from which on more is left than noise
+ENOUGH = 100  # samples for each parameter, of which a fit does not learn the noise
+UNEXPLAINED = 0.05  # share of the friction that may be left beyond noise
+CONTRADICTED = 0.5  # share of the friction, or of recorded torque, that may be left of a result that is to be used
+DOUBTED = 0.2  # share of recorded torque that may be left without being told
 ALIKE = 0.5  # correlation of neighbours from which on what is left is no noise
 PLACES = {
+    "constant": "a constant torque",
+    "scale": "a factor of the torque that the links need",
+    "limit": "what the commands ask for beyond a torque limit",
+    "late": "a delay of the actuator's torque",
     "speed": "the speed",
-    "slow": "low speeds, as where friction falls while the drive sets out",
-    "fast": "high speeds, as where friction grows faster than the speed",
+    "slow": "low speed, as where friction falls while the drive sets out,",
+    "fast": "high speed, as where friction grows faster than the speed,",
     "direction": "the direction",
     "load": "the load on the gear",
     "position": "the position",
-    "pull": "the position, alike in both directions",
+    "pull": "the position, alike in both directions,",
     "temperature": "the temperature",
-    "reversal": "the time since the motion turned round, as where friction builds up over a displacement",
+    "reversal": "the time since the motion turned round, as where friction builds up over a displacement,",
+    "gap": "the time around changes of the motor's direction, as where a gear has backlash,",
 }
-"""What torque that is left changes with, in words."""
+"""What explains residual torque, in words."""
+CAUSES = ("identification", "recordings", "residual", "torque")
+"""Kinds of findings that come first: the others are often what these lead to."""
 _MORE = "raise fit.iterations"
 
 
@@ -62,9 +71,9 @@ def judge(result: Result, commands: Sequence[CommandRow] = ()) -> VerdictRow:
         result: The record; its `verdict` is not looked at.
         commands: As `VerdictRow` has them, before the verdict.
     """
-    findings = sorted(find_doubts(result), key=lambda finding: not finding["severe"])
-    worst = [finding["severe"] for finding in findings[:1]]
-    grade = DO_NOT_USE if True in worst else "use it with care" if worst else "nothing speaks against it"
+    findings = sorted(find_doubts(result), key=lambda finding: (finding["kind"] not in CAUSES, not finding["severe"]))
+    severe = any(finding["severe"] for finding in findings)
+    grade = DO_NOT_USE if severe else "use it with care" if findings else "nothing speaks against it"
     allowed = _allow(commands, grade, identified=not result["not_identified"])
     return cast(VerdictRow, {"grade": grade, "findings": findings, "commands": allowed})
 
@@ -102,22 +111,24 @@ def find_doubts(result: Result) -> Iterator[FindingRow]:
         yield _find("identification", f"this did not identify the drive: {why}", f"likely: {'; '.join(reasons)}", True)
     for sentence in result["warnings"]:
         yield _find("recordings", sentence)
+    if result["residual"]:
+        yield from _doubt_residual(result["residual"])
+    if result["torque"]:
+        yield from _doubt_torque(result["torque"])
     yield from _doubt_errors(result)
     if doubt := doubt_joints(result):
         yield _find("joints", doubt)
-    if doubt := doubt_reference(result["reference"]):
+    if (doubt := doubt_reference(result["reference"])) and not _is_explained(result["residual"]):
         yield _find("reference", doubt)
-    yield from _doubt_train(result["metrics"])
+    yield from _doubt_train(result)
     yield from _doubt_fit(result["fit"])
     for p in result["parameters"]:
         if p["at_bound"]:
             unit = "" if p["unit"] == "1" else f" {p['unit']}"
             ended = f"{name_where(p, at_bound=True)} ended at a bound of {say_bounds(p)}{unit}"
-            yield _find("bounds", ended, "widen the bounds or doubt the model")
+            yield _find("bounds", ended, "widen the bounds or doubt the model", severe=_is_cut_off(p))
     yield from _doubt_parameters(result)
     yield from _doubt_stability(result)
-    if result["residual"]:
-        yield from _doubt_residual(result["residual"])
 
 
 def _find(kind: str, text: str, mend: str | None = None, severe: bool = False, law: str | None = None) -> FindingRow:
@@ -135,13 +146,17 @@ def _doubt_errors(result: Result) -> Iterator[FindingRow]:
         yield _find("gain", doubt)
 
 
-def _doubt_train(metrics: PartsRow) -> Iterator[FindingRow]:
-    train, test = (metrics[part]["position_mae"] for part in ("train", "test"))
+def _doubt_train(result: Result) -> Iterator[FindingRow]:
+    train, test = (result["metrics"][part]["position_mae"] for part in ("train", "test"))
     if train is None or test is None or train == 0:
         yield _find("train", "test and training error cannot be compared: one is missing")
     elif test > OVERFIT * train:
         text = f"the test error is {test / train:.2g} times that on the training data"
-        yield _find("train", text, "the fit may have learnt its own data by heart, or the test data ask for more")
+        free = sum(row["identified"] for parameter in result["parameters"] for row in parameter["by_joint"])
+        free += result["network"]["weights"] if result["network"] else 0
+        seen = sum(log["samples"] for log in result["data"]["logs"] if log["part"] == "train")
+        other = "the test data hold motion that the training data lack: compare their speeds, loads and times"
+        yield _find("train", text, f"the fit may be overfitted, or {other}" if ENOUGH * free > seen else other)
 
 
 def _doubt_fit(fit: FitRow) -> Iterator[FindingRow]:
@@ -186,25 +201,62 @@ def _doubt_stability(result: Result) -> Iterator[FindingRow]:
 
 
 def _doubt_residual(residual: ResidualRow) -> Iterator[FindingRow]:
-    """Where the error is, if it is not noise."""
+    """What explains the residual torque, where that is not noise."""
     rows, unit = residual["by_joint"], residual["unit"]
-    told: dict[tuple[str, str | None], list[tuple[JointResidualRow, PlaceRow]]] = {}
+    found: dict[tuple[str, str | None], list[tuple[JointResidualRow, PlaceRow]]] = {}
     for row in rows:
         for place in row["places"]:
-            told.setdefault((place["place"], place["law"]), []).append((row, place))
-    for (place, law), found in told.items():
-        yield _find("residual", _say_place(place, found, unit, len(rows)), _say_law(found[0][1]), law=law)
+            found.setdefault((place["place"], place["law"]), []).append((row, place))
+    for (place, law), pairs in sorted(
+        found.items(), key=lambda item: -max(p["torque"] / r["friction"] for r, p in item[1])
+    ):
+        severe = any(pair["torque"] > CONTRADICTED * row["friction"] for row, pair in pairs)
+        yield _find("residual", _say_place(place, pairs, unit, len(rows)), _say_law(pairs[0][1]), severe, law)
     for row in rows:
-        rest = row["residual"] > max(OUT_OF_NOISE * row["noise"], UNEXPLAINED * row["friction"])
-        if rest and row["correlation"] > ALIKE and not row["places"]:
+        share = _unexplained(row)
+        if share > UNEXPLAINED and row["correlation"] > ALIKE and not row["places"]:
             of = f" of {row['joint']}" if len(rows) > 1 else ""
             yield _find(
                 "residual",
-                f"the torque that is left{of}, {say_percent(row['residual'] / row['friction'])} of the friction, is no "
-                f"noise (neighbours in time correlate by {row['correlation']:.2f}), and goes with nothing that was "
-                "looked for",
+                f"the residual torque{of} is {say_percent(share)} of the friction beyond noise (neighbours in time "
+                f"correlate by {row['correlation']:.2f}), and no cause that was looked for explains it",
                 "look at what is taken as known: gains, inertia, delay, elasticity between motor and joint",
+                severe=share > CONTRADICTED,
             )
+
+
+def _unexplained(row: JointResidualRow) -> float:
+    """Root mean square of the residual torque beyond noise, as a share of the friction."""
+    return float(np.sqrt(max(row["residual"] ** 2 - row["noise"] ** 2, 0.0))) / row["friction"]
+
+
+def _is_explained(residual: ResidualRow | None) -> bool:
+    """Whether the residual torque of every joint is noise."""
+    rows = residual["by_joint"] if residual else []
+    return bool(rows) and all(_unexplained(row) < UNEXPLAINED and not row["places"] for row in rows)
+
+
+def _doubt_torque(torque: TorqueRow) -> Iterator[FindingRow]:
+    """Recorded torque that the drive does not need, by joints."""
+    if torque["compared"] != "torque":
+        return
+    shares = {row["joint"]: _share(row["test"]) for row in torque["by_joint"]}
+    doubtful = {joint: share for joint, share in shares.items() if share > DOUBTED}
+    if doubtful:
+        worst = max(doubtful, key=lambda joint: doubtful[joint])
+        of = f" of {name_some([*doubtful])}" if len(shares) > 1 else ""
+        yield _find(
+            "torque",
+            f"recorded torque{of} contradicts the result: the motion needs another one, "
+            f"{say_percent(shares[worst])} of it apart on test data",
+            "look at the actuator's gains, signs and units (data.units.torque), and the links' masses",
+            severe=shares[worst] > CONTRADICTED,
+        )
+
+
+def _share(errors: TorqueErrorsRow) -> float:
+    residual, torque = errors["residual"], errors["torque"]
+    return residual / torque if residual is not None and torque else 0.0
 
 
 def _say_place(place: str, found: Sequence[tuple[JointResidualRow, PlaceRow]], unit: str, joints: int) -> str:
@@ -215,8 +267,8 @@ def _say_place(place: str, found: Sequence[tuple[JointResidualRow, PlaceRow]], u
     size = f"{most['torque']:.2g} {unit}, {say_percent(most['torque'] / row['friction'])} of the friction"
     upto = "up to " if len(found) > 1 else ""
     return (
-        f"the error{of} is not noise: {upto}{100 * most['share']:.0f} % of the torque that is left goes with "
-        f"{PLACES[place]}{ripple} ({size})"
+        f"the residual torque{of} is not noise: {PLACES[place]}{ripple} explains {upto}"
+        f"{100 * min(most['share'], 1.0):.0f} % of it ({size})"
     )
 
 
@@ -226,7 +278,25 @@ def _say_periods(periods: float, unit: str) -> str:
 
 
 def _say_law(place: PlaceRow) -> str:
-    """Which law has such a term."""
+    """What has such a term: a parameter of the bench, or a law."""
+    value = place["value"]
+    if place["place"] == "constant":
+        return f"identify bench.params.torque_offset (about {value:.2g})"
+    if place["place"] == "late":
+        return f"identify bench.params.delay (about {value:.2g} s)"
+    if place["place"] == "limit":
+        return (
+            f"give the actuator a torque_limit (about {value:.3g}): bench.actuator._target_=frictionzoo.bench.JointPD "
+            f"'+bench.actuator.params.torque_limit={{init: {value:.3g}, scale: log, identify: true}}'"
+        )
+    if place["place"] == "scale":
+        times = "" if value is None else f", as with {value:.3g} times the actuator's torque"
+        return (
+            f"look at the actuator's gains (bench.actuator.params.kp and kd), a gear's ratio, and the mass of link and "
+            f"payload{times}; a recording tells them apart by nothing"
+        )
+    if place["place"] == "gap":
+        return f"{place['law']} has that" if place["law"] else "look at the law's gap, and at where the fit began"
     if place["place"] == "pull":
         return "no friction does that: look at gravity, payload and springs of the bench, or a motor that cogs"
     if place["law"] is None:
@@ -259,10 +329,26 @@ def explain_failure(result: Result) -> list[str] | None:
 
 def _is_absent(parameter: ParameterRow) -> bool:
     """Whether it is the size of a part of the friction, a torque or a damping, and the fit found that there is none."""
-    if parameter["owner"] != "friction" or parameter["unit"] not in _SIZES:
-        return False
+    return _is_size(parameter) and not _ended_high(parameter)
+
+
+def _is_cut_off(parameter: ParameterRow) -> bool:
+    """Whether a bound cuts off a size or an offset, for which other parameters then make up."""
     ended = [row for row in parameter["by_joint"] if row["at_bound"]]
-    return all(row["value"] - row["low"] < row["high"] - row["value"] for row in ended)
+    offset = parameter["name"].endswith("_offset")
+    return bool(ended) and (
+        offset or ((_is_size(parameter) or parameter["owner"] == "bench") and _ended_high(parameter))
+    )
+
+
+def _is_size(parameter: ParameterRow) -> bool:
+    return parameter["owner"] == "friction" and parameter["unit"] in _SIZES
+
+
+def _ended_high(parameter: ParameterRow) -> bool:
+    """Whether it ended at its upper bound in any joint."""
+    ended = [row for row in parameter["by_joint"] if row["at_bound"]]
+    return any(row["value"] - row["low"] >= row["high"] - row["value"] for row in ended)
 
 
 def doubt_gain(result: Result) -> str | None:
@@ -292,28 +378,6 @@ def doubt_joints(result: Result) -> str | None:
         f"on test data {len(worse)} of {len(joints)} joints {'is' if len(worse) == 1 else 'are'} no better than "
         f"without friction: {name_some(worse)}"
     )
-
-
-def doubt_sizes(
-    params: Mapping[str, Param], values: Mapping[str, Float[np.ndarray, "nv"]], joints: Sequence[str], unit: str
-) -> list[str]:
-    """Identified values of a bench, on a `hinge` or `slide`, of another size than a user expected, a sentence each."""
-    doubts = []
-    for name, param in params.items():
-        if not param.is_identified or param.scale != "log":
-            continue
-        found = np.ravel(values[name])
-        began = param.each("init", len(found))
-        times = np.exp(np.abs(np.log(found / began)))
-        joint = int(times.argmax())
-        if times[joint] > FAR:
-            of = f" of {joints[joint]}" if len(found) > 1 else ""
-            moved = f"from {began[joint]:g} to {found[joint]:.4g} {param.unit(unit)}, {times[joint]:.2g} times"
-            doubts.append(
-                f"bench.{name}{of} went {moved}: look at the units of time, qpos and ctrl (data.units) and at the "
-                f"bench's gains, or begin elsewhere (bench.params.{name}.init)"
-            )
-    return doubts
 
 
 def list_moving(

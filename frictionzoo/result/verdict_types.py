@@ -13,6 +13,7 @@ class FindingRow(TypedDict):
     kind: Literal[
         "identification",
         "recordings",
+        "torque",
         "gain",
         "joints",
         "reference",

@@ -24,6 +24,7 @@ from frictionzoo.show.text import format_change, format_number, format_share
 TITLES = {
     "identification": "Not identified",
     "recordings": "Recordings",
+    "torque": "Recorded torque",
     "gain": "Gain",
     "joints": "Joint by joint",
     "reference": "Reference",
@@ -303,10 +304,10 @@ def _check_residual(result: Result) -> Check:
     row = max(rows, key=lambda row: row["residual"] / row["friction"])
     share = format_share(row["residual"], row["friction"])
     of = f" of {row['joint']}" if len(result["joints"]) > 1 else ""
-    text = f"What is left of the torque, {share} of the friction{of}, goes with nothing of speed, load, direction,"
-    return Check(
-        "good", TITLES["residual"], f"{text} position, temperature and time since reversal by more than chance."
+    text = (
+        f"The residual torque, {share} of the friction{of}, is what encoders and filters make of the identified drive"
     )
+    return Check("good", TITLES["residual"], f"{text}; no cause that was looked for explains more of it.")
 
 
 def check_held_out(data: DataRow) -> Check:

@@ -1,0 +1,77 @@
+"""Recordings as the identified drive would have given them, of which nothing is wrong but noise."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from frictionzoo.core.described import remake
+from frictionzoo.core.errors import FrictionzooError
+from frictionzoo.core.log import Log
+from frictionzoo.core.segments import cut_rollouts
+from frictionzoo.fit import Space
+from frictionzoo.fit.recordings import Recordings
+from frictionzoo.logs.signals import find_noise, find_quantum
+from frictionzoo.simulate.drive import Drive
+
+MOST_STEPS = 1e6  # of the simulation, times joints
+STIFFEST = 5e-4  # s, time constant of the friction constraint
+STOCK = 2  # joints, of more of which MJX itself is too slow
+ASTRAY = 0.5  # share of a joint's motion by which the simulated one may differ
+
+
+def imitate(
+    recordings: Recordings, space: Space, vector: Float[np.ndarray, "coordinates"], stiff: bool = False
+) -> tuple[Log, ...] | None:
+    """Simulate an identified drive under recorded commands, and measure it as the recordings were.
+
+    Its positions get the noise and the steps of the encoders, as the recordings show them. The logs are cut to the
+    length of the shortest, and to as many as a simulation of moderate length has.
+
+    Args:
+        recordings: Bench, law and logs.
+        space: Coordinates of the values.
+        vector: The values.
+        stiff: Whether dry friction is as stiff as the simulation step allows, whatever the bench has.
+
+    Returns:
+        None where the simulated motion is another one, as that of commands of torque alone soon is, or takes too long.
+    """
+    bench, model, logs = recordings
+    if stiff:
+        bench = remake(bench, solreffriction=[max(2 * bench.timestep, STIFFEST), 1.0]).observing(bench.observed)
+    sampling = bench.sampling(logs[0].timestep)
+    length = min(log.samples for log in logs) - 1
+    count = min(len(logs), int(MOST_STEPS / (length * sampling.substeps * bench.nv)))
+    try:
+        drive = Drive.assemble(bench, model, "auto", sampling)
+        if not count or (drive.engine.name == "mjx" and bench.nv > STOCK):
+            return None
+        chosen = [log.between(0, length + 1, "imitation") for log in logs[:count]]
+        windows = cut_rollouts(chosen, length * logs[0].timestep, None, "consecutive", 0, sampling.history)
+        values = space.values(jnp.asarray(vector, space.start.dtype))
+        states = windows.qpos[:, 0], windows.qvel[:, 0], windows.signals, windows.loads
+        qpos, qvel = (np.asarray(part, np.float64) for part in drive.rollout.compiled(values, *states))
+    except FrictionzooError:
+        return None
+    apart = np.sqrt(np.mean(np.square(qpos - windows.qpos[:, 1:]), axis=(0, 1)))
+    if not (apart < ASTRAY * windows.qpos.std(axis=(0, 1))).all():  # of NaN, False
+        return None
+    random = np.random.default_rng(0)
+    cut = [log.between(1, length + 1, log.name) for log in chosen]
+    return tuple(replace(log, qpos=_measure(log, q, random), qvel=v) for log, q, v in zip(cut, qpos, qvel, strict=True))
+
+
+def _measure(log: Log, qpos: Float[np.ndarray, "time nv"], random: np.random.Generator) -> Float[np.ndarray, "time nv"]:
+    """Positions as a log's encoders read them."""
+    steps = np.array([find_quantum(column) or 0.0 for column in log.qpos.T])
+    noise = np.array([find_noise(column) for column in log.qpos.T])
+    noisy = qpos + np.sqrt(np.maximum(noise**2 - steps**2 / 12, 0)) * random.normal(size=qpos.shape)
+    return np.where(steps > 0, np.round(noisy / np.maximum(steps, 1e-300)) * steps, noisy)
+
+
+def add_noise(log: Log) -> Log:
+    """Return a log with noise as large as its encoders' added to its positions."""
+    noise = np.array([find_noise(column) for column in log.qpos.T])
+    return replace(log, qpos=log.qpos + noise * np.random.default_rng(0).normal(size=log.qpos.shape))
