@@ -69,6 +69,8 @@ class Explained(NamedTuple):
         error: Its standard error.
         inertia: Of the armature, with the links' where `share` is NaN [kg m^2 or kg].
         inertia_error: Its standard error.
+        links: Share of the torque's variance that what links need explains beyond inertia and friction.
+        acceleration: That of the inertia under the largest torque [rad/s^2 or m/s^2].
     """
 
     left: float
@@ -76,6 +78,8 @@ class Explained(NamedTuple):
     error: float
     inertia: float
     inertia_error: float
+    links: float
+    acceleration: float
 
 
 def commanded_torque(
@@ -129,11 +133,14 @@ def explain(found: Balance, joint: int) -> Explained | None:
     inertial = columns[:, [0, -1]]
     alone = links - inertial @ np.linalg.lstsq(inertial, links, rcond=None)[0]
     loaded = np.std(alone) > ALIKE * np.std(links) and np.ptp(links) > 0
+    without = _regress(columns, torque)[2] if loaded else np.nan
     columns = np.column_stack([links, columns]) if loaded else columns
     values, errors, left = _regress(columns, torque)
     share, error = (values[0], errors[0]) if loaded else (np.nan, np.nan)
     at = int(loaded)
-    return Explained(left, float(share), float(error), float(values[at]), float(errors[at]))
+    fastest = float(np.quantile(np.abs(torque), 0.99)) / max(abs(float(values[at])), 1e-300)
+    numbers = left, float(share), float(error), float(values[at]), float(errors[at])
+    return Explained(*numbers, without - left if loaded else 0.0, fastest)
 
 
 def mismatch(found: Balance) -> Float[np.ndarray, "nv"]:

@@ -12,8 +12,9 @@ from frictionzoo.core.log import Log
 
 KNOWN = 0.1  # relative standard error up to which a share counts as known
 TIMES = 3.0  # factor by which an actuator's torque differs from what links need and something else is wrong
-OUTSIDE = 3.0  # factor by which an inertia is beyond the bounds of the armature
-FAR = 12.0  # times the armature's initial value, or its part, that is told
+MATTERS = 1.0  # times the unexplained variance of a torque, that links explain at the least where they are judged
+FASTEST = {"hinge": 2e4, "slide": 2e3}  # rad/s^2 or m/s^2 at most of a drive under its largest torque
+SLOWEST = {"hinge": 0.1, "slide": 0.01}  # and at least
 PLAIN = 0.5  # share of a torque's variance that may be left where its inertia is to be told
 MUCH_BETTER = 0.5  # times what is left of the torque as recorded, below which another time is the right one
 EARLY, LATE = 0.01, 0.1  # s, between which a command acts, with the delay that a drive may have
@@ -64,7 +65,7 @@ def _check_joint(bench: Bench, joint: int, one: Explained, to_position: bool) ->
                 "the MJCF",
                 turn(joint, *turned),
             )
-        elif not 1 / TIMES < one.share < TIMES:
+        elif one.links > MATTERS * one.left and not 1 / TIMES < one.share < TIMES:
             yield (
                 "torque",
                 not 1 / TIMES**2 < one.share < TIMES**2,
@@ -73,7 +74,7 @@ def _check_joint(bench: Bench, joint: int, one: Explained, to_position: bool) ->
                 _scale_torque(bench, joint, 1 / one.share),
             )
     elif np.isnan(one.share) and one.left < PLAIN and one.inertia_error < KNOWN * abs(one.inertia):
-        yield from _check_inertia(bench, joint, of, one.inertia)
+        yield from _check_inertia(bench, joint, of, one)
 
 
 def _name_gains(bench: Bench) -> tuple[str, ...]:
@@ -100,12 +101,10 @@ def _scale_torque(bench: Bench, joint: int, factor: float) -> tuple[Repair, ...]
     return tuple(Repair(f"bench.actuator.params.{n}.init", rounded, joint, is_factor=True) for n in _name_gains(bench))
 
 
-def _check_inertia(bench: Bench, joint: int, of: str, inertia: float) -> Iterator[Said]:
-    """The inertia of a joint without a load, which is its armature."""
-    armature = bench.params["armature"]
-    low, high, began = (float(armature.each(side, bench.nv)[joint]) for side in ("low", "high", "init"))
+def _check_inertia(bench: Bench, joint: int, of: str, one: Explained) -> Iterator[Said]:
+    """The inertia of a joint without a load, which is its armature, by how fast the recorded torque makes it."""
     slide = bench.joint_type == "slide"
-    if inertia < 0:
+    if one.inertia < 0:
         yield (
             "opposed",
             True,
@@ -113,14 +112,15 @@ def _check_inertia(bench: Bench, joint: int, of: str, inertia: float) -> Iterato
             f"{say_sign(joint, bench.nv)}, or the sign of both qpos and qvel",
             turn(joint, "ctrl"),
         )
-    elif not low / OUTSIDE < inertia < high * OUTSIDE or not 1 / FAR < inertia / began < FAR:
-        unit = "kg" if slide else "kg m^2"
+    elif not SLOWEST[bench.joint_type] < one.acceleration < FASTEST[bench.joint_type]:
+        unit, per = ("kg", "m/s^2") if slide else ("kg m^2", "rad/s^2")
+        fast = one.acceleration > SLOWEST[bench.joint_type]
         yield (
             "inertia",
-            not low / OUTSIDE < inertia < high * OUTSIDE,
-            f"the torque{of} moves an inertia of {inertia:.3g} {unit}, expected {low:g} to {high:g}, about {began:g}, "
-            "of bench.params.armature: qpos or ctrl has another unit, or a gear's ratio is left out; set "
-            f"data.units.qpos{('=mm' if slide else '=deg') if inertia < low else ''} or data.units.ctrl",
+            False,
+            f"the torque{of} moves an inertia of {one.inertia:.3g} {unit} with up to {one.acceleration:.3g} {per}, "
+            f"expected {SLOWEST[bench.joint_type]:g} to {FASTEST[bench.joint_type]:g} {per}: qpos or ctrl has another "
+            f"unit; set data.units.qpos{('=mm' if slide else '=deg') if fast else ''} or data.units.ctrl",
         )
 
 
