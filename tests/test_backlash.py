@@ -11,6 +11,9 @@ import pytest
 import torch
 
 from frictionzoo.bench import Bench
+from frictionzoo.bench.signals import pair_all
+from frictionzoo.core.build import build
+from frictionzoo.core.config import compose_settings
 from frictionzoo.core.errors import ConfigError, LogError
 from frictionzoo.core.log import Log
 from frictionzoo.core.segments import Segments, cut_segments
@@ -19,6 +22,7 @@ from frictionzoo.fit import Objective, Space, estimate_uncertainty
 from frictionzoo.fit.chunk import search
 from frictionzoo.fit.lm import LevenbergMarquardt
 from frictionzoo.fit.uncertainty import Uncertainty
+from frictionzoo.identification.stages import Stages
 from frictionzoo.logs.two_inertia import TwoInertia
 from frictionzoo.models import Backlash
 from frictionzoo.models.backlash import _dead_zone
@@ -300,3 +304,19 @@ def test_a_drive_that_cannot_be_is_refused(twin: Callable[..., TwoInertia]) -> N
         twin("data.drive.stiffness=0")
     with pytest.raises(LogError, match=r"two_inertia: the simulation diverged at sample \d+"):
         twin("data.samples=200", "data.drive.stiffness=1e9").load()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "seconds"), [("backlash", 3.4), ("coulomb_smooth", 1.0)])
+def test_segments_are_long_where_a_rollout_begins_with_a_guess(
+    twin: Callable[..., TwoInertia], knee: Bench, name: str, seconds: float
+) -> None:
+    """A tenth of 34 s to train on, which is less than the law asks for; of other laws a second."""
+    settings = compose_settings({}, "data=two_inertia", f"model={name}", "recipe=auto")
+    law, fit = build(settings["model"], nv=1), build(settings["fit"])
+    law.bind(knee.joints)
+    recorded = pair_all(twin().load(), knee.joints)
+    with jax.enable_x64(True):
+        choices = Stages(settings, knee, recorded, law, fit).run()
+        length = next(choice.value for choice in choices if choice.option == "segments.length")
+    assert length * 1e-3 == pytest.approx(seconds, rel=0.1)

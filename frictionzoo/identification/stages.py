@@ -160,7 +160,7 @@ class Stages:
         """As long as rollouts stay near the recording, however their initial state is off."""
         if not self._is_open("segments.length"):
             return
-        longest = self._samples_in(_LONGEST if self._small else _SHORT)
+        longest = self._samples_in(max(_LONGEST, self._model.shortest_segment) if self._small else _SHORT)
         self.settings["segments"]["length"] = longest
         grown = self._pilot().growth()
         steady = int(np.argmax(grown > _GROWTH)) if (grown > _GROWTH).any() else longest

@@ -45,6 +45,8 @@ class FrictionModel(Described, torch.nn.Module, ABC):
         valleys: Parameters over which the loss is known to have several minima, and multiples of the initial value at
             which a search begins besides.
         memory: Numbers that the law remembers of each joint from step to step; 0 for a function of the present state.
+        shortest_segment: Length of segments [s] that a recipe chooses at least, in recordings of ten times that: a
+            rollout begins with a memory that is guessed, and has to forget it early in each.
         sees: What the friction changes with, of `frictionzoo.models.sees.SEES`: `speed`; `slow`, that it falls as the
             speed rises; `fast`, that it grows faster than the speed; `direction`, that it differs between the two;
             `load`, `position`, `temperature`; `reversal`, that it remembers how long ago the motion turned round. By
@@ -68,6 +70,7 @@ class FrictionModel(Described, torch.nn.Module, ABC):
     contains: ClassVar[Mapping[str, Within]] = {}
     valleys: ClassVar[Mapping[str, Sequence[float]]] = {}
     memory: int = 0
+    shortest_segment: float = 0.0
     sees: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, nv: int, params: Params | None = None) -> None:

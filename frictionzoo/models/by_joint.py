@@ -158,6 +158,7 @@ class ByJoint(FrictionModel):
         self.dissipative = all(law.dissipative for law in made)
         self.widths = tuple(law.memory for law in made)
         self.memory = max(self.widths)
+        self.shortest_segment = max(law.shortest_segment for law in made)
         self.inputs = _merge_inputs(made)
         self._gather()
 
