@@ -60,7 +60,7 @@ PLACES = {
 }
 """What explains residual torque, in words."""
 CAUSES = ("identification", "recordings", "residual", "torque")
-"""Kinds of findings that come first: the others are often what these lead to."""
+"""Kinds of findings that come first, in this order: the others are often what these lead to."""
 _MORE = "raise fit.iterations"
 
 
@@ -71,7 +71,8 @@ def judge(result: Result, commands: Sequence[CommandRow] = ()) -> VerdictRow:
         result: The record; its `verdict` is not looked at.
         commands: As `VerdictRow` has them, before the verdict.
     """
-    findings = sorted(find_doubts(result), key=lambda finding: (finding["kind"] not in CAUSES, not finding["severe"]))
+    ranks = {kind: rank for rank, kind in enumerate(CAUSES)}
+    findings = sorted(find_doubts(result), key=lambda row: (ranks.get(row["kind"], len(ranks)), not row["severe"]))
     severe = any(finding["severe"] for finding in findings)
     grade = DO_NOT_USE if severe else "use it with care" if findings else "nothing speaks against it"
     allowed = _allow(commands, grade, identified=not result["not_identified"])
