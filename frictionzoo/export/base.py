@@ -15,6 +15,7 @@ from frictionzoo.core.params import UNITS
 from frictionzoo.core.registry import KINDS, Registry
 from frictionzoo.export.written import Difference, Export
 from frictionzoo.result.identified import Identified
+from frictionzoo.result.simulator import find_errors
 
 
 class Target(ABC):
@@ -68,14 +69,21 @@ def measure(
     over: str | None = None,
     reason: str = "",
 ) -> Difference:
-    """The difference between what came from the written files and what was expected from the fitted drive.
+    """Measure the difference of the written files from the fitted drive.
 
-    The quantity is `qpos` or `torque`; `over` says in words what was compared, None the run's long test rollouts; the
-    `reason`, what the target lacks of the drive.
+    Args:
+        quantity: `qpos` or `torque`.
+        fitted: The drive.
+        came: Values of the written files; positions of all long test rollouts are compared with the recordings too.
+        expected: Values of the drive.
+        over: The compared data, in words; None for the long test rollouts.
+        reason: What the target lacks of the drive, in a few words.
     """
-    distance = np.abs(came - expected)
-    unit = UNITS[fitted.bench.joint_type]["position" if quantity == "qpos" else quantity]
-    return Difference(quantity, unit, float(distance.max()), float(distance.mean()), over or fitted.over, reason)
+    distance, positions = np.abs(came - expected), quantity == "qpos"
+    whole = positions and over is None
+    error = float(np.abs(find_errors(fitted, came)).mean()) if whole else None
+    unit = UNITS[fitted.bench.joint_type]["position" if positions else quantity]
+    return Difference(quantity, unit, float(distance.max()), float(distance.mean()), over or fitted.over, reason, error)
 
 
 def match_joint(name: str) -> str:

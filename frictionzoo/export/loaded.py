@@ -1,6 +1,6 @@
 """Model files for MuJoCo, loaded as their users do and compared with the identified drive."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal, cast
 
 import mujoco
@@ -16,7 +16,7 @@ from frictionzoo.result.evaluate import Prediction
 from frictionzoo.result.identified import Identified
 from frictionzoo.result.names import name_some
 from frictionzoo.result.run_types import WrittenRow
-from frictionzoo.result.simulator import RK4, find_errors, read_integrator, stands_in
+from frictionzoo.result.simulator import RK4, read_integrator, stands_in
 
 EXACT = 1e-9
 """Largest difference of a position [rad or m] that counts as rounding."""
@@ -82,9 +82,8 @@ def play(
     lost = sound & ~np.isfinite(came).all(axis=(1, 2))
     if lost.any():
         return None, (f"As loaded, it diverges in {lost.sum()} of {fitted.over}: do not use it.",)
-    over = fitted.over if sound.all() else f"{sound.sum()} of {fitted.over}, in which the drive does not diverge"
-    difference = measure("qpos", fitted, came[sound], expected.qpos[sound], over, ", ".join(why))
-    return replace(difference, error=float(np.abs(find_errors(fitted, came)[sound]).mean())), ()
+    over = None if sound.all() else f"{sound.sum()} of {fitted.over}, in which the drive does not diverge"
+    return measure("qpos", fitted, came[sound], expected.qpos[sound], over, ", ".join(why)), ()
 
 
 def is_clipped(model: mujoco.MjModel, fitted: Identified, place: Place) -> bool:
