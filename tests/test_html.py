@@ -379,7 +379,7 @@ def test_no_doubts_about_a_good_run(record):
             "Not identifiable on these data: bench.armature; do",
         ),
         ({"indistinct": [["a.b", "c.d"]], "no_intervals": None}, "Identifiability", "caution", "apart a.b and c.d;"),
-        ({"metrics.train.position_mae": 1e-3}, "Test against train", "caution", "learnt its own data"),
+        ({"metrics.train.position_mae": 1e-3}, "Test against train", "caution", "overfitted"),
         ({"metrics.train.position_mae": None}, "Test against train", "caution", "cannot be compared"),
         ({"metrics.baseline.position_mae": 1e-3}, "Gain", "bad", "no better than"),
         ({"metrics.test.position_mae": None}, "Gain", "bad", "every test rollout diverged"),

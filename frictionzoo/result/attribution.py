@@ -130,16 +130,17 @@ def _try(
     """What a candidate explains beyond known columns, of a whole sum of squares, if that is no chance and enough."""
     basis = _orthogonal(known)
     columns = _orthogonal(_beyond(candidate.columns, basis))
-    as_it_is = float(np.square(columns.T @ error).sum()) / whole
-    error = error - (candidate.columns * usual).sum(axis=1)
+    ordinary = (candidate.columns * usual).sum(axis=1)
+    more = float(np.square(columns.T @ error).sum() - np.square(columns.T @ ordinary).sum()) / whole
+    error = error - ordinary
     rest = error - basis @ (basis.T @ error)
     stretch = _stretches(rest - columns @ (columns.T @ rest))
     if not columns.shape[1] or stretch[-1] < 2 * columns.shape[1]:
         return None
     chance = min(1.0, count * _chance(rest, columns, stretch))
     share = (float(rest @ rest) - _held_out(rest, columns, stretch % FOLDS)) / whole
-    # What is unusual counts only where it is a part of the error, and not of what is missing in it.
-    return Explained(name, share, chance) if chance <= LEVEL and min(share, as_it_is) >= SHARE else None
+    # What is unusual counts only where the error has more of it than usual, and not less.
+    return Explained(name, share, chance) if chance <= LEVEL and min(share, more) >= SHARE else None
 
 
 def _stretches(error: Column) -> Int[np.ndarray, "rows"]:

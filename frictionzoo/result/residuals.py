@@ -60,7 +60,6 @@ FEWEST = 100  # rows of a joint; fewer tell nothing
 BANDWIDTHS = 10.0, 5.0  # Hz, where noise drowns what lies above
 DROWNED = 0.5  # share of the variance that is left, of which noise may be the cause
 SOFTER = 1.1  # times what is left, above which a simulated drive leaves more than it should
-LASTING = 0.3  # correlation of neighbours below which noise is mostly that of an encoder
 STEP = 1e-2  # of a coordinate, in the difference by it
 LITTLE = 0.01  # share of the friction below which nothing is told
 WRONG = 0.05  # by which a factor of the actuator's torque is off, from which on it is told however little it explains
@@ -203,43 +202,35 @@ def _narrow(
     recordings: Recordings, space: Space, vector: Float[np.ndarray, "coordinates"], filtering: Filtering
 ) -> Left:
     """What is left up to the highest bandwidth in which noise is not most of it."""
-    imitations, noisier = imitate(recordings, space, vector), tuple(map(add_noise, recordings.logs))
-    if imitations is not None:
-        left, same = (
-            _leave(recordings._replace(logs=logs), space, vector, filtering) for logs in (recordings.logs, imitations)
-        )
-        # A soft constraint leaves more where the motion turns round than a drive that it does not describe.
-        if any(_rms(same.of(at)) > SOFTER * _rms(left.of(at)) for at in range(recordings.bench.nv)):
-            imitations = imitate(recordings, space, vector, stiff=True) or imitations
+    imitations, joints = imitate(recordings, space, vector), range(recordings.bench.nv)
+    noisier = tuple(map(add_noise, recordings.logs))
 
-    def leave(filtering: Filtering) -> Left:
-        left = _leave(recordings, space, vector, filtering)
-        same = _leave(recordings._replace(logs=imitations or noisier), space, vector, filtering)
-        if imitations is None:  # what more noise adds
-            same = same._replace(torque=same.torque - left.torque, counts=left.counts)
-        return left._replace(nothing=same)
+    def leave(logs: Sequence[Log], filtering: Filtering) -> Left:
+        return _leave(recordings._replace(logs=logs), space, vector, filtering)
 
-    left = leave(filtering)
+    def compare(filtering: Filtering) -> tuple[Left, bool]:
+        """What is left, with what is left where nothing is wrong, and whether noise of the encoders drowns it."""
+        left, worse = leave(recordings.logs, filtering), leave(noisier, filtering)
+        noise = worse._replace(torque=worse.torque - left.torque, counts=left.counts)
+        drowned = (np.square(noise.torque).mean(axis=0) > DROWNED * np.square(left.torque).mean(axis=0)).any()
+        return left._replace(nothing=noise if imitations is None else leave(imitations, filtering)), bool(drowned)
+
+    left, drowned = compare(filtering)
+    # A soft constraint leaves more where the motion turns round than a drive that it does not describe.
+    if imitations is not None and any(_rms(left.noise(at)) > SOFTER * _rms(left.of(at)) for at in joints):
+        imitations = imitate(recordings, space, vector, stiff=True) or imitations
+        left = left._replace(nothing=leave(imitations, filtering))
     for bandwidth in BANDWIDTHS:
-        if (
-            not any(_is_drowned(left, joint) for joint in range(recordings.bench.nv))
-            or bandwidth >= filtering.bandwidth
-        ):
+        if not drowned or bandwidth >= filtering.bandwidth:
             break
         try:
             narrower = replace(filtering, bandwidth=bandwidth)
             if sum(narrower.decimation(recordings.logs).rows) < FEWEST:
                 break
-            left, filtering = leave(narrower), narrower
+            (left, drowned), filtering = compare(narrower), narrower
         except FrictionzooError:  # too short for it
             break
     return left
-
-
-def _is_drowned(left: Left, joint: int) -> bool:
-    """Whether most of what is left of a joint's torque may be noise of its encoder, which changes from row to row."""
-    noise = left.noise(joint)
-    return _rms(noise) ** 2 > DROWNED * _rms(left.of(joint)) ** 2 and correlation(noise) < LASTING
 
 
 def _leave(
