@@ -37,6 +37,7 @@ COLUMNS = {
     "findings": "findings",
     "status": "status",
     "error": "error [mrad]",
+    "residual": "residual [% of friction]",
     "seconds": "run [s]",
     "first": "first finding",
 }
@@ -190,8 +191,8 @@ def run(cause: str, seed: int, folder: Path, more: list[str]) -> dict[str, Any]:
     command = [sys.executable, "-m", "frictionzoo.run", *record(case, folder), f"hydra.run.dir={out}", *more]
     finished = subprocess.run(command, capture_output=True, text=True)
     if finished.returncode not in (0, 3):
-        said, row = finished.stderr.strip().splitlines()[-1], {"grade": "refused", "findings": 1, "error": 0.0}
-        row["seconds"] = 0.0
+        said, row = finished.stderr.strip().splitlines()[-1], {"grade": "refused", "findings": 1}
+        row |= {"error": 0.0, "residual": 0.0, "seconds": 0.0}
         named = bool(case.pattern and re.search(case.pattern, said))
     else:
         result = json.loads((out / "result.json").read_text())
@@ -203,6 +204,8 @@ def run(cause: str, seed: int, folder: Path, more: list[str]) -> dict[str, Any]:
         named = named if case.pattern else not causes
         row = {"grade": result["verdict"]["grade"], "findings": len(findings), "seconds": result["timing"]["total"]}
         row["error"] = 1e3 * (result["metrics"]["test"]["position_mae"] or np.nan)
+        joints = (result["residual"] or {"by_joint": []})["by_joint"]
+        row["residual"] = max((100 * joint["residual"] / joint["friction"] for joint in joints), default=0.0)
     about = {"cause": cause, "drive": str(seed), "named": str(named), "status": finished.returncode}
     return {**about, **row, "first": said}
 

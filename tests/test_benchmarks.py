@@ -30,6 +30,7 @@ QUICKEST = {  # script: its arguments, and the rows that it has to give
     "arm": ("--bandwidths 40 --recordings 1 --seconds 3 --sure 0.1", 5),
     "branches": ("--segments 4 --length 10 --dtypes float64", 2),
     "newcomer": ("--drives 1 --kinds sticking --more recipe=given loop.progress=false", 1),
+    "causes": ("--causes lag --drives 1 --more recipe=given loop.progress=false", 1),
     "coverage": ("--cases rounded load --logs 2", 2),
     "recipe": ("--cases twin -- data.samples=30000 segments.count=20 segments.length=50 fit.iterations=2", 1),
     "checkup": ("--data twin_clean --good twin_clean --most 1", 22),
