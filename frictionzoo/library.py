@@ -126,7 +126,7 @@ class How(TypedDict, total=False):
     loop: Looping
     scale: Mapping[str, float]
     checkup: str
-    discretisation: bool | None
+    discretisation: bool
     seed: int
     dtype: str | None
     engine: str
@@ -207,7 +207,7 @@ def identify(
     loop: Looping | None = None,
     scale: Mapping[str, float] | None = None,
     checkup: str = "strict",
-    discretisation: bool | None = None,
+    discretisation: bool = True,
     seed: int = 0,
     dtype: str | None = None,
     engine: str = "auto",
@@ -235,8 +235,7 @@ def identify(
             a law that is named are multiples; 1 in SI units where nothing is said.
         checkup: `strict`, or `warn`: what is certainly wrong with the recordings, or with the bench for them, is a
             warning of the result and no error.
-        discretisation: Whether intervals hold what the simulation's step does, for which rollouts of half the step are
-            compiled; None: where there is one joint.
+        discretisation: Whether intervals hold what the simulation's step does, which rollouts of half the step tell.
         seed: Of a network's initial weights, for a law that is named.
         dtype: `float32` or `float64`; None as the recipe has it.
         engine: `auto`, `specialised` or `mjx`.

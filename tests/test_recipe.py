@@ -13,6 +13,7 @@ from frictionzoo.core.config import compose_config, compose_settings
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.params import AUTO
+from frictionzoo.core.segments import cut_segments
 from frictionzoo.fit import Space
 from frictionzoo.fit.loss import Loss
 from frictionzoo.identification.choices import Choice, imply
@@ -20,7 +21,7 @@ from frictionzoo.identification.misfit import Misfit
 from frictionzoo.identification.noise import Noise, find_step
 from frictionzoo.identification.pilot import exact_enough
 from frictionzoo.identification.problem import Parts, _divide_interval
-from frictionzoo.identification.stages import divide
+from frictionzoo.identification.stages import hold_back
 from frictionzoo.logs.signals import find_noise
 
 TIMESTEP, DELAY = 0.005, 0.012
@@ -86,11 +87,16 @@ def test_a_choice_is_a_line() -> None:
 
 
 def test_a_validation_block_is_not_fitted(recorded: Dataset) -> None:
-    fitted, block = divide(recorded.train)
-    assert fitted[0].samples == pytest.approx(4 * block[0].samples, rel=0.01)
-    assert fitted[0].time[-1] < block[0].time[0]
+    segments = cut_segments(recorded.train, None, 20)
+    fitted, block = hold_back(segments, recorded.train)
+    assert fitted.sum() == pytest.approx(0.8 * len(fitted), rel=0.02)
+    assert segments.begins is not None and segments.begins[fitted][-1] + 20 * TIMESTEP < block[0].time[0]
+    assert recorded.train[0].samples == pytest.approx(5 * block[0].samples, rel=0.01)
     several = tuple(Log(**{**vars(recorded.train[0]), "name": str(number)}) for number in range(10))
-    assert [log.name for log in divide(several)[1]] == ["0", "5"] and len(divide(several)[0]) == 8
+    segments = cut_segments(several, None, 20)
+    fitted, block = hold_back(segments, several)
+    assert [log.name for log in block] == ["0[validation]", "5[validation]"]
+    assert segments.recording is not None and {*segments.recording[fitted]} == {1, 2, 3, 4, 6, 7, 8, 9}
 
 
 @pytest.mark.usefixtures("in_haste")

@@ -31,7 +31,6 @@ _TAKES: dict[str, tuple[Any, ...]] = {
     "resume": ("", True, None),
     "threads": (0, None),
     "compilation_cache": ("", None),
-    "discretisation": (True, None),
     "model.laws": ("", []),
     "segments.count": (0, None),
     "segments.length": (0,),

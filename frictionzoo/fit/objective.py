@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import torch
 from jax.sharding import NamedSharding, PartitionSpec
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.segments import Segments
@@ -54,6 +54,8 @@ class Objective:
         devices: How many these are.
         stretches: Into how many stretches of consecutive segments the data are divided, as `divide` does it.
         compile: `jax.jit` for functions that call these.
+        interval: Of the samples [s].
+        sizes: Mean squares over which errors count, of shape (nv, 2), as `balanced` has it; None where it has not.
         recordings: What the segments were cut from; None where they follow another drive.
         torch_law: Name of the friction law if it exists only in torch, None for any other. Its functions below are
             called with arrays and cannot be compiled, and it has a gradient and no Jacobian.
@@ -113,6 +115,7 @@ class Objective:
             )
         self.space: Space = space
         self.compile: Callable[..., Any] = rollout.compile
+        self.interval: float = segments.timestep
         stretch = divide(segments)
         self.stretches: int = int(stretch[-1]) + 1
         counts = is_moving(segments, slow) if slow else None
@@ -123,6 +126,8 @@ class Objective:
         self._rollout = rollout
         self.recordings: Recordings | None = None
         self._programs: dict[Any, Any] = {}  # compiled equations: a fit's own serve again when it is judged
+        self.sizes: np.ndarray | None = None
+        self._wider: tuple[Objective, np.ndarray, np.ndarray] | None = None
         self._sparsity = Sparsity.of(space, rollout.branches)
         self._terms = float(count_terms(self.data).sum()) + refine * segments.count * segments.qpos.shape[2]
 
@@ -131,7 +136,7 @@ class Objective:
         other = copy.copy(self)
         other.space, other.compile, other._rollout = space, rollout.compile, rollout
         other._sparsity = Sparsity.of(space, rollout.branches)
-        other.recordings, other._programs = None, {}
+        other.recordings, other._programs, other._wider = None, {}, None
         return other.beginning(np.asarray(measured_states(self.data.qpos, self.data.qvel)))
 
     def starting(self, vector: Float[np.ndarray, "coordinates"]) -> "Objective":
@@ -153,11 +158,24 @@ class Objective:
         other.data = self.data._replace(begun=jax.device_put(np.asarray(states, begun.dtype), begun.sharding))
         return other
 
-    def balanced(self) -> "Objective":
+    def among(self, kept: Bool[np.ndarray, "segments"] | None) -> "Objective":
+        """The same objective in which these segments alone count; None: all that do."""
+        if kept is None:
+            return self
+        other, weight = copy.copy(self), self.data.weight
+        counts = np.zeros(weight.size, weight.dtype)
+        counts[: len(kept)] = kept
+        other.data = self.data._replace(weight=weight * jax.device_put(counts.reshape(weight.shape), weight.sharding))
+        return other
+
+    def balanced(self, sizes: Float[np.ndarray, "nv 2"] | None = None) -> "Objective":
         """The same objective with each joint's errors over their size where the fit begins, if that is asked for.
 
         That size is the root mean square of errors of position and of velocity over all segments, from measured initial
         states: what is left of a joint says how far it can be trusted, as in weighted least squares.
+
+        Args:
+            sizes: The mean squares, if they are known.
 
         Raises:
             ConfigError: The rollouts are not finite there.
@@ -165,8 +183,58 @@ class Objective:
         if not self._loss.by_joint:
             return self
         other = copy.copy(self)
-        errors = mean_squares(self._loss, self._rollout.compiled, self.space.values(self.space.start), self.data)
-        other._loss, other._programs = self._loss.over(errors), {}
+        if sizes is None:
+            sizes = mean_squares(self._loss, self._rollout.compiled, self.space.values(self.space.start), self.data)
+        other.sizes, other._loss, other._programs = sizes, self._loss.over(sizes), {}
+        return other
+
+    def within(self, wider: "Objective", vector: Float[np.ndarray, "wider"]) -> "Objective":
+        """The same objective by the compiled equations of one with more coordinates, on the same data.
+
+        Args:
+            wider: The other one, in which errors count alike.
+            vector: Where the other one's further coordinates stay.
+        """
+        other = copy.copy(self)
+        places = np.array([wider.space.labels.index(label) for label in self.space.labels], int)
+        other._wider, other._programs = (wider, places, vector), {}
+        return other
+
+    def predict(
+        self, vector: Float[np.ndarray, "coordinates"], states: Any = None
+    ) -> list[Float[Array, "blocks segments time nv"]]:
+        """Positions and velocities by block and segment, from the initial states that were found, or from these.
+
+        Args:
+            vector: The coordinates.
+            states: Initial states, (blocks, segments, twice nv).
+        """
+        values = self.space.values(jnp.asarray(vector, self.space.start.dtype))
+        states = self.data.begun if states is None else states
+        starts = (jnp.split(jnp.asarray(own), 2, axis=1) for own in states)
+        parts = [
+            self._rollout.compiled(values, *start, block.signals, block.load)
+            for start, block in zip(starts, each(self.data), strict=True)
+        ]
+        return [jnp.stack(part) for part in zip(*parts, strict=True)]
+
+    def approaching(self, finer: "Objective", vector: Float[np.ndarray, "coordinates"]) -> "Objective":
+        """The same objective with a finer simulation's residuals near a vector, by the slopes of this one.
+
+        Measured states are moved by as much as the finer rollouts are away from these: then only rollouts are compiled
+        of it, and no derivative.
+
+        Source: V. Pereyra, "Iterated deferred corrections for nonlinear boundary value problems", 1968.
+
+        Args:
+            finer: The same objective of the finer simulation.
+            vector: The coordinates.
+        """
+        other, begun = copy.copy(self), self.data.begun
+        measured = [self.data.qpos, self.data.qvel]
+        ends = zip(measured, finer.predict(vector, begun), self.predict(vector), strict=True)
+        qpos, qvel = (of.at[:, :, 1:].add(coarse - fine) for of, fine, coarse in ends)
+        other.data = self.data._replace(qpos=qpos, qvel=qvel)
         return other
 
     def remember(self, what: Hashable, make: Callable[[], T]) -> T:
@@ -284,11 +352,17 @@ class Objective:
         return self._compile_equations(exact=self._loss.robust != "none")
 
     def _compile_equations(self, exact: bool) -> Callable[[np.ndarray], tuple[NormalEquations, np.ndarray]]:
-        compiled = self._compiled(exact)
+        whole, places, vector_beside = self._wider or (self, slice(None), np.asarray(self.space.start))
+        compiled, own = whole._compiled(exact), self.data
+        # Commands reach further back where a delay is among the coordinates.
+        data = whole.data._replace(qpos=own.qpos, qvel=own.qvel, weight=own.weight, begun=own.begun)
 
         def evaluate(vector: Float[np.ndarray, "coordinates"]) -> tuple[NormalEquations, np.ndarray]:
-            at = self.spread(jnp.asarray(vector, self.space.start.dtype))
-            loss, scores, hessian, states = compiled(at, self.data)
+            at = np.array(vector_beside)
+            at[places] = vector
+            at = self.spread(jnp.asarray(at, self.space.start.dtype))
+            loss, scores, hessian, states = compiled(at, data)
+            scores, hessian = scores[:, places], hessian[places][:, places]
             states = states if self._loss.refine else None
             return NormalEquations(float(loss), scores.sum(axis=0), hessian, states), scores
 

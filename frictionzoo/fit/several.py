@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from frictionzoo.core.errors import ConfigError, refuse_outside
 from frictionzoo.fit.base import Fit, Seen, register_method
@@ -15,6 +15,7 @@ from frictionzoo.fit.lm import MOST_TRIES, LevenbergMarquardt, descend
 from frictionzoo.fit.normal_equations import NormalEquations
 from frictionzoo.fit.objective import Objective
 from frictionzoo.fit.torque_balance import Box
+from frictionzoo.models import FrictionModel
 
 _log = logging.getLogger(__name__)
 
@@ -81,7 +82,9 @@ class Several(Fit):
     def init(self, objective: Objective) -> tuple[Any, Any]:
         """See `Fit.init`; all searches are done here."""
         self.total(objective)
-        return _Searches(objective, self._tries, self._tolerance, self._contained).best()
+        searches = Searches(objective, self._tries, self._tolerance)
+        best = searches.best(searches.look() if self._contained else searches.go_on(np.asarray(objective.space.start)))
+        return best.vector, searches.states
 
     def step(self, objective: Objective, vector: Any, state: Any, data: Blocks) -> tuple[Seen, Any, Any]:
         """See `Fit.step`; there is nothing left to do."""
@@ -97,26 +100,53 @@ class Several(Fit):
         objective.compile_normal_equations()
 
 
-class _Searches:
-    """All searches of an objective, each law that is contained looked at once."""
+class Searches:
+    """All searches of an objective, each law that is contained looked at once.
 
-    def __init__(self, objective: Objective, tries: int, tolerance: float, contained: bool) -> None:
+    Args:
+        objective: What is minimised.
+        tries: Largest number of vectors that each search tries.
+        tolerance: As in `LevenbergMarquardt`.
+        kept: Which coordinates move; None for all.
+    """
+
+    def __init__(
+        self, objective: Objective, tries: int, tolerance: float, kept: Bool[np.ndarray, "coordinates"] | None = None
+    ) -> None:
         self._objective, self._space = objective, objective.space
-        self._tries, self._tolerance, self._contained = tries, tolerance, contained
+        self._tries, self._tolerance = tries, tolerance
         self._least = np.inf
         self._found: dict[str, End] = {}
+        self._kept = np.ones(len(objective.space.start), bool) if kept is None else kept
 
-    def best(self) -> tuple[Float[np.ndarray, "coordinates"], Any]:
-        """The end with the least loss, and initial states there."""
+    @property
+    def states(self) -> Any:
+        """Initial states at the best vector so far."""
+        return self._objective.states
+
+    def go_on(self, vector: Float[np.ndarray, "coordinates"]) -> End:
+        """Where a search from this vector ends; what does not move stays as it is there."""
+        return self._descend(self._moving(vector), "a known start", vector)
+
+    def look(self) -> End:
+        """The best from all starts that laws which the law contains give, with all coordinates moving."""
         recordings = self._objective.recordings
-        if self._contained:
-            best = self._look(Part.of(None if recordings is None else recordings.model, self._space))
-        else:
-            best = self._descend(Part.of(None, self._space), "initial values", np.asarray(self._space.start))
-        if recordings is not None and "bench.delay" in self._space.labels:
-            best = self._shift(best, recordings.logs[0].timestep)
-        _log.info("of several starts, the best is at %s", best.name)
-        return best.vector, self._objective.states
+        return self._look(Part.of(None if recordings is None else recordings.model, self._space))
+
+    def best(self, found: End) -> End:
+        """The same or a better one, from the initial armature, and with other delays."""
+        recordings = self._objective.recordings
+        delays = [at for at, label in enumerate(self._space.labels) if label == "bench.delay" and self._kept[at]]
+        if recordings is not None and delays:
+            found = self._shift(found, delays[0], recordings.logs[0].timestep)
+        _log.info("of several starts, the best is at %s", found.name)
+        return found
+
+    def _moving(self, vector: Float[np.ndarray, "coordinates"]) -> Part:
+        """Coordinates without a meaning, those alone that move."""
+        return Part(
+            FrictionModel, self._space, np.where(self._kept, 0.0, vector), np.eye(len(vector))[:, self._kept], {}, {}
+        )
 
     def _evaluate(self, vector: Float[np.ndarray, "coordinates"]) -> NormalEquations:
         """The objective there, whose initial states are searched from those of the best vector so far."""
@@ -159,20 +189,21 @@ class _Searches:
         _log.debug("%s: from %s to a loss of %.9g", part.law.__name__, name, loss)
         return End(name, part.whole(own), loss)
 
-    def _shift(self, best: End, interval: float) -> End:
+    def _shift(self, best: End, at: int, interval: float) -> End:
         """The same or a better one, with a delay that is some sample intervals shorter or longer."""
-        whole, at = Part.of(None, self._space), self._space.labels.index("bench.delay")
+        whole, kept = self._moving(best.vector), self._kept
         unit = interval / float(self._space.params["bench.delay"].scale)
-        low, high = whole.box[1:]
-        best = self._restore_inertia(best, whole, at, unit) if self._contained else best
+        low, high = (float(side[at]) for side in (self._space.low, self._space.high))
+        best = self._restore_inertia(best, whole, at, unit)
         bests: list[float] = []
         for _ in range(_ROUNDS):
-            along = _along(self._evaluate(best.vector).hessian, at)
+            along = np.zeros(len(kept))
+            along[kept] = _along(self._evaluate(best.vector).hessian[np.ix_(kept, kept)], int(kept[:at].sum()))
             ends, middle = [best], best.vector[at]
             bests.append(middle)
             leads_back = _is_near(bests, at, unit)
             for shift in _SHIFTS:
-                by = np.clip(middle + shift * unit, low[at], high[at]) - middle
+                by = np.clip(middle + shift * unit, low, high) - middle
                 if not leads_back(shifted := best.vector + np.clip(by * along, -_FAR, _FAR)):
                     name = f"a delay {by / unit:+.2g} sample intervals from the best before"
                     ends.append(self._descend(whole, name, shifted, _SHORT, leads_back))
@@ -190,7 +221,7 @@ class _Searches:
             return is_as_late(vector) and bool((np.abs(vector - best.vector)[inertia] < _ALIKE).all())
 
         for share in _SHARES:
-            begun = np.where(inertia, np.clip(*whole.box), best.vector)
+            begun = np.where(inertia & self._kept, self._space.start, best.vector)
             begun[at] = share * best.vector[at]
             if not leads_back(begun):
                 name = f"the best before with the initial armature and {share:g} of the delay"

@@ -62,7 +62,7 @@ def estimate_uncertainty(
     objective: Objective,
     vector: Float[np.ndarray, "coordinates"],
     fit: Fit | None = None,
-    finer: Callable[[], Objective] | None = None,
+    finer: Callable[[Float[np.ndarray, "coordinates"]], Objective] | None = None,
 ) -> Uncertainty:
     """Intervals of the identified parameters from the curvature of the objective and the spread of its gradient.
 
@@ -99,8 +99,8 @@ def estimate_uncertainty(
         objective: What was minimised.
         vector: The best one.
         fit: How it was found, which may have another loss; None: by that of the objective.
-        finer: Makes the same objective of a drive that is simulated in steps of half the length; None: the steps'
-            length is not looked at.
+        finer: Makes the same objective near a vector, of a drive that is simulated in steps of half the length; None:
+            the steps' length is not looked at.
 
     Source: P. Huber, "The behavior of maximum likelihood estimates under nonstandard conditions", 1967; H. White, "A
     heteroskedasticity-consistent covariance matrix estimator and a direct test for heteroskedasticity", 1980; K.-Y.
@@ -126,7 +126,7 @@ def estimate_uncertainty(
     if not all(np.isfinite(part).all() for part in (equations.gradient, equations.hessian, scores)):
         return Uncertainty(missing="the derivative of the objective is not finite at the result")
     if finer is not None:
-        gradient = finer().compile_normal_equations()(vector).gradient
+        gradient = finer(vector).compile_normal_equations()(vector).gradient
         if np.isfinite(gradient).all():
             equations = equations._replace(gradient=2 * gradient - equations.gradient)
     return assess(space, vector, equations, scores)

@@ -1,44 +1,61 @@
-"""The problem in simulation steps of half the length: what the step has done to a result."""
+"""A simulation in steps of half the length: what the step has done to a result."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from jaxtyping import Float
+
+from frictionzoo.bench import Bench
 from frictionzoo.core.described import remake
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.fit import Objective, Space
 from frictionzoo.fit.base import Fit
-from frictionzoo.identification.problem import Problem
 from frictionzoo.simulate.drive import Drive
 
+if TYPE_CHECKING:
+    from frictionzoo.identification.problem import Problem
 
-def is_wanted(asked: Any, joints: int) -> bool:
-    """Whether half a step is looked at: it is compiled anew, for many joints long, so of itself for one alone.
+
+def is_wanted(asked: Any) -> bool:
+    """Whether half a step is looked at.
 
     Raises:
-        ConfigError: `discretisation` is neither true nor false nor null.
+        ConfigError: `discretisation` is neither true nor false.
     """
-    if asked is not None and not isinstance(asked, bool):
-        raise ConfigError(f"discretisation={asked}: expected true, false, or null for drives of one joint")
-    return joints == 1 if asked is None else asked
+    if not isinstance(asked, bool):
+        raise ConfigError(f"discretisation={asked}: expected true or false")
+    return asked
 
 
-def finer(problem: Problem) -> Callable[[], Objective] | None:
-    """Makes the objective of the drive in steps of half the length; None where that is not asked for.
+def finer(problem: "Problem") -> Callable[[Float[np.ndarray, "coordinates"]], Objective] | None:
+    """Makes the objective near a vector, of the drive in steps of half the length; None where that is not asked for.
 
     Nor is it of a fit that minimises something without a step.
 
     Raises:
         ConfigError: As `is_wanted`.
     """
-    wanted = is_wanted(problem.settings["discretisation"], problem.bench.nv)
     by_rollouts = type(problem.fit).compile_scores is Fit.compile_scores
-    return (lambda: halve(problem)) if wanted and by_rollouts else None
+    if not (is_wanted(problem.settings["discretisation"]) and by_rollouts):
+        return None
+    objective = problem.objective
+    return lambda vector: objective.approaching(
+        in_other_steps(objective, problem.drive, halve_step(problem.bench)), vector
+    )
 
 
-def halve(problem: Problem) -> Objective:
-    """The objective in steps of half the length, of the same data."""
-    bench = remake(problem.bench, timestep=problem.bench.timestep / 2).observing(problem.bench.observed)
-    sampling = bench.sampling(problem.sampling.interval)
-    drive = Drive.assemble(bench, problem.drive.model, problem.drive.engine.name, sampling)
-    space = Space(bench, drive.model, problem.settings["dtype"])
-    return problem.objective.for_drive(space, drive.rollout).beginning(problem.objective.states)
+def halve_step(bench: Bench) -> Bench:
+    """The test stand in steps of half the length, with friction as stiff as they allow if it was."""
+    softness, ratio = bench.solreffriction
+    if 0 < softness <= 2 * bench.timestep:  # then friction is softer than the drive's for the step's sake alone
+        softness /= 2
+    return remake(bench, timestep=bench.timestep / 2, solreffriction=[softness, ratio]).observing(bench.observed)
+
+
+def in_other_steps(objective: Objective, drive: Drive, bench: Bench) -> Objective:
+    """The same objective of the drive on a test stand that differs in its steps."""
+    sampling = bench.sampling(objective.interval)
+    other = Drive.assemble(bench, drive.model, drive.engine.name, sampling)
+    space = Space(bench, other.model, str(objective.space.start.dtype))
+    return objective.for_drive(space, other.rollout).beginning(objective.states)

@@ -28,7 +28,7 @@ from frictionzoo.models import FrictionModel
 from frictionzoo.result.record import describe_data
 
 _TEXT = "settled"  # entry of the file's header
-_ARRAYS = ("vector", "half", "enough", "at_bound", "measured", "states")
+_ARRAYS = ("vector", "half", "enough", "at_bound", "measured", "states", "sizes")
 _INDIFFERENT = ("compilation_cache", "device", "logger", "loop", "resume", "threads")
 _OF_THE_BENCH = ("params", "timestep", "solreffriction", "second_order")
 _log = logging.getLogger(__name__)

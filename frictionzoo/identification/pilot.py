@@ -1,7 +1,8 @@
 """A fit ahead of the fit: what settings are chosen by."""
 
+import contextlib
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -9,18 +10,21 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from frictionzoo.bench import Bench
-from frictionzoo.core.errors import FitError
+from frictionzoo.core.errors import FitError, FrictionzooError
 from frictionzoo.core.log import Log
 from frictionzoo.core.segments import Segments, cut_rollouts, cut_segments
 from frictionzoo.fit import Objective, Space
-from frictionzoo.fit.chunk import search
-from frictionzoo.fit.lm import LevenbergMarquardt
+from frictionzoo.fit.blocks import measured_states
+from frictionzoo.fit.motion import Filtering
 from frictionzoo.fit.normal_equations import NormalEquations
 from frictionzoo.fit.recordings import Recordings
-from frictionzoo.fit.several import Several
+from frictionzoo.fit.several import Searches
+from frictionzoo.fit.torque_balance import balance
+from frictionzoo.fit.torque_equation import TorqueEquation
 from frictionzoo.fit.uncertainty import WIDEST, assess
+from frictionzoo.identification.choices import OPTIONAL
+from frictionzoo.identification.discretisation import in_other_steps
 from frictionzoo.models import FrictionModel
-from frictionzoo.simulate import Values
 from frictionzoo.simulate.drive import Drive
 
 _EXACT = 3e-3  # of a value, or of its scale where that is more: half an interval that need not be narrower
@@ -44,6 +48,7 @@ class Found(NamedTuple):
         loss: The objective there.
         measured: Positions of the segments.
         states: Initial states of these there; None where none were refined.
+        sizes: `Objective.sizes` with which it is.
     """
 
     labels: list[str]
@@ -54,10 +59,22 @@ class Found(NamedTuple):
     loss: float
     measured: Float[np.ndarray, "segments time nv"]
     states: Float[np.ndarray, "blocks segments twice_nv"] | None
+    sizes: Float[np.ndarray, "nv 2"] | None = None
+
+    @classmethod
+    def begun(cls, labels: list[str], vector: Float[np.ndarray, "coordinates"]) -> "Found":
+        """Where a search may begin, of which nothing else is known."""
+        nothing = np.full(len(vector), np.nan)
+        return cls(labels, vector, nothing, nothing, np.zeros(len(vector), bool), np.inf, np.zeros((0, 0, 0)), None)
 
     def states_of(self, segments: Segments) -> Float[np.ndarray, "blocks segments twice_nv"] | None:
         """Initial states of these segments, where they are the same."""
         return self.states if np.array_equal(segments.qpos, self.measured) else None
+
+    @property
+    def owners(self) -> set[str]:
+        """Parameters of the bench that were found."""
+        return {label.partition("/")[0].removeprefix("bench.") for label in self.labels}
 
     def among(self, labels: Sequence[str], otherwise: Float[np.ndarray, "others"]) -> Float[np.ndarray, "others"]:
         """The coordinates of these names, another's where there is none."""
@@ -79,8 +96,8 @@ class Pilot:
         segments: Arguments of `cut_segments`.
         loss: Of `Objective`.
         engine: Name of the engine.
-        sized: Where each joint's errors have the size over which they count, with `loss.by_joint`, as the fit's own
-            have where it begins; None: at the initial values.
+        begun: Where another one ended: there each joint's errors have the size over which they count, with
+            `loss.by_joint`. None: at the initial values.
 
     Raises:
         FrictionzooError: The input is at fault.
@@ -94,7 +111,7 @@ class Pilot:
         segments: Mapping[str, Any],
         loss: Mapping[str, Any],
         engine: str,
-        sized: Found | None = None,
+        begun: Found | None = None,
     ) -> None:
         self.bench: Bench = bench.observing(model.inputs)
         accepted = tuple(map(self.bench.accept, logs))
@@ -104,9 +121,9 @@ class Pilot:
         self.segments = cut_segments(accepted, **segments, history=self._sampling.history)
         space = Space(self.bench, self._drive.model, "float64")
         objective = Objective(space, self._drive.rollout, self.segments, **loss)
-        objective.recordings = Recordings(self.bench, self._drive.model, accepted)
+        self._recordings = objective.recordings = Recordings(self.bench, self._drive.model, accepted)
         initial = np.asarray(space.start, np.float64)
-        where = initial if sized is None else sized.among(space.labels, initial)
+        where = initial if begun is None else begun.among(space.labels, initial)
         self.objective: Objective = objective.starting(where).balanced().starting(initial)
 
     @property
@@ -116,99 +133,162 @@ class Pilot:
 
     @property
     def start(self) -> Float[np.ndarray, "coordinates"]:
-        """Where it begins of itself."""
-        return np.asarray(self.space.start, np.float64)
+        """Where it begins of itself, of physical parameters."""
+        return np.asarray(self.space.start, np.float64)[: len(self.space.labels)]
+
+    def balance(self, bench: Bench) -> Found:
+        """Where torques are in balance along the recorded motion, which needs no rollout; else the initial values.
+
+        The better of both by the rollouts' errors: where samples are far apart, accelerations are not known.
+
+        Args:
+            bench: The test stand with what is moved for that.
+        """
+        recordings = self._recordings._replace(bench=bench.observing(self._drive.model.inputs))
+        starts = [self.start]
+        with contextlib.suppress(FrictionzooError):  # too short a recording, say
+            space = Space(recordings.bench, self._drive.model, "float64")
+            equation = TorqueEquation(space, recordings, Filtering(), held=True)
+            vector = balance(equation.lack, equation.slope, equation.box, equation.moving).vector
+            starts.append(self.whole(Found.begun(space.labels, vector)))
+        return Found.begun(self.space.labels, min(starts, key=self._miss))
 
     def fit(
         self,
-        start: Float[np.ndarray, "coordinates"] | None = None,
-        tries: int = _TRIES,
-        beside: Found | None = None,
-        shifted: bool = False,
+        begun: Found,
+        without: Collection[str] = (),
+        thorough: bool = False,
+        kept: Bool[np.ndarray, "segments"] | None = None,
     ) -> Found:
-        """The best vector, by Levenberg-Marquardt of at most so many; of several starts where none is given.
+        """The best vector, by Levenberg-Marquardt.
 
         Args:
-            start: Where to begin.
-            tries: How many vectors are tried at most, of each search.
-            beside: Where another pilot ended, near the start.
-            shifted: Whether other delays are tried from a start that is given.
+            begun: Where to begin.
+            without: Parameters of the bench that are 0; what was found has none of them.
+            thorough: Whether other starts are tried: of laws that the law contains where it has several minima, and
+                other delays.
+            kept: Which segments count; None for all.
 
         Raises:
             FitError: The loss is not finite where it begins.
         """
-        several = start is None or shifted
-        fit = Several(tries, _TOLERANCE, start is None) if several else LevenbergMarquardt(tries, _TOLERANCE)
-        begun = self._beside(beside)
-        progress, _ = search(fit, begun if start is None else begun.starting(start))
-        states = progress.method if several else progress.method.states
-        vector = np.asarray(progress.best, np.float64)
-        if bool(progress.broken) or not np.isfinite(vector).all():
+        moving = self._moving(without)
+        objective = self.objective.beginning(begun.states_of(self.segments)).among(kept)
+        searches = Searches(objective, _TRIES, _TOLERANCE, moving)
+        end = searches.go_on(np.where(moving, self.whole(begun), 0.0))
+        if thorough and self._drive.model.valleys:
+            end = min(end, searches.look(), key=lambda end: end.loss)
+        vector, loss = (searches.best(end) if thorough else end)[1:]
+        if not np.isfinite([loss, *vector]).all():
             raise FitError("the loss is not finite where the fit begins")
-        half = np.full(len(vector), np.nan)
+        self._end = objective.beginning(searches.states).compile_scores()(vector)
+        return self._conclude(vector, loss, moving, searches.states)
+
+    def foresee(self, found: Found, without: str) -> Found:
+        """Where the last fit would have ended without one of its parameters, as far as slopes tell there.
+
+        Args:
+            found: Where it ended.
+            without: A parameter of the bench.
+        """
+        (equations, scores), vector = self._end, self.whole(found)
+        moving = self._moving({without, *(OPTIONAL.keys() - found.owners)})
+        change = np.where(moving, 0.0, -vector)
+        pulled = equations._replace(gradient=equations.gradient + equations.hessian @ change)
+        change[moving] = -_solve(pulled, np.flatnonzero(moving))
+        bent = equations.hessian @ change
+        loss = float(equations.loss + 2 * change @ equations.gradient + change @ bent)
+        self._end = equations._replace(gradient=equations.gradient + bent), scores + bent / len(scores)
+        ahead = self._conclude(vector + change, loss, moving, found.states)
+        self._end = equations, scores
+        return ahead
+
+    def _moving(self, without: Collection[str]) -> Bool[np.ndarray, "coordinates"]:
+        """Which coordinates belong to no such parameter of the bench."""
+        return np.array([label.partition("/")[0].removeprefix("bench.") not in without for label in self.space.labels])
+
+    def _conclude(
+        self,
+        vector: Float[np.ndarray, "coordinates"],
+        loss: float,
+        moving: Bool[np.ndarray, "coordinates"],
+        states: Any,
+    ) -> Found:
+        """What is found where these coordinates have moved, and `_end` is what the objective is there."""
+        half, (equations, scores) = np.full(len(vector), np.nan), self._end
         if self.objective.stretches > 1:  # there is a spread between segments
-            equations, scores = self.objective.beginning(states).compile_scores()(vector)
+            equations = equations._replace(hessian=np.where(np.outer(moving, moving), equations.hessian, 0.0))
             intervals = assess(self.space, vector, equations, scores, _COLLINEAR).intervals
             ends = self.space.pick({name: intervals[name] for name in self.space.places})
             half = np.array([self._half(label, np.asarray(ends[label])) for label in self.space.labels])
         return Found(
-            labels=self.space.labels,
-            vector=vector,
-            half=half,
-            enough=exact_enough(self.space, vector),
-            at_bound=self.space.at_bound(vector),
-            loss=float(progress.best_loss),
+            labels=[label for label, moves in zip(self.space.labels, moving, strict=True) if moves],
+            vector=vector[moving],
+            half=half[moving],
+            enough=exact_enough(self.space, vector)[moving],
+            at_bound=self.space.at_bound(vector)[moving],
+            loss=loss,
             measured=self.segments.qpos,
             states=states,
+            sizes=self.objective.sizes,
         )
 
-    def step_from(self, found: Found) -> Float[np.ndarray, "coordinates"]:
-        """How each coordinate would move from where another pilot of the same ended.
+    def approaching(self, bench: Bench, found: Found) -> "Pilot":
+        """This one with the residuals of a bench with shorter steps, near where it ended."""
+        other, objective = copy.copy(self), self.objective.beginning(found.states_of(self.segments))
+        finer = in_other_steps(objective, self._drive, bench.observing(self._drive.model.inputs))
+        other.objective = objective.approaching(finer, self.whole(found))
+        return other
 
-        One step of Gauss and Newton; 0 of what the data do not determine.
-        """
-        equations = self._beside(found).compile_normal_equations()(found.vector)
+    def step(self, found: Found) -> Float[np.ndarray, "coordinates"]:
+        """One step of Gauss and Newton from what was found; 0 of what the data do not determine."""
+        equations = self.objective.compile_normal_equations()(self.whole(found))
         free = (found.half < WIDEST) & ~found.at_bound  # of NaN, False
         step = np.zeros(len(free))
-        step[free] = -_solve(equations, np.flatnonzero(free))
+        step[free] = -_solve(equations, [self.space.labels.index(label) for label in np.array(found.labels)[free]])
         return step
 
-    def _beside(self, found: Found | None) -> Objective:
-        """The objective, with the initial states that another pilot of the same segments ended with."""
-        return self.objective.beginning(found and found.states_of(self.segments))
+    def whole(self, found: Found) -> Float[np.ndarray, "coordinates"]:
+        """All coordinates: what was not found is 0 where it is optional, and else as it was at the beginning."""
+        labels, start = self.space.labels, np.array(self.space.start, np.float64)
+        optional = [label.partition("/")[0].removeprefix("bench.") in OPTIONAL for label in labels]
+        start[: len(labels)] = found.among(labels, np.where(optional, 0.0, start[: len(labels)]))
+        return start
 
-    def values(self, vector: Float[np.ndarray, "coordinates"]) -> Values:
-        """Of all parameters."""
-        return self.space.values(jnp.asarray(vector, self.space.start.dtype))
+    def residuals(self, found: Found) -> Float[np.ndarray, "segments time nv"]:
+        """Errors of position in the segments that were fitted, from the initial states that were found, if any were."""
+        qpos, _ = self.objective.beginning(found.states_of(self.segments)).predict(self.whole(found))
+        return self._by_segment(qpos) - self.segments.qpos[:, 1:]
 
-    def errors(
-        self, vector: Float[np.ndarray, "coordinates"], logs: Sequence[Log], horizon: float
-    ) -> Float[np.ndarray, "batch time nv"]:
+    def _by_segment(self, qpos: Any) -> Float[np.ndarray, "segments time nv"]:
+        return np.asarray(qpos).reshape(-1, *qpos.shape[2:])[: self.segments.count]
+
+    def errors(self, found: Found, logs: Sequence[Log], horizon: float) -> Float[np.ndarray, "batch time nv"]:
         """Errors of position in rollouts of this length [s] from measured states, one after the other in recordings."""
         accepted = tuple(map(self.bench.accept, logs))
         windows = cut_rollouts(accepted, horizon, _ROLLOUTS, "consecutive", 0, self._sampling.history)
-        qpos, _ = self._drive.rollout.compiled(
-            self.values(vector), windows.qpos[:, 0], windows.qvel[:, 0], windows.signals, windows.loads
-        )
+        values = self.space.values(jnp.asarray(self.whole(found), self.space.start.dtype))
+        start = windows.qpos[:, 0], windows.qvel[:, 0]
+        qpos, _ = self._drive.rollout.compiled(values, *start, windows.signals, windows.loads)
         return np.asarray(qpos) - windows.qpos[:, 1:]
 
-    def growth(self) -> Float[np.ndarray, "time"]:
+    def growth(self, found: Found) -> Float[np.ndarray, "time"]:
         """How far a disturbed initial velocity carries the position, over what it does without any force.
 
-        Median over segments, of the joint in which it is largest, at the initial values.
+        Median over segments, of the joint in which it is largest.
         """
-        cut, values = self.segments, self.values(self.start)
-        kept = np.unique(np.linspace(0, cut.count - 1, _ROLLOUTS).astype(int))
-        qpos, qvel = cut.qpos[kept, 0], cut.qvel[kept, 0]
-        signals = cut.signals.map(lambda signal: signal[kept])
+        cut, data = self.segments, self.objective.data
         disturbed = _DISTURBED * np.sqrt(np.square(cut.qvel).mean(axis=(0, 1))) + np.finfo(float).tiny
-        ends = [
-            np.asarray(self._drive.rollout.compiled(values, qpos, start, signals, cut.loads[kept])[0])
-            for start in (qvel, qvel + disturbed)
-        ]
+        begun = measured_states(data.qpos, data.qvel)
+        starts = begun, begun.at[..., self.bench.nv :].add(disturbed)
+        near, far = (self._by_segment(self.objective.predict(self.whole(found), states)[0]) for states in starts)
         time = np.arange(1, cut.length + 1) * cut.timestep
-        grown = np.abs(ends[1] - ends[0]) / (disturbed * time[:, None])
+        grown = np.abs(far - near) / (disturbed * time[:, None])
         return np.nan_to_num(np.median(grown.max(axis=2), axis=0), nan=np.inf)
+
+    def _miss(self, vector: Float[np.ndarray, "coordinates"]) -> float:
+        """Mean error of position in rollouts from measured states; infinite where one diverges."""
+        return float(np.nan_to_num(np.abs(self.residuals(Found.begun(self.space.labels, vector))).mean(), nan=np.inf))
 
     def _half(self, label: str, ends: Float[np.ndarray, "2"]) -> float:
         """Half an interval in the optimiser's coordinate."""

@@ -224,7 +224,10 @@ class Problem:
         fit = fit.choose(objective)
         if fit.start is not None:
             objective = begin_where(fit.start, objective)
-        objective = objective.balanced()
+        pilot = parts.settled.pilot
+        objective = objective.balanced(None if found is None or links else found.sizes)
+        if pilot is not None and found is not None and not links and objective.devices == 1:
+            objective = objective.within(pilot.objective, pilot.whole(found))  # which is compiled already
         seconds = parts.seconds + time.perf_counter() - began
         posed = (bench, dataset, doubts, sampling, segments, evaluation, drive, proof, samples, objective)
         return cls(*posed, fit, settings, seconds, links, parts.settled.choices)

@@ -12,7 +12,7 @@ from frictionzoo.core.log import Dataset
 from frictionzoo.core.params import AUTO
 from frictionzoo.fit import Fit
 from frictionzoo.identification.choices import OPTIONAL, Choice
-from frictionzoo.identification.pilot import Found
+from frictionzoo.identification.pilot import Found, Pilot
 from frictionzoo.identification.stages import Stages
 from frictionzoo.models import FrictionModel
 
@@ -31,6 +31,7 @@ class Settled:
         choices: What was left open, in the order in which it was chosen.
         start: Where the fit begins; None: at the initial values.
         doubts: Where the accuracy that was sought is not reached, a sentence each.
+        pilot: One with these settings; None where there was none, or where they were kept in a file.
     """
 
     settings: Mapping[str, Any]
@@ -38,6 +39,7 @@ class Settled:
     choices: tuple[Choice, ...] = ()
     start: Found | None = None
     doubts: tuple[Doubt, ...] = ()
+    pilot: Pilot | None = None
 
 
 def settle(settings: Mapping[str, Any], bench: Bench, dataset: Dataset, model: FrictionModel, fit: Fit) -> Settled:
@@ -61,7 +63,8 @@ def settle(settings: Mapping[str, Any], bench: Bench, dataset: Dataset, model: F
     for choice in stages.run():
         _log.info("%s", choice)
         choices.append(choice)
-    return Settled(stages.settings, stages.bench(), tuple(choices), stages.start, tuple(stages.doubts))
+    found = stages.start, tuple(stages.doubts), stages.pilot
+    return Settled(stages.settings, stages.bench(), tuple(choices), *found)
 
 
 def refuse_unknown(recipe: str) -> None:

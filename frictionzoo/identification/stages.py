@@ -2,10 +2,11 @@
 
 import copy
 import math
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from frictionzoo.bench import Bench
 from frictionzoo.bench.base import DEFAULT_SOLREFFRICTION
@@ -13,11 +14,13 @@ from frictionzoo.checkup.findings import Doubt
 from frictionzoo.core.described import remake
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.params import AUTO
+from frictionzoo.core.segments import Segments
 from frictionzoo.fit import Fit, Space
 from frictionzoo.fit.auto import Auto
 from frictionzoo.fit.lm import MOST_COORDINATES, LevenbergMarquardt
 from frictionzoo.fit.loss import soft_width
 from frictionzoo.identification.choices import OPTIONAL, RIVALS, Choice, imply, is_open
+from frictionzoo.identification.discretisation import halve_step
 from frictionzoo.identification.misfit import Misfit
 from frictionzoo.identification.noise import Noise
 from frictionzoo.identification.pilot import Found, Pilot
@@ -28,11 +31,11 @@ _FEWEST = 10  # samples of a segment
 _MANY = 10  # segments that there are at the least, for the spread between them says how sure a value is
 _GROWTH = 20.0  # times that a disturbance may grow within a segment
 _COARSEST = 1e-3  # s, of the simulation
-_STIFFEST = 5e-4  # s, time constant of the friction constraint
 _FIRST_STEPS, _MOST_STEPS = 1e6, 3e6  # simulation steps times joints, of first fits and of the last
 _LEAST = 0.1  # share of the segments that is left where they are too many steps
 _MOVES = 1 / 3  # of half an interval, that a parameter may move by when the simulation step is halved
-_ROUNDS = 3  # of shorter steps
+_ROUNDS = 4  # of shorter steps
+_LATE = 0.2  # sample intervals of delay from which on there may be other minima
 _CLEAR = 1.5  # times half its 95 % interval that an optional parameter is away from 0, with a chance of 0.3 %
 _BETTER = 0.02  # share by which a robust loss has to predict a validation block better than least squares
 _HELPFUL = 0.005  # share by which a parameter that is not shown has to
@@ -48,33 +51,34 @@ class Stages:
         self.settings: dict[str, Any] = copy.deepcopy(dict(settings))
         self.doubts: list[Doubt] = []
         self.start: Found | None = None
+        self.pilot: Pilot | None = None  # with the settings that were chosen
         self._given, self._plain, self._train, self._model, self._fit = settings, bench, dataset.train, model, fit
         self._free = {name: is_open(settings["bench"]["params"], name) for name in OPTIONAL}
-        self._closed = ""  # what is left out while its rival is free
         self._interval = dataset.train[0].timestep
         self._step_is_open = settings["bench"].get("timestep") == AUTO
         if self._step_is_open:  # the longest whole part of a sample interval that is no longer
             longest = min(bench.timestep, _COARSEST)
-            self._set_step(self._interval / math.ceil(self._interval / longest - 1e-9))
+            self._change(timestep=self._interval / math.ceil(self._interval / longest - 1e-9))
         self._order_is_open = settings["bench"].get("second_order") == AUTO
         if self._order_is_open:
             self._change(second_order=self._step_is_open and not isinstance(model, TorchFriction))
         self._softness_is_open = settings["bench"].get("solreffriction") == AUTO
         if self._softness_is_open:
-            stiff = [max(2 * self._step, _STIFFEST), 1.0] if np.any(model.constrained) else DEFAULT_SOLREFFRICTION
+            stiff = [2 * self._step, 1.0] if np.any(model.constrained) else DEFAULT_SOLREFFRICTION
             self._change(solreffriction=list(stiff))
-        self._bench = self.bench(free=True)
-        self._closed = RIVALS[1] if all(self._free[name] for name in RIVALS) else ""
+        self._bench = self.bench(OPTIONAL)
         self._samples = sum(log.samples for log in dataset.train) * self._bench.nv
         self._small = self._is_small()
-        self._found: Found | None = None  # where a pilot with all that is free ended, with the loss that was chosen
-        self._first: Found | None = None  # where the first one did, of several starts: others begin there
+        self._pilots: dict[str, Pilot] = {}  # by their settings
+        self._found: Found  # where the last pilot ended
+        self._last: Pilot | None = None  # which one that was
+        self._near: Pilot | None = None  # the one with the loss that was chosen, near the step that was chosen
+        self._first_step = self._step
+        self._out: set[str] = set()  # what of the optional parameters is left out
         self._noise = Noise.of(self._train)
         self._lacking = False  # whether the law leaves more than noise
         self._rounded = False  # whether it leaves what rounding does
-        self._kept: dict[str, bool] = {}  # whether what was free is identified
         self._validated: dict[str, float] = {}  # errors on the validation block, by the pilot's settings
-        self._shown: list[str] = []  # of it, what recordings show, and not what is of use alone
 
     def _is_small(self) -> bool:
         """Whether the fit is Levenberg-Marquardt's: then a pilot of it says what is best."""
@@ -82,12 +86,15 @@ class Stages:
         of_few = 0 < coordinates <= MOST_COORDINATES and not isinstance(self._model, TorchFriction)
         return isinstance(self._fit, Auto | LevenbergMarquardt) and of_few
 
-    def bench(self, free: bool = False) -> Bench:
-        """The test stand by now, with what is still open identified or left out."""
+    def bench(self, free: Collection[str] = ()) -> Bench:
+        """The test stand by now, with these of the optional parameters identified that were open, or as chosen."""
         section = self.settings["bench"]
         params = dict(section.get("params") or {})
-        for name in (name for name in OPTIONAL if is_open(params, name)):
-            params[name] = {**params[name], "identify": free and name != self._closed}
+        for name in OPTIONAL:
+            if free and self._free[name]:
+                params[name] = {**self._given["bench"]["params"][name], "identify": name in free}
+            elif is_open(params, name):
+                params[name] = {**params[name], "identify": False}
         changed = {name: section[name] for name in ("timestep", "solreffriction", "second_order") if name in section}
         return remake(self._plain, params=params, **changed)
 
@@ -98,12 +105,13 @@ class Stages:
         yield from self._choose_segments()
         if self._small:
             yield from self._choose_loss()
-            yield from self._choose_encoder()
+            self._shorten()  # what long steps do may look like a delay
             yield from self._choose_free()
-            yield from self._refine_step()
+            yield from self._choose_step()
         else:
             yield from self._leave_out()
         yield from self._set("segments.count", *self._count(_MOST_STEPS))
+        self.pilot = self._pilots.get(self._say_how(*self._how(_MOST_STEPS)))
 
     def _is_open(self, option: str) -> bool:
         section, _, key = option.rpartition(".")
@@ -162,7 +170,11 @@ class Stages:
             return
         longest = self._samples_in(max(_LONGEST, self._model.shortest_segment) if self._small else _SHORT)
         self.settings["segments"]["length"] = longest
-        grown = self._pilot().growth()
+        pilot = self._pilot()
+        self._found = Found.begun(pilot.space.labels, pilot.start)
+        if self._small:
+            self._found = pilot.balance(self.bench({"delay"}))
+        grown = pilot.growth(self._found)
         steady = int(np.argmax(grown > _GROWTH)) if (grown > _GROWTH).any() else longest
         length = max(min(_FEWEST, longest), steady)
         far = f"a disturbance of the velocity goes {grown[length - 1]:.2g} times as far as without forces"
@@ -185,20 +197,29 @@ class Stages:
         return count, f"{100 * share:.0f} % of all, evenly spread: with steps of {1e3 * step:.3g} ms these say enough"
 
     def _pilot(self, most_steps: float = _FIRST_STEPS, **given: Any) -> Pilot:
-        """A pilot with the settings as they are by now; what is open of the bench is free.
+        """A pilot with the settings as they are by now; what was open of the bench is free.
 
         Args:
             most_steps: For which segments are left out.
-            given: `logs`, in place of all that train, and options of segments and loss in place of the settings'.
+            given: Options of segments and loss in place of the settings'.
         """
-        logs = given.pop("logs", self._train)
         how = self._how(most_steps, **given)
-        return Pilot(self.bench(free=True), self._model, logs, *how, self.settings["engine"], self._first)
+        same = self._say_how(*how)
+        if same not in self._pilots:
+            bench, begun = self.bench(OPTIONAL), getattr(self, "_found", None)
+            self._pilots[same] = Pilot(bench, self._model, self._train, *how, self.settings["engine"], begun)
+        return self._pilots[same]
+
+    def _say_how(self, *how: Any) -> str:
+        return repr((self._step, self.settings["bench"].get("solreffriction"), how))
 
     def _how(self, most_steps: float, **given: Any) -> tuple[dict[str, Any], dict[str, Any]]:
         """Segments and loss of a pilot; arguments as in `_pilot`."""
-        usual = {"robust": "none", "robust_scale": 1.0, "encoder_step": 0.0, "refine": True}
-        loss = {name: usual[name] if value == AUTO else value for name, value in self.settings["loss"].items()}
+        usual = {"robust": "none", "robust_scale": 1.0, "refine": True, "encoder_step": self._noise.step}
+        loss = dict(self.settings["loss"])
+        if loss["encoder_step"] == AUTO and self._noise.step and loss["robust"] in (AUTO, "none"):
+            loss["velocity"] = self._velocity_beside_rounding()
+        loss = {name: usual[name] if value == AUTO else value for name, value in loss.items()}
         segments = {**self.settings["segments"], "length": given.pop("length", self.settings["segments"]["length"])}
         if segments["count"] == AUTO:
             segments["count"] = self._count(most_steps)[0]
@@ -206,13 +227,20 @@ class Stages:
 
     def _choose_loss(self) -> Iterator[Choice]:
         """Least squares, unless the law lacks something and a robust loss predicts a validation block better."""
-        pilot, found = yield from self._choose_softness()
-        self._first = found
-        horizon = self._samples_in(float(self._given["evaluation"]["horizons"][0]))
-        errors = pilot.errors(found.vector, self._train, horizon * self._interval)
-        misfit = Misfit.of(errors, self._noise.position, bool(self.settings["loss"]["by_joint"]))
+        pilot = self._pilot()
+        self._go_on(pilot)
+        delays = self._found.vector[[label == "bench.delay" for label in self._found.labels]]
+        is_late = delays.any() and self._bench.params["delay"].from_coordinate(delays, np) > _LATE * self._interval
+        if self._look(pilot).is_more_than_noise or is_late:
+            self._go_on(pilot, thorough=True)  # there may be another minimum
+        if self._softness_is_open:
+            pilot = yield from self._choose_softness(pilot)
+        misfit = self._look(pilot)
         self._lacking, self._rounded, told = misfit.is_more_than_noise, misfit.is_rounding, str(misfit)
-        longer = max(horizon, self.settings["segments"]["length"])
+        yield from self._choose_encoder()
+        if self._lacking:
+            misfit = self._measure(pilot.errors(self._found, self._train, self._horizon * self._interval))
+        longer = max(self._horizon, self.settings["segments"]["length"])
         robust = {"robust": "soft_l1", "robust_scale": misfit.scale, "refine": False, "length": longer}
         beyond_it = "beyond, errors count by their size"
         if self.settings["loss"]["robust"] not in (AUTO, "none"):  # of these errors; the pilot knew no scale
@@ -230,11 +258,46 @@ class Stages:
                 self.settings["segments"]["length"] = longer
                 yield Choice("segments.length", longer, "longer: so it predicted the validation block")
             return
-        self._found = found
         along = "initial states are estimated along, so that the noise of measured ones does not bend the result"
         yield from self._set("loss.robust", "none", told)
         yield from self._set("loss.robust_scale", 1.0, "not used")
         yield from self._set("loss.refine", True, along)
+
+    def _go_on(self, pilot: Pilot, thorough: bool = False) -> None:
+        """Fit a pilot from where the last one ended."""
+        self._found, self._last = pilot.fit(self._found, self._out, thorough), pilot
+
+    def _look(self, pilot: Pilot) -> Misfit:
+        """What the law leaves of the segments where the pilot ended."""
+        return self._measure(pilot.residuals(self._found))
+
+    def _measure(self, errors: Float[np.ndarray, "batch time nv"]) -> Misfit:
+        return Misfit.of(errors, self._noise.position, bool(self.settings["loss"]["by_joint"]))
+
+    @property
+    def _horizon(self) -> int:
+        """Samples of a rollout that judges."""
+        return self._samples_in(float(self._given["evaluation"]["horizons"][0]))
+
+    def _choose_softness(self, pilot: Pilot) -> Generator[Choice, None, Pilot]:
+        """Dry friction as stiff as the step allows, or as soft as MuJoCo has it where that fits better."""
+        why = "the law has no friction constraint"
+        if np.any(self._model.constrained):
+            why = "as stiff as the step allows, which leaves no more than noise"
+        if np.any(self._model.constrained) and self._look(pilot).is_more_than_noise:
+            stiff = self._change(solreffriction=list(DEFAULT_SOLREFFRICTION))
+            other = self._pilot()
+            soft = other.fit(self._found)
+            why = (
+                f"MuJoCo's own, {DEFAULT_SOLREFFRICTION[0]:g} s, has {soft.loss / self._found.loss:.3g} times the loss"
+            )
+            if soft.loss < self._found.loss:
+                self._last = pilot = other
+                self._found = soft
+            else:
+                self.settings["bench"] = stiff
+        yield Choice("bench.solreffriction", self.settings["bench"]["solreffriction"], why)
+        return pilot
 
     def _validate(self, **given: Any) -> float:
         """Mean error of position on a block of the training recordings, of a fit that has not seen it.
@@ -242,37 +305,19 @@ class Stages:
         Args:
             given: As `_pilot` takes it.
         """
-        same = repr((self.settings["bench"], *self._how(_FIRST_STEPS, **given)))
+        same = repr((self.settings["bench"], self._how(_FIRST_STEPS, **given), sorted(self._out)))
         if same not in self._validated:  # a stage asks again what the one before has asked, with what that chose
-            fitted, block = divide(self._train)
-            horizon = self._samples_in(float(self._given["evaluation"]["horizons"][0]))
-            horizon = min(horizon, min(log.samples for log in block) - 1)
-            pilot = self._pilot(logs=fitted, **given)
-            errors = pilot.errors(self._go_on(pilot).vector, block, horizon * self._interval)
-            self._validated[same] = float(np.abs(errors).mean())
+            pilot = self._pilot(**given)
+            kept, block = hold_back(pilot.segments, self._train)
+            found = pilot.fit(self._found, self._out, kept=kept)
+            horizon = min(self._horizon, min(log.samples for log in block) - 1)
+            self._validated[same] = float(np.abs(pilot.errors(found, block, horizon * self._interval)).mean())
         return self._validated[same]
-
-    def _go_on(self, pilot: Pilot, found: Found | None = None, shifted: bool = False) -> Found:
-        """Where a pilot ends that begins where another ended, or else the first of all.
-
-        With a robust loss, which has other minima than least squares, the better end of that and of the initial values.
-
-        Args:
-            pilot: The other one.
-            found: Where to begin.
-            shifted: Whether to try other delays, too: of another loss, the least may be in another sample interval.
-        """
-        begun = found or self._first
-        if begun is None:
-            return pilot.fit()
-        starts = [begun.among(pilot.space.labels, pilot.start)]
-        starts += [pilot.start] if pilot.robust and found is None else []
-        return min((pilot.fit(start, beside=begun, shifted=shifted) for start in starts), key=lambda end: end.loss)
 
     def _choose_encoder(self) -> Iterator[Choice]:
         """Errors within half an encoder's step do not count where rounding is all that is left."""
-        step, width = self._noise.step, soft_width(self._noise.step)
-        counts = bool(step) and self._rounded and self.settings["loss"]["robust"] == "none"
+        step = self._noise.step
+        counts = bool(step) and self._rounded and self.settings["loss"]["robust"] in (AUTO, "none")
         if not (counts and self._is_open("loss.encoder_step")):
             told = "rounding is not what is left" if step else "positions are not rounded, or have more noise than that"
             yield from self._set("loss.encoder_step", 0.0, told)
@@ -280,46 +325,58 @@ class Stages:
         told = "positions are rounded to it, and nothing more is left: within half of it errors say nothing"
         yield from self._set("loss.encoder_step", step, told)
         if self._is_open("loss.velocity"):
-            share = float(np.square(width / self._noise.position).mean())
-            self.settings["loss"]["velocity"] = float(f"{share * self._noise.velocity_weight:.3g}")
-            told = f"less: beyond half a step, errors of position count as noise of {width:.2g} {self._unit} would"
-            yield Choice("loss.velocity", self.settings["loss"]["velocity"], told)
-        self._found = None  # with another loss
+            told = f"less: beyond half a step, errors of position count as noise of {soft_width(step):.2g} "
+            self.settings["loss"]["velocity"] = self._velocity_beside_rounding()
+            yield Choice("loss.velocity", self.settings["loss"]["velocity"], f"{told}{self._unit} would")
+
+    def _velocity_beside_rounding(self) -> float:
+        """Weight of velocities where errors of position count beyond half an encoder's step."""
+        if not self._is_open("loss.velocity"):
+            return self.settings["loss"]["velocity"]
+        share = float(np.square(soft_width(self._noise.step) / self._noise.position).mean())
+        return float(f"{share * self._noise.velocity_weight:.3g}")
 
     def _choose_free(self) -> Iterator[Choice]:
         """What of the bench recordings show: its interval does not hold 0, or it helps to predict others."""
         free = [name for name, is_free in self._free.items() if is_free]
-        if not free:
-            return
-        self._found = self._found or self._go_on(self._pilot(), shifted=True)
-        shown = {name: self._is_shown(self._found, name) for name in free if name != self._closed}
-        if self._closed:
-            shown |= self._judge_rivals()
-        doubtful = [name for name, (is_shown, _) in shown.items() if not is_shown]
-        self._shown = [name for name in free if name not in doubtful]
+        pilot, told = self._near, dict[str, str]()
+        assert pilot is not None
+        self._go_on(pilot)
+        if set(RIVALS) <= set(free):
+            told |= self._judge_rivals(pilot)
+        doubtful = self._doubt(told)
         # Where a law lacks something, intervals are wide, and what makes up for it may be of use all the same.
         helping = self._validate() if doubtful and self._lacking else math.inf
-        for name in free:
-            self._identify(name, name not in doubtful)
+        self._out |= doubtful
         share = helping / self._validate() if math.isfinite(helping) else 1.0
-        for name, (is_shown, told) in shown.items():
-            helps = not is_shown and name != self._closed and share < 1 - _HELPFUL
-            self._identify(name, is_shown or helps)
-            why = OPTIONAL[name] if is_shown else "of use" if helps else "not shown"
-            beside = f"; with it, the error on a validation block is {share:.3g} times as large" if helps else ""
-            yield Choice(f"bench.params.{name}.identify", is_shown or helps, f"{why}: {told}{beside}")
+        if helps := share < 1 - _HELPFUL:
+            self._out -= doubtful
+        elif self._out:  # what was free and is not has bent the others
+            self._go_on(pilot)
+            if more := self._doubt(told):
+                self._out |= more
+                self._go_on(pilot)
+        beside = f"; with it, the error on a validation block is {share:.3g} times as large"
+        for name in free:
+            shown = name not in self._out
+            self._identify(name, shown)
+            why = "of use" if helps and name in doubtful else OPTIONAL[name] if shown else "not shown"
+            yield Choice(f"bench.params.{name}.identify", shown, f"{why}: {told[name]}" + beside * (why == "of use"))
 
-    def _judge_rivals(self) -> dict[str, tuple[bool, str]]:
-        """Which of the rivals shows, each tried without the other: of two that do, the one that fits better."""
-        first, second = RIVALS
-        self._closed = first
-        ends = {first: self._found, second: self._go_on(self._pilot(), self._found)}
-        shown = {name: self._is_shown(end, name) for name, end in ends.items() if end is not None}
+    def _judge_rivals(self, pilot: Pilot) -> dict[str, str]:
+        """Leave out the rival that fits worse without the other, or that does not show; tells of that one."""
+        ends = {name: pilot.foresee(self._found, other) for name, other in (RIVALS, RIVALS[::-1])}
+        shown = {name: self._is_shown(end, name) for name, end in ends.items()}
         best, other = sorted(RIVALS, key=lambda name: (not shown[name][0], ends[name].loss))
-        self._closed, self._found = other, ends[best]
-        if shown[other][0]:
-            shown[other] = False, f"{shown[other][1]}; {best} fits better"
-        return shown
+        self._out, self._found = {other}, ends[best]
+        return {other: shown[other][1] + f"; {best} fits better" * shown[other][0]}
+
+    def _doubt(self, told: dict[str, str]) -> set[str]:
+        """Optional parameters that do not show where the last pilot ended; writes what is told of each."""
+        shown = {name: self._is_shown(self._found, name) for name, free in self._free.items() if free}
+        shown = {name: of for name, of in shown.items() if name not in self._out}
+        told |= {name: said for name, (_, said) in shown.items()}
+        return {name for name, (is_shown, _) in shown.items() if not is_shown}
 
     def _is_shown(self, found: Found, name: str) -> tuple[bool, str]:
         """Whether an optional parameter is, and its values with half their intervals."""
@@ -333,68 +390,50 @@ class Stages:
         return shown, f"{', '.join(said)} {unit}" + ("" if np.isfinite(halves).any() else ", of which nothing is told")
 
     def _identify(self, name: str, whether: bool) -> None:
-        self._kept[name] = whether
         params = dict(self.settings["bench"]["params"])
         own = {**self._given["bench"]["params"][name], "identify": whether}
         # Looked for and not found, it is known to be 0 and not what it began with.
         params[name] = own if whether or not self._small else {**own, "init": 0.0}
         self.settings["bench"] = {**self.settings["bench"], "params": params}
 
-    def _refine_step(self) -> Iterator[Choice]:
-        """Halve the step until no parameter moves by more than a third of half its interval."""
-        found = self._found
-        if found is None or not all(self._kept.values()):  # what was free and is not has bent the others
-            found = self._go_on(self._pilot(), found)
-            looked = {name: self._is_shown(found, name) for name in self._shown}
-            for name, (_, told) in ((name, of) for name, of in looked.items() if not of[0]):
-                self._identify(name, False)
-                yield Choice(f"bench.params.{name}.identify", False, f"not shown without the others: {told}")
-            if not all(is_shown for is_shown, _ in looked.values()):
-                found = self._go_on(self._pilot(), found)
-        reason = ""
-        for left in reversed(range(_ROUNDS if self._step_is_open else 0)):
-            step = self._set_step(self._step / 2)
-            ahead = self._pilot(_MOST_STEPS).step_from(found)
-            moves = found.in_halves(ahead)
-            largest = float(moves.max(initial=0.0))
-            moved = found.labels[int(moves.argmax())]
-            reason = f"halved, {moved} would move by {largest:.2g} of half its interval, or of 0.3 %"
-            if largest <= _MOVES:
-                self._set_step(step)
-                break
-            found = found._replace(vector=found.vector + ahead)
-            if not left:
-                self.doubts.append(
-                    Doubt(
-                        f"bench.timestep={self._step:.3g} s: {reason}, expected at most {_MOVES:.2g}; shorter steps "
-                        "take long: set bench.timestep, and fewer segments with segments.count"
-                    )
+    def _choose_step(self) -> Iterator[Choice]:
+        """Halve the step until half of it would move no parameter by more than a third of half its interval."""
+        reason, largest = self._shorten()
+        if largest > _MOVES:
+            self.doubts.append(
+                Doubt(
+                    f"bench.timestep={self._step:.3g} s: {reason}, expected at most {_MOVES:.2g}; shorter steps "
+                    "take long: set bench.timestep, and fewer segments with segments.count"
                 )
-        self.start = found
+            )
+        self.start = self._found
         if self._step_is_open:
             yield Choice("bench.timestep", self._step, reason)
 
-    def _choose_softness(self) -> Generator[Choice, None, tuple[Pilot, Found]]:
-        """Dry friction as stiff as the step allows, or as soft as MuJoCo has it where that fits better.
+    def _shorten(self) -> tuple[str, float]:
+        """Halve the step as often as what was found needs it; returns why no further, and what half of it moves.
 
-        Before all that the first fit decides, so that both have the same loss. Returns that fit.
+        Slopes stay those of the first step, so that they are compiled once.
         """
-        pilot = self._pilot()
-        found = pilot.fit()
-        if not self._softness_is_open:
-            return pilot, found
-        why = "the law has no friction constraint"
-        if np.any(self._model.constrained):
-            stiff = self._change(solreffriction=list(DEFAULT_SOLREFFRICTION))
-            other = self._pilot()
-            soft = other.fit(found.vector, beside=found)
-            why = f"MuJoCo's own, {DEFAULT_SOLREFFRICTION[0]:g} s, has {soft.loss / found.loss:.3g} times the loss"
-            if soft.loss < found.loss:
-                pilot, found = other, soft
-            else:
-                self.settings["bench"] = stiff
-        yield Choice("bench.solreffriction", self.settings["bench"]["solreffriction"], why)
-        return pilot, found
+        reason, largest = "", 0.0
+        if self._near is None:
+            self._near = self._coarse = self._pilot()
+            if self._near is not self._last:
+                self._go_on(self._near)
+        while self._step_is_open:
+            bench = halve_step(self.bench(OPTIONAL))
+            near = self._coarse.approaching(bench, self._found)
+            ahead = near.step(self._found)
+            moves = self._found.in_halves(ahead)
+            largest = float(moves.max(initial=0.0))
+            moved = self._found.labels[int(moves.argmax())]
+            reason = f"with half of it, {moved} would move by {largest:.2g} of half its interval, or of 0.3 %"
+            if largest <= _MOVES or bench.timestep < self._first_step / 2**_ROUNDS:
+                break
+            self._change(timestep=bench.timestep, solreffriction=bench.solreffriction)
+            self._found = self._found._replace(vector=self._found.vector + ahead)
+            self._near = near
+        return reason, largest
 
     def _change(self, **options: Any) -> dict[str, Any]:
         """Take other options of the bench; returns the section before."""
@@ -407,12 +446,6 @@ class Stages:
         """Of the simulation [s]."""
         step = self.settings["bench"].get("timestep")
         return self._plain.timestep if step in (None, AUTO) else step
-
-    def _set_step(self, step: float) -> float:
-        """Take another step; returns the one before."""
-        before = self._step
-        self._change(timestep=step)
-        return before
 
     def _leave_out(self) -> Iterator[Choice]:
         """What a fit without a pilot does not look for."""
@@ -431,13 +464,18 @@ class Stages:
             yield Choice("bench.timestep", self._step, f"at most {1e3 * _COARSEST:g} ms, a whole part of the interval")
 
 
-def divide(logs: tuple[Log, ...]) -> tuple[tuple[Log, ...], tuple[Log, ...]]:
-    """Recordings to fit, and a validation block: every fifth of many, the last fifth of each of few."""
+def hold_back(segments: Segments, logs: Sequence[Log]) -> tuple[Bool[np.ndarray, "segments"], list[Log]]:
+    """Which segments to fit, and a validation block of recordings, which they do not reach into.
+
+    Every fifth of many recordings, the last fifth of each of few.
+    """
     every = round(1 / _VALIDATION)
-    if len(logs) >= every:
-        return tuple(log for at, log in enumerate(logs) if at % every), logs[::every]
-    cuts = [(log, round((1 - _VALIDATION) * log.samples)) for log in logs]
-    return (
-        tuple(log.between(0, cut, "fitted") for log, cut in cuts),
-        tuple(log.between(cut, log.samples, "validation") for log, cut in cuts),
-    )
+    cuts = [log.samples * bool(at % every) for at, log in enumerate(logs)]
+    if len(logs) < every:
+        cuts = [round((1 - _VALIDATION) * log.samples) for log in logs]
+    cut_logs = list(zip(logs, cuts, strict=True))
+    block = [log.between(cut, log.samples, "validation") for log, cut in cut_logs if cut < log.samples]
+    ends = np.array([log.time[0] + (cut - 0.5) * log.timestep for log, cut in cut_logs])
+    assert segments.recording is not None and segments.begins is not None
+    reached = segments.begins + segments.length * segments.timestep
+    return reached < ends[segments.recording], block
