@@ -107,7 +107,7 @@ KINDS: Mapping[str, Kind] = {
     "directional": Kind("asymmetric"),
     "presliding": Kind("dahl", rate=1000, bits=16),
     "leg": Kind(bits=15, axes="yy"),
-    "arm": Kind(bits=12, velocity="none", axes="zyyyxy", mass=0.05, seconds=12.0),
+    "arm": Kind(bits=12, velocity="none", axes="zyyyxy", mass=0.05, seconds=24.0),
     "slow_arm": Kind(rate=50, bits=12, velocity="none", speed=0.5, axes="zyyyxy", mass=0.05, seconds=120.0),
     "quadruped": Kind(bits=15, axes="xyy", chains=4, seconds=24.0),
 }

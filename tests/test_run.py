@@ -205,7 +205,7 @@ def no_file_above(size: int) -> Iterator[None]:
     ("size", "place"),
     [
         pytest.param(0, "hydra.run.dir", id="run folder"),
-        pytest.param(6_000, "last.ckpt", id="checkpoint"),  # above Hydra's own files, below a checkpoint
+        pytest.param(7_000, "last.ckpt", id="checkpoint"),  # above Hydra's own files, below a checkpoint
         pytest.param(20_000, "figure3_parameters.png", id="results"),  # above a checkpoint, below a figure
     ],
 )

@@ -353,13 +353,14 @@ class Objective:
 
     def _compile_equations(self, exact: bool) -> Callable[[np.ndarray], tuple[NormalEquations, np.ndarray]]:
         whole, places, vector_beside = self._wider or (self, slice(None), np.asarray(self.space.start))
-        compiled, own = whole._compiled(exact), self.data
-        # Commands reach further back where a delay is among the coordinates.
-        data = whole.data._replace(qpos=own.qpos, qvel=own.qvel, weight=own.weight, begun=own.begun)
+        compiled = whole._compiled(exact)
 
         def evaluate(vector: Float[np.ndarray, "coordinates"]) -> tuple[NormalEquations, np.ndarray]:
             at = np.array(vector_beside)
             at[places] = vector
+            data, own = whole.data, self.data
+            if whole is not self:  # whose commands reach further back where a delay is among the coordinates
+                data = data._replace(qpos=own.qpos, qvel=own.qvel, weight=own.weight, begun=own.begun)
             at = self.spread(jnp.asarray(at, self.space.start.dtype))
             loss, scores, hessian, states = compiled(at, data)
             scores, hessian = scores[:, places], hessian[places][:, places]

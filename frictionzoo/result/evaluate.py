@@ -1,7 +1,6 @@
 """Open-loop rollouts against the recording: how far a simulated drive drifts from the measured one."""
 
 import hashlib
-import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -19,8 +18,6 @@ KEPT = 100  # rollouts whose errors are kept sample by sample, spread evenly
 Values = Mapping[str, Mapping[str, np.ndarray]]
 Rollout = Callable[..., tuple]
 """`rollout(values, qpos, qvel, ctrl, load)`: predicted qpos and qvel, each (batch, time, nv)."""
-
-_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -194,8 +191,7 @@ class Evaluation:
         horizons: Lengths of the rollouts [s], the main one first.
         rollouts: Largest number of rollouts at a horizon in a part; None takes all, with `consecutive` only.
         placement: Where they start, `random` or `consecutive`, as in `cut_rollouts`.
-        trajectory: Length of the long rollouts [s], of which (a) is the first; as test recordings allow, if that is
-            less.
+        trajectory: Length of the long rollouts [s], of which (a) is the first.
         window: Length of the moving mean over its error [s].
         places: How many rollouts at random places (b) has, of the main horizon, and how many long rollouts there are.
         local: Length of the short rollouts [s].
@@ -240,10 +236,6 @@ class Evaluation:
             options = f"evaluation.{option}", "evaluation.places"
             return cut_rollouts(dataset.test, seconds, count, placement, seed, history, options)
 
-        longest = max((log.samples - 1) * log.timestep for log in dataset.test)
-        if trajectory > longest >= max(window, *horizons):
-            _log.info("long rollouts are of %g s, not of %g: no test recording is longer", longest, trajectory)
-            trajectory = longest
         self.trajectories: Segments = cut("trajectory", trajectory, places)
         self._places = cut("horizons", horizons[0], places)
         self.local: Segments = cut("local", local, None, "consecutive")
