@@ -12,7 +12,7 @@ from frictionzoo.bench.given import Given
 from frictionzoo.core.build import build
 from frictionzoo.core.config import list_options
 from frictionzoo.core.output import RUN_FILES
-from frictionzoo.core.telling import tell
+from frictionzoo.core.telling import tell, telling_again
 from frictionzoo.fit.loggers import RunLogger
 from frictionzoo.fit.loop import Record
 from frictionzoo.identification import Parts, Problem, solve
@@ -25,6 +25,7 @@ from frictionzoo.result.types import Result
 from frictionzoo.show.terminal import summarise_in_markdown
 
 
+@telling_again()
 def run_job(
     config: DictConfig,
     name: str,

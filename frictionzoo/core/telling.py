@@ -1,10 +1,13 @@
 """Text for a person: printed, logged or raised, with control characters escaped, and shares in per cent."""
 
 import argparse
+import contextlib
 import logging
 import re
 import sys
-from collections.abc import Mapping
+import threading
+import time
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 # Control characters, marks that change the direction of text, other separators of lines, and halves of surrogate pairs.
@@ -35,10 +38,46 @@ def say(text: str) -> None:
     print(escape_controls(text, keep="\n"))
 
 
+_told = "", 0.0
+"""What was told last, and when, by `time.monotonic`."""
+
+
 def tell(doing: str) -> None:
     """Say on the standard error what is being done now, at once; nothing where that is no terminal."""
-    if sys.stderr.isatty():
+    global _told
+    _told = doing, time.monotonic()
+    if doing and sys.stderr.isatty():
         print(f"{escape_controls(doing)} ...", file=sys.stderr, flush=True)
+
+
+@contextlib.contextmanager
+def telling_again(every: float = 10.0) -> Iterator[None]:
+    """Say again what is being done, and for how long, whenever nothing was told for a time.
+
+    Args:
+        every: That time [s].
+    """
+    ended = threading.Event()
+
+    def watch() -> None:
+        told, again = _told, every
+        while not ended.wait(every / 10):
+            if _told != told:
+                told, again = _told, every
+            doing, since = told
+            passed = time.monotonic() - since
+            if doing and passed >= again and sys.stderr.isatty():
+                print(f"{escape_controls(doing)}, {passed:.0f} s so far ...", file=sys.stderr, flush=True)
+                again += every
+
+    watching = threading.Thread(target=watch, name="telling again", daemon=True)
+    watching.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        watching.join()
+        tell("")
 
 
 class LogFormatter(logging.Formatter):

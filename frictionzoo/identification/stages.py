@@ -15,6 +15,7 @@ from frictionzoo.core.described import remake
 from frictionzoo.core.log import Dataset, Log
 from frictionzoo.core.params import AUTO
 from frictionzoo.core.segments import Segments
+from frictionzoo.core.telling import tell
 from frictionzoo.fit import Fit, Space
 from frictionzoo.fit.auto import Auto
 from frictionzoo.fit.lm import MOST_COORDINATES, LevenbergMarquardt
@@ -265,6 +266,8 @@ class Stages:
 
     def _go_on(self, pilot: Pilot, thorough: bool = False) -> None:
         """Fit a pilot from where the last one ended."""
+        free = len(pilot.space.labels)
+        tell(f"choosing settings: a fit of {free} parameters in steps of {1e3 * self._first_step:.3g} ms")
         self._found, self._last = pilot.fit(self._found, self._out, thorough), pilot
 
     def _look(self, pilot: Pilot) -> Misfit:
@@ -421,6 +424,7 @@ class Stages:
             if self._near is not self._last:
                 self._go_on(self._near)
         while self._step_is_open:
+            tell(f"choosing settings: what steps of {5e2 * self._step:.3g} ms change")
             bench = halve_step(self.bench(OPTIONAL))
             near = self._coarse.approaching(bench, self._found)
             ahead = near.step(self._found)
