@@ -9,11 +9,13 @@ from omegaconf import OmegaConf
 from test_fit import pose, x64  # noqa: F401 - x64 is a fixture for all tests
 
 from frictionzoo.core.config import compose_config
+from frictionzoo.core.described import remake
 from frictionzoo.core.errors import ConfigError
-from frictionzoo.fit import estimate_uncertainty
+from frictionzoo.fit import LevenbergMarquardt, estimate_uncertainty
 from frictionzoo.fit.chunk import search
 from frictionzoo.identification import Parts, Problem
-from frictionzoo.identification.discretisation import finer, is_wanted
+from frictionzoo.identification.discretisation import finer, halve_step, in_other_steps, is_wanted
+from frictionzoo.simulate.drive import Drive
 
 TRUTH = {"bench.armature": 0.07, "friction.viscous_coefficient": 0.4}
 
@@ -38,6 +40,35 @@ def test_an_interval_reaches_to_steps_of_no_length() -> None:
 def test_what_is_neither_true_nor_false_is_refused(asked: Any) -> None:
     with pytest.raises(ConfigError, match="expected true or false"):
         is_wanted(asked)
+
+
+@pytest.mark.parametrize(
+    ("softness", "stated", "expected"),
+    [([0.004, 1.0], None, [0.002, 1.0]), ([0.02, 1.0], None, [0.02, 1.0]), ([0.004, 1.0], [0.004, 1.0], [0.004, 1.0])],
+)
+def test_friction_as_stiff_as_a_step_allows_is_stiffer_in_half_of_it(
+    softness: list[float], stated: list[float] | None, expected: list[float]
+) -> None:
+    bench = remake(pose("mujoco_default").objective.space.bench, timestep=0.002, solreffriction=softness)
+    halved = halve_step(bench, stated)
+    assert (halved.timestep, halved.solreffriction) == (0.001, expected)
+
+
+def test_slopes_of_long_steps_lead_to_where_short_ones_end() -> None:
+    """From the least of the long steps, one of Gauss and Newton goes where it goes with the short ones' own slopes."""
+    problem = pose("mujoco_default")
+    objective, bench = problem.objective, problem.objective.space.bench
+    drive = Drive.assemble(bench, problem.model, "specialised", bench.sampling(objective.interval))
+    finer = in_other_steps(objective, drive, halve_step(bench))
+    vector = np.asarray(search(LevenbergMarquardt(60, 1e-9), objective)[0].best)
+
+    def move(of: Any) -> np.ndarray:
+        equations = of.compile_normal_equations()(vector)
+        return -np.linalg.solve(equations.hessian, equations.gradient)
+
+    own, near = move(finer), move(objective.approaching(finer, vector))
+    assert np.abs(own).max() > 100 * np.abs(move(objective)).max()
+    assert np.abs(near - own).max() < 0.1 * np.abs(own).max(), (own, near)
 
 
 @pytest.mark.slow

@@ -1,6 +1,6 @@
 """A simulation in steps of half the length: what the step has done to a result."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -45,12 +45,19 @@ def finer(problem: "Problem") -> Callable[[Float[np.ndarray, "coordinates"]], Ob
     )
 
 
-def halve_step(bench: Bench) -> Bench:
-    """The test stand in steps of half the length, with friction as stiff as they allow if it was."""
-    softness, ratio = bench.solreffriction
-    if 0 < softness <= 2 * bench.timestep:  # then friction is softer than the drive's for the step's sake alone
-        softness /= 2
-    return remake(bench, timestep=bench.timestep / 2, solreffriction=[softness, ratio]).observing(bench.observed)
+def halve_step(bench: Bench, softness: Sequence[float] | None = None) -> Bench:
+    """The test stand in steps of half the length.
+
+    Args:
+        bench: In steps of the whole length.
+        softness: Of the friction constraint, `solreffriction`; None: as stiff as the steps allow if it was, and else as
+            it was.
+    """
+    constant, ratio = bench.solreffriction
+    if 0 < constant <= 2 * bench.timestep:  # then friction is softer than the drive's for the step's sake alone
+        constant /= 2
+    softness = list(softness or (constant, ratio))
+    return remake(bench, timestep=bench.timestep / 2, solreffriction=softness).observing(bench.observed)
 
 
 def in_other_steps(objective: Objective, drive: Drive, bench: Bench) -> Objective:

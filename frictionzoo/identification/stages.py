@@ -425,7 +425,10 @@ class Stages:
                 self._go_on(self._near)
         while self._step_is_open:
             tell(f"choosing settings: what steps of {5e2 * self._step:.3g} ms change")
-            bench = halve_step(self.bench(OPTIONAL))
+            bench = self.bench(OPTIONAL)
+            # Softness that was stated stays.
+            softness = None if self._softness_is_open else bench.solreffriction
+            bench = halve_step(bench, softness)
             near = self._coarse.approaching(bench, self._found)
             ahead = near.step(self._found)
             moves = self._found.in_halves(ahead)
@@ -434,7 +437,9 @@ class Stages:
             reason = f"with half of it, {moved} would move by {largest:.2g} of half its interval, or of 0.3 %"
             if largest <= _MOVES or bench.timestep < self._first_step / 2**_ROUNDS:
                 break
-            self._change(timestep=bench.timestep, solreffriction=bench.solreffriction)
+            self._change(timestep=bench.timestep)
+            if self._softness_is_open:
+                self._change(solreffriction=bench.solreffriction)
             self._found = self._found._replace(vector=self._found.vector + ahead)
             self._near = near
         return reason, largest
