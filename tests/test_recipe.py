@@ -44,10 +44,15 @@ def recorded() -> Dataset:
 
 
 @pytest.fixture(scope="module")
-def found(recorded: Dataset) -> fz.Identified:
-    """What is found with nothing but the recording and the bench, of a drive that is pulled besides."""
-    logs = [Log(**{**vars(log), "ctrl": log.ctrl - PULL / 20}) for log in recorded.train]
-    return fz.identify(knee(), "coulomb_smooth", logs, test=0.2, **QUICK)
+def pulled(recorded: Dataset) -> list[Log]:
+    """A drive that a constant torque pulls besides."""
+    return [Log(**{**vars(log), "ctrl": log.ctrl - PULL / 20}) for log in recorded.train]
+
+
+@pytest.fixture(scope="module")
+def found(pulled: list[Log]) -> fz.Identified:
+    """What is found with nothing but the recording and the bench."""
+    return fz.identify(knee(), "coulomb_smooth", pulled, test=0.2, **QUICK)
 
 
 @pytest.mark.parametrize("noise", [1e-4, 1e-2])
@@ -144,7 +149,7 @@ def test_a_late_command_need_not_be_known_better_than_an_armature() -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("in_haste")
-def test_halving_the_step_that_was_chosen_moves_nothing(found: fz.Identified, recorded: Dataset) -> None:
+def test_halving_the_step_that_was_chosen_moves_nothing(found: fz.Identified, pulled: list[Log]) -> None:
     """Discretisation is checked: with half the step, parameters stay within a third of half their intervals."""
     settings = found.result["settings"]
     params = {name: {"init": 0.0, **own} for name, own in settings["bench"]["params"].items()}
@@ -157,9 +162,7 @@ def test_halving_the_step_that_was_chosen_moves_nothing(found: fz.Identified, re
         second_order=settings["bench"]["second_order"],
     )
     how = {name: settings[name] for name in ("segments", "loss")}
-    finer = fz.identify(
-        bench, "coulomb_smooth", list(recorded.train), recipe="given", dtype="float64", test=0.2, **how, **QUICK
-    )
+    finer = fz.identify(bench, "coulomb_smooth", pulled, recipe="given", dtype="float64", test=0.2, **how, **QUICK)
     for one, other in zip(found.result["parameters"], finer.result["parameters"], strict=True):
         (of_joint,), (again,) = one["by_joint"], other["by_joint"]
         if ends := of_joint["interval"]:

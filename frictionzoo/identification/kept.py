@@ -5,6 +5,7 @@ import hashlib
 import json
 import logging
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from frictionzoo.fit import Fit
 from frictionzoo.identification.choices import Choice
 from frictionzoo.identification.pilot import Found
 from frictionzoo.identification.recipe import Settled, settle
+from frictionzoo.identification.stages import Stages
 from frictionzoo.logs.cache import digest
 from frictionzoo.models import FrictionModel
 from frictionzoo.result.record import describe_data
@@ -42,7 +44,7 @@ class Kept:
     """
 
     def __init__(self, folder: Path) -> None:
-        self._path = folder / SETTLED
+        self._path, self._had_pilot = folder / SETTLED, False
 
     def settle(
         self, settings: Mapping[str, Any], bench: Bench, dataset: Dataset, model: FrictionModel, fit: Fit
@@ -56,6 +58,9 @@ class Kept:
             return settle(settings, bench, dataset, model, fit)
         identity = _identify(settings, bench, dataset, model)
         if (kept := self._read(identity, settings, bench)) is not None:
+            if kept.start is not None and self._had_pilot:  # by whose equations the fit began
+                pilot = Stages(settings, bench, dataset, model, fit).repeat(kept.settings, kept.start)
+                kept = replace(kept, pilot=pilot)
             _log.info("automatic settings, as found before: %s", self._path)
             return kept
         settled = settle(settings, bench, dataset, model, fit)
@@ -73,6 +78,7 @@ class Kept:
             "doubts": settled.doubts,
             "labels": start and start.labels,
             "loss": start and start.loss,
+            "pilot": settled.pilot is not None,
         }
         header = {_TEXT: json.dumps(to_json(text)), "sha256": ""}
         header["sha256"] = _sign(header[_TEXT], arrays)
@@ -98,6 +104,7 @@ class Kept:
             return None
         chosen = _put(settings, text["options"])
         section, start = chosen["bench"], None
+        self._had_pilot = bool(text["pilot"])
         if text["labels"] is not None:
             start = Found(labels=text["labels"], loss=text["loss"], **{"states": None, **arrays})
         return Settled(

@@ -124,7 +124,8 @@ class Pilot:
         self._recordings = objective.recordings = Recordings(self.bench, self._drive.model, accepted)
         initial = np.asarray(space.start, np.float64)
         where = initial if begun is None else begun.among(space.labels, initial)
-        self.objective: Objective = objective.starting(where).balanced().starting(initial)
+        sizes = None if begun is None else begun.sizes
+        self.objective: Objective = objective.starting(where).balanced(sizes).starting(initial)
 
     @property
     def space(self) -> Space:

@@ -167,14 +167,18 @@ class Stages:
 
     def _choose_segments(self) -> Iterator[Choice]:
         """As long as rollouts stay near the recording, however their initial state is off."""
-        if not self._is_open("segments.length"):
-            return
         longest = self._samples_in(max(_LONGEST, self._model.shortest_segment) if self._small else _SHORT)
-        self.settings["segments"]["length"] = longest
+        is_open = self._is_open("segments.length")
+        if is_open:
+            self.settings["segments"]["length"] = longest
+        elif not self._small:
+            return
         pilot = self._pilot()
         self._found = Found.begun(pilot.space.labels, pilot.start)
         if self._small:
             self._found = pilot.balance(self.bench({"delay"}))
+        if not is_open:
+            return
         grown = pilot.growth(self._found)
         steady = int(np.argmax(grown > _GROWTH)) if (grown > _GROWTH).any() else longest
         length = max(min(_FEWEST, longest), steady)
@@ -210,6 +214,11 @@ class Stages:
             bench, begun = self.bench(OPTIONAL), getattr(self, "_found", None)
             self._pilots[same] = Pilot(bench, self._model, self._train, *how, self.settings["engine"], begun)
         return self._pilots[same]
+
+    def repeat(self, settings: Mapping[str, Any], found: Found) -> Pilot:
+        """The pilot with settings that were chosen before, where it ended."""
+        self.settings, self._found = {**settings}, found
+        return self._pilot(_MOST_STEPS)
 
     def _say_how(self, *how: Any) -> str:
         return repr((self._step, self.settings["bench"].get("solreffriction"), how))
