@@ -234,12 +234,15 @@ class Pilot:
             sizes=self.objective.sizes,
         )
 
-    def approaching(self, bench: Bench, found: Found) -> "Pilot":
-        """This one with the residuals of a bench with shorter steps, near where it ended."""
-        other, objective = copy.copy(self), self.objective.beginning(found.states_of(self.segments))
-        finer = in_other_steps(objective, self._drive, bench.observing(self._drive.model.inputs))
-        other.objective = objective.approaching(finer, self.whole(found))
-        return other
+    def simulate(self, bench: Bench) -> Objective:
+        """The objective with a bench that differs in its steps or in the softness of its friction."""
+        return in_other_steps(self.objective, self._drive, bench.observing(self._drive.model.inputs))
+
+    def approaching(self, other: Objective, found: Found) -> "Pilot":
+        """This one with the residuals of such another simulation, near where it ended."""
+        near, objective = copy.copy(self), self.objective.beginning(found.states_of(self.segments))
+        near.objective = objective.approaching(other, self.whole(found))
+        return near
 
     def step(self, found: Found) -> Float[np.ndarray, "coordinates"]:
         """One step of Gauss and Newton from what was found; 0 of what the data do not determine."""

@@ -295,17 +295,15 @@ class Stages:
         """Dry friction as stiff as the step allows, or as soft as MuJoCo has it where that fits better."""
         why = "the law has no friction constraint"
         if np.any(self._model.constrained):
-            why = "as stiff as the step allows, which leaves no more than noise"
-        if np.any(self._model.constrained) and self._look(pilot).is_more_than_noise:
             stiff = self._change(solreffriction=list(DEFAULT_SOLREFFRICTION))
-            other = self._pilot()
-            soft = other.fit(self._found)
-            why = (
-                f"MuJoCo's own, {DEFAULT_SOLREFFRICTION[0]:g} s, has {soft.loss / self._found.loss:.3g} times the loss"
-            )
-            if soft.loss < self._found.loss:
-                self._last = pilot = other
-                self._found = soft
+            other, soft = pilot.simulate(self.bench(OPTIONAL)), self._found
+            for _ in range(2):  # the first is as far off as slopes of stiff friction are
+                soft = pilot.approaching(other, soft).fit(soft)
+            ratio = soft.loss / self._found.loss
+            why = f"MuJoCo's own, {DEFAULT_SOLREFFRICTION[0]:g} s, has {ratio:.3g} times the loss"
+            if ratio < 1:
+                self._found, pilot = soft, self._pilot()
+                self._go_on(pilot)
             else:
                 self.settings["bench"] = stiff
         yield Choice("bench.solreffriction", self.settings["bench"]["solreffriction"], why)
@@ -438,7 +436,7 @@ class Stages:
             # Softness that was stated stays.
             softness = None if self._softness_is_open else bench.solreffriction
             bench = halve_step(bench, softness)
-            near = self._coarse.approaching(bench, self._found)
+            near = self._coarse.approaching(self._coarse.simulate(bench), self._found)
             ahead = near.step(self._found)
             moves = self._found.in_halves(ahead)
             largest = float(moves.max(initial=0.0))
