@@ -129,7 +129,7 @@ class Fits:
             own.data = into_blocks(segments, divide(segments), jnp.float64, own._rollout)
         vector = minimise(objective)
         self.pilot.objective = objective.starting(vector)  # the next data set has its minimum nearby
-        return vector, estimate_uncertainty(objective, vector, finer=lambda: finer)
+        return vector, estimate_uncertainty(objective, vector, finer=lambda at: objective.approaching(finer, at))
 
     def curves(self, vectors: Float[np.ndarray, "draws coordinates"], speed: np.ndarray) -> np.ndarray:
         """Friction over speed [N m] of each vector, (draws, speeds)."""

@@ -55,7 +55,8 @@ def imitate(
         qpos, qvel = (np.asarray(part, np.float64) for part in drive.rollout.compiled(values, *states))
     except FrictionzooError:
         return None
-    apart = np.sqrt(np.mean(np.square(qpos - windows.qpos[:, 1:]), axis=(0, 1)))
+    with np.errstate(over="ignore", invalid="ignore"):  # one that diverges
+        apart = np.sqrt(np.mean(np.square(qpos - windows.qpos[:, 1:]), axis=(0, 1)))
     if not (apart < ASTRAY * windows.qpos.std(axis=(0, 1))).all():  # of NaN, False
         return None
     random = np.random.default_rng(0)
