@@ -229,7 +229,7 @@ def main() -> None:
                 folder = (options.folder or Path(scratch)) / f"{cause}{number}"
                 rows.append(run(cause, seed, folder, options.more))
                 print(json.dumps(rows[-1]), file=sys.stderr, flush=True)
-    for label, exact in (("causes named first", False), ("exact logs of which no cause is named", True)):
+    for label, exact in (("causes named first", False), ("exact logs for which no cause is named", True)):
         of = [row["named"] == "True" for row in rows if (row["cause"] == "exact") == exact]
         print(f"{label}: {sum(of)} of {len(of)}")
     report(options.out, rows, COLUMNS)
@@ -240,7 +240,7 @@ def parse() -> argparse.Namespace:
     parser = make_parser("causes", __doc__)
     parser.add_argument("--causes", nargs="+", choices=(*CAUSES, "exact"), default=[*CAUSES, "exact"])
     parser.add_argument("--drives", type=int, default=2, metavar="N", help="of each cause")
-    parser.add_argument("--exact", type=int, default=6, metavar="N", help="logs of which nothing is wrong")
+    parser.add_argument("--exact", type=int, default=6, metavar="N", help="logs with nothing wrong")
     parser.add_argument("--folder", type=Path, help="where logs and runs are kept")
     parser.add_argument("--more", nargs="*", default=[], metavar="OPTION", help="options of frictionzoo.run besides")
     return parser.parse_args()

@@ -4,7 +4,7 @@
     python benchmarks/newcomer.py --drives 5 --first 20 --kinds late leg
     python benchmarks/newcomer.py --drives 3 --kinds arm slow_arm quadruped
 
-Each drive is of one of eight kinds, with friction, armature, link, gains, encoder and delay of its own; robots are made
+Each drive is of one of eight kinds, each with other friction, armature, link, gains, encoder and delay; robots are made
 where they are asked for. Motion is that of `event_exact.py`, which knows nothing of MuJoCo. The fitted law is the one
 by which the drive was made.
 """

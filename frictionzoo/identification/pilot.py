@@ -63,7 +63,7 @@ class Found(NamedTuple):
 
     @classmethod
     def begun(cls, labels: list[str], vector: Float[np.ndarray, "coordinates"]) -> "Found":
-        """Where a search may begin, of which nothing else is known."""
+        """Where a search may begin; nothing else is known about it."""
         nothing = np.full(len(vector), np.nan)
         return cls(labels, vector, nothing, nothing, np.zeros(len(vector), bool), np.inf, np.zeros((0, 0, 0)), None)
 

@@ -63,7 +63,7 @@ def solve(
         FrictionzooError: The fit cannot begin, or the record cannot be written.
     """
     began, steps = time.perf_counter(), finer(problem)
-    tell("")  # the fit has a bar of its own
+    tell("")  # the fit shows its progress itself
     _log_engine(problem)
     outcome = run_fit(problem.fit, problem.objective, problem.drive.model, record, **problem.settings["loop"])
 

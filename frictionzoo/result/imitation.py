@@ -1,4 +1,4 @@
-"""Recordings as the identified drive would have given them, of which nothing is wrong but noise."""
+"""Recordings as the identified drive would have given them, with nothing wrong but noise."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ from frictionzoo.simulate.drive import Drive
 
 MOST_STEPS = 1e6  # of the simulation, times joints
 STIFFEST = 5e-4  # s, time constant of the friction constraint
-STOCK = 2  # joints, of more of which MJX itself is too slow
+STOCK = 2  # joints; with more, MJX itself is too slow
 ASTRAY = 0.5  # share of a joint's motion by which the simulated one may differ
 
 

@@ -59,15 +59,15 @@ SHORTEST = 1.0  # s; shorter logs are mostly the ends of filters
 FEWEST = 100  # rows of a joint; fewer tell nothing
 BANDWIDTHS = 10.0, 5.0  # Hz, where noise drowns what lies above
 DROWNED = 0.5  # share of the variance that is left, of which noise may be the cause
-SOFTER = 1.1  # times what is left, above which a simulated drive leaves more than it should
+SOFTER = 1.1  # times the residual torque, above which a simulated drive leaves more than it should
 STEP = 1e-2  # of a coordinate, in the difference by it
-LITTLE = 0.01  # share of the friction below which nothing is told
+LITTLE = 0.01  # share of the friction; smaller ones are not reported
 WRONG = 0.05  # by which a factor of the actuator's torque is off, from which on it is told however little it explains
 RIPPLES = {"ripple": "position", "cogging": PULL}
 """What a ripple goes with, by whether it is against the motion."""
 GAP = "backlash"
 """The law of a gear with a gap."""
-CONCENTRATED = 0.7  # share of what is left that is near changes of the motor's direction where a gear has a gap
+CONCENTRATED = 0.7  # share of the residual torque that is near changes of the motor's direction where a gear has a gap
 CLEAR = 2.0  # times noise, from which on that is looked at
 ALONE = 50  # part of the rows that either side has at the least
 ALIKE = 15.0  # neighbouring rows that are as good as one
@@ -105,7 +105,7 @@ class Left(NamedTuple):
     nothing: "Left | None" = None
 
     def of(self, joint: int) -> Float[np.ndarray, "counted"]:
-        """What is left of a joint's torque in the rows that count."""
+        """Residual torque of a joint in the rows that count."""
         return self.torque[self.counts[:, joint], joint]
 
     def noise(self, joint: int) -> Float[np.ndarray, "counted"]:
@@ -209,7 +209,7 @@ def _narrow(
         return _leave(recordings._replace(logs=logs), space, vector, filtering)
 
     def compare(filtering: Filtering) -> tuple[Left, bool]:
-        """What is left, with what is left where nothing is wrong, and whether noise of the encoders drowns it."""
+        """The residual torque, that of an imitation with nothing wrong, and whether encoder noise drowns it."""
         left, worse = leave(recordings.logs, filtering), leave(noisier, filtering)
         noise = worse._replace(torque=worse.torque - left.torque, counts=left.counts)
         drowned = (np.square(noise.torque).mean(axis=0) > DROWNED * np.square(left.torque).mean(axis=0)).any()
@@ -236,7 +236,7 @@ def _narrow(
 def _leave(
     recordings: Recordings, space: Space, vector: Float[np.ndarray, "coordinates"], filtering: Filtering
 ) -> Left:
-    """What is left in this bandwidth."""
+    """The residual torque in this bandwidth."""
     bench, model, logs = recordings
     substeps = bench.sampling(logs[0].timestep).substeps
     equation = TorqueEquation(space, recordings, filtering, held=True, substeps=substeps)

@@ -1,4 +1,4 @@
-"""What speaks against a result, weighed: causes first, then what they lead to.
+"""Doubts about a result, weighed: causes first, then what they lead to.
 
 The terminal, the page and `result.json` show these findings; none of them has doubts of its own.
 """
@@ -37,7 +37,7 @@ MOVING = 1 / 3  # of half its interval, by which it moves then
 MOVING_BLINDLY = 0.01  # of its value, where it has no interval
 FALLING = 0.01  # share of the loss that the last tenth of the iterations may still take off
 OVERFIT = 1.5  # ratio of test to train error that is told
-ENOUGH = 100  # samples for each parameter, of which a fit does not learn the noise
+ENOUGH = 100  # samples for each parameter, so many that a fit does not learn the noise
 UNEXPLAINED = 0.05  # share of the friction that may be left beyond noise
 CONTRADICTED = 0.5  # share of the friction, or of recorded torque, that may be left of a result that is to be used
 DOUBTED = 0.2  # share of recorded torque that may be left without being told
