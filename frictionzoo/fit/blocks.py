@@ -20,7 +20,7 @@ T = TypeVar("T")
 BLOCK_STATES = 25_000
 """States of a joint that are simulated at once: they fit into a processor's cache, and memory does not grow."""
 
-KEPT_STATES, KEPT_BLOCKS = 100_000, 4
+KEPT_STATES, KEPT_BLOCKS = 100_000, 2
 """The same where rollouts keep what tangents need: these are not simulated along, and more fit. At least so many blocks
 are made then, for several threads."""
 
@@ -68,6 +68,13 @@ def measured_states(qpos: Any, qvel: Any) -> Any:
     """Where segments start as measured, (blocks, segments, twice nv)."""
     xp = np if isinstance(qpos, np.ndarray) else jnp
     return xp.concatenate([qpos[:, :, 0], qvel[:, :, 0]], axis=2)
+
+
+def without_motion(data: Blocks) -> Blocks:
+    """Return which segments count and which belong together, in numpy, without recorded motion."""
+    return jax.tree.map(
+        np.asarray, data._replace(qpos=None, qvel=None, signals=None, load=None, counts=None, inertia=None)
+    )
 
 
 def devices_of(rollout: Rollout) -> list[Any]:

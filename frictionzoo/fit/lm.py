@@ -17,6 +17,7 @@ from frictionzoo.fit.torque_balance import Box
 
 MOST_TRIES = 10_000  # each is remembered with its second derivative; ten are usual
 MOST_COORDINATES = 200  # a Jacobian has a column for each: more are a network's weights
+_ALIKE = 1e-2  # share of a loss by which another is as good
 _SLACK = 30.0  # of the floating-point type's precision, below which a change of the loss is rounding
 
 
@@ -30,8 +31,7 @@ class State(NamedTuple):
         loss: The objective at each vector that was tried, of shape (iterations,).
         gradient: Half its gradient, (iterations, coordinates).
         hessian: Half its approximate second derivative, (iterations, coordinates, coordinates).
-        states: Initial states at the best of them, at which the search for those at the next one begins; None where
-            none are refined.
+        states: Where the search for initial states at the next one begins; None where none are refined.
     """
 
     tried: np.ndarray
@@ -89,7 +89,7 @@ class LevenbergMarquardt(Fit):
         """See `Fit.init`."""
         start = np.asarray(objective.space.start, np.float64)
         equations = np.zeros(self._iterations), *(np.zeros((self._iterations, *[len(start)] * axes)) for axes in (1, 2))
-        state = State(np.asarray(0), start, np.asarray(False), *equations, states=objective.states)
+        state = State(np.asarray(0), start, np.asarray(False), *equations, states=objective.begun)
         asked = _ask(objective, state, self._tolerance).asked
         return start, state._replace(asked=asked)
 
@@ -102,7 +102,7 @@ class LevenbergMarquardt(Fit):
         equations = [part.copy() for part in (state.loss, state.gradient, state.hessian)]
         before = state.loss[:at]
         least = np.min(before, initial=np.inf, where=np.isfinite(before))  # of those at which nothing diverged
-        states = found.states if found.loss < least else state.states
+        states = found.states if is_near(found.loss, least) else state.states
         for part, value in zip(equations, found[:3], strict=True):
             part[at] = value
         following = State(np.asarray(at + 1), state.asked, state.ended, *equations, states=states)
@@ -116,6 +116,11 @@ class LevenbergMarquardt(Fit):
     def prepare(self, objective: Objective) -> None:
         """See `Fit.prepare`."""
         objective.compile_normal_equations()
+
+
+def is_near(loss: float, least: float) -> bool:
+    """Whether initial states of a vector with this loss are a good start for those of the next vector."""
+    return bool(loss < (1 + _ALIKE) * least)
 
 
 class _AskedError(Exception):

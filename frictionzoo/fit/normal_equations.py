@@ -16,7 +16,7 @@ class NormalEquations(NamedTuple):
         gradient: Half its gradient, J' r.
         hessian: Half of Gauss's and Newton's approximation of its second derivative, J' J, with `bend` where errors
             have a width.
-        states: Initial states with which it is, where there are any, as `Blocks.begun`.
+        states: Where the search for initial states at another vector begins, where there are any.
     """
 
     loss: float

@@ -16,7 +16,6 @@ from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.segments import Segments
 from frictionzoo.fit.blocks import (
     Blocks,
-    alone,
     divide,
     each,
     each_part,
@@ -24,12 +23,13 @@ from frictionzoo.fit.blocks import (
     measured_states,
     side_by_side,
     to_numpy,
+    without_motion,
 )
 from frictionzoo.fit.impulse import is_moving, rigid_inertia_of
 from frictionzoo.fit.loss import Loss, bend, count_terms, mean_squares
 from frictionzoo.fit.normal_equations import NormalEquations
 from frictionzoo.fit.recordings import Recordings
-from frictionzoo.fit.shooting import Equations, Mixed, Shooting, follow, join_equations
+from frictionzoo.fit.shooting import Begun, Equations, Local, Mixed, Search, Shooting, follow, join_equations
 from frictionzoo.fit.space import Space
 from frictionzoo.fit.sparsity import Sparsity
 from frictionzoo.fit.tangents import Seen, Tangents
@@ -127,7 +127,9 @@ class Objective:
         self.recordings: Recordings | None = None
         self._programs: dict[Any, Any] = {}  # compiled equations: a fit's own serve again when it is judged
         self.sizes: np.ndarray | None = None
+        self._begun: Begun | None = None
         self._wider: tuple[Objective, np.ndarray, np.ndarray] | None = None
+        self._correction: tuple[Array, Array] | None = None  # that measured states are moved by
         self._sparsity = Sparsity.of(space, rollout.branches)
         self._terms = float(count_terms(self.data).sum()) + refine * segments.count * segments.qpos.shape[2]
 
@@ -136,7 +138,7 @@ class Objective:
         other = copy.copy(self)
         other.space, other.compile, other._rollout = space, rollout.compile, rollout
         other._sparsity = Sparsity.of(space, rollout.branches)
-        other.recordings, other._programs, other._wider = None, {}, None
+        other.recordings, other._programs, other._wider, other._correction = None, {}, None, None
         return other.beginning(np.asarray(measured_states(self.data.qpos, self.data.qvel)))
 
     def starting(self, vector: Float[np.ndarray, "coordinates"]) -> "Objective":
@@ -150,11 +152,28 @@ class Objective:
         """Where the search for initial states begins; None where these are not refined."""
         return np.asarray(self.data.begun, np.float64) if self._loss.refine else None
 
-    def beginning(self, states: Float[np.ndarray, "blocks segments twice_nv"] | None) -> "Objective":
+    @property
+    def begun(self) -> Begun | None:
+        """The same, with how the states move with the coordinates."""
+        if not self._loss.refine:
+            return None
+        whole, vector = self._whole(self.space.start)
+        of = whole._sparsity
+        slopes = np.zeros((len(of.joints), self.data.weight.size, len(of.states), len(of.seeds)))
+        return Begun(self.states, vector, slopes, np.asarray(np.inf)) if self._begun is None else self._begun
+
+    @property
+    def timestep(self) -> float:
+        """Of the simulation whose equations are compiled [s]."""
+        return self._whole(self.space.start)[0].space.bench.timestep
+
+    def beginning(self, states: Begun | Float[np.ndarray, "blocks segments twice_nv"] | None) -> "Objective":
         """The same objective whose search for initial states begins at these; None: where it does."""
         if states is None:
             return self
         other, begun = copy.copy(self), self.data.begun
+        other._begun = states if isinstance(states, Begun) else None
+        states = states.states if isinstance(states, Begun) else states
         other.data = self.data._replace(begun=jax.device_put(np.asarray(states, begun.dtype), begun.sharding))
         return other
 
@@ -230,12 +249,30 @@ class Objective:
             finer: The same objective of the finer simulation.
             vector: The coordinates.
         """
-        other, begun = copy.copy(self), self.data.begun
-        measured = [self.data.qpos, self.data.qvel]
-        ends = zip(measured, finer.predict(vector, begun), self.predict(vector), strict=True)
-        qpos, qvel = (of.at[:, :, 1:].add(coarse - fine) for of, fine, coarse in ends)
-        other.data = self.data._replace(qpos=qpos, qvel=qvel)
+        other, begun, (whole, at) = copy.copy(self), self.data.begun, self._whole(vector)
+        ends = zip(whole.predict(at, begun), finer.predict(vector, begun), strict=True)
+        qpos, qvel = (coarse - fine for coarse, fine in ends)
+        other._correction = qpos, qvel
         return other
+
+    def _whole(self, vector: Any) -> tuple["Objective", Float[np.ndarray, "wider"]]:
+        """The objective whose equations are compiled, and its coordinates."""
+        if self._wider is None:
+            return self, np.asarray(vector, np.float64)
+        whole, places, beside = self._wider
+        at = np.array(beside, np.float64)
+        at[places] = vector
+        return whole, at
+
+    def describe(self) -> str:
+        """Return the residuals of a block as the text of a program, and how they are weighed."""
+
+        def residuals(vector: Array, block: Blocks) -> Array:
+            own = measured_states(block.qpos[None], block.qvel[None])[0]
+            return self._residuals(self.space.values(vector), own, own, block)
+
+        block = next(each(self.data))
+        return self.compile(residuals, forward=True).lower(self.space.start, block).as_text() + repr(self._loss)
 
     def remember(self, what: Hashable, make: Callable[[], T]) -> T:
         """What was made for this objective before, under the same name, or what is made now."""
@@ -352,70 +389,85 @@ class Objective:
         return self._compile_equations(exact=self._loss.robust != "none")
 
     def _compile_equations(self, exact: bool) -> Callable[[np.ndarray], tuple[NormalEquations, np.ndarray]]:
-        whole, places, vector_beside = self._wider or (self, slice(None), np.asarray(self.space.start))
-        compiled = whole._compiled(exact)
+        places = slice(None) if self._wider is None else self._wider[1]
+        compiled = self._whole(self.space.start)[0]._compiled(exact)
 
         def evaluate(vector: Float[np.ndarray, "coordinates"]) -> tuple[NormalEquations, np.ndarray]:
-            at = np.array(vector_beside)
-            at[places] = vector
-            data, own = whole.data, self.data
-            if whole is not self:  # whose commands reach further back where a delay is among the coordinates
-                data = data._replace(qpos=own.qpos, qvel=own.qvel, weight=own.weight, begun=own.begun)
-            at = self.spread(jnp.asarray(at, self.space.start.dtype))
-            loss, scores, hessian, states = compiled(at, data)
+            at = self.spread(jnp.asarray(self._whole(vector)[1], self.space.start.dtype))
+            loss, scores, hessian, begun = compiled(at, self._corrected, self._begun)
             scores, hessian = scores[:, places], hessian[places][:, places]
-            states = states if self._loss.refine else None
-            return NormalEquations(float(loss), scores.sum(axis=0), hessian, states), scores
+            return NormalEquations(float(loss), scores.sum(axis=0), hessian, begun), scores
 
         return evaluate
 
-    def _compiled(self, exact: bool) -> Callable[[Array, Blocks], list[Any]]:
+    @property
+    def _corrected(self) -> Blocks:
+        """The data of the compiled equations, with measured states as the correction moves them."""
+        whole, data = self._whole(self.space.start)[0], self.data
+        if whole is not self:  # whose commands reach further back where a delay is among the coordinates
+            data = whole.data._replace(qpos=data.qpos, qvel=data.qvel, weight=data.weight, begun=data.begun)
+        if (correction := self._correction or whole._correction) is None:
+            return data
+        states = zip((data.qpos, data.qvel), correction, strict=True)
+        qpos, qvel = (measured.at[:, :, 1:].add(by) for measured, by in states)
+        return data._replace(qpos=qpos, qvel=qvel)
+
+    def _compiled(self, exact: bool) -> Callable[[Array, Blocks, Begun | None], tuple[Any, ...]]:
         """Loss, gradient of each stretch and second derivative, as a function of a vector and the data.
 
-        And the initial states with which they are, (blocks, segments, twice nv).
+        And where a search for initial states at another vector begins; None where they are not refined.
         """
-        make = self._compile_apart if self._loss.gap is None else self._compile_together
-        return self.remember(exact, lambda: make(exact))
+        return self.remember(exact, lambda: self._compile(exact))
 
-    def _compile_apart(self, exact: bool) -> Callable[[Array, Blocks], list[Any]]:
-        """Equations where no block knows of another: each is done with by itself."""
+    def _compile(self, exact: bool) -> Callable[[Array, Blocks, Begun | None], tuple[Any, ...]]:
+        """The same, compiled now. Each trial of initial states is a pass over all blocks with all derivatives."""
+        shooting, finish = self._shooting, jax.jit(self._finish)
+        measured = measured_states(self.data.qpos, self.data.qvel)
+        look = self._compile_both(
+            lambda vector, part: self._look(vector, *part),
+            lambda seen, part: self._block_equations(seen, exact),
+            next(each_part(self.data, (measured, follow(measured)))),
+        )
 
-        def look(vector: Array, block: Blocks) -> tuple[Seen, Array]:
-            own, following = (states[0] for states in self._states(vector, alone(block)))
-            return self._look(vector, block, own, following), own
+        def equations(vector: Array, data: Blocks, states: Array) -> Equations:
+            blocks = each_part(data, (states, follow(states)))
+            parts = side_by_side(lambda part: jax.tree.map(np.asarray, look(vector, part)), blocks, self.devices)
+            return join_equations(parts)
 
-        def equations(found: tuple[Seen, Array], block: Blocks) -> tuple[Array, ...]:
-            seen, own = found
-            return *self._finish(self._block_equations(seen, exact), alone(block)), own
+        @jax.jit
+        def begin(vector: Array, begun: Begun, data: Blocks) -> tuple[Array, Array]:
+            trial = shooting.predict(begun, vector)
+            return trial, shooting.states_together(trial, data)
 
-        compiled = self._compile_both(look, equations, next(each(self.data)))
+        @jax.jit
+        def advance(search: Search, tried: Local, data: Blocks) -> tuple[Search, Array, Array]:
+            search = shooting.advance(search, tried, data)
+            trial, best = (shooting.states_together(state, data) for state in search[:2])
+            return search, trial, best
 
-        def evaluate(vector: Array, data: Blocks) -> list[Any]:
-            parts = side_by_side(lambda block: to_numpy(compiled(vector, block)), each(data), self.devices)
-            *terms, states = (np.stack(part) for part in zip(*parts, strict=True))
-            return [*(term.sum(axis=0) for term in terms), states]
+        def evaluate(vector: Array, data: Blocks, begun: Begun | None) -> tuple[Any, ...]:
+            host = without_motion(data)
+            if not self._loss.refine:
+                return *to_numpy(finish(equations(vector, data, measured_states(data.qpos, data.qvel)), host)[:3]), None
+            trial, states = shooting.by_branch(data.begun), data.begun
+            if begun is not None:
+                trial, states = begin(vector, begun, host)
+            search = None
+            while search is None or not search.ended:
+                tried, found = states, equations(vector, data, states)
+                assert found.local is not None
+                if search is None:
+                    unknown = jax.tree.map(lambda part: np.full_like(part, np.inf), found.local)
+                    search = Search.begin(trial, unknown, np.nan if begun is None else begun.square)
+                search, states, best = advance(search, found.local, host)
+            if begun is not None and search.settled:
+                found = found._replace(loss=found.loss - search.gain)
+            elif np.isfinite(found.loss):
+                found = found if np.array_equal(tried, best) else equations(vector, data, best)
+                states = best
+            *ends, slopes = finish(found, host)
+            return *to_numpy(ends), Begun(*map(np.asarray, (states, vector, slopes, found.loss)))
 
-        return evaluate
-
-    def _compile_together(self, exact: bool) -> Callable[[Array, Blocks], list[Any]]:
-        """The same where segments hold together: initial states are found, and eliminated, for all blocks at once."""
-        find, finish = self.compile(self._states, forward=True), jax.jit(self._finish)
-
-        def look(vector: Array, part: tuple[Blocks, Array, Array]) -> Seen:
-            return self._look(vector, *part)
-
-        start = self.spread(self.space.start)
-        example = next(each_part(self.data, find(start, self.data)))
-        equations = self._compile_both(look, lambda seen, part: self._block_equations(seen, exact), example)
-
-        def evaluate(vector: Array, data: Blocks) -> list[Any]:
-            states = find(vector, data)
-            blocks = each_part(data, states)
-            parts = side_by_side(lambda part: jax.tree.map(np.asarray, equations(vector, part)), blocks, self.devices)
-            found = finish(join_equations(parts), jax.tree.map(np.asarray, data))
-            return to_numpy((*found, states[0]))
-
-        evaluate(start, self.data)  # compiles the rest
         return evaluate
 
     def _compile_both(
@@ -514,13 +566,17 @@ class Objective:
             rows[:, -1] = 0.0
         return bend(errors, self._sparsity.by_branch(jnp.asarray(rows, errors.dtype)))
 
-    def _finish(self, found: Equations, data: Blocks) -> tuple[Array, Array, Array]:
-        """Loss, gradient of each stretch, and second derivative by the coordinates, without the initial states."""
+    def _finish(self, found: Equations, data: Blocks) -> tuple[Array, ...]:
+        """Loss, gradient of each stretch, and second derivative by the coordinates, without the initial states.
+
+        The last is the derivative of the best initial states, where these are refined.
+        """
         loss, gradient, hessian, local, mixed = found
+        slopes = jnp.zeros(0)
         if local is not None and mixed is not None:
-            taken, lost = self._shooting.eliminate(local, mixed, data)
+            taken, lost, slopes = self._shooting.eliminate(local, mixed, data)
             gradient, hessian = gradient - taken, hessian - lost
         members = jax.nn.one_hot(data.stretch.ravel(), self.stretches, dtype=gradient.dtype)
         gradient, hessian = self._sparsity.gradient(gradient), self._sparsity.hessian(hessian)
         scores = jnp.einsum("sg,si->gi", members, gradient, precision="highest")
-        return loss / self._terms, scores / self._terms, hessian / self._terms
+        return loss / self._terms, scores / self._terms, hessian / self._terms, slopes

@@ -38,10 +38,9 @@ def fit_reference(objective: Objective, folder: Path | None = None) -> Values:
 
 
 def _fingerprint(objective: Objective) -> str:
-    """Of all that the minimum follows from: the compiled loss as text, its data, start and bounds."""
+    """Of all that the minimum follows from: residuals as a program's text, the loss, its data, start and bounds."""
     space, data = objective.space, objective.data
-    program = objective.compile(objective.loss).lower(space.start, data).as_text()
     arrays = {"start": space.start, "low": space.low, "high": space.high, **data._asdict(), **data.signals.named()}
     del arrays["signals"]
     numbers = digest({name: np.asarray(array) for name, array in arrays.items()})
-    return hashlib.sha256(f"{program}{numbers}".encode()).hexdigest()
+    return hashlib.sha256(f"{objective.describe()}{numbers}".encode()).hexdigest()

@@ -11,7 +11,7 @@ from frictionzoo.core.errors import ConfigError, refuse_outside
 from frictionzoo.fit.base import Fit, Seen, register_method
 from frictionzoo.fit.blocks import Blocks
 from frictionzoo.fit.contained import Part
-from frictionzoo.fit.lm import MOST_TRIES, LevenbergMarquardt, descend
+from frictionzoo.fit.lm import MOST_TRIES, LevenbergMarquardt, descend, is_near
 from frictionzoo.fit.normal_equations import NormalEquations
 from frictionzoo.fit.objective import Objective
 from frictionzoo.fit.torque_balance import Box
@@ -113,16 +113,16 @@ class Searches:
     def __init__(
         self, objective: Objective, tries: int, tolerance: float, kept: Bool[np.ndarray, "coordinates"] | None = None
     ) -> None:
-        self._objective, self._space = objective, objective.space
+        self._objective, self._space = objective.beginning(objective.begun), objective.space
         self._tries, self._tolerance = tries, tolerance
-        self._least = np.inf
+        self._least, self._states = np.inf, objective.states
         self._found: dict[str, End] = {}
         self._kept = np.ones(len(objective.space.start), bool) if kept is None else kept
 
     @property
     def states(self) -> Any:
         """Initial states at the best vector so far."""
-        return self._objective.states
+        return self._states
 
     def go_on(self, vector: Float[np.ndarray, "coordinates"]) -> End:
         """Where a search from this vector ends; what does not move stays as it is there."""
@@ -149,10 +149,12 @@ class Searches:
         )
 
     def _evaluate(self, vector: Float[np.ndarray, "coordinates"]) -> NormalEquations:
-        """The objective there, whose initial states are searched from those of the best vector so far."""
+        """The objective there, whose initial states are searched from those of the last vector that was as good."""
         found = self._objective.compile_normal_equations()(vector)
+        if is_near(found.loss, self._least):
+            self._objective = self._objective.beginning(found.states)
         if found.loss < self._least:
-            self._least, self._objective = found.loss, self._objective.beginning(found.states)
+            self._least, self._states = found.loss, self._objective.states
         return found
 
     def _look(self, part: Part) -> End:
@@ -185,7 +187,13 @@ class Searches:
         """Where a search with this law's own coordinates ends."""
         _, low, high = part.box
         box = Box(part.own(vector), low, high)
-        own, loss = descend(part.restrict(self._evaluate), box, min(most, self._tries), self._tolerance, enough)
+        own, loss = descend(
+            part.restrict(self._evaluate),
+            box,
+            min(most, self._tries),
+            self._tolerance,
+            lambda own: enough(part.whole(own)),
+        )
         _log.debug("%s: from %s to a loss of %.9g", part.law.__name__, name, loss)
         return End(name, part.whole(own), loss)
 

@@ -14,8 +14,12 @@ from frictionzoo.fit.sparsity import Sparsity
 from frictionzoo.simulate import Values
 from frictionzoo.simulate.linear import solve_spd
 
-_REFINEMENTS = 5  # steps for an initial state, at most: rollouts are nearly linear in it but for sticking and sliding
-_SETTLED = 1e-9  # share of the sum of squares by which a step lowers it that is the last
+_MOST_LOOKS = 6  # trial states: rollouts are nearly linear in them but for sticking and sliding
+_SETTLED = 1e-12  # share of the sum of squares by which the next step lowers it that is not taken
+_ROUGH, _NEARLY, _SHARE = 1e-2, 1e-4, 0.1
+"""The same where that share is subtracted: at the first vector of a search, at later ones, and there as a share of the
+difference between two vectors."""
+_DAMPING, _LEAST_DAMPING = 1e-2, 1e-2  # of Levenberg and Marquardt, at first and after a step that failed
 
 
 class Local(NamedTuple):
@@ -46,6 +50,55 @@ class Mixed(NamedTuple):
 
     own: Float[Array, "branches segments state tangents"]
     gap: Float[Array, "branches segments state tangents"]
+
+
+class Begun(NamedTuple):
+    """Where a search for initial states begins.
+
+    Attributes:
+        states: The best states of a vector, (blocks, segments, twice nv).
+        vector: That vector, of shape (coordinates,).
+        slopes: Their derivative by each tangent, (branches, segments, state, tangents).
+        square: The sum of squares there; infinite where it is not known.
+    """
+
+    states: Any
+    vector: Any
+    slopes: Any
+    square: Any
+
+
+class Search(NamedTuple):
+    """A search for initial states, by branch and segment.
+
+    Attributes:
+        trial: The states to be tried next.
+        state: The best states so far.
+        local: The sum of squares at these.
+        damping: Of Levenberg and Marquardt, for each segment.
+        looks: Number of states that were tried.
+        other: The sum of squares at another vector of a search; infinite at the first, NaN where there is no search.
+        gain: By how much the trial states lower the sum of squares below that of the last trial, from its slopes.
+        settled: Whether that is so little that slopes say it well enough.
+        ended: Whether the search ends.
+    """
+
+    trial: Float[Array, "branches segments state"]
+    state: Float[Array, "branches segments state"]
+    local: Local
+    damping: Float[Array, "branches segments"]
+    looks: Any
+    other: Any
+    gain: Any
+    settled: Any
+    ended: Any
+
+    @classmethod
+    def begin(cls, begun: Float[Array, "branches segments state"], unknown: Local, other: Any = jnp.nan) -> "Search":
+        """Return a search that begins at these states; `unknown` is infinite."""
+        damping, no = jnp.full(begun.shape[:2], _DAMPING, begun.dtype), jnp.asarray(False)
+        other, gain = (jnp.asarray(value, begun.dtype) for value in (other, 0.0))
+        return cls(begun, begun, unknown, damping, jnp.asarray(0), other, gain, no, no)
 
 
 class Equations(NamedTuple):
@@ -91,41 +144,56 @@ class Shooting(NamedTuple):
     root: Float[np.ndarray, "#nv 2"] | None
 
     def find_states(self, values: Values, data: Blocks) -> Float[Array, "blocks segments twice_nv"]:
-        """Where the segments start: as fits them, and what follows, best.
+        """Return the initial states that fit the segments best, as part of a compiled program."""
 
-        Steps of Levenberg and Marquardt from `Blocks.begun`; each counts where it lowers the error of all segments that
-        hold together.
+        def improve(search: Search) -> Search:
+            return self.advance(search, self._look(values, search.trial, data), data)
+
+        begun = self.by_branch(data.begun)
+        unknown = jax.tree.map(
+            lambda shape: jnp.full(shape.shape, jnp.inf, shape.dtype),
+            jax.eval_shape(lambda: self._look(values, begun, data)),
+        )
+        found = jax.lax.while_loop(lambda search: ~search.ended, improve, Search.begin(begun, unknown))
+        return self.states_together(found.state, data)
+
+    def by_branch(self, states: Any) -> Float[Array, "branches segments state"]:
+        """Return states of shape (blocks, segments, twice nv) by branch."""
+        return self.sparsity.states_by_branch(jnp.asarray(states).reshape(-1, states.shape[2]))
+
+    def predict(self, begun: Begun, vector: Float[Array, "coordinates"]) -> Float[Array, "branches segments state"]:
+        """Return the best states of another vector, from their slopes."""
+        moved = jnp.append(vector - begun.vector, jnp.zeros(1, vector.dtype))[self.sparsity.place]
+        return self.by_branch(begun.states) + jnp.einsum("bsit,bt->bsi", begun.slopes, moved)
+
+    def states_together(self, state: Array, data: Blocks) -> Float[Array, "blocks segments twice_nv"]:
+        """Return states by branch in the order of `Blocks.begun`."""
+        return self.sparsity.states_together(state).reshape(data.begun.shape)
+
+    def advance(self, search: "Search", tried: Local, data: Blocks) -> "Search":
+        """Return the search after the sum of squares at its trial states is known.
+
+        Levenberg-Marquardt steps; each counts where it lowers the error of all segments that hold together.
         """
-        chain, unused = self._chain(data), self._unused(data.weight.ravel())
+        chain = self._chain(data)
+        better = _sum_by(chain, tried.square) < _sum_by(chain, search.local.square)
 
-        def goes_on(search: tuple) -> Array:
-            *_, local, _, looks, gain = search
-            total = jnp.sum(jnp.where(jnp.isfinite(local.square), local.square, 0.0))
-            return (looks <= _REFINEMENTS) & (gain > _SETTLED * total)
+        def choose(new: Array, old: Array) -> Array:
+            return jnp.where(better.reshape(*better.shape, *[1] * (new.ndim - 2)), new, old)
 
-        def improve(search: tuple) -> tuple:  # with one rollout in it, for each that a program has is compiled
-            trial, state, local, damping, looks, _ = search
-            tried = self._look(values, trial, data)
-            better = _sum_by(chain, tried.square) < _sum_by(chain, local.square)
-
-            def choose(new: Array, old: Array) -> Array:
-                return jnp.where(better.reshape(*better.shape, *[1] * (new.ndim - 2)), new, old)
-
-            gain = jnp.sum(jnp.where(better, local.square - tried.square, 0.0))
-            state, local = choose(trial, state), jax.tree.map(choose, tried, local)
-            damping = damping * jnp.where(better, 0.1, 10.0)
-            diagonal, beside, gradient = self._join(local, data)
-            damped = diagonal * (1 + damping[:, :, None, None] * jnp.eye(diagonal.shape[-1])) + unused
-            trial = state - self._solve(damped, beside, gradient[..., None])[..., 0]
-            return trial, state, local, damping, looks + 1, gain
-
-        begun = self.sparsity.states_by_branch(data.begun.reshape(-1, data.begun.shape[2]))
-        shapes = jax.eval_shape(lambda: self._look(values, begun, data))
-        unseen = jax.tree.map(lambda shape: jnp.full(shape.shape, jnp.inf, shape.dtype), shapes)
-        damping = jnp.full(begun.shape[:2], 1e-2, begun.dtype)
-        search = begun, begun, unseen, damping, 0, jnp.asarray(jnp.inf, begun.dtype)
-        found = jax.lax.while_loop(goes_on, improve, search)[1]
-        return self.sparsity.states_together(found).reshape(data.begun.shape)
+        state, local = choose(search.trial, search.state), jax.tree.map(choose, tried, search.local)
+        damping = jnp.where(better, 0.1 * search.damping, jnp.maximum(10 * search.damping, _LEAST_DAMPING))
+        diagonal, beside, gradient = self._join(local, data)
+        unused = self._unused(data.weight.ravel())
+        damped = diagonal * (1 + damping[:, :, None, None] * jnp.eye(diagonal.shape[-1])) + unused
+        step = self._solve(damped, beside, gradient[..., None])[..., 0]
+        gain, looks = jnp.sum(step * gradient) + jnp.sum(tried.square - local.square), search.looks + 1
+        total, other = jnp.sum(local.square), search.other
+        later = jnp.maximum(_NEARLY * total, _SHARE * jnp.abs(total - gain - other))
+        enough = jnp.where(jnp.isfinite(other), later, jnp.where(jnp.isnan(other), _SETTLED, _ROUGH) * total)
+        settled = gain <= enough
+        ended = settled | (looks >= _MOST_LOOKS) | ((looks == 1) & ~jnp.all(jnp.isfinite(tried.square)))
+        return Search(state - step, state, local, damping, looks, other, gain, settled, ended)
 
     def local(self, errors: Float[Array, "branches segments terms"], slopes: Array) -> Local:
         """Of a block's residuals and their derivative by its own states, (state, branches, segments, terms)."""
@@ -143,10 +211,15 @@ class Shooting(NamedTuple):
 
     def eliminate(
         self, local: Local, mixed: Mixed, data: Blocks
-    ) -> tuple[Float[Array, "branches segments tangents"], Float[Array, "branches tangents tangents"]]:
+    ) -> tuple[
+        Float[Array, "branches segments tangents"],
+        Float[Array, "branches tangents tangents"],
+        Float[Array, "branches segments state tangents"],
+    ]:
         """What the states take from each segment's gradient by the tangents, and from the second derivative.
 
-        The Schur complement of the states in the normal equations of states and coordinates.
+        The Schur complement of the states in the normal equations of states and coordinates. The third is the
+        derivative of the best states by each tangent.
         """
         diagonal, beside, gradient = self._join(local, data)
         # A drive that forgets its velocity within a sample does not tell that from its position: the states' equations
@@ -159,11 +232,11 @@ class Shooting(NamedTuple):
             right = right - before[:, None, None] * root[..., None] * jnp.roll(mixed.gap, 1, axis=1)
         solved = self._solve(diagonal + self._unused(data.weight.ravel()), beside, right)
         taken = jnp.einsum("bsit,bsi->bst", solved, gradient, precision="highest")
-        return taken, jnp.einsum("bsit,bsiu->btu", solved, right, precision="highest")
+        return taken, jnp.einsum("bsit,bsiu->btu", solved, right, precision="highest"), -solved
 
     def _look(self, values: Values, state: Float[Array, "branches segments state"], data: Blocks) -> Local:
         """Of all blocks."""
-        whole = self.sparsity.states_together(state).reshape(*data.weight.shape, -1)
+        whole = self.states_together(state, data)
         units = jnp.asarray(self.sparsity.states, whole.dtype)[:, None, :] * jnp.ones_like(whole[0, :, :1])
 
         def of_block(part: tuple[Blocks, Array, Array]) -> Local:

@@ -31,7 +31,7 @@ _EXACT = 3e-3  # of a value, or of its scale where that is more: half an interva
 _COLLINEAR = 1e-8
 """`COLLINEAR` of a pilot: a delay is nearly collinear with armature and damping, and what has no interval is in doubt,
 however much a long log says of it."""
-_TRIES, _TOLERANCE = 40, 1e-6
+MOST_TRIES, _TOLERANCE = 40, 1e-5
 _ROLLOUTS = 64  # by which errors are told
 _DISTURBED = 1e-3  # share of a joint's speed by which initial velocities are disturbed
 
@@ -159,6 +159,7 @@ class Pilot:
         begun: Found,
         without: Collection[str] = (),
         thorough: bool = False,
+        tries: int = MOST_TRIES,
         kept: Bool[np.ndarray, "segments"] | None = None,
     ) -> Found:
         """The best vector, by Levenberg-Marquardt.
@@ -168,6 +169,7 @@ class Pilot:
             without: Parameters of the bench that are 0; what was found has none of them.
             thorough: Whether other starts are tried: of laws that the law contains where it has several minima, and
                 other delays.
+            tries: Largest number of vectors that a search tries.
             kept: Which segments count; None for all.
 
         Raises:
@@ -175,7 +177,7 @@ class Pilot:
         """
         moving = self._moving(without)
         objective = self.objective.beginning(begun.states_of(self.segments)).among(kept)
-        searches = Searches(objective, _TRIES, _TOLERANCE, moving)
+        searches = Searches(objective, tries, _TOLERANCE, moving)
         end = searches.go_on(np.where(moving, self.whole(begun), 0.0))
         if thorough and self._drive.model.valleys:
             end = min(end, searches.look(), key=lambda end: end.loss)
@@ -185,15 +187,16 @@ class Pilot:
         self._end = objective.beginning(searches.states).compile_scores()(vector)
         return self._conclude(vector, loss, moving, searches.states)
 
-    def foresee(self, found: Found, without: str) -> Found:
-        """Where the last fit would have ended without one of its parameters, as far as slopes tell there.
+    def foresee(self, found: Found, without: str, instead: str) -> Found:
+        """Return where the last fit would have ended with another parameter in place of one, as far as slopes tell.
 
         Args:
             found: Where it ended.
-            without: A parameter of the bench.
+            without: A parameter of the bench that it had.
+            instead: One that it had not.
         """
         (equations, scores), vector = self._end, self.whole(found)
-        moving = self._moving({without, *(OPTIONAL.keys() - found.owners)})
+        moving = self._moving({without, *(OPTIONAL.keys() - found.owners - {instead})})
         change = np.where(moving, 0.0, -vector)
         pulled = equations._replace(gradient=equations.gradient + equations.hessian @ change)
         change[moving] = -_solve(pulled, np.flatnonzero(moving))
@@ -308,7 +311,8 @@ def exact_enough(space: Space, vector: Float[np.ndarray, "coordinates"]) -> Floa
 
 
 def _solve(equations: NormalEquations, free: Any) -> Float[np.ndarray, "free"]:
-    """H^-1 g of these coordinates."""
+    """H^-1 g of these coordinates; 0 of one that moves nothing."""
     hessian, gradient = equations.hessian[np.ix_(free, free)], equations.gradient[free]
-    scale = np.sqrt(np.diag(hessian))
+    curvature = np.diag(hessian)
+    scale = np.sqrt(np.where(curvature > 0, curvature, 1.0))
     return np.linalg.lstsq(hessian / np.outer(scale, scale), gradient / scale, rcond=1e-10)[0] / scale

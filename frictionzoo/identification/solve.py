@@ -10,6 +10,8 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from frictionzoo.bench import Bench
+from frictionzoo.core.described import remake
 from frictionzoo.core.segments import Segments
 from frictionzoo.core.telling import tell
 from frictionzoo.fit import Outcome, Space, estimate_uncertainty, fit_reference, run_fit
@@ -127,12 +129,18 @@ def _hand_over(problem: Problem, outcome: Outcome, result: Result, curves: Curve
 def judge_baseline(problem: Problem) -> tuple[Judgement, Values]:
     """The best that the bench does without friction, on the same segments and the same rollouts, and its values."""
     settings = problem.settings
-    drive = Drive.assemble(problem.bench, Baseline(problem.bench.nv), problem.drive.engine.name, problem.sampling)
+
+    def assemble(bench: Bench) -> Drive:
+        sampling = bench.sampling(problem.objective.interval)
+        return Drive.assemble(bench, Baseline(bench.nv), problem.drive.engine.name, sampling)
+
+    drive = assemble(problem.bench)
     space = Space(problem.bench, drive.model, settings["dtype"])
     if space.names:
         cache = cache_folder(settings["compilation_cache"])
         folder = None if cache is None else cache / "reference"
-        values = fit_reference(problem.objective.for_drive(space, drive.rollout), folder)
+        coarse = assemble(remake(problem.bench, timestep=problem.objective.timestep).observing(problem.bench.observed))
+        values = fit_reference(problem.objective.for_drive(space, coarse.rollout), folder)
     else:
         values = jax.tree.map(np.asarray, space.values(space.start))
     return problem.evaluation.judge(drive.rollout.compiled, values), values

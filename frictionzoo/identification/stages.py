@@ -24,7 +24,7 @@ from frictionzoo.identification.choices import OPTIONAL, RIVALS, Choice, imply, 
 from frictionzoo.identification.discretisation import halve_step
 from frictionzoo.identification.misfit import Misfit
 from frictionzoo.identification.noise import Noise
-from frictionzoo.identification.pilot import Found, Pilot
+from frictionzoo.identification.pilot import MOST_TRIES, Found, Pilot
 from frictionzoo.models import FrictionModel, TorchFriction
 
 _LONGEST, _SHORT = 1.0, 0.1  # s, of segments: with initial states that are estimated along, and for other fits
@@ -40,6 +40,7 @@ _LATE = 0.2  # sample intervals of delay from which on there may be other minima
 _CLEAR = 1.5  # times half its 95 % interval that an optional parameter is away from 0, with a chance of 0.3 %
 _BETTER = 0.02  # share by which a robust loss has to predict a validation block better than least squares
 _HELPFUL = 0.005  # share by which a parameter that is not shown has to
+_FEW_TRIES, _HOPELESS = 2, 3.0  # vectors of a first search, and times another's loss after which there is no second
 _VALIDATION = 0.2  # share of the training recordings
 
 
@@ -74,8 +75,9 @@ class Stages:
         self._found: Found  # where the last pilot ended
         self._last: Pilot | None = None  # which one that was
         self._near: Pilot | None = None  # the one with the loss that was chosen, near the step that was chosen
-        self._first_step = self._step
-        self._out: set[str] = set()  # what of the optional parameters is left out
+        self._first_step, self._coarse_steps = self._step, self._steps
+        # What of the optional parameters is left out; of rivals, which act nearly alike, one is tried at a time.
+        self._out: set[str] = set(RIVALS[1:]) if all(self._free[name] for name in RIVALS) else set()
         self._noise = Noise.of(self._train)
         self._lacking = False  # whether the law leaves more than noise
         self._rounded = False  # whether it leaves what rounding does
@@ -112,7 +114,7 @@ class Stages:
         else:
             yield from self._leave_out()
         yield from self._set("segments.count", *self._count(_MOST_STEPS))
-        self.pilot = self._pilots.get(self._say_how(*self._how(_MOST_STEPS)))
+        self.pilot = self._find_pilot() if self._small else None
 
     def _is_open(self, option: str) -> bool:
         section, _, key = option.rpartition(".")
@@ -193,7 +195,7 @@ class Stages:
 
     def _count(self, most_steps: float) -> tuple[int | None, str]:
         """How many segments are simulated in so many steps, and why."""
-        length, step = self.settings["segments"]["length"], self._step
+        length, step = self.settings["segments"]["length"], self._first_step
         steps = self._samples * self._interval / step
         if steps <= most_steps:
             return None, "all there are"
@@ -217,8 +219,27 @@ class Stages:
 
     def repeat(self, settings: Mapping[str, Any], found: Found) -> Pilot:
         """The pilot with settings that were chosen before, where it ended."""
-        self.settings, self._found = {**settings}, found
-        return self._pilot(_MOST_STEPS)
+        chosen = settings["bench"]
+        if self._softness_is_open and chosen["solreffriction"][0] > 2 * chosen["timestep"]:  # not the steps' own
+            self._change(solreffriction=chosen["solreffriction"])
+        self._coarse_steps, self.settings, self._found = self._steps, {**settings}, found
+        return self._find_pilot()
+
+    def _find_pilot(self) -> Pilot:
+        """The pilot by whose equations the fit begins: in first steps, with the residuals of the chosen ones."""
+        chosen = self._steps
+        self._change(**self._coarse_steps)
+        pilot = self._pilot(_MOST_STEPS)
+        self._change(**chosen)
+        if chosen != self._coarse_steps:
+            pilot = pilot.approaching(pilot.simulate(self.bench(OPTIONAL)), self._found)
+        return pilot
+
+    @property
+    def _steps(self) -> dict[str, Any]:
+        """Options of the bench that shorter steps change."""
+        section = self.settings["bench"]
+        return {name: section[name] for name in ("timestep", "solreffriction") if name in section}
 
     def _say_how(self, *how: Any) -> str:
         return repr((self._step, self.settings["bench"].get("solreffriction"), how))
@@ -297,9 +318,10 @@ class Stages:
         if np.any(self._model.constrained):
             stiff = self._change(solreffriction=list(DEFAULT_SOLREFFRICTION))
             other, soft = pilot.simulate(self.bench(OPTIONAL)), self._found
-            for _ in range(2):  # the first is as far off as slopes of stiff friction are
-                soft = pilot.approaching(other, soft).fit(soft)
-            ratio = soft.loss / self._found.loss
+            for tries in (_FEW_TRIES, MOST_TRIES):  # the first is as far off as slopes of stiff friction are
+                soft = pilot.approaching(other, soft).fit(soft, self._out, tries=tries)
+                if (ratio := soft.loss / self._found.loss) > _HOPELESS:
+                    break
             why = f"MuJoCo's own, {DEFAULT_SOLREFFRICTION[0]:g} s, has {ratio:.3g} times the loss"
             if ratio < 1:
                 self._found, pilot = soft, self._pilot()
@@ -352,7 +374,8 @@ class Stages:
         pilot, told = self._near, dict[str, str]()
         assert pilot is not None
         self._go_on(pilot)
-        if set(RIVALS) <= set(free):
+        tried = set(self._out)
+        if tried:
             told |= self._judge_rivals(pilot)
         doubtful = self._doubt(told)
         # Where a law lacks something, intervals are wide, and what makes up for it may be of use all the same.
@@ -361,7 +384,7 @@ class Stages:
         share = helping / self._validate() if math.isfinite(helping) else 1.0
         if helps := share < 1 - _HELPFUL:
             self._out -= doubtful
-        elif self._out:  # what was free and is not has bent the others
+        elif self._out != tried:  # what was free and is not has bent the others
             self._go_on(pilot)
             if more := self._doubt(told):
                 self._out |= more
@@ -374,8 +397,8 @@ class Stages:
             yield Choice(f"bench.params.{name}.identify", shown, f"{why}: {told[name]}" + beside * (why == "of use"))
 
     def _judge_rivals(self, pilot: Pilot) -> dict[str, str]:
-        """Leave out the rival that fits worse without the other, or that does not show; tells of that one."""
-        ends = {name: pilot.foresee(self._found, other) for name, other in (RIVALS, RIVALS[::-1])}
+        """Leave out the rival that fits worse, or that does not show; returns what is told of that one."""
+        ends = dict(zip(RIVALS, (self._found, pilot.foresee(self._found, *RIVALS)), strict=True))
         shown = {name: self._is_shown(end, name) for name, end in ends.items()}
         best, other = sorted(RIVALS, key=lambda name: (not shown[name][0], ends[name].loss))
         self._out, self._found = {other}, ends[best]
@@ -427,7 +450,8 @@ class Stages:
         """
         reason, largest = "", 0.0
         if self._near is None:
-            self._near = self._coarse = self._pilot()
+            self._near, self._coarse_steps = self._pilot(), self._steps
+            self._coarse = self._near
             if self._near is not self._last:
                 self._go_on(self._near)
         while self._step_is_open:
