@@ -115,13 +115,13 @@ class Searches:
     ) -> None:
         self._objective, self._space = objective.beginning(objective.begun), objective.space
         self._tries, self._tolerance = tries, tolerance
-        self._least, self._states = np.inf, objective.states
+        self._least, self._states = np.inf, objective.begun
         self._found: dict[str, End] = {}
         self._kept = np.ones(len(objective.space.start), bool) if kept is None else kept
 
     @property
     def states(self) -> Any:
-        """Initial states at the best vector so far."""
+        """Where a search for initial states begins at the best vector so far."""
         return self._states
 
     def go_on(self, vector: Float[np.ndarray, "coordinates"]) -> End:
@@ -154,7 +154,7 @@ class Searches:
         if is_near(found.loss, self._least):
             self._objective = self._objective.beginning(found.states)
         if found.loss < self._least:
-            self._least, self._states = found.loss, self._objective.states
+            self._least, self._states = found.loss, found.states
         return found
 
     def _look(self, part: Part) -> End:

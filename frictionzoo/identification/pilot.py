@@ -185,7 +185,7 @@ class Pilot:
         if not np.isfinite([loss, *vector]).all():
             raise FitError("the loss is not finite where the fit begins")
         self._end = objective.beginning(searches.states).compile_scores()(vector)
-        return self._conclude(vector, loss, moving, searches.states)
+        return self._conclude(vector, loss, moving, searches.states and searches.states.states)
 
     def foresee(self, found: Found, without: str, instead: str) -> Found:
         """Return where the last fit would have ended with another parameter in place of one, as far as slopes tell.
@@ -249,7 +249,8 @@ class Pilot:
 
     def step(self, found: Found) -> Float[np.ndarray, "coordinates"]:
         """One step of Gauss and Newton from what was found; 0 of what the data do not determine."""
-        equations = self.objective.compile_normal_equations()(self.whole(found))
+        objective = self.objective.beginning(self.objective.begun)
+        equations = objective.compile_normal_equations()(self.whole(found))
         free = (found.half < WIDEST) & ~found.at_bound  # of NaN, False
         step = np.zeros(len(free))
         step[free] = -_solve(equations, [self.space.labels.index(label) for label in np.array(found.labels)[free]])

@@ -448,24 +448,26 @@ class Stages:
 
         Slopes stay those of the first step, so that they are compiled once.
         """
-        reason, largest = "", 0.0
+        reason, largest, times = "", 0.0, 1
         if self._near is None:
             self._near, self._coarse_steps = self._pilot(), self._steps
             self._coarse = self._near
             if self._near is not self._last:
                 self._go_on(self._near)
         while self._step_is_open:
-            tell(f"choosing settings: what steps of {5e2 * self._step:.3g} ms change")
             bench = self.bench(OPTIONAL)
             # Softness that was stated stays.
             softness = None if self._softness_is_open else bench.solreffriction
-            bench = halve_step(bench, softness)
+            for _ in range(times):
+                bench = halve_step(bench, softness)
+            tell(f"choosing settings: what steps of {1e3 * bench.timestep:.3g} ms change")
             near = self._coarse.approaching(self._coarse.simulate(bench), self._found)
             ahead = near.step(self._found)
             moves = self._found.in_halves(ahead)
             largest = float(moves.max(initial=0.0))
             moved = self._found.labels[int(moves.argmax())]
-            reason = f"with half of it, {moved} would move by {largest:.2g} of half its interval, or of 0.3 %"
+            share = {1: "half", 2: "a quarter"}.get(times, f"1/{2**times}")
+            reason = f"with {share} of it, {moved} would move by {largest:.2g} of half its interval, or of 0.3 %"
             if largest <= _MOVES or bench.timestep < self._first_step / 2**_ROUNDS:
                 break
             self._change(timestep=bench.timestep)
@@ -473,6 +475,8 @@ class Stages:
                 self._change(solreffriction=bench.solreffriction)
             self._found = self._found._replace(vector=self._found.vector + ahead)
             self._near = near
+            # An error of second order falls to a quarter each time; the last halving is there to see that.
+            times = max(1, math.ceil(math.log(largest / _MOVES, 4)) - 1)
         return reason, largest
 
     def _change(self, **options: Any) -> dict[str, Any]:
