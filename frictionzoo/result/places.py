@@ -14,6 +14,8 @@ PERIODS = 200  # harmonics of the position that are looked through
 THIN = 1000  # rows by which they are
 WITHIN = 0.8  # share of the bandwidth in which a ripple may lie
 LIMITS = 0.8, 0.9, 0.95, 0.97, 0.98, 0.99, 0.995, 0.998  # quantiles of the torque asked for at which a limit may lie
+WELL_BEYOND = 0.05  # share of the largest excess, from which on the commands ask for more than a limit
+UNLIKE = 0.5  # share of the error there that may be something else
 CROSSING = 0.05  # s before and after the motor's torque changes its sign, in which a gap may be crossed
 PULL = "pull"
 """What changes with the position alike in both directions: no friction."""
@@ -102,6 +104,18 @@ def near_crossings(seen: Seen, at: Int[np.ndarray, "rows"]) -> Bool[np.ndarray, 
 def beyond_limit(seen: Seen, limit: float) -> Float[np.ndarray, "time 1"]:
     """What the commands ask for beyond a limit of the torque [N m or N]."""
     return _stack(seen.asked - np.clip(seen.asked, -limit, limit))
+
+
+def is_limited(excess: Float[np.ndarray, "rows 1"], error: Rows) -> bool:
+    """Return whether the torque stays below a limit: where the commands ask for more, the error is that excess.
+
+    Args:
+        excess: `beyond_limit` behind the filter of the error [N m or N].
+        error: In the same rows.
+    """
+    beyond = np.abs(excess[:, 0]) > WELL_BEYOND * np.abs(excess).max()
+    rest = np.square(error - excess[:, 0])[beyond].sum()
+    return bool(rest < UNLIKE * np.square(error[beyond]).sum())
 
 
 def find_limit(seen: Seen, decimate: Filter, rows: np.ndarray, error: Rows, known: np.ndarray) -> float:

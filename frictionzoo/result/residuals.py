@@ -47,6 +47,7 @@ from frictionzoo.result.places import (
     beyond_limit,
     find_limit,
     find_ripple,
+    is_limited,
     list_periods,
     near_crossings,
     ripple,
@@ -427,7 +428,8 @@ def _choose(looked: _Looked) -> dict[str, float]:
 def _candidates(looked: _Looked, chosen: Mapping[str, float]) -> dict[str, Candidate]:
     """All that an error may go with."""
     seen, decimate, rows = looked.seen, looked.decimate, looked.rows
-    candidates = {"limit": Candidate(decimate(beyond_limit(seen, chosen["limit"]))[rows], len(LIMITS))}
+    excess = decimate(beyond_limit(seen, chosen["limit"]))[rows]
+    candidates = {"limit": Candidate(excess, len(LIMITS))} if is_limited(excess, looked.error) else {}
     candidates |= as_candidates(seen, decimate, rows)
     for name in chosen.keys() & RIPPLES.keys():
         columns = decimate(ripple(seen, chosen[name], name == "cogging"))[rows]
