@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 _TAILS = 10.0  # fourth over squared second moment of errors from which on a law lacks something; of noise 3
 _BEYOND = 3.0  # times the noise of positions, that errors are then
-_EVEN, _NO_MORE = 3.0, 1.5  # kurtosis, and times the noise, up to which errors are taken for rounding, 1.8 and 1
+_EVEN, _NO_MORE = 2.8, 1.5  # kurtosis, and times the noise, up to which errors are taken for rounding, 1.8 and 1
 _WIDE = 0.3  # times the median absolute error, from which on one counts less than its square
 
 

@@ -151,6 +151,8 @@ class Pilot:
             space = Space(recordings.bench, self._drive.model, "float64")
             equation = TorqueEquation(space, recordings, Filtering(), held=True)
             vector = balance(equation.lack, equation.slope, equation.box, equation.moving).vector
+            # What is drowned by the rest ends at a bound, from which a search takes long to come back.
+            vector = np.where(space.at_bound(vector), space.start, vector)
             starts.append(self.whole(Found.begun(space.labels, vector)))
         return Found.begun(self.space.labels, min(starts, key=self._miss))
 
