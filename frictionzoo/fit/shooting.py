@@ -15,10 +15,11 @@ from frictionzoo.simulate import Values
 from frictionzoo.simulate.linear import solve_spd
 
 _MOST_LOOKS = 6  # trial states: rollouts are nearly linear in them but for sticking and sliding
-_SETTLED = 1e-12  # share of the sum of squares by which the next step lowers it that is not taken
-_ROUGH, _NEARLY, _SHARE = 1e-2, 1e-4, 0.1
-"""The same where that share is subtracted: at the first vector of a search, at later ones, and there as a share of the
-difference between two vectors."""
+_ALONE = 1e-12  # gain of the next step, as a share of the sum of squares, at which a search outside a fit ends
+_FIRST, _LATER, _APART = 1e-2, 1e-4, 0.1
+"""In a fit, the gain of the next step is subtracted from the sum of squares, and the search ends earlier: at these
+shares of the sum at the fit's first vector and at later ones, and there at this share of the difference between the
+sums of two vectors, if that is more."""
 _DAMPING, _LEAST_DAMPING = 1e-2, 1e-2  # of Levenberg and Marquardt, at first and after a step that failed
 
 
@@ -77,9 +78,9 @@ class Search(NamedTuple):
         local: The sum of squares at these.
         damping: Of Levenberg and Marquardt, for each segment.
         looks: Number of states that were tried.
-        other: The sum of squares at another vector of a search; infinite at the first, NaN where there is no search.
-        gain: By how much the trial states lower the sum of squares below that of the last trial, from its slopes.
-        settled: Whether that is so little that slopes say it well enough.
+        other: The sum of squares at the last vector of a fit; infinite at its first one, NaN outside a fit.
+        gain: Sum of squares of the last trial less that of the next one, as slopes predict it.
+        settled: Whether the gain is small enough to end the search.
         ended: Whether the search ends.
     """
 
@@ -189,8 +190,8 @@ class Shooting(NamedTuple):
         step = self._solve(damped, beside, gradient[..., None])[..., 0]
         gain, looks = jnp.sum(step * gradient) + jnp.sum(tried.square - local.square), search.looks + 1
         total, other = jnp.sum(local.square), search.other
-        later = jnp.maximum(_NEARLY * total, _SHARE * jnp.abs(total - gain - other))
-        enough = jnp.where(jnp.isfinite(other), later, jnp.where(jnp.isnan(other), _SETTLED, _ROUGH) * total)
+        later = jnp.maximum(_LATER * total, _APART * jnp.abs(total - gain - other))
+        enough = jnp.where(jnp.isfinite(other), later, jnp.where(jnp.isnan(other), _ALONE, _FIRST) * total)
         settled = gain <= enough
         ended = settled | (looks >= _MOST_LOOKS) | ((looks == 1) & ~jnp.all(jnp.isfinite(tried.square)))
         return Search(state - step, state, local, damping, looks, other, gain, settled, ended)
