@@ -27,6 +27,7 @@ class Terminal(io.StringIO):
 
 
 def test_what_takes_long_is_told_again_until_it_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    tell("")  # another test may have told something
     terminal = Terminal(lines=3)
     monkeypatch.setattr(sys, "stderr", terminal)
     with telling_again(every=0.02):
