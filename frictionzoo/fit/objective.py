@@ -423,14 +423,16 @@ class Objective:
         """The same, compiled now. Each trial of initial states is a pass over all blocks with all derivatives."""
         shooting, finish = self._shooting, jax.jit(self._finish)
         measured = measured_states(self.data.qpos, self.data.qvel)
+        example = tuple(jax.device_put(part, self.data.begun.sharding) for part in (measured, follow(measured)))
         look = self._compile_both(
             lambda vector, part: self._look(vector, *part),
             lambda seen, part: self._block_equations(seen, exact),
-            next(each_part(self.data, (measured, follow(measured)))),
+            next(each_part(self.data, example)),
         )
 
         def equations(vector: Array, data: Blocks, states: Array) -> Equations:
-            blocks = each_part(data, (states, follow(states)))
+            sharding = data.begun.sharding  # as the programs were compiled for
+            blocks = each_part(data, tuple(jax.device_put(part, sharding) for part in (states, follow(states))))
             parts = side_by_side(lambda part: jax.tree.map(np.asarray, look(vector, part)), blocks, self.devices)
             return join_equations(parts)
 
