@@ -79,7 +79,7 @@ class Search(NamedTuple):
         damping: Of Levenberg and Marquardt, for each segment.
         looks: Number of states that were tried.
         other: The sum of squares at the last vector of a fit; infinite at its first one, NaN outside a fit.
-        gain: Sum of squares of the last trial less that of the next one, as slopes predict it.
+        gain: By how much the next trial lowers the sum of squares below the last one, as slopes predict it.
         settled: Whether the gain is small enough to end the search.
         ended: Whether the search ends.
     """

@@ -314,7 +314,13 @@ def exact_enough(space: Space, vector: Float[np.ndarray, "coordinates"]) -> Floa
 
 
 def _solve(equations: NormalEquations, free: Any) -> Float[np.ndarray, "free"]:
-    """H^-1 g of these coordinates; 0 of one that moves nothing."""
+    """H^-1 g of these coordinates; 0 of one that moves nothing.
+
+    Raises:
+        FitError: They are not finite.
+    """
+    if not equations.finite:
+        raise FitError("the loss is not finite where the fit ended")
     hessian, gradient = equations.hessian[np.ix_(free, free)], equations.gradient[free]
     curvature = np.diag(hessian)
     scale = np.sqrt(np.where(curvature > 0, curvature, 1.0))

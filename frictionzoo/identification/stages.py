@@ -476,7 +476,8 @@ class Stages:
             self._found = self._found._replace(vector=self._found.vector + ahead)
             self._near = near
             # An error of second order falls to a quarter each time; the last halving is there to see that.
-            times = max(1, math.ceil(math.log(largest / _MOVES, 4)) - 1)
+            most = _ROUNDS - round(math.log2(self._first_step / self._step))
+            times = max(1, min(most, math.ceil(math.log(min(largest, 4.0**_ROUNDS) / _MOVES, 4)) - 1))
         return reason, largest
 
     def _change(self, **options: Any) -> dict[str, Any]:
