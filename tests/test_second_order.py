@@ -1,9 +1,13 @@
 """Rollouts of second order: against an integrator of another kind, and for the steps of a simulator."""
 
+import importlib
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
@@ -17,6 +21,7 @@ from frictionzoo.core.segments import Segments
 from frictionzoo.core.state import Signals
 from frictionzoo.result.simulator import build_simulated, compensate, find_residual
 from frictionzoo.simulate.drive import Drive
+from frictionzoo.simulate.dry_friction import rigid_step
 
 KP, KD, OWN, ARMATURE = 40.0, 1.5, 0.05, 0.02
 STATIC, KINETIC, STRIBECK, SMOOTHING, VISCOUS = 0.4, 0.3, 0.8, 0.5, 0.2  # smooth, so that the order shows
@@ -159,21 +164,121 @@ def play(simulated: fz.Bench, values: Mapping[str, np.ndarray]) -> np.ndarray:
     return np.array(found)
 
 
-@pytest.mark.slow
-def test_exact_coulomb_friction_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a drive that sticks and slides from event to event, simulated by a program that knows nothing of MuJoCo."""
-    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "benchmarks")
-    from event_exact import Drive as Truth
-    from event_exact import Link, round_to, simulate, write_mjcf
+LEG = {"armature": (0.03, 0.02), "viscous": (0.2, 0.1), "forward": (1.5, 0.8)}
 
-    truth, interval = Truth(armature=0.03, viscous=0.2, forward=0.3, kp=KP, kd=KD), 0.002
-    links = [Link(-1, (0, 1, 0), (0, 0, 0), MASS, (0, 0, -CENTRE), (INERTIA, INERTIA, 1e-5))]
-    (tmp_path / "stand.xml").write_text(write_mjcf(links, ["motor"]))
+
+@pytest.fixture
+def exact(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The program that simulates from event to event."""
+    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "benchmarks")
+    return importlib.import_module("event_exact")
+
+
+def leg(exact: Any, path: Path, integrator: str, timestep: float) -> tuple[Drive, Any, Any]:
+    """A leg that sticks and slides: the simulated drive, its values, and links and drives of the other program."""
+    links = [exact.Link(-1, (0, 1, 0), (0, 0, 0), MASS, (0, 0, -CENTRE), (INERTIA, INERTIA, 1e-5))]
+    links.append(exact.Link(0, (0, 1, 0), (0, 0, -0.2), MASS, (0, 0, -CENTRE), (INERTIA, INERTIA, 1e-5)))
+    rows = zip(*LEG.values(), strict=True)
+    drives = [exact.Drive(*row, kp=KP, kd=KD) for row in rows]
+    text = exact.write_mjcf(links, ["hip", "knee"]).replace("<option ", f'<option integrator="{integrator}" ')
+    (path / "leg.xml").write_text(text)
+    stand = fz.Bench(
+        str(path / "leg.xml"),
+        ["hip", "knee"],
+        actuator=fz.PositionPD(kp=KP, kd=KD),
+        params={"armature": list(LEG["armature"])},
+        timestep=timestep,
+        solreffriction=[2 * timestep, 1.0],
+        second_order=True,
+    )
+    drive = Drive.assemble(stand, fz.law("mujoco_default", nv=2), "auto", stand.sampling(INTERVAL))
+    friction = {"frictionloss": np.array(LEG["forward"]), "damping": np.array(LEG["viscous"])}
+    return drive, {"bench": stand.initial_values(), "friction": friction}, (links, drives)
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])
+def test_dry_friction_does_not_creep_and_turns_round_in_time(integrator: str, tmp_path: Path, exact: Any) -> None:
+    """Errors and slopes of a leg against one that is simulated from event to event, by a program without a step."""
+    times = INTERVAL * np.arange(200)
+    ctrl = np.stack([0.3 * np.sin(5 * times) + 0.1 * np.sin(11 * times + 1), 0.4 * np.sin(6 * times)], axis=1)
+    found, slopes = {}, {}
+    with jax.enable_x64(True):
+        for timestep in (2e-3, 1e-3, 5e-4):
+            drive, values, program = leg(exact, tmp_path, integrator, timestep)
+            begun, acting = (jnp.asarray(ctrl[:1]), jnp.zeros((1, 2))), Signals(jnp.asarray(ctrl[None]))
+
+            def roll(
+                dry: Any, drive: Drive = drive, values: Any = values, begun: Any = begun, acting: Any = acting
+            ) -> Any:
+                given = {**values, "friction": {**values["friction"], "frictionloss": dry}}
+                return drive.rollout(given, *begun, acting)[0][0]
+
+            dry = np.array(LEG["forward"])
+            both = jax.jit(lambda dry, roll=roll: jax.jvp(roll, (dry,), (dry,)))(dry)
+            found[timestep], slopes[timestep] = map(np.asarray, both)
+    motion = exact.simulate(*program, np.concatenate([ctrl, ctrl[-1:]]), INTERVAL)
+    assert motion.sticking > 0.1
+    errors = [np.abs(qpos - motion.qpos[1:]).max() for qpos in found.values()]
+    assert 3 < errors[0] / errors[1] < 5 and 3 < errors[1] / errors[2] < 5 and errors[1] < 5e-6
+    links, drives = program
+    more, less = (
+        exact.simulate(links, [replace(of, forward=of.forward * (1 + by)) for of in drives], ctrl, INTERVAL).qpos[1:]
+        for by in (1e-3, -1e-3)
+    )
+    wide = (more - less) / 2e-3
+    off = [np.linalg.norm(slope[:-1] - wide) / np.linalg.norm(wide) for slope in slopes.values()]
+    assert off[1] < 5e-3 and off[2] < 2e-3
+
+
+def test_both_engines_have_the_same_dry_friction(tmp_path: Path, exact: Any) -> None:
+    times = INTERVAL * np.arange(20)
+    ctrl = 0.5 * np.sin(20 * times)[None, :, None] * np.ones((1, 1, 2))
+    begun = np.array([[0.1, -0.1]]), np.array([[0.4, 0.0]])
+    with jax.enable_x64(True):
+        drive, values, _ = leg(exact, tmp_path, "Euler", 2e-3)
+        other = Drive.assemble(drive.engine.bench, drive.model, "mjx", drive.engine.bench.sampling(INTERVAL))
+        one, two = (of.rollout.compiled(values, *begun, Signals(ctrl)) for of in (drive, other))
+    assert other.engine.name == "mjx" and drive.engine.name == "specialised"
+    np.testing.assert_allclose(one, two, rtol=1e-9, atol=1e-11)
+
+
+def test_one_joint_turns_at_the_instant_at_which_it_stops() -> None:
+    """Whatever acts on it: velocity and place after a step are those of the motion's two pieces."""
+    rng, step = np.random.default_rng(0), 1e-3
+    size, (force, limit, inertia) = 500, np.abs(rng.normal(size=(3, 500))) + [[0], [0], [0.1]]
+    force, qvel = force * rng.choice([-1, 1], size), 2e-3 * rng.normal(size=size)
+    limit[:20] = 0.0
+    with jax.enable_x64(True):
+        step_one = jax.vmap(lambda m, f, v, most: rigid_step(((m,),), f[None], v[None], step, most[None]))
+        acceleration, shift = (np.asarray(part)[:, 0] for part in step_one(inertia, force, qvel, limit))
+    place, speed = np.zeros(size), qvel.copy()
+    for at in range(size):
+        left = step
+        for _ in range(2):
+            side = np.sign(speed[at]) or np.sign(force[at])
+            holds = speed[at] == 0 and abs(force[at]) <= limit[at]
+            slope = 0.0 if holds else (force[at] - side * limit[at]) / inertia[at]
+            stops = -speed[at] / slope if slope * speed[at] < 0 else np.inf
+            part = min(stops, left)
+            place[at] += speed[at] * part + slope * part**2 / 2
+            speed[at], left = (0.0 if stops <= left else speed[at] + slope * part), left - part
+    turned, stopped = (speed * qvel < 0).mean(), (speed == 0).mean()
+    assert turned > 0.1 and stopped > 0.1
+    np.testing.assert_allclose(qvel + step * acceleration, speed, atol=2e-8)
+    np.testing.assert_allclose(step * (qvel + step * acceleration / 2) + shift, place, atol=1e-11)
+
+
+@pytest.mark.slow
+def test_exact_coulomb_friction_is_found(tmp_path: Path, exact: Any) -> None:
+    """Of a drive that sticks and slides from event to event, simulated by a program that knows nothing of MuJoCo."""
+    truth, interval = exact.Drive(armature=0.03, viscous=0.2, forward=0.3, kp=KP, kd=KD), 0.002
+    links = [exact.Link(-1, (0, 1, 0), (0, 0, 0), MASS, (0, 0, -CENTRE), (INERTIA, INERTIA, 1e-5))]
+    (tmp_path / "stand.xml").write_text(exact.write_mjcf(links, ["motor"]))
     times = interval * np.arange(8000)
     ctrl = (0.3 * np.sin(5 * times) + 0.2 * np.sin(8.7 * times + 1))[:, None]
-    motion = simulate(links, [truth], ctrl, interval)
+    motion = exact.simulate(links, [truth], ctrl, interval)
     assert motion.sticking > 0.01
-    log = fz.Log("log", times, round_to(motion.qpos, 14), motion.qvel, ctrl, sha256=64 * "0", simulated=True)
+    log = fz.Log("log", times, exact.round_to(motion.qpos, 14), motion.qvel, ctrl, sha256=64 * "0", simulated=True)
     stand = fz.Bench(str(tmp_path / "stand.xml"), actuator=fz.PositionPD(kp=KP, kd=KD))
     found = fz.identify(stand, fz.law("mujoco_default"), [log])
     values = {name: float(parameter.value[0]) for name, parameter in found.parameters.items()}

@@ -14,6 +14,7 @@ import torch
 from conftest import Finished
 
 from frictionzoo.bench import Bench
+from frictionzoo.core.described import remake
 from frictionzoo.core.errors import ConfigError, ExportError, ModelError
 from frictionzoo.core.segments import Sampling, Segments
 from frictionzoo.core.state import DriveState, FrictionTerms, Signals
@@ -235,6 +236,12 @@ def test_a_broken_law_is_named(law: type[TorchConstraint], message: str) -> None
 def test_a_memory_is_refused_before_a_rollout(knee: Bench) -> None:
     with pytest.raises(ModelError, match="remembers: a memory of 2 in a law that exists only in torch, expected 0"):
         Drive.assemble(knee, Remembers(), "specialised")
+
+
+def test_second_order_is_refused_where_rollouts_are_of_first(knee: Bench) -> None:
+    bench = remake(knee, second_order=True)
+    with pytest.raises(ConfigError, match=r"^bench\.second_order=true: .* exists only in torch"):
+        Drive.assemble(bench, TorchConstraint(), "specialised", bench.sampling(bench.timestep))
 
 
 def test_there_is_no_formula_over_other_namespaces() -> None:

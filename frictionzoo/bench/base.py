@@ -86,8 +86,9 @@ class Bench(Described):
             (0.02, 1), with which dry friction is viscous at low speed; a shorter time constant makes sticking stiffer.
             None is the default, `auto` likewise until a recipe has chosen.
         second_order: Whether rollouts are of second order in the simulation step, so that the parameters are those of
-            the drive in continuous time; else they move as MuJoCo does in steps of this length. None is false, `auto`
-            likewise until a recipe has chosen.
+            the drive in continuous time; else they move as MuJoCo does in steps of this length. Dry friction is then
+            Coulomb's, which holds without creep, where `solreffriction` is as stiff as MuJoCo's steps allow, two of
+            them. None is false, `auto` likewise until a recipe has chosen.
         integrator: `Euler` or `implicitfast`; None for the template's.
         payload: Name of the body that carries the payloads of recordings; None for recordings without.
         timestep: Simulation step [s]; None for the template's, `auto` likewise until a recipe has found one.
@@ -210,6 +211,11 @@ class Bench(Described):
         if param.tie is not None:
             return group_joints(f"{param.name}.tie", param.tie, self.joints)
         return group_joints("bench.tie", None if _OF_ASSEMBLY.fullmatch(param.name) else self._tie, self.joints)
+
+    @property
+    def is_stiff(self) -> bool:
+        """Whether dry friction creeps no more than MuJoCo's steps ask for, which take no time constant below two."""
+        return 0 < self.solreffriction[0] <= 2 * self.timestep * (1 + 1e-9)
 
     @cached_property
     def branches(self) -> tuple[int, ...]:

@@ -54,7 +54,7 @@ def halve_step(bench: Bench, softness: Sequence[float] | None = None) -> Bench:
             it was.
     """
     constant, ratio = bench.solreffriction
-    if 0 < constant <= 2 * bench.timestep:  # then friction is softer than the drive's for the step's sake alone
+    if bench.is_stiff:  # then friction is softer than the drive's for the step's sake alone
         constant /= 2
     softness = list(softness or (constant, ratio))
     return remake(bench, timestep=bench.timestep / 2, solreffriction=softness).observing(bench.observed)

@@ -84,6 +84,8 @@ class Engine(ABC):
         signals: Signals,
         load: Float[Array, "load"],
         memory: Float[Array, "nv memory"],
+        rigid: bool = False,
+        midway: Float[Array, "nv"] | None = None,
     ) -> tuple[Float[Array, "nv"], Float[Array, "nv"], Float[Array, "nv memory"]]:
         """Simulate one time step.
 
@@ -94,6 +96,10 @@ class Engine(ABC):
             signals: What was recorded besides the state, each of shape (nv,).
             load: How the payload of the recording changes the model, from `Bench.load`.
             memory: The friction law's, from `start` or from the step before.
+            rigid: Dry friction as `rigid_step` has it in place of MuJoCo's constraint, where nothing else is
+                constrained.
+            midway: Velocity in the middle of the step as far as it is known, for the links' Coriolis and centrifugal
+                forces [rad/s or m/s]; None for MuJoCo's, that before the step.
 
         Returns:
             Position, velocity and the friction law's memory after the step.

@@ -11,6 +11,8 @@ from frictionzoo.simulate.linear import Rows, add_diagonal, multiply, solve_rows
 _LEAPS = 8  # of Newton's whole steps, before each is shortened to the lowest point on its way
 _NEWTON_STEPS = 100  # three or four are usual
 _ROUNDING = 1e-12
+_RIGID = 1e6  # times its inertia, of what holds a joint
+_AT_REST = 1e-4  # share of a step in which friction alone stops a joint, that has stood still then
 
 
 class _Search(NamedTuple):
@@ -57,13 +59,71 @@ def dry_friction(
     return _force(_accelerations(*problem, sliding), *problem[2:], sliding)
 
 
+def rigid_step(
+    inertia: Rows,
+    force: Float[Array, "nv"],
+    qvel: Float[Array, "nv"],
+    timestep: float,
+    limit: Float[Array, "nv"],
+) -> tuple[Float[Array, "nv"], Float[Array, "nv"]]:
+    """A step with friction that does not creep: Coulomb's.
+
+    A joint that friction can hold is at rest after the step. Of a joint that stops or turns round, friction acts
+    against the old motion until then, and holds it or acts against the new one from then on. Were it the same for the
+    whole step, as MuJoCo's constraint is however stiff, velocities after it would be of first order in the step, and
+    slopes others than the motion's.
+
+    Source: J. J. Moreau, "Unilateral contact and dry friction in finite freedom dynamics", 1988, for the implicit step.
+
+    Args:
+        inertia: Joint-space inertia and what the integrator adds, by rows [kg m^2 or kg].
+        force: All other forces [N m or N].
+        qvel: Velocity before the step [rad/s or m/s].
+        timestep: [s].
+        limit: `frictionloss` [N m or N]; 0 for a joint without dry friction.
+
+    Returns:
+        Mean accelerations; and how much further joints come than with these all the time [rad or m].
+    """
+    own = jnp.stack([jnp.asarray(row[-1]) for row in inertia])
+    stiff, stop, before = _RIGID * own, -qvel / timestep, jnp.sign(qvel)
+    problem = (inertia, force, stiff, stop, limit)
+    if len(force) == 1:
+        after = _pieces(force - own * stop, limit)
+    else:
+        after = _find_sliding(*jax.lax.stop_gradient(problem))
+    moves = jnp.abs(qvel) > _AT_REST * timestep * limit / own
+    changes = moves & (before * after <= 0)
+    # What stops within the step goes on the other way if friction cannot hold it where it stands.
+    stands = stiff * _accelerations(inertia, force, stiff, jnp.where(changes, 0.0, stop), limit, after)
+    after = jnp.where(changes & (after == 0), _pieces(stands, limit), after)
+    slowing = _accelerations(*problem, jnp.where(changes, before, after))
+    share = jnp.where(changes, jnp.clip(stop / jnp.where(changes, slowing, 1.0), 0.0, 1.0), 0.0)
+    mean = share * before + (1 - share) * after
+    found = _accelerations(*problem, after, mean)
+    friction = jnp.where(after == 0, stiff * (stop - found), -mean * limit)
+    early = jnp.where(changes, -before * limit - friction, 0.0) * share * timestep**2 / 2
+    held = jnp.where((after == 0) & ~changes, stiff, 0.0)
+    return found, solve_rows(add_diagonal(inertia, held), early)
+
+
 def _accelerations(
-    inertia: Rows, force: Array, softness: Array, reference: Array, limit: Array, sliding: Array
+    inertia: Rows, force: Array, softness: Array, reference: Array, limit: Array, sliding: Array, mean: Any = None
 ) -> Float[Array, "nv"]:
-    """Minimum of the problem in which each joint keeps to one piece: -1 and 1 slide backwards and forwards, 0 holds."""
+    """Minimum of the problem in which each joint keeps to one piece: -1 and 1 slide backwards and forwards, 0 holds.
+
+    Args:
+        inertia: This and the following as of `dry_friction`.
+        force: Likewise.
+        softness: Likewise.
+        reference: Likewise.
+        limit: Likewise.
+        sliding: The pieces.
+        mean: Mean direction of sliding over a step; None: as `sliding`.
+    """
     holds = sliding == 0
     stiff = jnp.where(holds, softness, 0.0)
-    pushed = force + stiff * reference - jnp.where(holds, 0.0, sliding * limit)
+    pushed = force + stiff * reference - jnp.where(holds, 0.0, (sliding if mean is None else mean) * limit)
     return solve_rows(add_diagonal(inertia, stiff), pushed)
 
 
@@ -71,10 +131,9 @@ def _force(acceleration: Array, softness: Array, reference: Array, limit: Array,
     return jnp.where(sliding == 0, softness * (reference - acceleration), -sliding * limit)
 
 
-def _pieces(acceleration: Array, softness: Array, reference: Array, limit: Array) -> Float[Array, "nv"]:
-    pull = softness * (acceleration - reference)
+def _pieces(pull: Array, limit: Array) -> Float[Array, "nv"]:
     slides = (pull > limit) | (limit == 0)  # without dry friction nothing holds, not even a joint that nothing pulls
-    return jnp.where(slides, 1.0, jnp.where(pull < -limit, -1.0, 0.0)).astype(acceleration.dtype)
+    return jnp.where(slides, 1.0, jnp.where(pull < -limit, -1.0, 0.0)).astype(pull.dtype)
 
 
 def _find_sliding(inertia: Rows, force: Array, softness: Array, reference: Array, limit: Array) -> Float[Array, "nv"]:
@@ -85,6 +144,9 @@ def _find_sliding(inertia: Rows, force: Array, softness: Array, reference: Array
     always enough. Where they go astray, the search goes on from the lowest point on the way, which is found exactly.
     """
     row = (softness, reference, limit)
+
+    def pieces(acceleration: Array) -> Array:
+        return _pieces(softness * (acceleration - reference), limit)
 
     def slope(acceleration: Array, direction: Array) -> Array:
         soft = jnp.clip(softness * (acceleration - reference), -limit, limit)
@@ -104,7 +166,7 @@ def _find_sliding(inertia: Rows, force: Array, softness: Array, reference: Array
     def propose(sliding: Array) -> tuple[Array, Array]:
         """Newton's step for these pieces, and the pieces where it leads."""
         proposed = _accelerations(inertia, force, *row, sliding)
-        return proposed, _pieces(proposed, *row)
+        return proposed, pieces(proposed)
 
     def leap(state: _Search) -> _Search:
         """Whole steps; a joint that would turn round is tried at rest first, or it might turn for ever."""
@@ -114,7 +176,7 @@ def _find_sliding(inertia: Rows, force: Array, softness: Array, reference: Array
 
     def descend(state: _Search) -> _Search:
         """Steps to the lowest point on their way."""
-        here = _pieces(state.acceleration, *row)
+        here = pieces(state.acceleration)
         proposed, sliding = propose(here)
         direction = proposed - state.acceleration
         # At a border, rounding may name either piece: both have the same answer.
@@ -124,7 +186,7 @@ def _find_sliding(inertia: Rows, force: Array, softness: Array, reference: Array
         return _Search(state.count + 1, state.acceleration + share * direction, here, done)
 
     smooth = solve_rows(inertia, force)
-    start = _Search(jnp.asarray(0), smooth, _pieces(smooth, *row), jnp.asarray(False))
+    start = _Search(jnp.asarray(0), smooth, pieces(smooth), jnp.asarray(False))
     found = jax.lax.while_loop(lambda state: ~state.done & (state.count < _LEAPS), leap, start)
     found = jax.lax.while_loop(lambda state: ~state.done & (state.count < _NEWTON_STEPS), descend, found)
     return jnp.where(found.done, found.sliding, jnp.nan)

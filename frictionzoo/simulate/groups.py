@@ -67,12 +67,14 @@ class Group(NamedTuple):
         """Scalar operations of one branch."""
         return self.acting.operations + self.rigid.operations
 
-    def dynamics(self, values: Values, load: Array, qpos: Array, qvel: Array, ctrl: Array) -> Dynamics:
+    def dynamics(self, values: Values, load: Array, qpos: Array, qvel: Array, midway: Array, ctrl: Array) -> Dynamics:
         """Of the branches, each entry with a first dimension of them; arguments as in `Engine.step`, of all joints."""
         own = {name: value[self.joints] for name, value in values["bench"].items()}
         loads = load[None] if self.load is None else jnp.asarray(self.load, load.dtype)
         links = load[None, :INERTIAL] if self.links is None else jnp.asarray(self.links, load.dtype)
-        return self.each(self._of_branch, own, loads, links, *(part[self.joints] for part in (qpos, qvel, ctrl)))
+        return self.each(
+            self._of_branch, own, loads, links, *(part[self.joints] for part in (qpos, qvel, midway, ctrl))
+        )
 
     def each(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """A function of every branch, of arguments with a first dimension of branches."""
@@ -82,11 +84,18 @@ class Group(NamedTuple):
         return jax.tree.map(lambda part: part[None], alone)
 
     def _of_branch(
-        self, known: Mapping[str, Any], load: Array, links: Array, qpos: Array, qvel: Array, ctrl: Array
+        self,
+        known: Mapping[str, Any],
+        load: Array,
+        links: Array,
+        qpos: Array,
+        qvel: Array,
+        midway: Array,
+        ctrl: Array,
     ) -> Dynamics:
         here: Acting = self.acting(self.inputs({"bench": known}, load), qpos, qvel, ctrl)
         # No derivative goes through the links' numbers, which no parameter moves.
-        rows, bias = self.rigid(jax.lax.stop_gradient(links), here.displacement, qvel)
+        rows, bias = self.rigid(jax.lax.stop_gradient(links), here.displacement, midway)
         inertia = add_diagonal(rows, here.armature)
         more = [here.implicit[index] for index in range(len(rows))]
         implicit = tuple(tuple(map(operator.add, row, more[index][: len(row)])) for index, row in enumerate(inertia))

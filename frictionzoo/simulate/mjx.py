@@ -14,7 +14,8 @@ from frictionzoo.bench import Bench
 from frictionzoo.bench.compiled import INERTIAL, can_collide, rigid_inertia
 from frictionzoo.core.state import DriveState, FrictionTerms, Signals
 from frictionzoo.simulate.base import FORWARD, UNFUSED, Engine, Friction, Values, control
-from frictionzoo.simulate.linear import solve_spd
+from frictionzoo.simulate.dry_friction import rigid_step
+from frictionzoo.simulate.linear import rows_of, solve_spd
 
 with contextlib.redirect_stdout(io.StringIO()):  # it prints that its optional backend is not installed
     from mujoco import mjx
@@ -117,19 +118,37 @@ class MjxEngine(Engine):
         self._ignores_armature = model.body_simple[model.dof_bodyid] == _SLIDES_ONLY
         self._model = mjx.put_model(model)
         self._data = mjx.make_data(self._model)
-        self._constraint = self._data._impl.efc_J.shape[0] > 0
+        rows = self._data._impl.efc_J.shape[0]
+        self._constraint = rows > 0
+        self._rubs_alone = self._constraint and rows == np.count_nonzero(model.dof_frictionloss)
         self.reverse: bool = not self._constraint or model.opt.iterations == 1
 
     def step(
-        self, values: Values, qpos: Array, qvel: Array, signals: Signals, load: Array, memory: Array
+        self,
+        values: Values,
+        qpos: Array,
+        qvel: Array,
+        signals: Signals,
+        load: Array,
+        memory: Array,
+        rigid: bool = False,
+        midway: Array | None = None,
     ) -> tuple[Array, Array, Array]:
         """See `Engine.step`."""
         ctrl = control(self.bench, values, qpos, qvel, signals)
         model, data = self._drive(self.model_inputs(values, load), qpos, qvel, ctrl)
+        if midway is not None:
+            data = data.replace(qfrc_bias=mjx.fwd_velocity(model, data.replace(qvel=midway)).qfrc_bias)
         state = _drive_state(data, signals)
         terms, memory = self.friction.advance(values["friction"], state, memory, self._timestep)
         model, data = self._apply(terms, model, data)
         data = mjx.fwd_acceleration(model, data)
+        if rigid and self._rubs_alone:
+            inertia = rows_of(mjx.full_m(model, data) + self._implicit(model, data))
+            problem = inertia, data.qfrc_smooth, qvel, self._timestep, model.dof_frictionloss
+            acceleration, shift = rigid_step(*problem)
+            qvel = qvel + self._timestep * acceleration
+            return qpos + self._timestep * qvel + shift, qvel, memory
         data = mjx.solve(model, data) if self._constraint else data.replace(qacc=data.qacc_smooth)
         euler = model.opt.integrator == mujoco.mjtIntegrator.mjINT_EULER
         data = mjx.euler(model, data) if euler else mjx.implicit(model, data)
@@ -171,16 +190,19 @@ class MjxEngine(Engine):
     ) -> Acting:
         """What a step needs to know of this state besides the links; arguments as in `step`, but ctrl is MuJoCo's."""
         model, data = self._drive(inputs, qpos, qvel, ctrl)
-        if model.opt.integrator != mujoco.mjtIntegrator.mjINT_EULER:
-            slope = derivative.deriv_smooth_vel(model, data)
-            implicit = jnp.zeros((model.nv, model.nv)) if slope is None else -model.opt.timestep * slope
-        elif model.opt.disableflags & mjx.DisableBit.EULERDAMP:
-            implicit = jnp.zeros((model.nv, model.nv))
-        else:
-            implicit = jnp.diag(model.opt.timestep * model.dof_damping)
+        implicit = self._implicit(model, data)
         passive = data.qfrc_passive + data.qfrc_applied
         constraint = data._impl.efc_D, data._impl.efc_aref
         return Acting(model.dof_armature, qpos - model.qpos0, data.qfrc_actuator, passive, implicit, *constraint)
+
+    def _implicit(self, model: mjx.Model, data: mjx.Data) -> Float[Array, "nv nv"]:
+        """What the integrator adds to the joint-space inertia [kg m^2 or kg]."""
+        if model.opt.integrator != mujoco.mjtIntegrator.mjINT_EULER:
+            slope = derivative.deriv_smooth_vel(model, data)
+            return jnp.zeros((model.nv, model.nv)) if slope is None else -model.opt.timestep * slope
+        if model.opt.disableflags & mjx.DisableBit.EULERDAMP:
+            return jnp.zeros((model.nv, model.nv))
+        return jnp.diag(model.opt.timestep * model.dof_damping)
 
     def _drive(self, inputs: ModelInputs, qpos: Array, qvel: Array, ctrl: Array) -> tuple[mjx.Model, mjx.Data]:
         """Everything up to the actuator forces, without friction."""

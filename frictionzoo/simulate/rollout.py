@@ -15,8 +15,8 @@ from frictionzoo.core.state import DriveState, Signals
 from frictionzoo.simulate import Engine, Values
 from frictionzoo.simulate.second_order import SecondOrder
 
-State = tuple[Array, Array, Array]
-"""Position, velocity and the friction law's memory, one row a segment."""
+State = tuple[Array, Array, Array, Array]
+"""Position, velocity, the friction law's memory, and in second order the velocity a step before; one row a segment."""
 
 
 @dataclass(frozen=True)
@@ -78,11 +78,14 @@ def make_rollout(engine: Engine, sampling: Sampling | None = None) -> Rollout:
     sampling = Sampling(0.0, 1, 0) if sampling is None else sampling
     second = SecondOrder(engine.bench, engine.friction) if sampling.second_order else None
 
-    def step_one(values: Values, qpos: Array, qvel: Array, now: Signals, load: Array, memory: Array) -> State:
-        adapted = values if second is None else second.adapt(values, qpos, qvel, now, memory)
-        return engine.step(adapted, qpos, qvel, now, load, memory)
+    def step_one(values: Values, state: State, now: Signals, load: Array) -> State:
+        qpos, qvel, memory, before = state
+        if second is None:
+            return *engine.step(values, qpos, qvel, now, load, memory), before
+        adapted, midway = second.adapt(values, qpos, qvel, now, memory), qvel + (qvel - before) / 2
+        return *engine.step(adapted, qpos, qvel, now, load, memory, second.rigid, midway), qvel
 
-    batched = jax.vmap(step_one, in_axes=(None, 0, 0, 0, 0, 0))
+    batched = jax.vmap(step_one, in_axes=(None, 0, 0, 0))
     started = jax.vmap(engine.start, in_axes=(None, 0, 0, 0, 0))
 
     def rollout(
@@ -95,8 +98,7 @@ def make_rollout(engine: Engine, sampling: Sampling | None = None) -> Rollout:
         load = jnp.zeros((len(qpos), 0), jnp.result_type(float)) if load is None else load
 
         def step(state: State, now: Signals) -> tuple[State, None]:
-            qpos, qvel, memory = state
-            return batched(values, qpos, qvel, now, load, memory), None
+            return batched(values, state, now, load), None
 
         def advance(state: State, steps: Signals) -> tuple[State, tuple[Array, Array]]:
             several = sampling.substeps > 1
@@ -106,8 +108,10 @@ def make_rollout(engine: Engine, sampling: Sampling | None = None) -> Rollout:
 
         acting = applied(values, signals, sampling).map(lambda signal: jnp.moveaxis(signal, 0, 2))
         memory = started(values, qpos, qvel, acting.map(itemgetter((0, 0))), load)
-        begun = qpos if second is None else second.begin(qpos, qvel)
-        _, (positions, velocities) = jax.lax.scan(advance, (begun, qvel, memory), acting)
+        begun = qpos, qvel, memory, qvel[:, :0]
+        if second is not None:
+            begun = second.begin(qpos, qvel), qvel, memory, qvel
+        _, (positions, velocities) = jax.lax.scan(advance, begun, acting)
         return jnp.swapaxes(positions, 0, 1), jnp.swapaxes(velocities, 0, 1)
 
     options = engine.compiler_options, engine.forward_options

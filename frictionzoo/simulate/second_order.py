@@ -25,6 +25,9 @@ class SecondOrder:
     Source: E. Hairer, C. Lubich, G. Wanner, "Geometric numerical integration illustrated by the Stoermer-Verlet
     method", Acta Numerica 12, 2003, section 1.
 
+    Attributes:
+        rigid: Whether dry friction that is as stiff as MuJoCo's steps allow stands for friction that does not creep.
+
     Args:
         bench: The simulated bench.
         friction: The friction law. Its memory is not differentiated.
@@ -35,6 +38,7 @@ class SecondOrder:
         damper = not options.disableflags & mujoco.mjtDisableBit.mjDSBL_DAMPER
         euler = options.integrator == mujoco.mjtIntegrator.mjINT_EULER
         implicit = not options.disableflags & mujoco.mjtDisableBit.mjDSBL_EULERDAMP if euler else True
+        self.rigid: bool = bench.is_stiff
         self._half = float(options.timestep) / 2
         self._damping_sign = (-1.0 if implicit else 1.0) * damper
         self._actuator_sign = 1.0 if euler else -1.0

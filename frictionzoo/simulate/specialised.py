@@ -2,6 +2,7 @@
 
 import operator
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import jax
@@ -14,7 +15,7 @@ from frictionzoo.bench import Bench
 from frictionzoo.bench.compiled import NO_FRICTION_CONSTRAINT, can_collide
 from frictionzoo.core.state import DriveState, FrictionTerms, Signals
 from frictionzoo.simulate.base import FORWARD, UNFUSED, Engine, Friction, Values, control
-from frictionzoo.simulate.dry_friction import dry_friction
+from frictionzoo.simulate.dry_friction import dry_friction, rigid_step
 from frictionzoo.simulate.fold import CannotSpecialiseError
 from frictionzoo.simulate.groups import Dynamics, groups_of
 from frictionzoo.simulate.linear import FEW_JOINTS, add_diagonal, solve_rows
@@ -68,26 +69,36 @@ class SpecialisedEngine(Engine):
         self.keeps_slopes: bool = bench.nv > 1 and most <= FEW_JOINTS  # of one joint, one program is compiled sooner
 
     def step(
-        self, values: Values, qpos: Array, qvel: Array, signals: Signals, load: Array, memory: Array
+        self,
+        values: Values,
+        qpos: Array,
+        qvel: Array,
+        signals: Signals,
+        load: Array,
+        memory: Array,
+        rigid: bool = False,
+        midway: Array | None = None,
     ) -> tuple[Array, Array, Array]:
         """See `Engine.step`."""
-        here = self._at(values, qpos, qvel, signals, load)
+        here = self._at(values, qpos, qvel, signals, load, midway)
         state = self._drive_state(qpos, qvel, signals, here)
         terms, memory = self.friction.advance(values["friction"], state, memory, self._timestep)
         terms = FrictionTerms(*(term if term is None else jnp.broadcast_to(term, qvel.shape) for term in terms))
-        accelerations = [
-            group.each(self._accelerate, of, qvel[group.joints], jax.tree.map(operator.itemgetter(group.joints), terms))
+        accelerate = partial(self._accelerate, rigid)
+        steps = [
+            group.each(accelerate, of, qvel[group.joints], jax.tree.map(operator.itemgetter(group.joints), terms))
             for group, of in zip(self._groups, here, strict=True)
         ]
-        qvel = qvel + self._timestep * self._join(accelerations)
-        return qpos + self._timestep * qvel, qvel, memory
+        accelerations, shifts = (self._join(parts) for parts in zip(*steps, strict=True))
+        qvel = qvel + self._timestep * accelerations
+        return qpos + self._timestep * qvel + shifts, qvel, memory
 
     def drive_state(self, values: Values, qpos: Array, qvel: Array, signals: Signals, load: Array) -> DriveState:
         """See `Engine.drive_state`."""
         return self._drive_state(qpos, qvel, signals, self._at(values, qpos, qvel, signals, load))
 
-    def _accelerate(self, here: Dynamics, qvel: Array, terms: FrictionTerms) -> Float[Array, "joints"]:
-        """The accelerations of one branch that carry its velocities over the step."""
+    def _accelerate(self, rigid: bool, here: Dynamics, qvel: Array, terms: FrictionTerms) -> tuple[Array, Array]:
+        """The accelerations of one branch that carry its velocities over the step, and what its places gain besides."""
         force = here.motor_torque + here.external_torque
         implicit = here.implicit
         if terms.torque is not None:
@@ -97,15 +108,20 @@ class SpecialisedEngine(Engine):
                 force = force - terms.damping * qvel
             if self._damps_implicitly:
                 implicit = add_diagonal(implicit, self._timestep * terms.damping)
+        if self._constraint and rigid:
+            return rigid_step(implicit, force, qvel, self._timestep, terms.frictionloss)
         if self._constraint:
             row = here.constraint_inertia, here.constraint_reference, terms.frictionloss
             force = force + dry_friction(here.inertia, force, *row)
-        return solve_rows(implicit, force)
+        return solve_rows(implicit, force), jnp.zeros_like(qvel)
 
-    def _at(self, values: Values, qpos: Array, qvel: Array, signals: Signals, load: Array) -> list[Dynamics]:
+    def _at(
+        self, values: Values, qpos: Array, qvel: Array, signals: Signals, load: Array, midway: Array | None = None
+    ) -> list[Dynamics]:
         """The dynamics of each group of branches, with a first dimension of its branches."""
         ctrl = control(self.bench, values, qpos, qvel, signals)
-        return [group.dynamics(values, load, qpos, qvel, ctrl) for group in self._groups]
+        midway = qvel if midway is None else midway
+        return [group.dynamics(values, load, qpos, qvel, midway, ctrl) for group in self._groups]
 
     def _drive_state(self, qpos: Array, qvel: Array, signals: Signals, here: list[Dynamics]) -> DriveState:
         torques = (self._join([getattr(of, name) for of in here]) for name in ("motor_torque", "external_torque"))

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import torch
 from jaxtyping import Array, Float
 
-from frictionzoo.core.errors import ModelError
+from frictionzoo.core.errors import ConfigError, ModelError
 from frictionzoo.core.segments import Sampling
 from frictionzoo.core.state import DriveState, FrictionTerms, Signals
 from frictionzoo.models import TorchFriction
@@ -50,6 +50,7 @@ def make_torch_rollout(engine: Engine, model: TorchFriction, sampling: Sampling 
     through DLPack; the gradient goes the same way back, through the vector-Jacobian product of the engine's step.
 
     Raises:
+        ConfigError: Rollouts are to be of second order.
         ModelError: The law has a memory.
     """
     label = getattr(model, "name", type(model).__name__)  # a law of a notebook need not be registered
@@ -60,6 +61,11 @@ def make_torch_rollout(engine: Engine, model: TorchFriction, sampling: Sampling 
         )
     model.double()
     sampling = Sampling(0.0, 1, 0) if sampling is None else sampling
+    if sampling.second_order:
+        raise ConfigError(
+            f"bench.second_order=true: {label} exists only in torch, in which rollouts are of first order; set "
+            "bench.second_order=false, or derive the law from FrictionModel"
+        )
     operation = partial(as_torch_function, compiler_options=engine.compiler_options)
     acting_of = operation(partial(_acting, sampling))
     observe = operation(jax.vmap(partial(_observe, engine), in_axes=(None, 0, 0, 0, 0)))
