@@ -245,9 +245,9 @@ def test_both_engines_have_the_same_dry_friction(tmp_path: Path, exact: Any) -> 
 def test_one_joint_turns_at_the_instant_at_which_it_stops() -> None:
     """Whatever acts on it: velocity and place after a step are those of the motion's two pieces."""
     rng, step = np.random.default_rng(0), 1e-3
-    size, (force, limit, inertia) = 500, np.abs(rng.normal(size=(3, 500))) + [[0], [0], [0.1]]
+    size, (force, limit, inertia) = 500, np.abs(rng.normal(size=(3, 500)))
     force, qvel = force * rng.choice([-1, 1], size), 2e-3 * rng.normal(size=size)
-    limit[:20] = 0.0
+    inertia, limit[:20] = inertia + 0.1, 0.0
     with jax.enable_x64(True):
         step_one = jax.vmap(lambda m, f, v, most: rigid_step(((m,),), f[None], v[None], step, most[None]))
         acceleration, shift = (np.asarray(part)[:, 0] for part in step_one(inertia, force, qvel, limit))
@@ -266,6 +266,20 @@ def test_one_joint_turns_at_the_instant_at_which_it_stops() -> None:
     assert turned > 0.1 and stopped > 0.1
     np.testing.assert_allclose(qvel + step * acceleration, speed, atol=2e-8)
     np.testing.assert_allclose(step * (qvel + step * acceleration / 2) + shift, place, atol=1e-11)
+
+
+@pytest.mark.parametrize("qvel", [-0.1, 0.0, 0.1])
+def test_a_joint_without_friction_or_force_has_slopes(qvel: float) -> None:
+    with jax.enable_x64(True):
+        for limits in ([0.0], [0.0, 0.3], [0.3, 0.0]):
+            joints = len(limits)
+            inertia = tuple(tuple(jnp.asarray(float(i == j)) for j in range(i + 1)) for i in range(joints))
+            given = inertia, jnp.zeros(joints), jnp.full(joints, qvel), jnp.asarray(limits)
+
+            def step(inertia: Any, force: Any, qvel: Any, limit: Any) -> Any:
+                return rigid_step(inertia, force, qvel, 1e-3, limit)
+
+            assert all(np.isfinite(part).all() for part in jax.tree.leaves(jax.jacfwd(step, (0, 1, 2, 3))(*given)))
 
 
 @pytest.mark.slow

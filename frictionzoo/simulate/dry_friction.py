@@ -88,12 +88,9 @@ def rigid_step(
     own = jnp.stack([jnp.asarray(row[-1]) for row in inertia])
     stiff, stop, before = _RIGID * own, -qvel / timestep, jnp.sign(qvel)
     problem = (inertia, force, stiff, stop, limit)
-    if len(force) == 1:
-        after = _pieces(force - own * stop, limit)
-    else:
-        after = _find_sliding(*jax.lax.stop_gradient(problem))
+    after = _pieces(force - own * stop, limit) if len(force) == 1 else _find_sliding(*jax.lax.stop_gradient(problem))
     moves = jnp.abs(qvel) > _AT_REST * timestep * limit / own
-    changes = moves & (before * after <= 0)
+    changes = moves & (before * after <= 0) & (limit > 0)
     # What stops within the step goes on the other way if friction cannot hold it where it stands.
     stands = stiff * _accelerations(inertia, force, stiff, jnp.where(changes, 0.0, stop), limit, after)
     after = jnp.where(changes & (after == 0), _pieces(stands, limit), after)
