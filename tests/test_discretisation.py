@@ -28,6 +28,7 @@ def test_an_interval_reaches_to_steps_of_no_length() -> None:
     moved = np.array([0.01, -0.02, 0.03])
     halved = equations._replace(gradient=equations.gradient - equations.hessian @ moved)
     other: Any = SimpleNamespace(compile_normal_equations=lambda: lambda vector: halved)
+    other.beginning = lambda states: other
     before, after = (estimate_uncertainty(objective, vector, None, f).covariance for f in (None, lambda vector: other))
     assert before is not None and after is not None
     undone = -np.linalg.solve(equations.hessian, equations.gradient)

@@ -121,12 +121,14 @@ def estimate_uncertainty(
         return Uncertainty(missing=f"{len(vector)} numbers were identified, more than {MOST_COORDINATES}")
     if objective.stretches < 2:
         return Uncertainty(missing="there is one segment only, and no spread between segments")
-    compiled = objective.compile_scores() if fit is None else fit.compile_scores(objective)
-    equations, scores = compiled(vector)
+    compile_scores = Objective.compile_scores if fit is None else fit.compile_scores
+    if (begun := objective.begun) is not None:  # a fit knows them nearly, and a second search says how nearly
+        begun = compile_scores(objective.beginning(begun))(vector)[0].states
+    equations, scores = compile_scores(objective.beginning(begun))(vector)
     if not all(np.isfinite(part).all() for part in (equations.gradient, equations.hessian, scores)):
         return Uncertainty(missing="the derivative of the objective is not finite at the result")
     if finer is not None:
-        gradient = finer(vector).compile_normal_equations()(vector).gradient
+        gradient = finer(vector).beginning(begun).compile_normal_equations()(vector).gradient
         if np.isfinite(gradient).all():
             equations = equations._replace(gradient=2 * gradient - equations.gradient)
     return assess(space, vector, equations, scores)
