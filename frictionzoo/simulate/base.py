@@ -98,8 +98,8 @@ class Engine(ABC):
             memory: The friction law's, from `start` or from the step before.
             rigid: Dry friction as `rigid_step` has it in place of MuJoCo's constraint, where nothing else is
                 constrained.
-            midway: Velocity in the middle of the step as far as it is known, for the links' Coriolis and centrifugal
-                forces [rad/s or m/s]; None for MuJoCo's, that before the step.
+            midway: Velocity expected in the middle of the step, for the links' Coriolis and centrifugal forces [rad/s
+                or m/s]; None for MuJoCo's, that before the step.
 
         Returns:
             Position, velocity and the friction law's memory after the step.

@@ -107,16 +107,9 @@ def rigid_step(
 def _accelerations(
     inertia: Rows, force: Array, softness: Array, reference: Array, limit: Array, sliding: Array, mean: Any = None
 ) -> Float[Array, "nv"]:
-    """Minimum of the problem in which each joint keeps to one piece: -1 and 1 slide backwards and forwards, 0 holds.
+    """Minimum of `dry_friction`'s problem with each joint on one piece: -1 and 1 slide backwards and forwards, 0 holds.
 
-    Args:
-        inertia: This and the following as of `dry_friction`.
-        force: Likewise.
-        softness: Likewise.
-        reference: Likewise.
-        limit: Likewise.
-        sliding: The pieces.
-        mean: Mean direction of sliding over a step; None: as `sliding`.
+    A joint that turns round within a step slides in a `mean` direction; None: as `sliding`.
     """
     holds = sliding == 0
     stiff = jnp.where(holds, softness, 0.0)

@@ -120,6 +120,7 @@ class MjxEngine(Engine):
         self._data = mjx.make_data(self._model)
         rows = self._data._impl.efc_J.shape[0]
         self._constraint = rows > 0
+        # Whether joints' dry friction is all that is constrained.
         self._rubs_alone = self._constraint and rows == np.count_nonzero(model.dof_frictionloss)
         self.reverse: bool = not self._constraint or model.opt.iterations == 1
 
@@ -145,8 +146,8 @@ class MjxEngine(Engine):
         data = mjx.fwd_acceleration(model, data)
         if rigid and self._rubs_alone:
             inertia = rows_of(mjx.full_m(model, data) + self._implicit(model, data))
-            problem = inertia, data.qfrc_smooth, qvel, self._timestep, model.dof_frictionloss
-            acceleration, shift = rigid_step(*problem)
+            limit = model.dof_frictionloss
+            acceleration, shift = rigid_step(inertia, data.qfrc_smooth, qvel, self._timestep, limit)
             qvel = qvel + self._timestep * acceleration
             return qpos + self._timestep * qvel + shift, qvel, memory
         data = mjx.solve(model, data) if self._constraint else data.replace(qacc=data.qacc_smooth)
