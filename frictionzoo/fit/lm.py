@@ -1,6 +1,5 @@
 """Levenberg-Marquardt on exact Jacobians, by scipy's trust-region solver for bounded least squares."""
 
-import contextlib
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -11,13 +10,15 @@ from jaxtyping import Float
 from frictionzoo.core.errors import ConfigError, refuse_outside
 from frictionzoo.fit.base import Fit, Seen, as_start, refuse_nothing, refuse_torch, register_method
 from frictionzoo.fit.blocks import Blocks
-from frictionzoo.fit.normal_equations import NormalEquations, compress
+from frictionzoo.fit.normal_equations import NormalEquations, bounded_step, compress
 from frictionzoo.fit.objective import Objective
 from frictionzoo.fit.torque_balance import Box
 
 MOST_TRIES = 10_000  # each is remembered with its second derivative; ten are usual
 MOST_COORDINATES = 200  # a Jacobian has a column for each: more are a network's weights
 _ALIKE = 1e-2  # share of a loss by which another is as good
+_LEAST = 1e-6  # damping, as a share of each curvature: combinations that the data do not determine stay as they are
+_SOFT, _STIFFEST = 0.1, 1e6  # damping after a step that was of no use, and with which none is but by rounding
 _SLACK = 30.0  # of the floating-point type's precision, below which a change of the loss is rounding
 
 
@@ -127,10 +128,6 @@ class _AskedError(Exception):
     """The solver asks for a vector that was not tried yet."""
 
 
-class _EnoughError(Exception):
-    """A search has come to where it need not go on."""
-
-
 def _ask(objective: Objective, state: State, tolerance: float) -> State:
     """The state with the vector that scipy's solver tries next, or with its end.
 
@@ -172,41 +169,37 @@ def descend(
     tolerance: float,
     enough: Callable[[Float[np.ndarray, "coordinates"]], bool] = lambda vector: False,
 ) -> tuple[Float[np.ndarray, "coordinates"], float]:
-    """The least of a sum of squares that a search of `LevenbergMarquardt` comes to, and where.
+    """The least of a sum of squares that steps of Gauss, Newton, Levenberg and Marquardt come to, and where.
+
+    Each goes to the least of the objective's quadratic within the bounds; scipy's go half the way to one at most, and
+    shorten those of all coordinates beside it.
 
     Args:
         evaluate: The objective near a vector.
         box: Where to begin, and bounds.
         tries: Largest number of vectors that are tried.
-        tolerance: As in `LevenbergMarquardt`.
+        tolerance: Share of the objective by which a step has to promise to lower it.
         enough: Of a vector that is to be tried, whether the search ends there instead.
 
     Returns:
         The best vector and its loss; infinite where the objective is not finite at the beginning.
     """
-    start = np.clip(*box)
-    seen = [(start, evaluate(start))]
-    if not seen[0][1].finite:
-        return start, np.inf
-    unit, begun = seen[0][1].loss or 1.0, False
-
-    def residuals(vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "compressed"]:
-        nonlocal begun
-        if not begun:  # at the start, or where that is at a bound a hair from it, where rollouts may diverge
-            begun = True
-            return compress(seen[0][1], unit)[0]
-        if enough(vector):
-            raise _EnoughError
-        found = evaluate(vector)
-        if not found.finite:
-            return np.full(len(vector) + 1, np.inf)
-        seen.append((vector.copy(), found))
-        return compress(found, unit)[0]
-
-    with contextlib.suppress(_EnoughError):
-        _solve(residuals, lambda: compress(seen[-1][1], unit)[1], box, tolerance, tries)
-    vector, found = min(seen, key=lambda pair: pair[1].loss)
-    return vector, found.loss
+    at, damping = np.clip(*box), _LEAST
+    found = evaluate(at)
+    if not found.finite:
+        return at, np.inf
+    for _ in range(tries - 1):
+        stiff = found.hessian * (1 + damping * np.eye(len(at)))
+        step = bounded_step(found.gradient, stiff, box.low - at, box.high - at)
+        promised = -float(2 * step @ found.gradient + step @ found.hessian @ step)
+        if promised <= tolerance * found.loss or damping > _STIFFEST or enough(tried := at + step):
+            break
+        there = evaluate(tried)
+        if there.finite and there.loss < found.loss:
+            at, found, damping = tried, there, damping / 10 if damping > _SOFT else _LEAST
+        else:
+            damping = max(10 * damping, _SOFT)
+    return at, found.loss
 
 
 def _solve(

@@ -3,6 +3,7 @@
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy.optimize
 from jaxtyping import Float
 
 _NOTHING = 1e-24  # curvature, as a share of the largest, that is only rounding beside other entries
@@ -49,3 +50,19 @@ def compress(
     rest = np.sqrt(max(equations.loss - inside @ inside, 0.0))
     root = np.sqrt(unit)
     return np.append(inside, rest) / root, np.vstack([jacobian, np.zeros(len(scale))]) / root
+
+
+def bounded_step(
+    gradient: Float[np.ndarray, "coordinates"],
+    hessian: Float[np.ndarray, "coordinates coordinates"],
+    low: Float[np.ndarray, "coordinates"],
+    high: Float[np.ndarray, "coordinates"],
+) -> Float[np.ndarray, "coordinates"]:
+    """The step to the least of a quadratic within bounds, on them where they hold it.
+
+    Source: P. Stark, R. Parker, "Bounded-Variable Least-Squares: an Algorithm and Applications", 1995.
+    """
+    scale = np.sqrt(np.maximum(np.diag(hessian), np.finfo(float).tiny))
+    residual, slopes = compress(NormalEquations(0.0, gradient, hessian), 1.0)
+    found = scipy.optimize.lsq_linear(slopes / scale, -residual, (low * scale, high * scale), "bvls")
+    return np.where(found.active_mask < 0, low, np.where(found.active_mask > 0, high, found.x / scale))

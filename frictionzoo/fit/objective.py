@@ -229,7 +229,8 @@ class Objective:
             states: Initial states, (blocks, segments, twice nv).
         """
         values = self.space.values(jnp.asarray(vector, self.space.start.dtype))
-        states = self.data.begun if states is None else states
+        # On no device yet: where rollouts get arrays that lie on one, they are compiled again.
+        states = np.asarray(self.data.begun if states is None else states)
         starts = (jnp.split(jnp.asarray(own), 2, axis=1) for own in states)
         parts = [
             self._rollout.compiled(values, *start, block.signals, block.load)
@@ -246,11 +247,12 @@ class Objective:
         Source: V. Pereyra, "Iterated deferred corrections for nonlinear boundary value problems", 1968.
 
         Args:
-            finer: The same objective of the finer simulation.
+            finer: The same objective of the finer simulation, or the one with more coordinates that has the equations.
             vector: The coordinates.
         """
         other, begun, (whole, at) = copy.copy(self), self.data.begun, self._whole(vector)
-        ends = zip(whole.predict(at, begun), finer.predict(vector, begun), strict=True)
+        fine = finer.predict(at if finer.space.labels == whole.space.labels else vector, begun)
+        ends = zip(whole.predict(at, begun), fine, strict=True)
         qpos, qvel = (coarse - fine for coarse, fine in ends)
         other._correction = qpos, qvel
         return other

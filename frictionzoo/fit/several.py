@@ -58,7 +58,7 @@ class Several(Fit):
 
     Args:
         tries: `iterations` of `LevenbergMarquardt`, of each search.
-        tolerance: Of `LevenbergMarquardt`.
+        tolerance: Share of the loss by which a step has to promise to lower it.
         contained: Whether to look at contained laws and other values of parameters, too; without, the starts are the
             initial values and other delays alone.
 
@@ -68,7 +68,7 @@ class Several(Fit):
 
     traced = False
 
-    def __init__(self, tries: int = 40, tolerance: float = 1e-6, contained: bool = True) -> None:
+    def __init__(self, tries: int = 40, tolerance: float = 1e-8, contained: bool = True) -> None:
         refuse_outside("fit.tries", tries, 1, MOST_TRIES)
         if not 0 < tolerance < 1:
             raise ConfigError(f"fit.tolerance={tolerance}; expected a number between 0 and 1")
@@ -106,7 +106,7 @@ class Searches:
     Args:
         objective: What is minimised.
         tries: Largest number of vectors that each search tries.
-        tolerance: As in `LevenbergMarquardt`.
+        tolerance: As in `Several`.
         kept: Which coordinates move; None for all.
     """
 

@@ -10,11 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg
-import scipy.optimize
 from jaxtyping import Bool, Float
 
 from frictionzoo.bench.inertia import LogCholesky, is_consistent
-from frictionzoo.fit.normal_equations import NormalEquations, compress
+from frictionzoo.fit.normal_equations import NormalEquations, bounded_step
 
 Lack = Callable[[Float[np.ndarray, "coordinates"]], Float[np.ndarray, "rows nv"]]
 Slope = Callable[[Float[np.ndarray, "coordinates"]], Float[np.ndarray, "rows nv coordinates"]]
@@ -233,7 +232,7 @@ def _descend(
     for _ in range(_STEPS):
         parts = equation.measured(at, sigma), equation.prior(at, whole=True)
         gradient, hessian = parts[0].gradient + parts[1].gradient, parts[0].hessian + parts[1].hessian
-        step = _step(gradient, hessian * (1 + damping * np.eye(len(at))), *(end - at for end in equation.bounds))
+        step = bounded_step(gradient, hessian * (1 + damping * np.eye(len(at))), *(end - at for end in equation.bounds))
         promised = -float(2 * step @ gradient + step @ hessian @ step)
         if promised <= _TOLERANCE * loss:
             return at, True
@@ -247,19 +246,6 @@ def _descend(
             if damping > _STIFFEST:
                 return at, True
     return at, False
-
-
-def _step(
-    gradient: Float[np.ndarray, "all"],
-    hessian: Float[np.ndarray, "all all"],
-    low: Float[np.ndarray, "all"],
-    high: Float[np.ndarray, "all"],
-) -> Float[np.ndarray, "all"]:
-    """The step to the least of a quadratic within bounds."""
-    scale = np.sqrt(np.maximum(np.diag(hessian), np.finfo(float).tiny))
-    residual, slopes = compress(NormalEquations(0.0, gradient, hessian), 1.0)
-    found = scipy.optimize.lsq_linear(slopes / scale, -residual, (low * scale, high * scale))
-    return np.clip(found.x / scale, low, high)
 
 
 def _deviation(

@@ -31,7 +31,7 @@ _EXACT = 3e-3  # of a value, or of its scale where that is more: half an interva
 _COLLINEAR = 1e-8
 """`COLLINEAR` of a pilot: a delay is nearly collinear with armature and damping, and what has no interval is in doubt,
 however much a long log says of it."""
-MOST_TRIES, _TOLERANCE = 40, 1e-5
+_MOST_TRIES, _TOLERANCE = 40, 1e-5
 _ROLLOUTS = 64  # by which errors are told
 _DISTURBED = 1e-3  # share of a joint's speed by which initial velocities are disturbed
 
@@ -119,6 +119,7 @@ class Pilot:
         self._sampling = self.bench.sampling(accepted[0].timestep)
         self._drive = Drive.assemble(self.bench, copy.deepcopy(model), engine, self._sampling)
         self.segments = cut_segments(accepted, **segments, history=self._sampling.history)
+        self._simulated: dict[tuple[float, ...], Objective] = {}  # by their steps: each is compiled once
         space = Space(self.bench, self._drive.model, "float64")
         objective = Objective(space, self._drive.rollout, self.segments, **loss)
         self._recordings = objective.recordings = Recordings(self.bench, self._drive.model, accepted)
@@ -161,7 +162,6 @@ class Pilot:
         begun: Found,
         without: Collection[str] = (),
         thorough: bool = False,
-        tries: int = MOST_TRIES,
         kept: Bool[np.ndarray, "segments"] | None = None,
     ) -> Found:
         """The best vector, by Levenberg-Marquardt.
@@ -171,7 +171,6 @@ class Pilot:
             without: Parameters of the bench that are 0; what was found has none of them.
             thorough: Whether other starts are tried: of laws that the law contains where it has several minima, and
                 other delays.
-            tries: Largest number of vectors that a search tries.
             kept: Which segments count; None for all.
 
         Raises:
@@ -179,7 +178,7 @@ class Pilot:
         """
         moving = self._moving(without)
         objective = self.objective.beginning(begun.states_of(self.segments)).among(kept)
-        searches = Searches(objective, tries, _TOLERANCE, moving)
+        searches = Searches(objective, _MOST_TRIES, _TOLERANCE, moving)
         end = searches.go_on(np.where(moving, self.whole(begun), 0.0))
         if thorough and self._drive.model.valleys:
             end = min(end, searches.look(), key=lambda end: end.loss)
@@ -241,7 +240,11 @@ class Pilot:
 
     def simulate(self, bench: Bench) -> Objective:
         """The objective with a bench that differs in its steps or in the softness of its friction."""
-        return in_other_steps(self.objective, self._drive, bench.observing(self._drive.model.inputs))
+        steps = (bench.timestep, *bench.solreffriction)
+        if steps not in self._simulated:
+            watching = bench.observing(self._drive.model.inputs)
+            self._simulated[steps] = in_other_steps(self.objective, self._drive, watching)
+        return self._simulated[steps]
 
     def approaching(self, other: Objective, found: Found) -> "Pilot":
         """This one with the residuals of such another simulation, near where it ended."""
@@ -249,14 +252,18 @@ class Pilot:
         near.objective = objective.approaching(other, self.whole(found))
         return near
 
-    def step(self, found: Found) -> Float[np.ndarray, "coordinates"]:
-        """One step of Gauss and Newton from what was found; 0 of what the data do not determine."""
+    def step(self, found: Found) -> tuple[Float[np.ndarray, "coordinates"], float]:
+        """One step of Gauss and Newton from what was found, and the loss that it promises.
+
+        It is 0 of what the data do not determine.
+        """
         objective = self.objective.beginning(self.objective.begun)
         equations = objective.compile_normal_equations()(self.whole(found))
         free = (found.half < WIDEST) & ~found.at_bound  # of NaN, False
+        places = [self.space.labels.index(label) for label in np.array(found.labels)[free]]
         step = np.zeros(len(free))
-        step[free] = -_solve(equations, [self.space.labels.index(label) for label in np.array(found.labels)[free]])
-        return step
+        step[free] = -_solve(equations, places)
+        return step, equations.loss + float(step[free] @ equations.gradient[places])
 
     def whole(self, found: Found) -> Float[np.ndarray, "coordinates"]:
         """All coordinates: what was not found is 0 where it is optional, and else as it was at the beginning."""

@@ -24,7 +24,7 @@ from frictionzoo.identification.choices import OPTIONAL, RIVALS, Choice, imply, 
 from frictionzoo.identification.discretisation import halve_step
 from frictionzoo.identification.misfit import Misfit
 from frictionzoo.identification.noise import Noise
-from frictionzoo.identification.pilot import MOST_TRIES, Found, Pilot
+from frictionzoo.identification.pilot import Found, Pilot
 from frictionzoo.models import FrictionModel, TorchFriction
 
 _LONGEST, _SHORT = 1.0, 0.1  # s, of segments: with initial states that are estimated along, and for other fits
@@ -32,7 +32,7 @@ _FEWEST = 10  # samples of a segment
 _MANY = 10  # segments that there are at the least, for the spread between them says how sure a value is
 _GROWTH = 20.0  # times that a disturbance may grow within a segment
 _COARSEST = 1e-3  # s, of the simulation
-_FIRST_STEPS, _MOST_STEPS = 2e5, 3e6  # simulation steps times joints, of first fits and of the last
+_FIRST_STEPS, _MOST_STEPS = 4e5, 3e6  # simulation steps times joints, of first fits and of the last
 _LEAST = 0.1  # share of the segments that is left where they are too many steps
 _MOVES = 1 / 3  # of half an interval, that a parameter may move by when the simulation step is halved
 _ROUNDS = 4  # of shorter steps
@@ -40,7 +40,7 @@ _LATE = 0.2  # sample intervals of delay from which on there may be other minima
 _CLEAR = 1.5  # times half its 95 % interval that an optional parameter is away from 0, with a chance of 0.3 %
 _BETTER = 0.02  # share by which a robust loss has to predict a validation block better than least squares
 _HELPFUL = 0.005  # share by which a parameter that is not shown has to
-_FEW_TRIES, _HOPELESS = 2, 3.0  # vectors of a first search, and times another's loss after which there is no second
+_HOPELESS = 3.0  # times another's loss, that a step promises, after which there is no search
 _VALIDATION = 0.2  # share of the training recordings
 
 
@@ -318,10 +318,11 @@ class Stages:
         if np.any(self._model.constrained):
             stiff = self._change(solreffriction=list(DEFAULT_SOLREFFRICTION))
             other, soft = pilot.simulate(self.bench(OPTIONAL)), self._found
-            for tries in (_FEW_TRIES, MOST_TRIES):  # the first is as far off as slopes of stiff friction are
-                soft = pilot.approaching(other, soft).fit(soft, self._out, tries=tries)
-                if (ratio := soft.loss / self._found.loss) > _HOPELESS:
-                    break
+            ahead, loss = pilot.approaching(other, soft).step(soft)  # as far off as slopes of stiff friction are
+            if (ratio := loss / soft.loss) < _HOPELESS:
+                soft = soft._replace(vector=soft.vector + ahead)
+                soft = pilot.approaching(other, soft).fit(soft, self._out)
+                ratio = soft.loss / self._found.loss
             why = f"MuJoCo's own, {DEFAULT_SOLREFFRICTION[0]:g} s, has {ratio:.3g} times the loss"
             if ratio < 1:
                 self._found, pilot = soft, self._pilot()
@@ -462,7 +463,7 @@ class Stages:
                 bench = halve_step(bench, softness)
             tell(f"choosing settings: what steps of {1e3 * bench.timestep:.3g} ms change")
             near = self._coarse.approaching(self._coarse.simulate(bench), self._found)
-            ahead = near.step(self._found)
+            ahead, _ = near.step(self._found)
             moves = self._found.in_halves(ahead)
             largest = float(moves.max(initial=0.0))
             moved = self._found.labels[int(moves.argmax())]
