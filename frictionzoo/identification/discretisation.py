@@ -39,10 +39,15 @@ def finer(problem: "Problem") -> Callable[[Float[np.ndarray, "coordinates"]], Ob
     by_rollouts = type(problem.fit).compile_scores is Fit.compile_scores
     if not (is_wanted(problem.settings["discretisation"]) and by_rollouts):
         return None
-    objective = problem.objective
-    return lambda vector: objective.approaching(
-        in_other_steps(objective, problem.drive, halve_step(problem.bench)), vector
-    )
+    objective, pilot, half = problem.objective, problem.pilot, halve_step(problem.bench)
+
+    def approach(vector: Float[np.ndarray, "coordinates"]) -> Objective:
+        if pilot is None:
+            return objective.approaching(in_other_steps(objective, problem.drive, half), vector)
+        half_wide = remake(pilot.bench, timestep=half.timestep, solreffriction=list(half.solreffriction))
+        return objective.approaching(pilot.simulate(half_wide), vector)
+
+    return approach
 
 
 def halve_step(bench: Bench, softness: Sequence[float] | None = None) -> Bench:

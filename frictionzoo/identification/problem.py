@@ -29,6 +29,7 @@ from frictionzoo.fit.recordings import Recordings
 from frictionzoo.fit.start import begin_where
 from frictionzoo.identification.bounds import widen_bounds
 from frictionzoo.identification.choices import Choice
+from frictionzoo.identification.pilot import Pilot
 from frictionzoo.identification.recipe import Settled, settle
 from frictionzoo.logs.pairing import describe_columns
 from frictionzoo.models import FrictionModel
@@ -160,6 +161,7 @@ class Problem:
         seconds: What posing it took [s].
         links: Link inertias that were identified before, and are the bench's; None where none were.
         choices: What was left open of the settings, and found.
+        pilot: The first fit, by whose equations this one goes; None where it has its own.
     """
 
     bench: Bench
@@ -177,6 +179,7 @@ class Problem:
     seconds: float
     links: LinkInertia | None = None
     choices: tuple[Choice, ...] = ()
+    pilot: Pilot | None = None
 
     @classmethod
     def from_settings(cls, settings: Mapping[str, Any]) -> "Problem":
@@ -224,13 +227,13 @@ class Problem:
         fit = fit.choose(objective)
         if fit.start is not None:
             objective = begin_where(fit.start, objective)
-        pilot = parts.settled.pilot
         objective = objective.balanced(None if found is None or links else found.sizes)
-        if pilot is not None and found is not None and not links and objective.devices == 1:
+        pilot = None if found is None or links or objective.devices > 1 else parts.settled.pilot
+        if pilot is not None and found is not None:
             objective = objective.within(pilot.objective, pilot.whole(found))  # which is compiled already
         seconds = parts.seconds + time.perf_counter() - began
         posed = (bench, dataset, doubts, sampling, segments, evaluation, drive, proof, samples, objective)
-        return cls(*posed, fit, settings, seconds, links, parts.settled.choices)
+        return cls(*posed, fit, settings, seconds, links, parts.settled.choices, pilot)
 
     def following(self, teacher: Identified) -> "Problem":
         """The same problem with a fitted drive's rollouts in place of the measured segments, judged as before.
@@ -256,7 +259,7 @@ class Problem:
         drive = Drive.assemble(bench, self.drive.model, settings["engine"], self.sampling)
         space = Space(bench, drive.model, settings["dtype"])
         objective = Objective(space, drive.rollout, segments, **settings["loss"]).balanced()
-        return replace(self, bench=bench, segments=segments, drive=drive, objective=objective)
+        return replace(self, bench=bench, segments=segments, drive=drive, objective=objective, pilot=None)
 
 
 def _divide_interval(bench: Bench, settings: Mapping[str, Any], interval: float) -> tuple[Bench, Mapping[str, Any]]:

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -14,6 +15,7 @@ from frictionzoo.core.params import UNITS
 from frictionzoo.core.segments import Segments, cut_rollouts
 from frictionzoo.result.torque import AS_THE_FIT
 
+_SMALL = 50  # rollouts of a set that is simulated together with others
 KEPT = 100  # rollouts whose errors are kept sample by sample, spread evenly
 Values = Mapping[str, Mapping[str, np.ndarray]]
 Rollout = Callable[..., tuple]
@@ -93,6 +95,28 @@ def predict(rollout: Rollout, values: Values, segments: Segments) -> Prediction:
     """Simulate each segment from its first measured state under its recorded commands."""
     qpos, qvel = rollout(values, segments.qpos[:, 0], segments.qvel[:, 0], segments.signals, segments.load)
     return Prediction(np.asarray(qpos, dtype=np.float64), np.asarray(qvel, dtype=np.float64))
+
+
+def predict_all(rollout: Rollout, values: Values, cut: Sequence[Segments]) -> list[Prediction]:
+    """The same of several sets of segments: small sets in one batch, since each shape is compiled anew."""
+    small = [each for each in cut if each.count <= _SMALL]
+    if not small:
+        return [predict(rollout, values, each) for each in cut]
+    longest, at, found = max(each.length for each in small), 0, list[Prediction]()
+
+    def start(each: Segments) -> tuple[Any, ...]:
+        beyond = (0, 0), (0, longest - each.length), (0, 0)
+        return each.qpos[:, 0], each.qvel[:, 0], each.signals.map(lambda signal: np.pad(signal, beyond, "edge"))
+
+    starts = jax.tree.map(lambda *parts: np.concatenate(parts), *map(start, small))
+    qpos, qvel = rollout(values, *starts, np.concatenate([each.loads for each in small]))
+    for each in cut:
+        if each.count > _SMALL:
+            found.append(predict(rollout, values, each))
+            continue
+        own, at = slice(at, at + each.count), at + each.count
+        found.append(Prediction(*(np.asarray(part[own, : each.length], np.float64) for part in (qpos, qvel))))
+    return found
 
 
 def measure(prediction: Prediction, segments: Segments, joint_type: str) -> Metrics:
@@ -255,19 +279,18 @@ class Evaluation:
 
     def judge(self, rollout: Rollout, values: Values) -> Judgement:
         """Simulate every window with one drive, a rollout of these values, and measure its errors."""
-        predicted = [
-            {part: (predict(rollout, values, segments), segments) for part, segments in parts.items()}
-            for parts in self._by_horizon
-        ]
-        long, unit = predict(rollout, values, self.trajectories), self.joint_type
+        cut = [segments for parts in self._by_horizon for segments in parts.values()]
+        long, places, local, *others = predict_all(rollout, values, [self.trajectories, self._places, self.local, *cut])
+        pairs, unit = zip(others, cut, strict=True), self.joint_type
+        predicted = [{part: next(pairs) for part in parts} for parts in self._by_horizon]
         return Judgement(
             by_horizon=tuple({part: measure(*pair, unit) for part, pair in parts.items()} for parts in predicted),
             by_joint={part: measure_joints(*pair) for part, pair in predicted[0].items()},
             rollout_mae={part: rollout_mae(*pair) for part, pair in predicted[0].items()},
             trajectory=measure(long.first, self.trajectories.first, unit),
-            places=measure(predict(rollout, values, self._places), self._places, unit),
+            places=measure(places, self._places, unit),
             prediction=long,
-            local_mae=rollout_mae(predict(rollout, values, self.local), self.local),
+            local_mae=rollout_mae(local, self.local),
             train_errors=_keep_errors(*predicted[0]["train"]),
         )
 
