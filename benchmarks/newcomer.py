@@ -110,8 +110,9 @@ KINDS: Mapping[str, Kind] = {
     "arm": Kind(bits=12, velocity="none", axes="zyyyxy", mass=0.05, seconds=24.0),
     "slow_arm": Kind(rate=50, bits=12, velocity="none", speed=0.5, axes="zyyyxy", mass=0.05, seconds=120.0),
     "quadruped": Kind(bits=15, axes="xyy", chains=4, seconds=24.0),
+    "chain": Kind(bits=15, axes="zyyyxyz", mass=0.05, seconds=40.0),
 }
-ROBOTS = ("arm", "slow_arm", "quadruped")
+ROBOTS = ("arm", "slow_arm", "quadruped", "chain")
 
 
 @dataclass(frozen=True)

@@ -1,14 +1,16 @@
-"""A quadruped's twelve joints: frictionzoo beside mujoco.sysid, on the recordings of `conf/data/go2.yaml`.
+"""A quadruped's twelve joints, and a chain of seven: frictionzoo beside mujoco.sysid.
 
     FRICTIONZOO_DATA=FOLDER python benchmarks/robot.py
+    python benchmarks/robot.py --variants chain --parts whole --seconds 4
 
-Needs `pip install -e ".[sysid]"`. Both find armature, frictionloss and damping of each joint, a constant torque or an
-encoder's offset of each joint, and by how much commands act late, from the same segments, start and bounds, in steps of
-5 ms; both minimise the squared errors of position. sysid does so on finite differences of MuJoCo C: `plain` as its
-documentation has it; `whole` and `legs` with all segments side by side and a model compiled once a vector, which it
-leaves to its user, for the whole robot at once or for each leg on its own, which then has its own delay. What they find
-is judged alike: by closed-loop rollouts of whole test runs in MuJoCo C, in steps of 1 ms. Each row is a process of its
-own.
+The quadruped's recordings are those of `conf/data/go2.yaml`; the chain is a hidden one of `newcomer.py`, without
+offsets. Needs `pip install -e ".[sysid]"`. Both find armature, frictionloss and damping of each joint, a constant
+torque or an encoder's offset of each joint, and by how much commands act late, from the same segments, start and
+bounds, in steps of 5 ms (the chain: 2 ms); both minimise the squared errors of position. sysid does so on finite
+differences of MuJoCo C: `plain` as its documentation has it; `whole` and `legs` with all segments side by side and a
+model compiled once a vector, which it leaves to its user, for the whole robot at once or for each leg on its own,
+which then has its own delay. What they find is judged alike: by closed-loop rollouts of whole test runs in MuJoCo C,
+in steps of 1 ms. Each row is a process of its own.
 """
 
 import argparse
@@ -17,6 +19,7 @@ import os
 import resource
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -27,6 +30,7 @@ import numpy as np
 from jaxtyping import Float
 from measure import make_parser, report
 from mujoco import rollout as mujoco_rollout
+from newcomer import Hidden
 from omegaconf import OmegaConf
 from robot_sysid import SETTINGS, TOLERANCE, Search, aim_of, delayed, load, text_of
 
@@ -37,6 +41,7 @@ from frictionzoo.core.segments import Segments, cut_rollouts
 
 EXPERIMENTS = {"torque": "go2_torque", "bias": "go2"}
 """By what a joint has besides armature, friction and the delay: a constant torque, or an encoder's offset."""
+CHAIN, SEED = "chain", 7
 PARTS = {"plain": ", plain", "whole": "", "legs": ", leg by leg"}
 JUDGED = 0.001  # s, simulation step of the rollouts that judge
 COLUMNS = {
@@ -68,6 +73,12 @@ def main() -> None:
     if options.row is not None:
         print(json.dumps(measure(**json.loads(options.row))))
         return
+    with tempfile.TemporaryDirectory() as options.scratch:
+        compare(options)
+
+
+def compare(options: argparse.Namespace) -> None:
+    """Identify and judge each variant by each tool."""
     rows = []
     for variant in options.variants:
         judge = Judge(compose(variant, options), options.seconds)
@@ -78,7 +89,8 @@ def main() -> None:
             {**row, **{f"{part}_ratio": row[part] / found[-1][part] for part in ("whole", "cpu", "fit", "fit_cpu")}}
             for row in found
         ]
-    rows += [{"variant": "-", "tool": "published", "parameters": 3 * judge.bench.nv, **judge.judge(published())}]
+    if options.variants[-1] != CHAIN:
+        rows += [{"variant": "-", "tool": "published", "parameters": 3 * judge.bench.nv, **judge.judge(published())}]
     segments = {"segments": judge.segments.count, "length": judge.segments.length, "seconds": options.seconds}
     report(options.out, rows, COLUMNS, **segments, settings=SETTINGS)
 
@@ -86,7 +98,7 @@ def main() -> None:
 def parse() -> argparse.Namespace:
     """The command line."""
     parser = make_parser("robot", __doc__)
-    parser.add_argument("--variants", nargs="+", choices=EXPERIMENTS, default=[*EXPERIMENTS])
+    parser.add_argument("--variants", nargs="+", choices=[*EXPERIMENTS, CHAIN], default=[*EXPERIMENTS])
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=[*PARTS], help="of sysid")
     parser.add_argument("--optimizers", nargs="+", choices=SETTINGS, default=["scipy_parallel_fd"], help="of sysid")
     parser.add_argument("--segments", type=int, default=150, help="that the fits compare")
@@ -102,8 +114,18 @@ def compose(variant: str, options: argparse.Namespace) -> dict[str, Any]:
     cut = (f"segments.count={options.segments}", f"segments.length={options.length}")
     fit = (f"fit.iterations={options.iterations}", f"fit.tolerance={TOLERANCE}", "loop.progress=false")
     judged = (f"evaluation.horizons=[{options.seconds}]", f"evaluation.trajectory={options.seconds}")
-    config = compose_config(f"experiment={EXPERIMENTS[variant]}", "compilation_cache=null", *cut, *fit, *judged)
+    named = [f"experiment={EXPERIMENTS[variant]}"] if variant in EXPERIMENTS else describe_chain(Path(options.scratch))
+    config = compose_config(*named, "compilation_cache=null", *cut, *fit, *judged)
     return cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
+
+
+def describe_chain(scratch: Path) -> list[str]:
+    """Options of the hidden chain, whose recording is made the first time."""
+    hidden, folder = Hidden.draw(CHAIN, SEED), scratch / CHAIN
+    if not folder.exists():
+        hidden.record(folder)
+    late = "bench.params.delay.identify=true"
+    return [*hidden.options(folder), "recipe=given", "fit=lm", "bench.timestep=0.002", late]
 
 
 def in_own_process(
