@@ -95,7 +95,7 @@ def make_case(cause: str, seed: int) -> Case:
         return Case(replace(plain, drives=[replace(drive, gain=(1.2, 0.83)[second])]), plain, "gear|gain")
     if cause == "gear_friction":  # a ripple and a part that goes with the load, of which the law has neither
         own = {"load": (0.15, 0.1)[second], "ripple": (0.3, 0.2)[second] * drive.forward, "periods": 12.0}
-        return Case(replace(plain, drives=[replace(drive, **own)]), plain, "harmonic_drive|the load on the gear")
+        return Case(replace(plain, drives=[replace(drive, **own)]), plain, "harmonic_drive|load on the gear")
     if cause == "presliding":
         return Case(plain, plain, r"\b(dahl|lugre|maxwell_slip)", law="mujoco_default")
     return Case(

@@ -223,7 +223,7 @@ FAULTS: Mapping[str, tuple[Maker, str]] = {
         r"data\.clean\.velocity_lag=auto or data\.clean\.velocity=estimated",
     ),
     "velocity of something else": (invent_velocity, r"data\.clean\.velocity=estimated"),
-    "command cut off": (cut_off, r"cut off there; record what the drive got"),
+    "command cut off": (cut_off, r"clipped; record the command that the drive received"),
     "command constant": (lambda log, stand: replace(log, ctrl=0 * log.ctrl + 1), r"constant.*data\.columns\.ctrl"),
     "drive never moves": (stand_still, r"whether it was on.*data\.columns\.qpos"),
     "drive never reverses": (never_reverse, r"record both directions"),

@@ -1,4 +1,4 @@
-"""frictionzoo: a drive's armature and friction from its encoder log, through a differentiable MuJoCo."""
+"""Identification of armature and friction of robot drives from encoder logs, with differentiable MuJoCo."""
 
 import importlib
 from typing import TYPE_CHECKING, Any
@@ -78,7 +78,7 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
-    """The names of `__all__` where they are first used: MuJoCo, JAX and torch take seconds to import."""
+    """Import a name of `__all__` on first use: MuJoCo, JAX and torch take seconds to import."""
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(importlib.import_module(_HOMES[name]), name)

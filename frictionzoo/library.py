@@ -1,4 +1,4 @@
-"""The ten lines of a notebook: read, identify, compare, load, and friction laws by name."""
+"""The functions for scripts and notebooks: read, identify, compare, load, and friction models by name."""
 
 import contextlib
 import copy
@@ -46,7 +46,7 @@ from frictionzoo.models.registry import get_model
 from frictionzoo.result.identified import Identified
 from frictionzoo.simulate.context import refuse_late_fork
 
-# Options, as messages name them, that are arguments of another name here; not what looks alike in a file's path.
+# Options in error messages whose Python argument has another name; similar text inside a file path does not match.
 _DATA = "columns|units|sign|fields|fields_from_name|where|exclude|inputs|payload|clean"
 _ARGUMENTS = {
     r"data\.split(\.test_share)?": "test",
@@ -59,7 +59,7 @@ _ARGUMENTS = {
 
 @contextlib.contextmanager
 def _naming_arguments() -> Iterator[None]:
-    """What an error names as an option of a configuration, it names as an argument of Python."""
+    """Rename configuration options in error messages to Python arguments."""
     try:
         yield
     except FrictionzooError as error:
@@ -71,14 +71,14 @@ def _naming_arguments() -> Iterator[None]:
 
 
 class Cut(TypedDict, total=False):
-    """What the fit compares, the arguments of `frictionzoo.core.segments.cut_segments`."""
+    """Segments of the fit: arguments of `frictionzoo.core.segments.cut_segments`."""
 
     count: int | None
     length: int
 
 
 class Loss(TypedDict, total=False):
-    """What the fit minimises, the arguments of `frictionzoo.fit.Objective`."""
+    """Loss of the fit: arguments of `frictionzoo.fit.Objective`."""
 
     position: float
     velocity: float
@@ -93,7 +93,7 @@ class Loss(TypedDict, total=False):
 
 
 class Judging(TypedDict, total=False):
-    """The rollouts that judge, the arguments of `frictionzoo.result.evaluate.Evaluation`."""
+    """Evaluation rollouts: arguments of `frictionzoo.result.evaluate.Evaluation`."""
 
     horizons: Sequence[float]
     rollouts: int | None
@@ -107,7 +107,7 @@ class Judging(TypedDict, total=False):
 
 
 class Looping(TypedDict, total=False):
-    """What happens around the fit, the arguments of `frictionzoo.fit.run_fit`."""
+    """Fit loop: arguments of `frictionzoo.fit.run_fit`."""
 
     chunk: int
     patience: int | None
@@ -115,7 +115,7 @@ class Looping(TypedDict, total=False):
 
 
 class How(TypedDict, total=False):
-    """The options of `identify`, which describes them."""
+    """Options of `identify`, described there."""
 
     test: float | Split | None
     recipe: str
@@ -152,33 +152,33 @@ def read(
     clean: Cleaning = AS_IT_IS,
     origin: str | None = None,
 ) -> Logs:
-    """Recordings as logs in SI units, of any format that `data=files` reads.
+    """Read recordings of any `data=files` format as logs in SI units.
 
     Args:
-        recordings: Paths of files, folders, archives, or globs; or recordings in memory: a table of pandas, or a
-            mapping from header to samples of shape (time,) or (time, columns).
-        test: Paths of recordings that only test.
-        name: Of them all.
-        format: Name of the files' format; `auto` to go by the file.
+        recordings: Paths of files, folders, archives, or globs; or recordings in memory: a pandas table, or a mapping
+            from header to samples of shape (time,) or (time, columns).
+        test: Paths of recordings for the evaluation only.
+        name: Name of the data set.
+        format: File format; `auto` detects it.
         columns: Header or headers of each signal (`time`, `qpos`, `qvel`, `ctrl`, `ctrl_velocity`, `ctrl_torque`, `kp`,
-            `kd`, `torque`, `supply`, `enable`, `temperature`); where nothing is said, those that the headers suggest.
-        units: Unit of each signal in the recordings; where nothing is said, what headers and numbers suggest.
-        sign: 1 or -1 for qpos, qvel, ctrl, ctrl_velocity, ctrl_torque and torque, or a list of them, one a joint.
-        fields: What is said of all recordings: gains, payload.
-        fields_from_name: Regular expression with named groups, which become fields, for the files' names.
-        where: Values of fields that are kept.
-        exclude: Values of fields that are left out.
-        inputs: Signals that the actuator law needs besides the command: a number, or the field that holds it.
-        payload: What the drive carried in each recording, as `data.payload` has it.
-        clean: How recordings become logs.
-        origin: `hardware` or `simulated`, where they come from; None: not stated.
+            `kd`, `torque`, `supply`, `enable`, `temperature`); by default guessed from the headers.
+        units: Unit of each signal in the recordings; by default guessed from headers and numbers.
+        sign: 1 or -1 for qpos, qvel, ctrl, ctrl_velocity, ctrl_torque and torque, or a list with one for each joint.
+        fields: Values that hold for all recordings, such as gains and payload.
+        fields_from_name: Regular expression for file names; its named groups become fields.
+        where: Field values of the recordings to keep.
+        exclude: Field values of the recordings to leave out.
+        inputs: Further inputs of the actuator model: for each a number, or the name of a field with the number.
+        payload: Payload of the drive in each recording, as in `data.payload`.
+        clean: Rules for cleaning the recordings.
+        origin: Origin of the recordings, `hardware` or `simulated`; None: not stated.
 
     Returns:
-        The logs; what was repaired in each is in its `repairs`, and is shown with them.
+        The logs; each lists its `repairs`.
 
     Raises:
-        LogError: A recording cannot be read, or does not hold what `columns` names.
-        ConfigError: An option is impossible.
+        LogError: A recording cannot be read, or lacks a column of `columns`.
+        ConfigError: An option is invalid.
     """
     if not recordings:
         raise LogError("read: no recording, expected paths, tables or mappings; name one, as in read('a.csv')")
@@ -214,39 +214,41 @@ def identify(
     device: str = "auto",
     compilation_cache: str | None = "user",
 ) -> Identified:
-    """Find a drive's armature and friction from its logs, as `python -m frictionzoo.run` does.
+    """Identify a drive's armature and friction from its logs, like `python -m frictionzoo.run`.
 
     Args:
         bench: The test stand.
-        law: Name of a friction law, or one of one's own; it stays as it is, the fitted one is the result's. Or a law
-            for each pattern of joints' names, as `by_joint` takes them.
+        law: Friction model: a name; a `FrictionModel`, which stays unchanged; or a mapping from patterns of joint names
+            to models, as in `by_joint`. The result has the fitted model.
         logs: Recordings.
-        test: Which of them judge the result: the last share of each, or a rule; None as they were read.
-        recipe: `auto`: what is not said here or by the bench is found on the training logs, and told with its reason in
-            `result["recipe"]`: precision, segments, loss, whether commands act late or the encoder's zero is another,
-            and the simulation step. `given`: it is that of the configuration, the paper's, with the step of the MJCF.
-        method: Name of a fit, `auto`, `lm`, `adam`, `grid` or `known`, or one with options of its own.
-        segments: What the fit compares: `count` windows of `length` samples.
-        loss: What the fit minimises: weights of `position` and `velocity`, `robust`, `robust_scale`, `refine`,
-            `continuity`, `by_joint`.
-        evaluation: The rollouts that judge: `horizons` [s], `rollouts`, `placement`, `trajectory` [s] and others.
+        test: Recordings for the evaluation: the last share of each, or a rule; None keeps the split of `logs`.
+        recipe: `auto` chooses options that neither this call nor the bench sets, from the training logs: precision,
+            segments, loss, command delay, position offset and simulation step. `result["recipe"]` lists them with their
+            reasons. `given` takes them from the configuration, with the values of the paper, and the step from the
+            MJCF.
+        method: Name of a fit, such as `auto`, `lm`, `adam`, `grid` or `known`, or a `Fit` with options.
+        segments: Segments of the fit: `count` windows of `length` sample intervals.
+        loss: Loss of the fit: weights of `position` and `velocity`, `robust`, `robust_scale`, `refine`, `continuity`,
+            `by_joint` and others.
+        evaluation: Evaluation rollouts: `horizons` [s], `rollouts`, `placement`, `trajectory` [s] and others.
         loop: `chunk`, `patience`, `progress`.
-        scale: Typical `torque`, `velocity`, `damping` and `inertia` of the drive, of which bounds and initial values of
-            a law that is named are multiples; 1 in SI units where nothing is said.
-        checkup: `strict`, or `warn`: what is certainly wrong with the recordings, or with the bench for them, is a
-            warning of the result and no error.
-        discretisation: Whether intervals hold what the simulation's step does, which rollouts of half the step tell.
-        seed: Of a network's initial weights, for a law that is named.
-        dtype: `float32` or `float64`; None as the recipe has it.
+        scale: Typical `torque`, `velocity`, `damping` and `inertia` of the drive; bounds and initial values of a model
+            given by name are multiples of them. The default is 1 in SI units.
+        checkup: `strict`; or `warn`, with which certain errors in the recordings or the bench are warnings of the
+            result.
+        discretisation: Whether confidence intervals include the error of the simulation step, estimated from rollouts
+            with half the step.
+        seed: Seed of a network's initial weights, for a model given by name.
+        dtype: `float32` or `float64`; None: chosen by the recipe.
         engine: `auto`, `specialised` or `mjx`.
         device: `auto`, `cpu` or `cuda`.
-        compilation_cache: Where compiled functions are kept: `user`, a path, or None.
+        compilation_cache: Cache of compiled functions: `user`, a path, or None.
 
     Returns:
-        The drive, with parameters, intervals, errors, figures, exports; nothing is written.
+        The drive with parameters, intervals, errors, figures and exports. Nothing is written.
 
     Raises:
-        FrictionzooError: The input is at fault.
+        FrictionzooError: The input is invalid.
     """
     asked = dict(locals())
     refuse_late_fork()
@@ -290,16 +292,16 @@ def compare(
     logs: Logs | Log | Sequence[Log],
     **how: Unpack[How],
 ) -> Compared:
-    """Identify a drive with several laws, each on the same recordings and judged on the same rollouts.
+    """Identify a drive with several friction models, on the same recordings and evaluation rollouts.
 
-    Arguments are those of `identify`, with several laws, by name or of one's own.
+    The arguments are those of `identify`, with a list of models, by name or as objects.
 
     Returns:
-        The drives, best first, with their paired differences and a recommendation. A law whose fit fails is told among
-        its failures.
+        The drives, best first, with paired differences and a recommendation. Models whose fit failed are listed as
+        failures.
 
     Raises:
-        FrictionzooError: The input is at fault, or every law failed.
+        FrictionzooError: The input is invalid, or all fits failed.
     """
     if isinstance(laws, str) or not laws:
         raise ConfigError(f"laws={laws!r}; expected several, as in ['baseline', 'coulomb_smooth']")
@@ -319,18 +321,18 @@ def compare(
 
 
 def load(folder: str | Path) -> Identified:
-    """A run that has ended, or the card of one, read back.
+    """Load a finished run or a card.
 
     Args:
-        folder: Where the run's `result.json` or the `card.json` lies; or `hub:OWNER/NAME`, a card of a hub of models,
-            for which the extra `hub` is needed.
+        folder: Folder of the run's `result.json` or of the `card.json`; or `hub:OWNER/NAME`, a card of a model hub,
+            which needs the extra `hub`.
 
     Returns:
-        The drive; that of a card has no recordings, so that what it is to follow has to be given.
+        The drive. A drive from a card has no recordings: its rollouts need segments as an argument.
 
     Raises:
-        RunError: It is no such folder of this version, or one of its files is damaged.
-        BenchError: The MJCF of a run's bench is not there any more, or not what it was.
+        RunError: The folder holds no run or card of this version, or a file is damaged.
+        BenchError: The MJCF of the run's bench is missing or has changed.
         ConfigError: The extra is not installed.
     """
     place = fetch_card(folder) if isinstance(folder, str) and folder.startswith(PREFIX) else Path(folder)
@@ -339,27 +341,27 @@ def load(folder: str | Path) -> Identified:
 
 @_naming_arguments()
 def law(name: str, nv: int = 1, *, scale: Mapping[str, float] | None = None, **options: Any) -> FrictionModel:
-    """A friction law with the initial values, bounds and options that `conf/model` gives it.
+    """Make a friction model with the initial values, bounds and options of `conf/model`.
 
     Args:
-        name: Of the law: a file of `conf/model`, or a law of this program that was registered.
+        name: Name of the model: a file of `conf/model`, or a registered model.
         nv: Number of joints.
         scale: As in `identify`.
-        options: Of the law, in place of the file's: `law("neural_friction", hidden=[8, 8])`, or of parameters,
+        options: Options of the model, which replace those of the file: `law("neural_friction", hidden=[8, 8])`, or
             `law("coulomb_smooth", params={"static_torque": {"init": 0.2}})`.
 
     Returns:
-        A `torch.nn.Module`: its parameters are in SI units, those of a network its weights.
+        A `torch.nn.Module` whose parameters are in SI units; the parameters of a network are its weights.
 
     Raises:
-        UnknownModelError: No such law.
-        ConfigError: No such option, or a value that it cannot have.
+        UnknownModelError: There is no such model.
+        ConfigError: There is no such option, or its value is invalid.
     """
     return _make_law(name, nv, {"scale": scale} if scale else {}, options)
 
 
 def _said(function: Callable[..., Any], arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Of a function's arguments by name alone, those that are not as they are where nothing is said."""
+    """Return the keyword-only arguments that differ from their defaults."""
     parameters = inspect.signature(function).parameters.values()
     named = [one for one in parameters if one.kind is inspect.Parameter.KEYWORD_ONLY]
     return {one.name: arguments[one.name] for one in named if arguments[one.name] is not one.default}
@@ -372,8 +374,8 @@ def _make_law(name: str, nv: int, shared: Mapping[str, Any], options: Mapping[st
 
 
 def _refuse_unknown(law: str | FrictionModel | Mapping[str, Any]) -> None:
-    """Refuse what is no law, or has no name by which a result could be loaded."""
-    if isinstance(law, Mapping):  # they are looked at one by one where they are made
+    """Refuse an object that is no friction model, or has no name; a result is loaded by the model's name."""
+    if isinstance(law, Mapping):  # each model is checked when it is made
         return
     if isinstance(law, str):
         if law not in list_choices("model"):
@@ -390,7 +392,7 @@ def _gather(logs: Logs | Log | Sequence[Log]) -> Logs:
 
 
 def _to_table(name: str, recording: Any) -> Table:
-    """A recording in memory, a column of several given as one."""
+    """Convert a recording in memory to a table; two-dimensional samples become several columns."""
     try:
         held = {str(header): np.asarray(recording[header]) for header in getattr(recording, "columns", recording)}
     except (TypeError, KeyError, IndexError):

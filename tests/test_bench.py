@@ -158,7 +158,7 @@ def test_what_a_position_offset_would_not_move_along_is_refused(tmp_path: Path, 
     path.write_text(TWO_JOINTS.replace('name="knee"', f'name="knee" {attribute}'))
     offset = {"position_offset": {"init": 0.1, "low": -0.2, "high": 0.2, "scale": 0.1, "identify": True}}
     assert Bench(str(path), ["hip", "knee"], actuator=pd(), params=ARMATURE).nv == 2
-    with pytest.raises(BenchError, match=f"{line}, which bench.params.position_offset would not move along"):
+    with pytest.raises(BenchError, match=f"{line}, which bench.params.position_offset does not shift"):
         Bench(str(path), ["hip", "knee"], actuator=pd(), params=ARMATURE | offset)
 
 

@@ -203,8 +203,8 @@ def test_the_terminal_has_a_row_a_joint(result: Any) -> None:
     assert [line.split()[0] for line in torque[1:]] == [*JOINTS, "mean"]
     assert torque[4].split() == ["FR_knee", "0.4", "2", "N", "m", "20", "%"] and torque[5].split()[1] == "0.25"
     assert "friction.frictionloss (FL_knee) ended at a bound of [0.01, 1] N m" in text
-    assert "not identifiable on these data: friction.frictionloss (FL_knee, FR_knee)" in text
-    assert "cannot tell apart friction.frictionloss/FL_knee and friction.frictionloss/FR_knee" in text
+    assert "not identifiable from these data: friction.frictionloss (FL_knee, FR_knee)" in text
+    assert "do not distinguish friction.frictionloss/FL_knee and friction.frictionloss/FR_knee" in text
     assert "1 of 4 joints is no better than without friction: FR_knee (+" in text
 
 
@@ -225,7 +225,7 @@ def test_a_verdict_names_the_joints(result: Any) -> None:
     why, *_ = explain_failure(ended) or [""]
     assert "friction.frictionloss (FL_knee) and friction.damping (FL_hip) ended at their bounds" in why
     checks = {check.title: check for check in check_result(result)}
-    assert checks["Joint by joint"].state == checks["Identifiability"].state == "caution"
+    assert checks["Joints"].state == checks["Identifiability"].state == "caution"
     assert checks["Bounds"].state == "bad"  # its friction is cut off at the upper bound
 
 
@@ -237,7 +237,7 @@ def test_the_page_has_means_first_and_folds_the_joints(result: Any, tmp_path: Pa
     opened = [part.split("</summary>")[0] for part in page.split("<details open>")[1:]]
     assert len(opened) == 1 and "FR_knee" in opened[0]  # the largest error
     assert page.count("shared by hips") == page.count("shared by knees") == 2
-    left = page.split("Torque that is left</h2>")[1].split("</section>")[0]
+    left = page.split("Residual torque</h2>")[1].split("</section>")[0]
     assert "mean over 4 joints" in left and left.count("<tr>") == 5 and "20 %" in left and "recorded joint" in left
     told = page.split("Link inertia</h2>")[1].split("</section>")[0]
     assert "Gravity is 1.146°" in told and "(0, 0.1962, -9.808) m/s²" in told

@@ -103,7 +103,7 @@ def test_a_run_without_a_portrait_is_refused(finished_run: Callable, tmp_path: P
     drive = fz.load(finished_run("mujoco_default")[0])
     older = replace(drive, curves=replace(drive.curves, portraits={}))
     monkeypatch.setattr(Identified, "load", lambda folder: older)
-    with pytest.raises(RunError, match="there is no friction portrait in it, as an older frictionzoo left it"):
+    with pytest.raises(RunError, match="no friction curve, expected one"):
         write_card(tmp_path, {**LICENCE, "output": str(tmp_path / "card")})
     assert not (tmp_path / "card").exists()
 
@@ -197,7 +197,7 @@ def test_what_needs_recordings_says_that_a_card_has_none(card: Path, tmp_path: P
     assert drive.at(drive.timestep / 2).timestep == drive.timestep / 2
     export = partial(drive.export, "mjcf", tmp_path / "export")
     for what in (drive.rollout, drive.plot, drive.band, export, partial(drive.save, tmp_path / "run")):
-        with pytest.raises(RunError, match=r"a card, which has no recordings, expected segments or a run's folder"):
+        with pytest.raises(RunError, match=r"a card without recordings, expected segments or a run's folder"):
             what()
     assert not [*tmp_path.iterdir()]
 
@@ -248,7 +248,7 @@ def settings(card: dict[str, Any]) -> dict[str, Any]:
         (lambda folder: (folder / CARD).write_text('{"schema_version": 4}'), "schema_version 4, expected 3"),
         (
             lambda folder: (folder / MODEL).write_bytes((folder / MODEL).read_bytes()[:-8]),
-            "SHA-256 .* get the card anew",
+            "SHA-256 .* get the card again",
         ),
         (lambda folder: (folder / TEMPLATE).unlink(), "No such file or directory"),
         (lambda folder: settle(folder, lambda card: card.pop("licence")), "'licence' is a required property"),
@@ -329,7 +329,7 @@ def lie(card: dict[str, Any]) -> None:
         (nonsense("bench", {"_target_": "frictionzoo.bench.Bench"}), "actuator"),
         (nonsense("model", None), "None: expected a section"),
         (nonsense("model", {"_target_": "frictionzoo.models.Lugre", "params": 3}), "Lugre"),
-        (lambda folder: settle(folder, lie), "another bench.armature than card.json has"),
+        (lambda folder: settle(folder, lie), r"bench\.armature differs, .* card\.json"),
         (lambda folder: settle(folder, lambda card: card["files"].update({"../x": 64 * "0"})), "names the file"),
     ],
 )
@@ -344,9 +344,9 @@ def test_a_foreign_card_is_one_line_and_nothing_of_it_runs(own: Path, change: Ca
 @pytest.mark.parametrize(
     ("options", "error", "expected"),
     [
-        ({}, ConfigError, r"^licence is missing; say under which .* such as licence=cc-by-4\.0$"),
+        ({}, ConfigError, r"^licence is missing; .* such as licence=cc-by-4\.0$"),
         ({"licence": "CC BY 4.0\n- evil: 1"}, ConfigError, r"expected one line of text$"),
-        ({"licence": "CC BY 4.0"}, ConfigError, r"^licence=CC BY 4\.0: expected an identifier in lower case"),
+        ({"licence": "CC BY 4.0"}, ConfigError, r"^licence=CC BY 4\.0: expected a lower-case identifier"),
         ({"license": "mit"}, ConfigError, r"^license: unknown option; did you mean licence\?"),
         (LICENCE | {"output": "taken"}, OutputError, r"^taken/README\.md: not written by this program"),
         (LICENCE | {"output": "taken/README.md/card"}, OutputError, r"set output to a folder that can be written$"),
@@ -445,7 +445,7 @@ def test_a_card_comes_by_name(hub: type[Hub], card: Path, tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
-        ("hub:maker/arm", r"^hub:maker/arm: no such repository, or none that is public; expected hub:OWNER/NAME$"),
+        ("hub:maker/arm", r"^hub:maker/arm: no such public repository; expected hub:OWNER/NAME$"),
         ("hub:maker", r"^hub:maker: expected hub:OWNER/NAME, or hub:OWNER/NAME@REVISION$"),
         ("hub:../knee", r"^hub:\.\./knee: expected hub:OWNER/NAME"),
     ],
@@ -457,7 +457,7 @@ def test_a_name_that_is_none_is_one_line(hub: type[Hub], name: str, expected: st
 
 def test_a_repository_without_a_card_is_one_line(hub: type[Hub], tmp_path: Path) -> None:
     hub.files = tmp_path
-    with pytest.raises(RunError, match=r"^hub:maker/knee: no card\.json in it, expected a card; name another"):
+    with pytest.raises(RunError, match=r"^hub:maker/knee: no card\.json, expected a card; name another"):
         fz.load("hub:maker/knee")
 
 
@@ -465,7 +465,7 @@ def test_a_hub_that_does_not_answer_has_what_is_kept(hub: type[Hub], monkeypatch
     kept = fz.load("hub:maker/knee").folder
     monkeypatch.setattr("huggingface_hub.constants.HF_HUB_OFFLINE", True)
     assert fz.load("hub:maker/knee").folder == kept
-    with pytest.raises(RunError, match=r"^hub:maker/arm: the hub does not answer, and card\.json is not kept here"):
+    with pytest.raises(RunError, match=r"^hub:maker/arm: the hub does not answer, and card\.json is not cached"):
         fz.load("hub:maker/arm")
 
 

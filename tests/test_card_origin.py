@@ -60,10 +60,10 @@ def test_its_values_are_labelled_as_theirs(run: Path, file: Path, tmp_path: Path
     }
     page = (folder / PAGE).read_text()
     assert (
-        "Armature and friction of BAM's drive `sts3215` with its law `m1`, published as `m1.json` in A. Maker" in page
+        "Armature and friction of BAM's drive `sts3215` with its model `m1`, published as `m1.json` in A. Maker" in page
     )
-    assert "The values are theirs; frictionzoo did not identify but judged them, on recordings" in page
-    assert "identified by frictionzoo" not in page and "This did not identify the drive" not in page
+    assert "frictionzoo did not identify these values; it evaluated them on recordings" in page
+    assert "identified by frictionzoo" not in page and "drive was not identified" not in page
     assert f"SHA-256 `{origin['sha256']}`" in page and "BAM's servo follows commands at 5.3 rad/s at most" in page
     (line,) = re.findall(r"^\| bench\.armature .*$", page, re.M)
     assert "| 0.0261 |" in line and "known" in line
@@ -103,9 +103,9 @@ def test_a_card_of_ones_own_has_no_origin(finished_run: Callable, tmp_path: Path
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        ({"friction_viscous": 0.07}, r"friction\.damping is 0\.07 in it, 0\.0599 in the run; name the run's own file$"),
-        ({"R": 2.0}, r"bench\.kt_over_r is 0\.5888 in it, "),
-        ({"model": "m3", "load_friction_base": 0.1}, "its law is load_dependent, the run's mujoco_default"),
+        ({"friction_viscous": 0.07}, r"friction\.damping is 0\.07, in the run 0\.0599; name the run's own file$"),
+        ({"R": 2.0}, r"bench\.kt_over_r is 0\.5888, in the run "),
+        ({"model": "m3", "load_friction_base": 0.1}, "its model is load_dependent, the run's mujoco_default"),
         ({"actuator": "erob80_50"}, r"actuator=erob80_50"),
     ],
 )
@@ -118,7 +118,7 @@ def test_values_of_another_file_are_refused(run: Path, tmp_path: Path, change: d
 
 
 def test_values_that_a_run_found_are_not_others(finished_run: Callable, file: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"the run's values are its own, of fit=lm, expected those of the file; run"):
+    with pytest.raises(ConfigError, match=r"the run identified its values \(fit=lm\), expected the file's values; run"):
         write_card(finished_run("mujoco_default")[0], settings(file, output=str(tmp_path / "card")))
     assert not [*tmp_path.iterdir()]
 

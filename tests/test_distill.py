@@ -72,9 +72,7 @@ def test_a_law_of_the_same_family_is_found_again(teacher: Path, distill: Callabl
     assert all(difference["rms"] < 1e-4 for difference in note["differences"])
     assert note["notes"] == [] and note["error"]["verdict"] == "noise"
     shown = Page(source := (tmp_path / "student" / "report.html").read_text(encoding="utf-8"))
-    assert shown.text.index("Good enough? Yes, as good as its teacher within noise") < shown.text.index(
-        "How it is used"
-    )
+    assert shown.text.index("Good enough? Yes, as good as its teacher within noise") < shown.text.index("How to use")
     assert "3 identified values in place of 3." in shown.text and str(tmp_path) not in source
     named = {trace["name"] for figure in read_data(source)["figures"] for trace in figure["data"]}
     assert {"student", "teacher", "no friction"} <= named and len(source) < 1.5e6
@@ -210,7 +208,7 @@ def test_recordings_that_are_gone_or_changed_are_one_line(
     assert "exists already" in distill(copy, "model=mujoco_default", f"output={copy}").err
     text = recording.read_text()
     other.write_text(text[: text.rindex("\n", 0, -1) + 1])  # its last sample is lost
-    check_refused(distill(copy, *options), "data with SHA-256 .*, expected .* as when it ran", tmp_path / "student")
+    check_refused(distill(copy, *options), "data with SHA-256 .*, expected .* as in that run", tmp_path / "student")
 
 
 def test_a_teacher_that_diverges_is_one_line(

@@ -78,7 +78,7 @@ def test_the_readme_is_the_front_page_with_links_of_the_site(site: Path) -> None
     assert "<code>FRICTIONZOO_DATA</code>" in text and "README.md" not in text
     assert 'href="data.html"' in text and 'href="CONTRIBUTING.html"' in text and (site / "landing.svg").exists()
     text = (site / "data.html").read_text()
-    assert "A recording of your own" in text
+    assert "Identify a drive" in text
     assert 'href="experiments/emps/index.html"' in text and 'href="notebooks/quickstart.html"' in text
 
 

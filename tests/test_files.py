@@ -161,7 +161,10 @@ REFUSED = {
     "header": (["data.columns.qpos=5"], r"data\.columns\.qpos=5: expected a list of names"),
     "two rules": (["data.test=b.csv", "data.split.by=file", "data.split.test=[a.csv]"], r"expected one of them"),
     "by time": (["data.split.test=[16]"], r"data\.split\.test=\[16\] with by=time"),
-    "nothing tests": (["data.split.by=letter"], r"data\.split\.test=\[\] with by=letter; expected what tests"),
+    "nothing tests": (
+        ["data.split.by=letter"],
+        r"data\.split\.test=\[\] with by=letter; expected names or values that test",
+    ),
     "no field": (
         ["data.split.by=leter", "data.split.test=[a]"],
         r"no recording has a field leter; did you mean letter",
@@ -170,7 +173,7 @@ REFUSED = {
         ["data.split.by=letter", "data.split.test=[d]"],
         r"test=d: no recording has it; expected one of a, b, c",
     ),
-    "no file": (["data.split.by=file", "data.split.test=[d.csv]"], r"test=d\.csv: none of 3 recordings is called so"),
+    "no file": (["data.split.by=file", "data.split.test=[d.csv]"], r"test=d\.csv: none of 3 recordings has that name"),
     "share": (["data.split.by=file", "data.split.test=1.5"], r"data\.split\.test=1\.5 with by=file"),
     "nothing trains": (["data.split.by=letter", "data.split.test=[a,b,c]"], r"all 3 recordings test, none is left"),
     "where": (["data.where={letter: [d]}"], r"data\.where\.letter=d: no recording has it; expected one of a, b, c"),

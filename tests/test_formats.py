@@ -291,8 +291,8 @@ def test_signals_of_other_times_are_brought_to_those_of_qpos(tmp_path):
     assert recording.signals["ctrl"][:, 0].tolist() == [1, 1, 1, 2, 2]
     np.testing.assert_allclose(recording.signals["supply"][:, 0], [10, 11, 12, 13, 14], rtol=1e-15)
     assert recording.notes == (
-        "ctrl held from 2 samples of its own on the 5 times of qpos",
-        "supply interpolated linearly from 2 samples of its own on the 5 times of qpos",
+        "ctrl held from 2 samples to the 5 times of qpos",
+        "supply interpolated linearly from 2 samples to the 5 times of qpos",
     )
 
 
@@ -504,7 +504,7 @@ def refuse(path: Path, line: str) -> None:
 def test_cells_that_are_no_plain_numbers(tmp_path, cell):
     path = tmp_path / "a.csv"
     path.write_text(f'time,qpos,qvel,ctrl\n0,0,0,0\n0.1,1,"{cell}",1\n', encoding="utf-8")
-    refuse(path, r"a\.csv, line 3: qvel is '.+', expected a number; or set data\.columns\.qvel, to \[\] to do without")
+    refuse(path, r"a\.csv, line 3: qvel is '.+', expected a number; or set data\.columns\.qvel, to \[\] to omit it")
     (came,) = read_tables(str(path), "auto")
     assert set(to_recording(came, {"qvel": []}, {}, simulated=False).signals) == {"qpos", "ctrl"}
 

@@ -100,8 +100,8 @@ def test_the_page_opens_with_what_to_do(record, tmp_path):
     record["verdict"] = record["verdict"] | {"commands": [{"kind": "law", "command": "frictionzoo model=stribeck"}]}
     text = Page(report(tmp_path / "report.html", record)).text
     change = format_change(*(record["metrics"][part]["position_mae"] for part in ("test", "baseline")))
-    asked = (change, "Verdict: ", "How it is used", "fz.load(", "What to do next", "model=stribeck", "Best")
-    places = [text.find(each) for each in (*asked[:-1], "rollout of the test data")]
+    asked = (change, "Verdict: ", "How to use", "fz.load(", "Next steps", "model=stribeck", "Best")
+    places = [text.find(each) for each in (*asked[:-1], "test rollout ")]
     assert -1 not in places and places == sorted(places)
 
 
@@ -217,17 +217,17 @@ def test_friction_and_what_is_left_are_drawn(record, tmp_path):
     drawn = plot_run(of_joints(record, "hip", "knee"), replace(curves, **more))
     titles = [figure.title for figure in drawn["portraits"]]
     assert titles == [
-        f"Friction of {joint} over the {what}" for joint in ("hip", "knee") for what in ("load on the gear", "velocity")
+        f"Friction of {joint} over {what}" for joint in ("hip", "knee") for what in ("load on the gear", "velocity")
     ]
     bare, full = (with_plotly.draw(figure)["data"] for figure in drawn["portraits"][:2])
-    assert [trace["name"] for trace in bare] == ["law"]
+    assert [trace["name"] for trace in bare] == ["model"]
     band, law, implied = full
     assert law["y"] == at[:, 0].tolist() and band["y"][:9] == (at[:, 0] + 0.2).tolist()
     seen = points[~np.isnan(points[:, 0]), 0]
     assert implied["x"] == seen.tolist() and implied["y"] == (seen + 1).tolist()
     assert set(implied["error_y"]["array"]) == {2.0} and set(implied["error_y"]["arrayminus"]) == {1.0}
     assert [sum(trace["y"]) for trace in with_plotly.draw(drawn["left"][1])["data"]] == [16 * 0.25]
-    assert "1 N m from the curve on average" in drawn["portraits"][1].text
+    assert "1 N m on average" in drawn["portraits"][1].text
 
 
 def test_where_a_value_began_and_how_values_go_together(record, tmp_path):
@@ -236,7 +236,7 @@ def test_where_a_value_began_and_how_values_go_together(record, tmp_path):
         **{"scale": ["log", "log"], "centre": [0.0, 0.0], "matrix": [[4.0, -3.0], [-3.0, 9.0]], "freedom": 10.0},
     }
     page = Page(report(tmp_path / "report.html", record))
-    assert "began at 0.1 " in page.text and "1.00 -0.50" in page.text
+    assert "initial value 0.1 " in page.text and "1.00 -0.50" in page.text
     assert correlate(record | {"covariance": None}, "knee") is None
     several = of_joints(record, "hip", "knee")
     several["covariance"] = record["covariance"] | {"labels": ["bench.armature/knee", "friction.static_torque/knee"]}
@@ -252,8 +252,8 @@ def test_intervals_stand_beside_the_values(record, tmp_path):
     record["parameters"][0]["by_joint"][0] |= {"identifiable": False}
     record["parameters"][3]["by_joint"][0] |= {"interval": [0.25, 0.35], "identifiable": True}
     page = Page(report(tmp_path / "report.html", record))
-    assert page.text.count("0.25 to 0.35") == page.text.count("not identifiable on these data") == 1
-    assert "Least certain of what is identifiable: friction.static_torque, ± 17 %." in page.text
+    assert page.text.count("0.25 to 0.35") == page.text.count("not identifiable from these data") == 1
+    assert "Least certain of the identifiable values: friction.static_torque, ± 17 %." in page.text
 
 
 def test_every_figure_has_a_heading_and_a_text(record, tmp_path):
@@ -337,19 +337,19 @@ def test_no_doubts_about_a_good_run(record):
 @pytest.mark.parametrize(
     ("change", "title", "state", "text"),
     [
-        ({"data.origin": "hardware"}, "Hardware data", "good", "stated to be recorded on hardware"),
+        ({"data.origin": "hardware"}, "Hardware data", "good", "hardware"),
         ({"data.origin": None}, "Origin", "note", "Your recordings"),
         ({"fit.stopped": "converged"}, "Fit", "good", "converged after 3"),
-        ({"fit.stopped": "patience"}, "Fit", "good", "fell no more"),
+        ({"fit.stopped": "patience"}, "Fit", "good", "stopped falling"),
         ({"fit.stopped": "diverged"}, "Fit", "bad", "diverged after 3"),
-        ({"fit.stopped": "finished", "fit.method": "lm"}, "Fit", "caution", "without converging"),
+        ({"fit.stopped": "finished", "fit.method": "lm"}, "Fit", "caution", "did not converge"),
         ({"fit.stopped": "finished", "fit.method": "grid"}, "Fit", "good", "3 combinations"),
         ({"fit.stopped": "finished", "fit.method": "known"}, "Fit", "note", "Nothing was identified"),
         (
             {"fit.moving": ["bench.armature"]},
             "Fit",
             "caution",
-            "Still moving when the fit ended: bench.armature; raise",
+            "Still moving at the end of the fit: bench.armature; raise",
         ),
         (
             {"reference.0.at_bound": True},
@@ -361,7 +361,7 @@ def test_no_doubts_about_a_good_run(record):
             {"not_identified": ["why", "this"]},
             "Not identified",
             "bad",
-            "did not identify the drive: why; likely: this.",
+            "drive was not identified: why; likely reasons: this.",
         ),
         (
             {"parameters.0.at_bound": True},
@@ -376,17 +376,22 @@ def test_no_doubts_about_a_good_run(record):
             },
             "Identifiability",
             "caution",
-            "Not identifiable on these data: bench.armature; do",
+            "Not identifiable from these data: bench.armature; do",
         ),
-        ({"indistinct": [["a.b", "c.d"]], "no_intervals": None}, "Identifiability", "caution", "apart a.b and c.d;"),
-        ({"metrics.train.position_mae": 1e-3}, "Test against train", "caution", "overfitted"),
-        ({"metrics.train.position_mae": None}, "Test against train", "caution", "cannot be compared"),
-        ({"metrics.baseline.position_mae": 1e-3}, "Gain", "bad", "no better than"),
-        ({"metrics.test.position_mae": None}, "Gain", "bad", "every test rollout diverged"),
+        (
+            {"indistinct": [["a.b", "c.d"]], "no_intervals": None},
+            "Identifiability",
+            "caution",
+            "distinguish a.b and c.d;",
+        ),
+        ({"metrics.train.position_mae": 1e-3}, "Training and test error", "caution", "overfitted"),
+        ({"metrics.train.position_mae": None}, "Training and test error", "caution", "cannot be compared"),
+        ({"metrics.baseline.position_mae": 1e-3}, "Improvement", "bad", "no better than"),
+        ({"metrics.test.position_mae": None}, "Improvement", "bad", "every test rollout diverged"),
         ({"by_horizon.0.test.diverged": 2}, "Stability", "bad", "2 of 4 test rollouts of 0.1 s"),
         ({"by_horizon.1.baseline.diverged": 1}, "Stability", "caution", "1 of 4 frictionless test rollouts of 0.05 s"),
         ({"data.logs.1.sha256": 64 * "a"}, "Held-out data", "good", "same recording"),
-        ({"model": "baseline"}, "Gain", "note", "compared with itself"),
+        ({"model": "baseline"}, "Improvement", "note", "compared with itself"),
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
 )

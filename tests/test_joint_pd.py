@@ -227,10 +227,10 @@ def test_what_a_log_lacks_is_zero_and_said(leg: Any, caplog: pytest.LogCaptureFi
     plain, told = read(columns), read(columns | {"ctrl_velocity": commands(50)["ctrl_velocity"]})
     with caplog.at_level(logging.INFO):
         (log,) = bench.accept_all(Dataset("robot", (plain,), (plain,))).train
-    assert "robot: no ctrl_torque in it; the actuator law acts as at 0 throughout" in caplog.text
+    assert "robot: no ctrl_torque recorded; the actuator uses 0" in caplog.text
     assert {name: of.shape for name, of in log.inputs.items()} == dict.fromkeys(bench.inputs, (50, 2))
     assert not any(of.any() for of in log.inputs.values())
-    with pytest.raises(BenchError, match=r"no ctrl_velocity, which .* has and the actuator law looks at; map a column"):
+    with pytest.raises(BenchError, match=r"no ctrl_velocity, which .* has and the actuator uses; map a column"):
         bench.accept_all(Dataset("robot", (plain,), (told,)))
     assert bench.accept(told).inputs["ctrl_velocity"] is not None
     with pytest.raises(BenchError, match=r"no kp, which RecordedPD needs; map a column \(data\.columns\.kp\)"):

@@ -126,7 +126,7 @@ LEFT = {  # what a bench does not hold, and why its actuator is left out; withou
         '<intvelocity name="a{joint}" joint="{joint}" kp="2" actrange="-1 1"/>',
         r"activation \(integrator\)",
     ),
-    "damper": ('<damper name="a{joint}" joint="{joint}" kv="1" ctrlrange="0 1"/>', r"gain \(affine\) is no constant"),
+    "damper": ('<damper name="a{joint}" joint="{joint}" kv="1" ctrlrange="0 1"/>', r"gain \(affine\) is not constant"),
     "muscle": ('<muscle name="a{joint}" joint="{joint}" lengthrange="0 1"/>', r"activation \(muscle\)"),
     "user dynamics": ('<general joint="{joint}" dyntype="user" actdim="1"/>', r"activation \(user\)"),
     "user gain": ('<general joint="{joint}" gaintype="user"/>', r"gain \(user\)"),

@@ -170,7 +170,7 @@ def judge(posing: type[Exception], tmp_path: Path) -> Callable[..., str | None]:
 @pytest.mark.parametrize(
     ("key", "value", "fragment"),
     [
-        ("data.clean.shortest", 1e9, "the 1e+09 s of data.clean.shortest"),
+        ("data.clean.shortest", 1e9, "expected 1e+09 s (data.clean.shortest)"),
         ("data.clean.step", 1e9, "shorter than data.clean.step=1e+09 s"),
         ("data.clean.step", 1e-9, "data.clean.step=1e-09: expected at least 1e-06 s"),
         ("evaluation.local", 1e9, "smaller evaluation.local"),
@@ -255,7 +255,7 @@ def test_an_option_that_a_model_of_a_sweep_lacks_is_refused(call: Callable, tmp_
 def test_an_option_that_the_default_model_alone_lacks_is_told_how_to_set(call: Callable) -> None:
     finished = call("-m", "model=neural_friction,odd_network", "model.hidden=[4]")
     assert finished.status == 2 and finished.err.count("\n") == 1
-    assert "the default model has not; write ++model.hidden=VALUE" in finished.err
+    assert "the default model does not; write ++model.hidden=VALUE" in finished.err
 
 
 def test_a_model_of_a_sweep_that_does_not_exist_is_refused(call: Callable) -> None:
@@ -266,10 +266,8 @@ def test_a_model_of_a_sweep_that_does_not_exist_is_refused(call: Callable) -> No
 
 def test_a_section_that_is_no_section_is_refused(call: Callable) -> None:
     finished = call("model.params=[1]")
-    assert finished.status == 2 and finished.err == (
-        "frictionzoo: model.params=[1]: expected a value, or a section, of the kind that it replaces; compare with "
-        "--cfg all\n"
-    )
+    assert finished.status == 2 and finished.err.count("\n") == 1
+    assert finished.err.startswith("frictionzoo: model.params=[1]: expected a value or a section")
 
 
 def test_a_step_of_an_export_that_is_no_number_is_refused() -> None:

@@ -127,7 +127,7 @@ def test_what_cannot_be_sampled_is_refused(monkeypatch: pytest.MonkeyPatch) -> N
     many = MOST_COORDINATES + 1
     with pytest.raises(ConfigError, match=r"^21 numbers were identified, expected at most 20 for a posterior; draw"):
         draw_posterior(fit_to(loss, [0.0] * many), known(np.eye(many), np.zeros(many)), 10, 0)
-    with pytest.raises(ConfigError, match=r"^fit=inverse_dynamics: its loss is one of torque, without the rollouts"):
+    with pytest.raises(ConfigError, match=r"^fit=inverse_dynamics: its loss is a torque error"):
         draw_posterior(fit_to(loss, [0.0, 0.0], fit=InverseDynamics()), unit, 10, 0)
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(ConfigError, match=r'blackjax not found, .*pip install "frictionzoo\[posterior\]"$'):
@@ -173,7 +173,7 @@ def test_draws_of_a_drive_have_its_intervals(recording: Path) -> None:
 
 
 def test_a_run_that_was_read_back_has_none(finished_run: Callable[[str], Any]) -> None:
-    with pytest.raises(RunError, match=r"without the training data, .*; identify it again, or draw with sample$"):
+    with pytest.raises(RunError, match=r"no training data, .*; identify again, or draw with sample$"):
         fz.load(finished_run("mujoco_default")[0]).posterior()
-    with pytest.raises(RunError, match="a network's weights can stand for its physical parameters"):
+    with pytest.raises(RunError, match="a network's weights can replace its physical parameters"):
         fz.load(finished_run("neural_friction")[0]).posterior()

@@ -1,4 +1,4 @@
-"""Settings that find themselves: what is chosen, why, and that what a user says stays as it is."""
+"""Automatic settings: choices, their reasons, and options that a user sets."""
 
 from collections.abc import Callable
 from typing import Any
@@ -227,7 +227,7 @@ def test_long_tails_call_for_a_robust_loss(recorded: Dataset) -> None:
     pushed = Log(**{**vars(log), "qpos": qpos, "qvel": qvel})
     fit = fz.identify(knee(), "coulomb_smooth", pushed, test=0.2, **QUICK)
     chosen = {row["option"]: row for row in fit.result["recipe"]}
-    assert chosen["loss.robust"]["value"] == "soft_l1" and "validation block" in chosen["loss.robust"]["reason"]
+    assert chosen["loss.robust"]["value"] == "soft_l1" and "validation error" in chosen["loss.robust"]["reason"]
 
 
 def test_a_network_has_no_pilot(recorded: Dataset) -> None:

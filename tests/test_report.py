@@ -341,7 +341,7 @@ def test_summary_holds_the_numbers(result):
 def test_summary_says_real(bench, model, evaluation):
     dataset = Dataset("encoder", (make_log("a", 400, simulated=False),), (make_log("b", 400, simulated=False),))
     text = summarise(build(bench, model, dataset, evaluation, VALUES), Path("run"))
-    assert "encoder. The data are stated to be recorded on hardware." in text and "simulated" not in text
+    assert "encoder. Recorded on hardware" in text and "simulated" not in text
 
 
 def test_summary_warns_at_a_bound(bench, model, dataset, evaluation):
@@ -366,8 +366,8 @@ def test_a_result_says_what_the_data_determine(bench, model, dataset, evaluation
     lines = {line.split("  ")[0]: line for line in text.splitlines()}
     assert "0.25 to 0.35" in lines[name] and lines[name].endswith(" identified")
     assert lines["friction.kinetic_torque"].endswith("not identifiable")
-    assert f"warning: not identifiable on these data: {', '.join(group)}; " in text
-    assert f"the data cannot tell apart {' and '.join(group)}" in text
+    assert f"warning: not identifiable from these data: {', '.join(group)}; " in text
+    assert f"the data do not distinguish {' and '.join(group)}" in text
 
 
 def history(**values):

@@ -111,7 +111,7 @@ def test_where_there_is_nothing_to_compare_nothing_is_said(
     assert measure(torques, true_law(), [log], [log.between(0, 100, "cut")]) is None
     having = replace(log, extras={"torque": log.ctrl})
     assert measure(pd, true_law(), [having], [log]) is None
-    reasons = ("only_in_torch exists only in torch", "100 samples, expected at least", "not recorded of every joint")
+    reasons = ("only_in_torch exists only in torch", "100 samples, expected at least", "torque is not compared")
     assert all(reason in message for reason, message in zip(reasons, caplog.messages, strict=True))
 
 

@@ -308,7 +308,7 @@ def test_automatic_settings_are_found_once(
     with monkeypatch.context() as patched:
         patched.setattr(kept, "settle", stop)
         resumed = call("resume=run")
-    assert resumed.status in (0, 3) and "automatic settings, as found before" in resumed.err
+    assert resumed.status in (0, 3) and "automatic settings read from" in resumed.err
     assert_same(tmp_path / "run", tmp_path / "whole")
     first, second = (json.loads((tmp_path / name / "result.json").read_text()) for name in ("run", "whole"))
     assert first["recipe"] == second["recipe"] and len(first["recipe"]) > 5

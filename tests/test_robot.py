@@ -131,7 +131,7 @@ def test_an_armature_of_zero_stays_where_it_is_known(tmp_path: Path) -> None:
     ("more", "kind", "message"),
     [
         ({"joint": "tail"}, BenchError, "no joint"),
-        ({"write": lambda name: ""}, BenchError, "its joints have no one law of actuators"),
+        ({"write": lambda name: ""}, BenchError, "its joints do not share one actuator"),
         ({"write": lambda name: "", "actuator": ({"kp": {"init": None}}, 1.0)}, ConfigError, "no kp in the file; give"),
         ({"base": "as_is"}, BenchError, "body trunk floats"),
         ({"base": "free"}, ConfigError, "bench.base=free: no such choice"),

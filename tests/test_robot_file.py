@@ -179,7 +179,7 @@ def test_a_urdf_says_friction_and_torque(tmp_path: Path) -> None:
     assert robot.actuators == (None, None)
     assert [link.fused for link in robot.links] == [("upper",), ("lower", "tool")]
     assert "a second <origin> of <joint shoulder> is left out" in robot.notes
-    assert "left out, for MuJoCo does not read them in a URDF: 1 <transmission>, 1 <gazebo>" in robot.notes
+    assert "left out, because MuJoCo does not read them in a URDF: 1 <transmission>, 1 <gazebo>" in robot.notes
     np.testing.assert_array_equal(compiled(robot).body_pos[1], [0, 0, 0.3])
 
 
@@ -291,7 +291,7 @@ def test_robots_that_mujoco_alone_refuses() -> None:
     np.testing.assert_array_equal(tx40.forceranges[0], [-131.84, 131.84])
     kuka = read_robot(str(folder / "kuka_lwr4" / "kuka_lwr4_identified.urdf"))
     assert compiled(kuka).nv == 7
-    assert sum("no body of matter" in note for note in kuka.notes) == 7
+    assert sum("is not physical" in note for note in kuka.notes) == 7
     assert kuka.links[0].inertia[2, 2] == pytest.approx(1.198399e-06)
     assert kuka.values["frictionloss"].min() == 0
 

@@ -17,16 +17,16 @@ from frictionzoo.core.errors import BenchError, ConfigError
 
 SPRUNG = body("", '<option integrator="RK4" iterations="3"/>')
 LINES = {
-    "free joint": (LEG, r"floating base: body trunk is held where the file puts it"),
+    "free joint": (LEG, r"floating base: body trunk is fixed"),
     "other joints": (LEG, r"2 joints are not chosen and stand at their reference position: hip, toe"),
     "other actuators": (LEG, r"left out: 2 actuators of joints that are not chosen, hip, toe"),
-    "sensors": (LEG, r"left out, for they move no joint: 1 sensors, 1 keys, 1 textures, 1 materials"),
-    "contacts": (LEG, r"contacts are left out: right for .* bench\.contacts=keep"),
+    "sensors": (LEG, r"left out, because they move no joint: 1 sensors, 1 keys, 1 textures, 1 materials"),
+    "contacts": (LEG, r"contacts are left out: correct if .* bench\.contacts=keep"),
     "integrator": (SPRUNG, r"integrator RK4: Euler instead"),
     "solver": (SPRUNG, r"options of the solver left out \(iterations=3\)"),
     "velocity": (ARM, r"velocity limits of 1 joints"),
-    "limits": (ARM, r"limits of 1 joints are left out: right where the recorded motion is within"),
-    "cone": (body("", '<option cone="elliptic"/>'), r"options left out, for they concern contacts: cone"),
+    "limits": (ARM, r"limits of 1 joints are left out: correct if the recorded motion is within"),
+    "cone": (body("", '<option cone="elliptic"/>'), r"contact options left out: cone"),
     "wind": (body("", '<option wind="1 0 0"/>'), r"option wind left out"),
     "flags": (body("", '<option><flag energy="enable"/></option>'), r"flags left out: energy"),
     "no actuation": (body("", '<option><flag actuation="disable"/></option>'), r"flag actuation=disable left out"),
@@ -37,11 +37,11 @@ LINES = {
     ),
     "bent spring": (
         changed(body(""), ("axis", 'stiffness="1 2" axis')),
-        r"springs that are no straight line: of joint hinge",
+        r"nonlinear springs of joint hinge",
     ),
     "bent damper": (
         changed(body(""), ("axis", 'damping="1 2" axis')),
-        r"damping that is no straight line: of joint hinge",
+        r"nonlinear damping of joint hinge",
     ),
     "negative": (
         changed(ARM, ('friction="0.4"', 'friction="-0.4"')),
@@ -61,7 +61,7 @@ LINES = {
     ),
     "damper": (
         body("", '<actuator><damper name="a" joint="hinge" kv="1" ctrlrange="0 1"/></actuator>'),
-        r"actuator a of joint hinge is left out: its gain \(affine\) is no constant",
+        r"actuator a of joint hinge is left out: its gain \(affine\) is not constant",
     ),
     "two actuators": (
         body("", '<actuator><motor name="a" joint="hinge"/><velocity name="b" joint="hinge"/></actuator>'),
@@ -89,7 +89,7 @@ LINES = {
     ),
     "unphysical": (
         changed(ARM, ('izz="0.01" ixy', 'izz="0.09" ixy')),
-        r"the inertia of link upper is that of no body of matter",
+        r"the inertia of link upper is not physical",
     ),
     "a URDF's shapes": (
         changed(

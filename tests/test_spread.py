@@ -55,7 +55,7 @@ def test_fits_are_told_apart_by_their_units(finished_run: Callable[[str], Any]) 
         assert spread.mean == pytest.approx(middle)
         assert spread.run == pytest.approx(middle * np.sqrt(8.0 - variance))
         assert spread.unit == pytest.approx(middle * np.sqrt(200.0 - 8.0 / 2), rel=1e-6)
-    with pytest.raises(RunError, match="fits: 1, expected two at least"):
+    with pytest.raises(RunError, match="fits: 1, expected at least two"):
         fz.spread([drive])
     nothing = dataclasses.replace(drive, result={**drive.result, "covariance": None, "no_intervals": "of a network"})
     with pytest.raises(RunError, match="of a network, expected intervals"):

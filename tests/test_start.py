@@ -108,7 +108,7 @@ def test_any_fit_may_be_the_start_of_another(begun: Problem, in_haste: None, cap
             assert moved.data is objective.data
             losses = [evaluate(np.asarray(each.space.start)).loss for each in (objective, moved)]
             assert losses[1] < losses[0]
-            assert caplog.messages[-1].startswith(f"the fit begins where {start.name} ends: bench.armature ")
+            assert caplog.messages[-1].startswith(f"the fit starts from the result of {start.name}: bench.armature ")
         low, high = np.asarray(objective.space.low), np.asarray(objective.space.high)
         np.testing.assert_array_equal(objective.space.starting(high + 1).start, high)
         np.testing.assert_array_equal(objective.space.starting(low - 1).start, low)
@@ -117,7 +117,7 @@ def test_any_fit_may_be_the_start_of_another(begun: Problem, in_haste: None, cap
 def test_a_start_that_cannot_be_is_refused(
     begun: Problem, bench: Bench, recorded: Dataset, make: Callable[..., Any]
 ) -> None:
-    with pytest.raises(ConfigError, match=r"fit\.start: str, expected another fit, as start=inverse_dynamics gives it"):
+    with pytest.raises(ConfigError, match=r"fit\.start: str, expected another fit, such as start=inverse_dynamics"):
         as_start("inverse_dynamics")
     for name in ("known", "grid", "inverse_dynamics"):
         with pytest.raises(ConfigError, match=r"takes no arguments|unexpected keyword argument 'start'"):

@@ -174,7 +174,7 @@ def test_a_stopped_sweep_goes_on_with_what_is_missing(
     monkeypatch.setattr("frictionzoo.show.comparison_figures.write_figures", lambda *_: None)
     finished = call(*RUNS["sweep"], *tiny, "hydra.sweep.dir=sweep", "resume=true")
     assert finished.status == 0, finished.err
-    assert done == ["coulomb_smooth"] and "0_baseline: has its result already" in finished.err
+    assert done == ["coulomb_smooth"] and "0_baseline: result exists" in finished.err
     assert read_comparison(tmp_path / "sweep") == read_comparison(whole)
 
 

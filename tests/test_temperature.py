@@ -141,13 +141,13 @@ def test_one_column_serves_all_joints_or_there_is_one_a_joint(arm: Bench) -> Non
 
 def test_a_data_set_has_the_temperature_everywhere_or_nowhere(arm: Bench, caplog: pytest.LogCaptureFixture) -> None:
     having, lacking = make_log(arm, np.full((40, 1), 30.0), "a.csv"), make_log(arm, None, "b.csv")
-    with pytest.raises(BenchError, match=r"^b\.csv: no temperature, which a\.csv has and the friction law looks at;"):
+    with pytest.raises(BenchError, match=r"^b\.csv: no temperature, which a\.csv has and the friction model uses;"):
         arm.accept_all(Dataset("mixed", (having,), (lacking,)))
     caplog.set_level(logging.INFO)
     arm.accept_all(Dataset("all", (having,), (having,)))
     assert not caplog.messages
     arm.accept_all(Dataset("none", (lacking,), (lacking,)))
-    assert caplog.messages == ["none: no temperature in it; the friction law acts as at 25 throughout"]
+    assert caplog.messages == ["none: no temperature recorded; the friction model uses 25"]
     arm.observing({}).accept_all(Dataset("mixed", (having,), (lacking,)))  # nothing looks at it
 
 
@@ -273,7 +273,7 @@ def test_a_run_with_and_without_temperature(runs: Callable[..., tuple[Path, Fini
     warm, said = runs("temperature_linear", "data.columns.temperature=warm")
     assert "no temperature" not in said.err
     cold, said = runs("temperature_linear")
-    assert said.err.count("no temperature in it; the friction law acts as at 25 throughout") == 1
+    assert said.err.count("no temperature recorded; the friction model uses 25") == 1
     plain, _ = runs("mujoco_default")
     with_it, without, other = map(parameters, (warm, cold, plain))
     for key in TRUTH["temperature_linear"]:

@@ -177,7 +177,7 @@ def test_how_it_ends(run: Path, capsys: pytest.CaptureFixture, monkeypatch: pyte
     with pytest.raises(SystemExit) as ended:
         watch.main([str(run)])
     assert ended.value.code == 130
-    assert capsys.readouterr().err == "frictionzoo: stopped by SIGINT; what was watched goes on\n"
+    assert capsys.readouterr().err == "frictionzoo: stopped by SIGINT; the watched jobs continue\n"
     age(run)
     with pytest.raises(SystemExit) as ended:
         watch.main([str(run)])

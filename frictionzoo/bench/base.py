@@ -123,7 +123,7 @@ class Bench(Described):
         second_order: bool | str | None = None,
         integrator: str | None = None,
     ) -> None:
-        refuse_unlike("bench.actuator", actuator, Actuator, "an actuator law, as in PositionPD(kp=15, kd=0.5)")
+        refuse_unlike("bench.actuator", actuator, Actuator, "an actuator, such as PositionPD(kp=15, kd=0.5)")
         self.source = mjcf
         self.actuator = actuator
         self._start: dict[str, np.ndarray] = {}  # initial values that are not those of `params`
@@ -290,7 +290,7 @@ class Bench(Described):
         recorded = tuple(DriveState._field_defaults)
         for name in inputs:
             if name not in recorded:
-                raise ConfigError(f"the friction law's input {name}: unknown; {closest(name, recorded)}")
+                raise ConfigError(f"the friction model's input {name}: unknown; {closest(name, recorded)}")
         other = copy.copy(self)
         other.observed = dict(inputs)
         return other
@@ -387,8 +387,8 @@ class Bench(Described):
         Raises:
             BenchError: A log is not accepted, or some have what a law looks at and others do not.
         """
-        say_lacking(dataset, self.observed, "friction law", ", or take another model")
-        say_lacking(dataset, self.actuator.optional_inputs, "actuator law")
+        say_lacking(dataset, self.observed, "friction model", ", or take another model")
+        say_lacking(dataset, self.actuator.optional_inputs, "actuator")
         train, test = (tuple(map(self.accept, logs)) for logs in (dataset.train, dataset.test))
         return Dataset(dataset.name, train, test)
 

@@ -68,8 +68,9 @@ def _ask(names: Sequence[str], why: str) -> None:
     options = " ".join(f"bench.{_OPTION.format(name)}={example[name]}" for name in names)
     columns = " and ".join(f"data.columns.{name}" for name in names)
     raise ConfigError(
-        f"{' and '.join(names)} of the controller: no value{why}; state your controller's, as in {options}, or map the "
-        f"columns that have them ({columns}) or the joint's torque (data.columns.torque), from which they are found"
+        f"{' and '.join(names)} of the controller: no value{why}; give your controller's values, as in {options}, or "
+        f"map the columns that contain them ({columns}) or the joint's torque (data.columns.torque), from which they "
+        "are computed"
     )
 
 
@@ -105,7 +106,7 @@ def _regress(logs: Sequence[Log]) -> tuple[dict[str, list[float]], str]:
         share = f"{100 * max(worst.explained, 0):.0f} % explained, expected {100 * _EXPLAINED:.0f} %"
         return {}, f", and the recorded torque is not kp (ctrl - qpos) - kd qvel ({share})"
     if any(row.error > _KNOWN or row.kp <= 0 for row in rows):
-        return {}, ", and the motion is too plain for the recorded torque to tell kp from kd"
+        return {}, ", and the motion contains too little information to separate kp from kd"
     found = {
         "kp": [float(f"{row.kp:.4g}") for row in rows],
         "kd": [float(f"{max(row.kd, _LEAST * row.kp):.4g}") for row in rows],

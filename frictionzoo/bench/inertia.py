@@ -193,8 +193,8 @@ def _reference(
     moments, axes = np.linalg.eigh(np.trace(inertia) / 2 * np.eye(3) - inertia)
     if moments[0] < -1e-6 * max(moments[-1], mass * THINNEST**2):
         raise BenchError(
-            f"body {name}: principal inertias {np.array2string(np.linalg.eigvalsh(inertia), precision=3)} kg m^2, of "
-            "which one exceeds the sum of the others; expected what a body can have; correct its inertial"
+            f"body {name}: principal inertias {np.array2string(np.linalg.eigvalsh(inertia), precision=3)} kg m^2, "
+            "one exceeds the sum of the others; expected a physical inertia; correct its inertial"
         )
     moments = np.maximum(moments, mass * THINNEST**2)
     return mass, centre, _upper_cholesky((axes * moments) @ axes.T)

@@ -238,8 +238,8 @@ def _read_actuator(source: str, file: RobotFile) -> Actuator:
         return Force(params={"force_gain": {"init": None}})
     said = ", ".join(f"{name}: {_say(read)}" for name, read in zip(file.joints, file.actuators, strict=True))
     raise BenchError(
-        f"{source}: its joints have no one law of actuators ({said[:200]}); say what turns the recorded commands into "
-        "torque: bench.actuator, such as JointPD with kp and kd, or Force for torques"
+        f"{source}: its joints do not share one actuator ({said[:200]}); set bench.actuator, which "
+        "turns the recorded commands into torque, such as JointPD with kp and kd, or Force for torques"
     )
 
 

@@ -94,11 +94,11 @@ def say_lacking(dataset: Dataset, wanted: Mapping[str, float], whose: str, other
         lacking = [log.name for log in dataset.logs if name not in log.extras]
         if having and lacking:
             raise BenchError(
-                f"{lacking[0]}: no {name}, which {having[0]} has and the {whose} looks at; map a column "
+                f"{lacking[0]}: no {name}, which {having[0]} has and the {whose} uses; map a column "
                 f"(data.columns.{name}), leave out one of them{otherwise}"
             )
         if lacking:
-            _log.info("%s: no %s in it; the %s acts as at %g throughout", dataset.name, name, whose, value)
+            _log.info("%s: no %s recorded; the %s uses %g", dataset.name, name, whose, value)
 
 
 def _pick(log: Log, wanted: Mapping[str, float], nv: int) -> dict[str, Float[np.ndarray, "time nv"]]:

@@ -137,7 +137,7 @@ class Template:
         try:
             model = mujoco.MjModel.from_xml_string(text)
         except (ValueError, RuntimeError) as error:  # MuJoCo has both for files that it does not take
-            self._fail(f"MuJoCo does not compile it ({' '.join(str(error).split())}); mend the MJCF")
+            self._fail(f"MuJoCo does not compile it ({' '.join(str(error).split())}); correct the MJCF")
         if model.nv != len(self.joints):
             self._fail(
                 f"{model.nv} degrees of freedom, but {len(self.joints)} identified joints ({', '.join(self.joints)}); "
@@ -176,7 +176,7 @@ class Template:
             if having.any() or (name == "stiffness" and model.ntendon):
                 what = f"joint {self._first(having)} has {name}" if having.any() else "it has tendons"
                 self._fail(
-                    f"{what}, which bench.params.position_offset would not move along; remove it from the MJCF, or set "
+                    f"{what}, which bench.params.position_offset does not shift; remove it from the MJCF, or set "
                     "bench.params.position_offset to identify: false and init: 0"
                 )
 
@@ -285,7 +285,7 @@ class Template:
             if element.tag not in _NO_ACTUATORS:
                 self._fail(
                     f"defaults for {_describe(element)} in the MJCF would act on the drive that bench.actuator "
-                    "describes, expected none outside of classes of their own; remove them"
+                    "describes, expected none outside of other classes; remove them"
                 )
 
 

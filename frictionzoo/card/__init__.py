@@ -1,1 +1,1 @@
-"""A drive for others: `python -m frictionzoo.card RUN licence=...` writes it, `frictionzoo.load` reads it."""
+"""Cards, which publish a drive: `python -m frictionzoo.card RUN licence=...` writes, `frictionzoo.load` reads one."""

@@ -1,4 +1,4 @@
-"""`python -m frictionzoo.card`, see `frictionzoo.cli.card`."""
+"""Entry point of `python -m frictionzoo.card`, see `frictionzoo.cli.card`."""
 
 from frictionzoo.cli.commands import main
 

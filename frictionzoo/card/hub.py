@@ -1,4 +1,4 @@
-"""Cards by name, from a hub of models, through the optional package huggingface-hub."""
+"""Download of cards from the Hugging Face hub, with the optional package huggingface-hub."""
 
 import importlib.util
 import json
@@ -14,13 +14,13 @@ _FILE = re.compile(r"[\w-][\w.-]*")
 
 
 def fetch_card(name: str) -> Path:
-    """The folder of a card of a hub, in the hub's own cache: what is there already is not fetched again.
+    """Return the folder of a card in the hub's cache, after downloading the files that are not cached.
 
     Args:
-        name: `hub:OWNER/NAME`, or `hub:OWNER/NAME@REVISION`, a branch, tag or commit.
+        name: `hub:OWNER/NAME` or `hub:OWNER/NAME@REVISION`; the revision is a branch, tag or commit.
 
     Raises:
-        ConfigError: It is no such name, or huggingface-hub is not installed.
+        ConfigError: The name has another form, or huggingface-hub is not installed.
         RunError: There is no such card, or the hub does not answer.
     """
     asked = _NAME.fullmatch(name.removeprefix(PREFIX))
@@ -32,14 +32,14 @@ def fetch_card(name: str) -> Path:
         )
     repository = asked["repository"]
     page = _fetch(name, repository, CARD, asked["revision"])
-    folder, commit = page.parent, page.parent.name  # a folder of the cache belongs to one commit
+    folder, commit = page.parent, page.parent.name  # each cache folder belongs to one commit
     for file in _list_files(page):
         _fetch(name, repository, file, commit)
     return folder
 
 
 def _fetch(name: str, repository: str, file: str, revision: str | None) -> Path:
-    # Imported here: an extra.
+    # Imported here: an optional dependency.
     from huggingface_hub import hf_hub_download
     from huggingface_hub.errors import (
         EntryNotFoundError,
@@ -51,19 +51,19 @@ def _fetch(name: str, repository: str, file: str, revision: str | None) -> Path:
     try:
         return Path(hf_hub_download(repository, file, revision=revision))
     except RepositoryNotFoundError:
-        raise RunError(f"{name}: no such repository, or none that is public; expected {PREFIX}OWNER/NAME") from None
+        raise RunError(f"{name}: no such public repository; expected {PREFIX}OWNER/NAME") from None
     except RevisionNotFoundError:
         raise RunError(f"{name}: no such revision; expected a branch, tag or commit of the repository") from None
     except LocalEntryNotFoundError:
-        raise RunError(f"{name}: the hub does not answer, and {file} is not kept here; try again later") from None
+        raise RunError(f"{name}: the hub does not answer, and {file} is not cached; try again later") from None
     except EntryNotFoundError:
-        raise RunError(f"{name}: no {file} in it, expected a card; name another repository") from None
+        raise RunError(f"{name}: no {file}, expected a card; name another repository") from None
     except (OSError, RuntimeError) as error:
         raise RunError(f"{name}: {' '.join(str(error).split())[:200]}; try again later") from None
 
 
 def _list_files(path: Path) -> list[str]:
-    """Names of the card's files, by its record, which is looked at more closely where the card is read."""
+    """Return the file names listed in `card.json`; empty if it is invalid, which `read_card` reports."""
     try:
         files = [*json.loads(path.read_text(encoding="utf-8"))["files"]]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):

@@ -1,4 +1,4 @@
-"""A card's values that somebody else published, which the run judged and did not identify."""
+"""Origin of values that someone else published and the run only evaluated."""
 
 import hashlib
 import math
@@ -11,11 +11,11 @@ from frictionzoo.export.read_bam import read_bam
 from frictionzoo.result.identified import Identified
 
 STATED = ("bam", "source")
-_ROUNDED = 1e-6  # share by which a value of a run in float32 may differ from the file's
+_ROUNDED = 1e-6  # relative difference allowed between a float32 value of the run and the file
 
 
 def refuse_half(options: Mapping[str, str]) -> None:
-    """Refuse a file without who published it, and the reverse.
+    """Refuse a parameter file without its source, and a source without a file.
 
     Raises:
         ConfigError: One of `bam` and `source` is missing.
@@ -26,14 +26,15 @@ def refuse_half(options: Mapping[str, str]) -> None:
 
 
 def read_origin(drive: Identified, options: Mapping[str, str]) -> OriginRow | None:
-    """Of a parameter file of BAM, whose values the drive's are; None where no file is named.
+    """Return the origin of a drive whose values come from a BAM parameter file; None without such a file.
 
     Args:
-        drive: Of a run with `fit=known`.
+        drive: Drive of a run with `fit=known`.
         options: `bam`, the file, and `source`, who published it and where; or neither.
 
     Raises:
-        ConfigError: The run identified something, its values are not the file's, or it is no parameter file of BAM.
+        ConfigError: The run identified its values, its model or values differ from the file's, or the file is not a
+            BAM parameter file.
     """
     if "bam" not in options:
         return None
@@ -41,20 +42,20 @@ def read_origin(drive: Identified, options: Mapping[str, str]) -> OriginRow | No
     published = read_bam(path)
     if (method := drive.result["fit"]["method"]) != "known":
         raise ConfigError(
-            f"bam={path}: the run's values are its own, of fit={method}, expected those of the file; run it with "
+            f"bam={path}: the run identified its values (fit={method}), expected the file's values; run it with "
             f"$(python -m frictionzoo.export.read_bam {path})"
         )
     if drive.result["model"] != published.model:
         raise ConfigError(
-            f"bam={path}: its law is {published.model}, the run's {drive.result['model']}; name the run's own file"
+            f"bam={path}: its model is {published.model}, the run's {drive.result['model']}; name the run's own file"
         )
     expected = {f"bench.{name}": value for name, value in published.bench.items()}
     expected |= {f"friction.{name}": value for name, value in published.friction.items()}
     for name, value in expected.items():
-        # A delay or an offset that is known to be 0 is none of the parameters.
+        # A delay or an offset that is fixed at 0 is not a parameter of the drive.
         held = drive.parameters[name].value.tolist() if name in drive.parameters else [0.0]
         if not all(math.isclose(one, value, rel_tol=_ROUNDED) for one in held):
-            raise ConfigError(f"bam={path}: {name} is {value:g} in it, {held[0]:g} in the run; name the run's own file")
+            raise ConfigError(f"bam={path}: {name} is {value:g}, in the run {held[0]:g}; name the run's own file")
     return {
         "project": "BAM",
         "file": path.name,

@@ -1,4 +1,4 @@
-"""A test stand and a law as sections that make them again from a card alone, and what of such sections may be built."""
+"""Bench and model sections that a card can be rebuilt from without other files, and checks before the rebuild."""
 
 import re
 import xml.etree.ElementTree as ET
@@ -19,13 +19,13 @@ _BENCH = "frictionzoo.bench.Bench"
 
 
 def describe_bench(bench: Bench, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """The section that makes this bench from `TEMPLATE`, a robot's too, whose own file is not needed any more.
+    """Return the section that builds this bench from `TEMPLATE`; a robot does not need its own file any more.
 
-    Link inertias, gravity and time step are those of the template.
+    Link inertias, gravity and time step come from the template.
 
     Args:
-        bench: The test stand.
-        settings: The section that made it.
+        bench: Test stand or robot.
+        settings: Section that built the bench.
     """
     own = describe(bench.actuator)
     given = {name: value for name, value in own.items() if name not in {"params", *bench.actuator.dimensions}}
@@ -44,61 +44,61 @@ def _section(param: Param) -> dict[str, Any]:
 
 
 def write_template(bench: Bench) -> str:
-    """The MJCF of `TEMPLATE`.
+    """Return the MJCF of `TEMPLATE`.
 
     Raises:
-        RunError: It refers to files, which a card has not.
+        RunError: It refers to other files, which a card cannot contain.
     """
     text = bench.template()
     if name := _find_reference(text):
-        raise RunError(f"{bench.source}: it refers to the file {name}, expected a test stand in one file; leave it out")
+        raise RunError(f"{bench.source}: it refers to the file {name}, expected a test stand in one file; remove it")
     return text
 
 
 def place_settings(folder: Path, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """A card's settings with the template where it lies.
+    """Return a card's settings with the path of its template.
 
     Raises:
-        RunError: They have no bench.
+        RunError: The settings have no bench.
     """
     bench = settings.get("bench")
     if not isinstance(bench, Mapping):
-        raise RunError(f"{folder}: settings.bench={bench}, expected a section; get the card anew")
+        raise RunError(f"{folder}: settings.bench={bench}, expected a section; get the card again")
     return {**settings, "bench": {**bench, "mjcf": str(folder / TEMPLATE)}}
 
 
 def build_parts(folder: Path, settings: Mapping[str, Any]) -> tuple[Bench, FrictionModel]:
-    """The bench and the law of a card.
+    """Build the bench and the model of a card.
 
     Args:
-        folder: The card's.
-        settings: As `place_settings` has them.
+        folder: Folder of the card.
+        settings: Result of `place_settings`.
 
     Raises:
-        RunError: The bench is of another kind, or the template is not there or refers to files.
-        FrictionzooError: The settings make no sense.
+        RunError: The bench is of another kind, or the template is missing, not UTF-8, or refers to other files.
+        FrictionzooError: The settings are invalid.
     """
     target = settings["bench"].get("_target_")
     if target != _BENCH:
-        raise RunError(f"{folder}: _target_={target}, expected {_BENCH}; it is no card to be loaded")
+        raise RunError(f"{folder}: _target_={target}, expected {_BENCH}; this card cannot be loaded")
     path = folder / TEMPLATE
     try:
         name = _find_reference(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise RunError(f"{path}: {error.strerror}; expected the file of a card; get the card anew") from None
+        raise RunError(f"{path}: {error.strerror}; expected the file of a card; get the card again") from None
     except ValueError:
-        raise RunError(f"{path}: not UTF-8; expected the MJCF of a card; get the card anew") from None
+        raise RunError(f"{path}: not UTF-8; expected the MJCF of a card; get the card again") from None
     if name:
-        raise RunError(f"{path}: it refers to {name}, expected one file; it is no card to be loaded")
+        raise RunError(f"{path}: it refers to {name}, expected one file; this card cannot be loaded")
     return build_drive(folder, settings)
 
 
 def _find_reference(text: str) -> str | None:
-    """What an MJCF refers to outside itself: a file, or code to be loaded."""
+    """Return a reference of an MJCF to a file or to code; None if there is none."""
     try:
         root = ET.fromstring(text)
     except ET.ParseError:
-        return None  # the bench says what is wrong with it
+        return None  # the bench reports the syntax error
     for element in root.iter():
         if element.tag in ("include", "extension", "plugin"):
             return f"<{element.tag}>"

@@ -1,4 +1,4 @@
-"""A card's folder read back into a drive."""
+"""Loading of a drive from a card's folder."""
 
 import hashlib
 from pathlib import Path
@@ -21,16 +21,16 @@ from frictionzoo.result.read_back import put_law, read_tensors
 from frictionzoo.result.types import Result
 from frictionzoo.result.values import read_parameters
 
-_LENGTH = 10_000  # intervals
-_ROUNDED = 1e-6  # share by which a value of a fit in float32 may differ from its record
+_LENGTH = 10_000  # intervals of the empty segments
+_ROUNDED = 1e-6  # relative difference allowed between a float32 value of a fit and its record
 
 
 def read_card(folder: Path) -> Identified:
-    """The drive of a card, which has no recordings.
+    """Load the drive of a card; it has no recordings.
 
     Raises:
-        RunError: It is not the folder of a card of this version, or one of its files is damaged.
-        FrictionzooError: Its settings make no sense.
+        RunError: The folder does not contain a card of this version, or a file is damaged.
+        FrictionzooError: The card's settings are invalid.
     """
     card = read_record(folder)
     result, settings = cast(Result, card["result"]), place_settings(folder, card["result"]["settings"])
@@ -54,45 +54,45 @@ def read_card(folder: Path) -> Identified:
 
 
 def read_record(folder: Path) -> Card:
-    """What a card's `card.json` holds, if that and its other files are whole.
+    """Read a card's `card.json`, and verify the hashes of the other files.
 
     Raises:
-        RunError: They are not.
+        RunError: `card.json` is invalid, or a file is missing or damaged.
     """
     path = folder / CARD
     card = record.read_valid(path, CARD_VERSION, read_schema())
     record.refuse_invalid(path, card["result"], record.read_schema())
     for name, sha256 in card["files"].items():
         if Path(name).name != name:
-            raise RunError(f"{path}: it names the file {name}, expected names without folders; it is no card")
+            raise RunError(f"{path}: it names the file {name}, expected names without folders; get another card")
         try:
             found = hashlib.sha256((folder / name).read_bytes()).hexdigest()
         except OSError as error:
             raise RunError(
-                f"{folder / name}: {error.strerror}; expected the file of a card; get the card anew"
+                f"{folder / name}: {error.strerror}; expected the file of a card; get the card again"
             ) from None
         if found != sha256:
-            raise RunError(f"{folder / name}: SHA-256 {found[:12]}, expected {sha256[:12]}; get the card anew")
+            raise RunError(f"{folder / name}: SHA-256 {found[:12]}, expected {sha256[:12]}; get the card again")
     return cast(Card, card)
 
 
 def _refuse_others(path: Path, result: Result, values: Values, params: dict[str, Any], bench: Bench) -> None:
-    """Refuse values that are not those that `card.json` tells."""
+    """Refuse values that differ from `card.json`."""
     told = read_parameters(result, bench.nv)
     held = {f"{owner}.{name}": (owner, name) for owner, of in params.items() for name in of}
     if told.keys() != held.keys() or values["bench"].keys() != bench.params.keys():
-        raise RunError(f"{path}: other parameters than {CARD} has, expected the same; get the card anew")
+        raise RunError(f"{path}: its parameters differ, expected those in {CARD}; get the card again")
     for full, (owner, name) in held.items():
         param, own = params[owner][name], values[owner][name]
         same = own.shape == (len(param.members(bench.nv)),)
         if not same or not np.allclose(
             param.spread(own, bench.nv), told[full].value, rtol=_ROUNDED, atol=0, equal_nan=True
         ):
-            raise RunError(f"{path}: another {full} than {CARD} has, expected the same; get the card anew")
+            raise RunError(f"{path}: {full} differs, expected the value in {CARD}; get the card again")
 
 
 def _none(bench: Bench, sampling: Sampling) -> Segments:
-    """No rollout, of so many intervals that a step of the simulation may be as long."""
+    """Return segments without rollouts, with enough intervals for long simulation steps."""
     state, drive = np.zeros((0, _LENGTH + 1, bench.nv)), np.zeros((0, _LENGTH + sampling.history, bench.nv))
     inputs, observed = ({name: drive for name in names} for names in (bench.actuator.inputs, bench.observed))
     return Segments(state, state, Signals(drive, inputs, observed), sampling.interval)

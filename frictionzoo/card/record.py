@@ -1,4 +1,4 @@
-"""`card.json`: the machine-readable half of a card, described by `card.schema.json` beside this file."""
+"""`card.json`: the machine-readable part of a card; `card.schema.json` in this folder describes it."""
 
 import copy
 import inspect
@@ -29,20 +29,20 @@ _OVERRIDES = Path(".hydra", "overrides.yaml")
 
 
 def read_schema() -> dict[str, Any]:
-    """The JSON schema of `card.json`; its descriptions are the documentation of every field."""
+    """Return the JSON schema of `card.json`, which documents every field."""
     return json.loads(resources.files("frictionzoo.card").joinpath("card.schema.json").read_text(encoding="utf-8"))
 
 
 def build_card(drive: Identified, stated: Mapping[str, str], files: Mapping[str, str]) -> Card:
-    """What is said of a drive, ready for JSON.
+    """Return the content of `card.json` for a drive.
 
     Args:
-        drive: Of a run's folder.
-        stated: `licence`, and where they are given `name`, `supply`, `temperature`, `payload`, `bam` and `source`.
-        files: Hashes by name.
+        drive: Drive loaded from a run's folder.
+        stated: `licence`, and optionally `name`, `supply`, `temperature`, `payload`, `bam` and `source`.
+        files: SHA-256 hashes by file name.
 
     Raises:
-        ConfigError: The values are not those of the file that `bam` names.
+        ConfigError: The values differ from the file that `bam` names.
     """
     result = drive.result
     card = {
@@ -66,12 +66,12 @@ def build_card(drive: Identified, stated: Mapping[str, str], files: Mapping[str,
 
 
 def title_of(drive: Identified, stated: Mapping[str, str]) -> str:
-    """As `name` has it, or by data set and law."""
+    """Return the card's title: the option `name`, or else data set and model."""
     return stated.get("name", f"{drive.result['data']['name']}, {drive.result['model']}")
 
 
 def _list_laws(drive: Identified) -> list[LawRow]:
-    """The laws of the joints, each once."""
+    """Return the models of the joints, each once."""
     rows: dict[str, LawRow] = {}
     for at, joint in enumerate(drive.bench.joints):
         law = drive.model.of_joint(at)[0]
@@ -92,7 +92,7 @@ def _list_visited(drive: Identified) -> list[VisitedRow]:
 
 
 def _read_command(folder: Path | None) -> str | None:
-    """The command of a run; None where its folder has none."""
+    """Return the command of a run; None if its folder does not contain one."""
     if folder is None or not (folder / _OVERRIDES).exists():
         return None
     options = [str(option) for option in OmegaConf.to_container(OmegaConf.load(folder / _OVERRIDES)) or []]
@@ -101,7 +101,7 @@ def _read_command(folder: Path | None) -> str | None:
 
 def _make_portable(drive: Identified) -> dict[str, Any]:
     result: dict[str, Any] = copy.deepcopy(cast(dict[str, Any], drive.result))
-    result["verdict"]["commands"] = []  # they are about the run's folder
+    result["verdict"]["commands"] = []  # they refer to the run's folder
     result["settings"]["bench"] = describe_bench(drive.bench, result["settings"]["bench"])
     for log in result["data"]["logs"]:
         log["name"] = last_of(log["name"])

@@ -1,4 +1,4 @@
-"""What `card.json` holds, as types, of which `make docs` makes `card.schema.json`, as of those of `result.json`."""
+"""Types of `card.json`, from which `make docs` generates `card.schema.json`."""
 
 from typing import Annotated, Any, Literal, TypedDict
 
@@ -6,84 +6,85 @@ from frictionzoo.result.kinds import Interval, Joints, NotNegative, Sha256, Text
 
 
 class LawRow(TypedDict):
-    """A friction law."""
+    """A friction model."""
 
     name: Text
-    """Its name in the zoo."""
+    """Name of the model, as in `model=`."""
     joints: Joints
-    """Names of the joints that have it."""
+    """Names of the joints with this model."""
     text: str
-    """Its equation, every symbol with its unit, what it cannot represent, and its source, in Markdown."""
+    """Description in Markdown: equation, symbols with units, limitations and source."""
 
 
 class VisitedRow(TypedDict):
-    """Where the long held-out rollouts took a joint."""
+    """Range of one joint in the long held-out rollouts."""
 
     joint: Text
-    """Its name."""
+    """Name of the joint."""
     position: Interval
     """Lowest and highest measured position [rad or m]."""
     speed: NotNegative
     """Largest measured speed [rad/s or m/s]."""
     torque: NotNegative
-    """Largest torque or force of its motor [N m or N], by the actuator law."""
+    """Largest motor torque or force, from the actuator model [N m or N]."""
 
 
 class ConditionsRow(TypedDict):
-    """Under which conditions the drive is as it is here."""
+    """Conditions of the recordings."""
 
     supply: Text | None
-    """What powered it, in the words of who made the card; null: not stated."""
+    """Power supply, as stated by the card's author; null: not stated."""
     temperature: Text | None
-    """How warm it was; null: not stated."""
+    """Temperature, as stated by the card's author; null: not stated."""
     payload: Text | None
-    """What it carried; null: not stated. What recordings say of it is in `result.data.logs`."""
+    """Payload, as stated by the card's author; null: not stated. Payloads from the recordings are in
+    `result.data.logs`."""
     visited: Annotated[list[VisitedRow], ("minItems", 1)]
-    """What the recordings say, joint by joint."""
+    """Range of each joint in the recordings."""
     fastest: NotNegative
     """Largest speed of any joint in the training recordings [rad/s or m/s]."""
 
 
 class OriginRow(TypedDict):
-    """A file that somebody else published the values in."""
+    """A file of published values."""
 
     project: Literal["BAM"]
-    """Whose parameter file it is."""
+    """Project that defines the file format."""
     file: Text
-    """Its name."""
+    """Name of the file."""
     sha256: Sha256
-    """Its hash."""
+    """SHA-256 of the file."""
     drive: Text
-    """The drive, as it calls it."""
+    """Name of the drive in the file."""
     law: Text
-    """The friction law, as it calls it."""
+    """Name of the friction model in the file."""
     source: Text
-    """Who published it and where, in the words of who made the card."""
+    """Publisher and place of publication, as stated by the card's author."""
     remarks: list[Text]
-    """What the drive does there and not here, a sentence each."""
+    """Differences from the drive in the published project, one sentence each."""
 
 
 class Card(TypedDict):
-    """A drive for others, who have neither its run nor its recordings.
+    """A published drive, for users without its run and recordings.
 
-    It names files and no folder: no path of the machine on which it was made is in it.
+    It contains names of files, and no paths of the machine that made it.
     """
 
     schema_version: Literal[3]
-    """Raised by every change that a reader of this file could notice."""
+    """Schema version, increased by every change that affects readers of the file."""
     name: Text
     """Title of the card."""
     licence: Annotated[str, ("pattern", "^[a-z0-9][a-z0-9.+-]*$")]
-    """Under which the card may be used, an identifier as model hubs have it."""
+    """Licence of the card, an identifier of model hubs."""
     laws: Annotated[list[LawRow], ("minItems", 1)]
-    """The friction law, or those of several joints."""
+    """Friction models of the joints."""
     conditions: ConditionsRow
     origin: OriginRow | None
-    """Of published values, which the run judged on its recordings; null: the run identified them."""
+    """Source of published values, which the run evaluated on its recordings; null: the run identified the values."""
     command: Text | None
-    """That made the run; null: it was made in Python, or the run does not say."""
+    """Command of the run; null: made in Python, or not recorded."""
     files: dict[str, Sha256]
-    """Hash of each of the card's other files but README.md, by name."""
+    """SHA-256 of each other file of the card except README.md, by name."""
     result: dict[str, Any]
-    """The run's `result.json`, with names in place of paths, without commands to go on with, and with `settings.bench`
-    as the test stand of `template.xml`."""
+    """The run's `result.json`, with file names instead of paths, without the commands of its verdict, and with the test
+    stand of `template.xml` as `settings.bench`."""

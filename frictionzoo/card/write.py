@@ -1,4 +1,4 @@
-"""A run's drive written as a card: a page, a record, values, MJCF and a picture."""
+"""Writing of a run's drive as a card: page, `card.json`, values, model files and a picture."""
 
 import hashlib
 import json
@@ -27,18 +27,18 @@ from frictionzoo.show.terminal import tabulate_errors, tabulate_values
 from frictionzoo.show.text import escape_markdown, format_number
 
 OPTIONS = ("licence", "output", "name", *STATED, *origin.STATED)
-FOLDER = "card"  # in the run's
-_MODELS = ("identified.xml", "identified.urdf", "bench.xml")  # what a run leaves for MuJoCo
+FOLDER = "card"  # default output, in the run's folder
+_MODELS = ("identified.xml", "identified.urdf", "bench.xml")  # model files of a run
 FILES = {
-    CARD: "all of this for programs",
-    MODEL: "values of law and test stand, in full precision",
-    "identified.xml": "the test stand, or the robot's own file, with the drive, for MuJoCo",
-    "identified.urdf": "the robot's own file with the drive",
-    "bench.xml": "what was simulated of the robot, for MuJoCo",
+    CARD: "this page for programs",
+    MODEL: "values of the friction model and the test stand, in full precision",
+    "identified.xml": "the test stand or robot with the drive, for MuJoCo",
+    "identified.urdf": "the robot with the drive",
+    "bench.xml": "the simulated part of the robot, for MuJoCo",
     TEMPLATE: "the test stand without the drive, for `fz.load`",
-    PICTURE: "the picture above",
+    PICTURE: "the figure above",
 }
-"""What a card consists of besides its page."""
+"""Files of a card, except its page."""
 _LICENCE = re.compile(r"[a-z0-9][a-z0-9.+-]*")
 
 
@@ -46,26 +46,25 @@ def write_card(folder: Path, options: Mapping[str, str]) -> tuple[Path, list[str
     """Write the card of a run.
 
     Args:
-        folder: The run's.
-        options: `licence`, and where wanted `output`, a folder, `name`, `supply`, `temperature` and `payload`; of
-            values that somebody else published, `bam`, their file, and `source`, who published it and where.
+        folder: Folder of the run.
+        options: `licence`, and optionally `output` (a folder), `name`, `supply`, `temperature` and `payload`; for
+            values that someone else published, also `bam`, the parameter file, and `source`, who published it and
+            where.
 
     Returns:
-        The card's folder, and a line for each path of this machine that is in it: a robot's own file is as it was.
+        Folder of the card, and a warning for each path of this machine in its model files, which are copied unchanged.
 
     Raises:
-        ConfigError: An option is missing, unknown, or makes no sense; the run's values are not the file's.
-        RunError: It is not the folder of a finished run, or its test stand refers to files.
-        OutputError: A foreign file of a card's name is in the card's folder, a run is, or it cannot be written.
+        ConfigError: An option is missing, unknown or invalid, or the run's values differ from the BAM file.
+        RunError: The folder does not contain a finished run with friction curves, or its bench refers to files.
+        OutputError: The card's folder contains a foreign file with a card file's name, or a run, or cannot be written.
     """
     _refuse_impossible(options)
     place = Path(options.get("output", folder / FOLDER))
     with take_place(place, "card", [PAGE, *FILES, CARD]) as fresh:
         drive = Identified.load(folder)
         if not drive.curves.portraits:
-            raise RunError(
-                f"{folder}: there is no friction portrait in it, as an older frictionzoo left it; identify again"
-            )
+            raise RunError(f"{folder}: no friction curve, expected one; a newer frictionzoo writes it: identify again")
         _write_files(drive, fresh, options)
     return place, list(_list_left(place))
 
@@ -73,7 +72,7 @@ def write_card(folder: Path, options: Mapping[str, str]) -> tuple[Path, list[str
 def _list_left(place: Path) -> Iterator[str]:
     for path in (place / name for name in _MODELS if (place / name).exists()):
         for found in find_paths(path.read_bytes()):
-            yield f"{path}: {found} is in it, as in the robot's own file; remove it from that before others see it"
+            yield f"{path}: contains the path {found} of the robot file; remove it from that file before you publish"
 
 
 def _refuse_impossible(options: Mapping[str, str]) -> None:
@@ -83,17 +82,17 @@ def _refuse_impossible(options: Mapping[str, str]) -> None:
         if not value.isprintable() or not value.strip():
             raise ConfigError(f"{option}={value!r}: expected one line of text")
     if "licence" not in options:
-        raise ConfigError("licence is missing; say under which others may use the card, such as licence=cc-by-4.0")
+        raise ConfigError("licence is missing; state the licence of the card, such as licence=cc-by-4.0")
     if not _LICENCE.fullmatch(options["licence"]):
         raise ConfigError(
-            f"licence={options['licence']}: expected an identifier in lower case as model hubs have it, such as "
+            f"licence={options['licence']}: expected a lower-case identifier of model hubs, such as "
             "cc-by-4.0 or apache-2.0"
         )
     origin.refuse_half(options)
 
 
 def _write_files(drive: Identified, folder: Path, options: Mapping[str, str]) -> None:
-    assert drive.folder  # it was read from there
+    assert drive.folder  # the drive was loaded from it
     tensors = {f"bench.{name}": torch.from_numpy(np.array(value)) for name, value in drive.values["bench"].items()}
     tensors |= {f"friction.{name}": value.contiguous() for name, value in drive.state.items()}
     header = {"frictionzoo": f"{drive.model.name}, version {__version__}"}
@@ -111,7 +110,7 @@ def _write_files(drive: Identified, folder: Path, options: Mapping[str, str]) ->
 
 
 def render_page(card: Card) -> str:
-    """The card's page in Markdown, with the head that model hubs read."""
+    """Render the card's page in Markdown, with the metadata header for model hubs."""
     result = card["result"]
     units = UNITS["slide" if result["metrics"]["test"]["unit"] == "m" else "hinge"]
     tables = {"values": tabulate_values(result), "errors": tabulate_errors(result)}  # pyright: ignore[reportArgumentType]
@@ -127,11 +126,11 @@ def render_page(card: Card) -> str:
 
 
 def _write_name(text: str) -> str:
-    """A name as code, in a table too; one that code cannot hold as plain text."""
+    """Format a name as inline code, also valid in tables; as plain text if code cannot contain it."""
     held = text.isprintable() and text == text.strip() and not set(text) & set("`|")
     return f"`{text}`" if held and text else escape_markdown(text)
 
 
 def _write_fence(text: str) -> str:
-    """What begins and ends a block of this code: more backticks than it has in it."""
+    """Return the fence of a code block: more backticks than the text contains in a row."""
     return "`" * max(3, 1 + max(map(len, re.findall("`+", text)), default=0))

@@ -26,7 +26,7 @@ def check_command(of: str, ctrl: Signal, follows: Float[np.ndarray, "on"] | None
         yield (
             "constant",
             False,
-            f"ctrl{of} is constant, {low:.4g}: the motion tells little of the drive; look at data.columns.ctrl",
+            f"ctrl{of} is constant, {low:.4g}: the motion contains little information; check data.columns.ctrl",
         )
         return
     # Resampling rounds levels, and puts a few values between them.
@@ -41,7 +41,7 @@ def check_command(of: str, ctrl: Signal, follows: Float[np.ndarray, "on"] | None
             "saturated",
             False,
             f"ctrl{of} is at an end of its range, {low:.4g} or {high:.4g}, in {100 * ends:.0f} % of the samples: it "
-            "seems to be cut off there; record what the drive got (data.columns.ctrl), or a smaller motion",
+            "seems to be clipped; record the command that the drive received (data.columns.ctrl), or a smaller motion",
         )
 
 
@@ -49,21 +49,21 @@ def check_work(of: str, bench: Bench, joint: int, share: float) -> Iterator[Said
     """A command that takes energy; of a joint that others move and that gravity may drive, that is only doubtful."""
     if not takes_energy(bench, joint, share):
         return
-    took = f"ctrl{of} takes energy from the drive all along ({100 * share:.0f} % of what it exchanges)"
+    took = f"ctrl{of} takes energy from the drive ({100 * share:.0f} % of the energy that they exchange)"
     if _is_alone(bench, joint):
         yield (
             "work",
             True,
-            f"{took}, expected to give it; set data.sign.ctrl=-1, or the sign of both qpos and qvel, or look whether "
-            "qpos and ctrl are swapped, have other units or another zero, or belong to other times (data.columns, "
-            "data.units, data.clean.command_lag)",
+            f"{took}, expected to supply it; set data.sign.ctrl=-1, or the sign of both qpos and qvel, or check qpos "
+            "and ctrl for swapped columns, units, zero and time shift (data.columns, data.units, "
+            "data.clean.command_lag)",
             turn(joint, "ctrl"),
         )
     else:
         yield (
             "work",
             False,
-            f"{took}: right where gravity or other joints move it, else look at its sign (data.sign.ctrl)",
+            f"{took}: correct if gravity or other joints move it, else check its sign (data.sign.ctrl)",
         )
 
 

@@ -38,6 +38,6 @@ def check_declared(dataset: Dataset, bench: Bench, to_position: bool) -> Iterato
                 "declared ctrl",
                 True,
                 f"{dataset.name}: ctrl is in {said[signal]}, expected {wanted} for {law} of {bench.source}; choose the "
-                "bench of these recordings (bench=NAME) or its actuator law (bench.actuator._target_), or set "
+                "bench of these recordings (bench=NAME) or its actuator (bench.actuator._target_), or set "
                 "data.units.ctrl",
             )

@@ -28,16 +28,16 @@ def check_excitation(logs: Sequence[Log], bench: Bench) -> Iterator[Finding]:
             yield Finding(
                 "one way",
                 False,
-                f"the motion{of} never reverses ({100 * back:.2g} % of it goes the other way): a constant torque "
-                "cannot be told from dry friction; record both directions and name them in data.train",
+                f"the motion{of} never reverses ({100 * back:.2g} % of it goes the other way): dry friction and "
+                "a constant torque cannot be distinguished; record both directions and list them in data.train",
                 joint=name,
             )
         if fast < ONE_SPEED * slow:
             yield Finding(
                 "one speed",
                 False,
-                f"the motion{of} has one speed, {slow:.3g} to {fast:.3g} in most of it: dry and viscous friction "
-                "cannot be told apart; record slower and faster motion and name it in data.train, or hold one of them "
-                "(model=mujoco_default model.params.damping.identify=false)",
+                f"the motion{of} has one speed, {slow:.3g} to {fast:.3g} in most samples: dry and viscous friction "
+                "cannot be distinguished; record slower and faster motion and list it in data.train, or fix one of "
+                "them (model=mujoco_default model.params.damping.identify=false)",
                 joint=name,
             )

@@ -69,7 +69,7 @@ class Finding(NamedTuple):
 def say_sign(joint: int, count: int) -> str:
     """The value of an option of `data.sign` that turns all of so many joints, and in brackets that of one alone."""
     alone = ",".join("-1" if number == joint else "1" for number in range(count))
-    return "-1" if count == 1 else f"-1 (of this joint alone: [{alone}])"
+    return "-1" if count == 1 else f"-1 (for this joint only: [{alone}])"
 
 
 def turn(joint: int, *signals: str) -> tuple[Repair, ...]:
@@ -99,7 +99,7 @@ def settle(findings: Iterable[Finding], checkup: str, count: int) -> list[Doubt]
     told: dict[tuple[str, str], tuple[Finding, set[str]]] = {}
     for finding in findings:
         if finding.certain and checkup == "strict":
-            raise LogError(f"{_say(finding)}; if it is right all the same, set checkup=warn")
+            raise LogError(f"{_say(finding)}; if the recording is correct, set checkup=warn")
         told.setdefault((finding.kind, finding.joint), (finding, set()))[1].add(finding.log)
     return [
         Doubt(_say(first) + (f" ({len(logs)} of {count} logs)" if count > 1 and first.log else ""), first.repairs)

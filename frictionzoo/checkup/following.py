@@ -91,14 +91,14 @@ def check_following(
         yield (
             "swapped",
             True,
-            f"qpos{of} follows ctrl of {bench.joints[swapped]} and not its own: columns are swapped; put "
+            f"qpos{of} follows ctrl of {bench.joints[swapped]}: columns are swapped; put "
             "data.columns.ctrl, or data.columns.qpos and data.columns.qvel, into the order of the bench's joints",
         )
     elif opposed < -FOLLOWS and -opposed > usual.correlation.max():
         yield (
             "opposed",
             True,
-            f"qpos{of} does the opposite of what ctrl asks for (correlation {opposed:.2f}), expected to follow it; set "
+            f"qpos{of} moves opposite to ctrl (correlation {opposed:.2f}), expected to follow it; set "
             f"data.sign.ctrl={say_sign(joint, bench.nv)}, or the sign of both qpos and qvel",
             turn(joint, "ctrl"),
         )
@@ -106,9 +106,8 @@ def check_following(
         yield (
             "ignored",
             takes_energy(bench, joint, found.work),
-            f"qpos{of} does not follow ctrl at any time (correlation {found.likeness.correlation[best]:.2f}): look "
-            "whether ctrl is a desired position (bench.actuator, or another bench) and which joint's it is "
-            "(data.columns.ctrl)",
+            f"qpos{of} does not follow ctrl at any time (correlation {found.likeness.correlation[best]:.2f}): check "
+            "that ctrl is a desired position (bench.actuator, or another bench) of this joint (data.columns.ctrl)",
         )
     elif found.likeness.correlation[best] > FOLLOWS:
         yield from () if drifts else _check_time(of, found, least)
@@ -144,7 +143,7 @@ def check_asked(log: Log, of: str, joint: int) -> Iterator[tuple[str, bool, str]
                 False,
                 f"qpos{of} follows ctrl as a desired position (correlation {likeness.correlation.max():.3f}, "
                 f"{likeness.scale[likeness.best]:.2f} times its size), expected a torque or force: choose the bench of "
-                "these recordings (bench=NAME) or an actuator law for positions (bench.actuator._target_)",
+                "these recordings (bench=NAME) or a position actuator (bench.actuator._target_)",
             )
 
 
@@ -178,16 +177,16 @@ def _check_time(of: str, found: Followed, least: float) -> Iterator[Said]:
             "early",
             True,
             f"qpos{of} is ahead of ctrl by {-1e3 * lag:.3g} ms, expected to follow it: ctrl was recorded late; set "
-            f"data.clean.command_lag={-lag + found.settles:.2g} (s), or as late as it was recorded",
+            f"data.clean.command_lag={-lag + found.settles:.2g} (s), or its true lag",
             (Repair("data.clean.command_lag", float(f"{-lag + found.settles:.2g}")),),
         )
     elif lag > late and better < MUCH_BETTER and poor:
         yield (
             "late",
             False,
-            f"qpos{of} is late by {1e3 * lag:.3g} ms against ctrl, of which the controller's gains explain "
-            f"{1e3 * found.settles:.3g} ms: let bench.params.delay be identified (bench.params.delay.identify=true and "
-            f"bench.params.delay.high={1.5 * lag:.2g}), or look whether the columns are of the same times",
+            f"qpos{of} lags ctrl by {1e3 * lag:.3g} ms; the controller's gains explain {1e3 * found.settles:.3g} ms: "
+            "identify bench.params.delay (bench.params.delay.identify=true and "
+            f"bench.params.delay.high={1.5 * lag:.2g}), or check that the columns have the same times",
             identify_delay(lag),
         )
 
@@ -201,15 +200,15 @@ def _check_size(of: str, found: Followed, slide: bool) -> Iterator[tuple[str, bo
         yield (
             "size",
             scale > LARGER or scale < 1 / FAR_SMALLER,
-            f"qpos{of} moves through {moved:.3g} where ctrl asks for {asked:.3g}, {scale:.4g} times as far: set "
+            f"qpos{of} moves by {moved:.3g} while ctrl spans {asked:.3g}, {scale:.4g} times as far: set "
             f"{_mend(scale, slide)}",
         )
     elif apart > APART * max(moved, asked):
         yield (
             "zero",
             False,
-            f"qpos{of} and ctrl are never less than {apart:.3g} apart over a motion of {max(moved, asked):.3g}: look "
-            "whether both count from the same zero (bench.params.position_offset)",
+            f"qpos{of} and ctrl differ by {apart:.3g} or more over a motion of {max(moved, asked):.3g}: check that "
+            "both have the same zero (bench.params.position_offset)",
         )
 
 
@@ -217,10 +216,10 @@ def _mend(scale: float, slide: bool) -> str:
     """Which unit, or ratio of a gear, makes a position of the size of its command."""
     signal, factor = ("qpos", scale) if scale > 1 else ("ctrl", 1 / scale)
     unit, size = ("mm", 1000.0) if slide else ("deg", 180 / math.pi)
-    alike = " (and data.units.qvel alike)" if signal == "qpos" else ""
+    alike = " (and data.units.qvel)" if signal == "qpos" else ""
     if abs(factor / size - 1) < DEGREE:
         return f"data.units.{signal}={unit}{alike}"
     return (
-        f"data.units.{signal}={unit} if it is in {unit} ({size:.3g} times), or, of a gear's ratio that is left out, "
+        f"data.units.{signal}={unit} if it is in {unit} ({size:.3g} times), or, for a missing gear ratio, "
         f"data.units.{signal}={1 / factor:.3g}{alike}"
     )

@@ -105,8 +105,8 @@ def find_drift(found: list[tuple[float, float] | None]) -> Drift | None:
 def say_drift(drift: Drift) -> str:
     """A sentence on a lag that changes."""
     return (
-        f"the motion is late against ctrl by {1e3 * drift.first:.0f} ms at first and by {1e3 * drift.last:.0f} ms at "
-        "last: their clocks drift apart; record both with one clock and name its column (data.columns.time), or cut "
+        f"the motion lags ctrl by {1e3 * drift.first:.0f} ms at the start and by {1e3 * drift.last:.0f} ms at "
+        "the end: their clocks drift apart; record both with one clock and name its column (data.columns.time), or cut "
         "the recording into pieces"
     )
 

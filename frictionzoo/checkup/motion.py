@@ -30,8 +30,8 @@ def _find_limits(dataset: Dataset, bench: Bench) -> Iterator[Finding]:
                 "limits",
                 False,
                 f"joint {joint} is beyond its limits in the file, {low:.4g} to {high:.4g}, in {share}, which span "
-                f"{positions.min():.4g} to {positions.max():.4g}: a stop may have pushed there, or zero and sign of "
-                "the joint are not the file's (data.sign, bench.limits=keep)",
+                f"{positions.min():.4g} to {positions.max():.4g}: a stop may have pushed there, or zero or sign of "
+                "the joint differ from the file (data.sign, bench.limits=keep)",
                 joint=joint,
             )
 
@@ -54,8 +54,8 @@ def _find_pushes(dataset: Dataset, bench: Bench) -> Iterator[Finding]:
         yield Finding(
             what,
             False,
-            f"{what} in {100 * times / len(qpos):.2g} % of the recorded positions: MuJoCo pushes there, and friction "
-            "is identified against that; look whether the drive was there, or leave it out of the MJCF",
+            f"{what} in {100 * times / len(qpos):.2g} % of the recorded positions: MuJoCo applies a force there, which "
+            "biases friction; check these positions, or remove the limit or contact from the MJCF",
         )
 
 

@@ -41,8 +41,8 @@ def check_readings(log: Log, bench: Bench) -> Iterator[Finding]:
         yield Finding(
             "reading",
             False,
-            f"what the links need agrees with the actuators' torque much better ({before:.2g} of it unexplained, then "
-            f"{after:.2g}, summed over joints that move each other) if {'; or if '.join(said)}",
+            "the actuators' torque matches the torque that the links need much better (unexplained share "
+            f"{before:.2g}, then {after:.2g}, summed over coupled joints) if {'; or if '.join(said)}",
             log.name,
             repairs=repairs,
         )
@@ -67,13 +67,13 @@ def _other_readings(bench: Bench) -> Iterator[tuple[int, str, Callable[[Log], Lo
             if bench.branches[joint] == bench.branches[other]:
                 yield (
                     joint,
-                    f"{pair} are swapped: put them in that order in bench.joint or data.columns",
+                    f"{pair} are swapped: exchange them in bench.joint or data.columns",
                     _ordering(order, True),
                     (),
                 )
                 yield (
                     joint,
-                    f"ctrl of {pair} are swapped: put data.columns.ctrl into that order",
+                    f"ctrl of {pair} are swapped: exchange them in data.columns.ctrl",
                     _ordering(order, False),
                     (),
                 )

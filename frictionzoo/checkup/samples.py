@@ -49,9 +49,9 @@ def check_clock(log: Log) -> Iterator[Finding]:
         yield Finding(
             "clock",
             True,
-            f"{log.timestep:.3g} s between samples, expected {FASTEST:g} to {SLOWEST:g} s of a drive's recording; set "
-            f"data.units.time{'=' + unit if log.timestep > SLOWEST else ''}, or, if they are right, record faster or "
-            "set a shorter data.clean.step",
+            f"{log.timestep:.3g} s between samples, expected {FASTEST:g} to {SLOWEST:g} s in a drive's recording; set "
+            f"data.units.time{'=' + unit if log.timestep > SLOWEST else ''}, or, if the times are correct, record "
+            "faster or set a shorter data.clean.step",
             log.name,
         )
 
@@ -69,8 +69,8 @@ def say_outliers(log: Log, what: str, values: Signal, far: Bool[np.ndarray, "tim
     """A sentence on the samples of a signal that stand apart."""
     at = int(np.argmax(np.where(far, np.abs(values - np.median(values)), -1.0)))
     return (
-        f"{what} has {far.sum()} samples far from those before and after, such as {values[at]:.4g} at "
-        f"{log.time[at]:.4g} s; set data.clean.spikes=repair"
+        f"{what} has outliers ({far.sum()}), such as {values[at]:.4g} at {log.time[at]:.4g} s; "
+        "set data.clean.spikes=repair"
     )
 
 
@@ -99,8 +99,8 @@ def _find_still(of: str, qpos: Signal, ctrl: Signal) -> tuple[str, bool, str] | 
     return (
         "still",
         True,
-        f"qpos{of} moves through {moved:.3g} in all, while ctrl spans {np.ptp(ctrl):.3g}; expected a drive that moves; "
-        "look whether it was on, and at data.columns.qpos",
+        f"qpos{of} moves by {moved:.3g} in all, while ctrl spans {np.ptp(ctrl):.3g}; expected a moving drive; "
+        "check whether it was on, and data.columns.qpos",
     )
 
 
@@ -112,9 +112,8 @@ def _find_noise(of: str, qpos: Signal) -> tuple[str, bool, str] | None:
     return (
         "noise",
         True,
-        f"qpos{of} jumps between samples as noise does ({100 * ratio:.0f} % of white noise), expected a motion; "
-        "look at data.columns.qpos and at the sensor, or record faster, with a data.clean.step no longer than the "
-        "recording's own interval",
+        f"qpos{of} jumps between samples like noise ({100 * ratio:.0f} % of white noise), expected a motion; check "
+        "data.columns.qpos and the sensor, or record faster, with a data.clean.step no longer than the sample interval",
     )
 
 
@@ -127,7 +126,7 @@ def _find_wrapping(of: str, qpos: Signal) -> Said | None:
         "wrapping",
         True,
         f"qpos{of} jumps by a whole turn {turns.sum()} times, first at sample {int(np.argmax(turns)) + 1}, "
-        "expected an angle that goes on; set data.clean.wrap=6.283185307179586",
+        "expected a continuous angle; set data.clean.wrap=6.283185307179586",
         (Repair("data.clean.wrap", math.tau),),
     )
 
@@ -139,9 +138,8 @@ def _find_coarse(of: str, qpos: Signal) -> Iterator[tuple[str, bool, str]]:
         yield (
             "coarse",
             False,
-            f"qpos{of} moves between samples by what those on either side do not tell ({100 * apart:.0f} % of its "
-            "spread): it is sampled too slowly, and its frequencies may be folded; record faster, or set a shorter "
-            "data.clean.step",
+            f"qpos{of} differs from an interpolation of its neighbouring samples by {100 * apart:.0f} % of its spread: "
+            "it is sampled too slowly and may be aliased; record faster, or set a shorter data.clean.step",
         )
 
 
@@ -163,8 +161,8 @@ def _find_frozen(of: str, qpos: Signal) -> Iterator[tuple[str, bool, str]]:
             yield (
                 "frozen",
                 False,
-                f"qpos{of} repeats itself from sample {first} on and jumps by {steps[last]:.3g} at sample {last + 1}: "
-                "the sensor seems to freeze; cut that out of the recording",
+                f"qpos{of} is constant from sample {first} on and jumps by {steps[last]:.3g} at sample {last + 1}: "
+                "the sensor seems to freeze; cut this part out of the recording",
             )
             return
 
@@ -182,15 +180,15 @@ def check_turns(of: str, qpos: Signal, limits: np.ndarray) -> Iterator[tuple[str
     counts = quantum is not None and _is_step(quantum, 360.0) and not _is_step(quantum, math.tau)
     if span <= TURNS * math.tau and not (inside and counts):
         return
-    why = (["its encoder's step is a degree's part"] if counts else []) + (
-        ["it is within the limits of the joint's file as degrees alone"] if inside else []
+    why = (["its encoder step divides 360"] if counts else []) + (
+        ["only as degrees it is within the joint's limits"] if inside else []
     )
     yield (
         "degrees",
         bool(why),
-        f"qpos{of} goes through {span / math.tau:.3g} turns{'; ' + ', '.join(why) if why else ''}: it looks like "
-        "degrees; set data.units.qpos=deg (qvel and a desired position alike), or, of turns before a gear, the gear's "
-        "ratio, as in data.units.qpos=0.02",
+        f"qpos{of} spans {span / math.tau:.3g} turns{'; ' + ', '.join(why) if why else ''}: it looks like degrees; set "
+        "data.units.qpos=deg (also for qvel and a desired position), or, if measured before a gear, the gear ratio, as "
+        "in data.units.qpos=0.02",
     )
 
 
@@ -206,8 +204,8 @@ def check_stroke(of: str, qpos: Signal, qvel: Signal) -> Iterator[tuple[str, boo
         yield (
             "stroke",
             speed > FAST,
-            f"qpos{of} moves through {span:.3g} m at up to {speed:.3g} m/s: it looks like millimetres; set "
-            "data.units.qpos=mm (qvel and a desired position alike)",
+            f"qpos{of} moves by {span:.3g} m at up to {speed:.3g} m/s: it looks like millimetres; set "
+            "data.units.qpos=mm (also for qvel and a desired position)",
         )
 
 
@@ -216,7 +214,7 @@ def check_velocity(log: Log, of: str, joint: int, qpos: Signal, qvel: Signal) ->
     estimate, repairs = "set data.clean.velocity=estimated", (Repair("data.clean.velocity", "estimated"),)
     if joint in log.without_velocity:
         if not log.velocity_estimated:
-            other = "if another column holds it, name that in data.columns.qvel"
+            other = "if another column has it, set data.columns.qvel"
             yield "velocity", False, f"the recorded velocity{of} shows no motion: it is estimated from qpos; {other}"
         return
     if not np.ptp(qvel) > 0:
@@ -233,7 +231,7 @@ def check_velocity(log: Log, of: str, joint: int, qpos: Signal, qvel: Signal) ->
             "velocity sign",
             True,
             f"qvel{of} and the position's derivative have opposite signs, expected the same; set data.sign.qvel=-1, or "
-            "data.sign.qpos=-1 if the command is right with that",
+            "data.sign.qpos=-1 if that suits the command",
         )
     elif found is None and len(qpos) > SHORT:
         derived = derive_velocity(log.time, qpos)
@@ -244,7 +242,7 @@ def check_velocity(log: Log, of: str, joint: int, qpos: Signal, qvel: Signal) ->
         yield (
             "velocity",
             bool(alike < UNLIKE and _apart(qpos) < SMOOTH),
-            f"qvel{of} is no copy of the position's derivative: look whether columns are swapped (data.columns.qvel), "
+            f"qvel{of} does not match the position's derivative: check for swapped columns (data.columns.qvel), "
             f"or {estimate}",
             repairs,
         )
@@ -259,8 +257,8 @@ def _find_late_velocity(log: Log, of: str, lag: float) -> Iterator[Said]:
         yield (
             "lag",
             False,
-            f"{late}{of} is late by {1e3 * abs(lag):.3g} ms against {other}; set data.clean.velocity_lag=auto or "
-            f"data.clean.velocity=estimated{', and let bench.params.delay be identified' if late == 'qpos' else ''}",
+            f"{late}{of} lags {other} by {1e3 * abs(lag):.3g} ms; set data.clean.velocity_lag=auto or "
+            f"data.clean.velocity=estimated{', and identify bench.params.delay' if late == 'qpos' else ''}",
             (Repair("data.clean.velocity_lag", "auto") if lag > 0 else Repair("data.clean.velocity", "estimated"),),
         )
 
@@ -271,7 +269,7 @@ def _find_velocity_unit(of: str, scale: float) -> Iterator[Said]:
         yield (
             "units",
             not 1 / OTHER_UNITS < scale < OTHER_UNITS,
-            f"qvel{of} is {scale:.4g} times the position's derivative: look at the units of time, qpos and qvel "
+            f"qvel{of} is {scale:.4g} times the position's derivative: check the units of time, qpos and qvel "
             f"(data.units{other}), or set data.clean.velocity=estimated",
             () if other else (Repair("data.clean.velocity", "estimated"),),
         )

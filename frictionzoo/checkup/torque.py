@@ -60,17 +60,17 @@ def _check_joint(bench: Bench, joint: int, one: Explained, to_position: bool) ->
             yield (
                 "opposed",
                 True,
-                f"ctrl{of} gives a torque opposite to what gravity and inertia need ({one.share:.3g} times), expected "
-                f"the same sign; set {signals}={say_sign(joint, bench.nv)}, or look at gravity and the joint's axis in "
-                "the MJCF",
+                f"ctrl{of} gives the opposite of the torque that gravity and inertia need ({one.share:.3g} times), "
+                f"expected the same sign; set {signals}={say_sign(joint, bench.nv)}, or check gravity and the joint's "
+                "axis in the MJCF",
                 turn(joint, *turned),
             )
         elif one.links > MATTERS * one.left and not 1 / TIMES < one.share < TIMES:
             yield (
                 "torque",
                 not 1 / TIMES**2 < one.share < TIMES**2,
-                f"the actuator{of} gives {one.share:.3g} times the torque that gravity and inertia need: a gear's "
-                f"ratio is left out, or ctrl has another unit; set {_torque_option(bench, 1 / one.share)}",
+                f"the actuator{of} gives {one.share:.3g} times the torque that gravity and inertia need: a gear "
+                f"ratio is missing, or ctrl has another unit; set {_torque_option(bench, 1 / one.share)}",
                 _scale_torque(bench, joint, 1 / one.share),
             )
     elif np.isnan(one.share) and one.left < PLAIN and one.inertia_error < KNOWN * abs(one.inertia):
@@ -87,13 +87,11 @@ def _torque_option(bench: Bench, factor: float) -> str:
     """Return what makes an actuator's torque so many times as large."""
     names = _name_gains(bench)
     if names == ("force_gain",):
-        return (
-            f"bench.actuator.params.force_gain.init to {factor:.3g} times what it is, or data.units.ctrl={factor:.3g}"
-        )
+        return f"bench.actuator.params.force_gain.init to {factor:.3g} times its value, or data.units.ctrl={factor:.3g}"
     if not names:
-        return f"the actuator's gains to {factor:.3g} times what they are, or data.units"
-    are = "they are" if len(names) > 1 else "it is"
-    return f"bench.actuator.params.{' and '.join(names)} to {factor:.3g} times what {are}, or data.units"
+        return f"the actuator's gains to {factor:.3g} times their values, or data.units"
+    whose = "their values" if len(names) > 1 else "its value"
+    return f"bench.actuator.params.{' and '.join(names)} to {factor:.3g} times {whose}, or data.units"
 
 
 def _scale_torque(bench: Bench, joint: int, factor: float) -> tuple[Repair, ...]:
@@ -118,7 +116,7 @@ def _check_inertia(bench: Bench, joint: int, of: str, one: Explained) -> Iterato
         yield (
             "inertia",
             False,
-            f"the torque{of} moves an inertia of {one.inertia:.3g} {unit} with up to {one.acceleration:.3g} {per}, "
+            f"the torque{of} accelerates an inertia of {one.inertia:.3g} {unit} by up to {one.acceleration:.3g} {per}, "
             f"expected {SLOWEST[bench.joint_type]:g} to {FASTEST[bench.joint_type]:g} {per}: qpos or ctrl has another "
             f"unit; set data.units.qpos{('=mm' if slide else '=deg') if fast else ''} or data.units.ctrl",
         )
@@ -153,9 +151,9 @@ def _check_time(log: Log, found: Balance, explained: Sequence[Explained | None])
         yield Finding(
             "late",
             False,
-            f"the motion is late by {1e3 * lag:.3g} ms against ctrl: let bench.params.delay be identified "
-            f"(bench.params.delay.identify=true and bench.params.delay.high={1.5 * lag:.2g}), or look whether the "
-            "columns are of the same times",
+            f"the motion lags ctrl by {1e3 * lag:.3g} ms: identify bench.params.delay "
+            f"(bench.params.delay.identify=true and bench.params.delay.high={1.5 * lag:.2g}), or check that the "
+            "columns have the same times",
             log.name,
             repairs=identify_delay(lag),
         )

@@ -8,10 +8,10 @@ from frictionzoo.cli.mistakes import mistakes_in_one_line
 from frictionzoo.core.options import read_options
 from frictionzoo.core.telling import Parser, say, tell
 
-_OPTIONS = """options: licence=ID, required, under which others may use the card, as model hubs name it: cc-by-4.0,
-apache-2.0; name=TEXT, its title; supply=TEXT, temperature=TEXT, payload=TEXT, under which the drive was recorded, not
-stated where they are left out; output=FOLDER, card in the run's where it is left out. Of a run that judged values
-which somebody else published: bam=FILE, BAM's parameter file with them, and source=TEXT, who published it and where."""
+_OPTIONS = """options: licence=ID, required, the card's licence as model hubs name it: cc-by-4.0,
+apache-2.0; name=TEXT, its title; supply=TEXT, temperature=TEXT, payload=TEXT, conditions of the recording, not stated
+by default; output=FOLDER, by default card in the run's folder. For a run that evaluated published values: bam=FILE,
+BAM's parameter file with them, and source=TEXT, who published it and where."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -33,10 +33,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = Parser(
         prog="python -m frictionzoo.card",
-        description="Write the drive that a run identified as a card: values with intervals, law, conditions, hashes "
-        "of the recordings and held-out errors on a page and for programs, with MJCF. frictionzoo.load reads it.",
+        description="Write the identified drive of a run as a card: values with intervals, model, conditions, hashes "
+        "of the recordings and held-out errors, as a page and for programs, with MJCF. frictionzoo.load reads it.",
         epilog=_OPTIONS,
     )
     parser.add_argument("folder", metavar="RUN", type=Path, help="the folder of a finished run")
-    parser.add_argument("options", metavar="KEY=VALUE", nargs="*", help="licence=ID, and more")
+    parser.add_argument("options", metavar="KEY=VALUE", nargs="*", help="licence=ID, and other options")
     return parser.parse_args(arguments)

@@ -14,79 +14,79 @@ from frictionzoo.core.errors import closest
 from frictionzoo.core.telling import tell
 
 COMMANDS = {
-    "run": "identify a drive; done where no command is named",
+    "run": "identify a drive (the default command)",
     "compare": "compare runs on the same data: table, figures, a page",
     "watch": "follow a run or a sweep while it runs",
-    "inspect": "look at recordings before any fit",
-    "export": "write an identified drive for another program",
-    "card": "write an identified drive for those without its run",
-    "distill": "fit a simpler law to an identified drive",
+    "inspect": "check recordings before a fit",
+    "export": "export an identified drive to another program",
+    "card": "publish an identified drive without its run",
+    "distill": "fit a simpler model to an identified drive",
     "excite": "design the command to record next, within limits",
-    "list": "list laws, methods, formats and what else can be chosen",
+    "list": "list models, methods, formats and other choices",
 }
 """What each command does; it is the module of that name in this package, with a `main` that takes its arguments."""
 
 HELP = """\
-frictionzoo finds a drive's armature and friction from its encoder log. It fits
-a friction law until the drive, simulated in MuJoCo, moves as it was recorded.
+frictionzoo identifies a drive's armature and friction from its encoder log. It
+fits a friction model until the MuJoCo simulation matches the recording.
 
 usage: frictionzoo [run] [GROUP=FILE ...] [OPTION=VALUE ...]
        frictionzoo COMMAND ...
 
 commands (frictionzoo COMMAND is python -m frictionzoo.COMMAND):
 {commands}
-  Each has a --help of its own; that of run is this page.
+  Each command has --help; this page is the help of run.
 
 examples (RUN stands for a run's folder, outputs/DATE/TIME_DATA_MODEL):
   A first run, on simulated recordings
     frictionzoo model=coulomb_stribeck
-  Your own recording, before any fit, and on your own test stand
+  Your recording: check it, then identify it on your test stand
     frictionzoo inspect a.csv
     frictionzoo data=files 'data.train=[a.csv]' bench.mjcf=stand.xml \\
       bench.joint=shaft bench.actuator.params.kp.init=15
-  What laws there are; another one, found by Levenberg-Marquardt
+  List the models; fit another one by Levenberg-Marquardt
     frictionzoo list models
     frictionzoo model=mujoco_default fit=lm segments.length=1000
   A real data set, from the folder that FRICTIONZOO_DATA names
     frictionzoo experiment=emps
   In double precision
     frictionzoo model=dahl dtype=float64
-  Laws side by side, three seeds each, compared at the end
+  Compare models, three seeds each
     frictionzoo -m model=coulomb_smooth,coulomb_stribeck seed=0,1,2
-  All laws, on all cores of this machine or on a Slurm cluster
+  All models, on all cores of this machine or on a Slurm cluster
     frictionzoo -m hydra/launcher=joblib 'model=glob(*)'
     frictionzoo -m hydra/launcher=submitit_slurm 'model=glob(*)' seed=0,1,2
-  Runs that exist, compared
+  Compare finished runs
     frictionzoo compare RUN OTHER_RUN --output comparison
-  Jobs that run, followed until they have ended
+  Follow running jobs until they end
     frictionzoo watch RUN
-  Go on with a run that was stopped
+  Resume a stopped run
     frictionzoo resume=RUN
-  The identified drive as MJCF; a card of it for others; a simpler law for it
+  Export the drive as MJCF; publish it as a card; fit a simpler model
     frictionzoo export RUN target=mjcf
     frictionzoo card RUN licence=cc-by-4.0
     frictionzoo distill RUN model=stribeck
-  The command to record next, for a drive that a run found
+  Design the next recording of an identified drive
     frictionzoo excite RUN position=1.5 velocity=4 torque=2
 
 options of a run:
   GROUP=FILE    a file of conf/: of bench, data, experiment, fit, logger, model
-  OPTION=VALUE  what stands in these files, by its place: segments.length=20
+  OPTION=VALUE  an entry of these files: segments.length=20
   -m            one job for each combination of values with commas between them
-  --cfg job     print all options with their values, and do nothing; with
-                --resolve, also those that follow from others
+  --cfg job     print all options with their values and exit; --resolve
+                also resolves references between options
   --hydra-help  flags and settings of Hydra, which composes the options
   --version     print the version
-  -sc           install=bash: what makes a shell complete all this, see docs/
+  -sc           install=bash: install shell completion, see docs/
   Brackets, blanks and $ are quoted for the shell: 'data.train=[a.csv]'.
-  Comments in conf/ say what each option means; docs/ tell the rest.
+  Comments in conf/ explain each option; docs/ has the manual.
 
-exit status: 0 done; 2 refused, or a job failed: one line says why; 3 done, and
-the drive was not identified; 130 and 143 stopped by Ctrl-C and by SIGTERM.
+exit status: 0 done; 2 refused, or a job failed: one line says why; 3 done,
+but the drive was not identified; 130 and 143 stopped by Ctrl-C and by SIGTERM.
 """
 _INSPECT = """\
-frictionzoo inspect tells what is in recordings before any fit: clock, gaps,
-spikes, lag, excitation; in words, and in inspect.html and inspect.json.
+frictionzoo inspect checks recordings before a fit: clock, gaps, spikes, lag,
+excitation. It prints a summary and writes inspect.html and inspect.json.
 
 usage: frictionzoo inspect FILE ... [OPTION=VALUE ...]
        frictionzoo inspect data=NAME [OPTION=VALUE ...]
@@ -96,7 +96,7 @@ examples:
     frictionzoo inspect a.csv data.units.qpos=deg
     frictionzoo inspect data=emps
 
-Options are those of data in a run, and hydra.run.dir=FOLDER, where to write.
+Options: data options of a run, and hydra.run.dir=FOLDER for the output.
 """
 _FLAGS = {"-h", "--help"}
 _COMPLETED = "COMP_LINE"  # the variable in which a shell hands over the line that it wants completed

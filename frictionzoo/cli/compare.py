@@ -36,6 +36,6 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
         "--output",
         metavar="FOLDER",
         type=Path,
-        help="where to write; by default comparison/ in the folder, or here where several are given",
+        help="output folder; by default comparison/ in the given folder, or here if several are given",
     )
     return parser.parse_args(arguments)

@@ -10,9 +10,9 @@ from frictionzoo.core.errors import FitError
 from frictionzoo.core.options import read_options
 from frictionzoo.core.telling import Parser, say, tell
 
-_OPTIONS = """options: model=NAME; output=FOLDER, distilled/NAME in the run's where it is left out; and those of a run
-that tell how to fit, such as fit, model.*, fit.*, segments.*, loop.*, seed. What is left out is as in the run, but for
-fit=auto and segments as long as the rollouts that judge."""
+_OPTIONS = """options: model=NAME; output=FOLDER, by default distilled/NAME in the run's folder; and fit options of a
+run, such as fit, model.*, fit.*, segments.*, loop.*, seed. Defaults come from the run, except fit=auto and segments as
+long as the evaluation rollouts."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -39,10 +39,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = Parser(
         prog="python -m frictionzoo.distill",
-        description="Fit another law to the drive that a run identified, so that it moves like it under the recorded "
-        "commands, and say what that costs on held-out recordings.",
+        description="Fit another model to the identified drive of a run under the recorded commands, and print the "
+        "loss of accuracy on held-out recordings.",
         epilog=_OPTIONS,
     )
     parser.add_argument("folder", metavar="RUN", type=Path, help="the folder of a finished run, the teacher")
-    parser.add_argument("options", metavar="KEY=VALUE", nargs="*", help="model=NAME, and more")
+    parser.add_argument("options", metavar="KEY=VALUE", nargs="*", help="model=NAME, and other options")
     return parser.parse_args(arguments)

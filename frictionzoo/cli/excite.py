@@ -8,7 +8,7 @@ from frictionzoo.cli.mistakes import fail, mistakes_in_one_line
 from frictionzoo.core.options import read_options
 from frictionzoo.core.telling import Parser, say, tell
 
-_OPTIONS = """options: position=REACH or [LOW,HIGH], velocity=, torque=, what the drive may do, in rad, rad/s and N m,
+_OPTIONS = """options: position=REACH or [LOW,HIGH], velocity=, torque=, limits of the drive, in rad, rad/s and N m,
 or m, m/s and N; home, where it rests; seconds, rate, ramp, period, bandwidth, margin; quantum, position_noise and
 velocity_noise of the sensors; criterion=determinant or worst, starts, iterations, seed; points and fps of the files
 for ROS 2 and LeRobot; inputs.NAME=VALUE; output=FOLDER; without RUN also bench=NAME, model=NAME and their options."""
@@ -45,12 +45,12 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = Parser(
         prog="python -m frictionzoo.excite",
         usage="python -m frictionzoo.excite [RUN] KEY=VALUE ...",
-        description="Design the command to record next, of which a fit learns the most within limits; check it in "
-        "MuJoCo C, and say which parameter will be known to what per cent. RUN is the folder of a finished run, whose "
-        "values are taken for the drive's; without it, initial values are.",
+        description="Design the next command to record, with maximal information within limits; verify it in MuJoCo C, "
+        "and predict the accuracy of each parameter. RUN is the folder of a finished run, whose values describe the "
+        "drive; without it, initial values do.",
         epilog=_OPTIONS,
     )
-    parser.add_argument("options", metavar="KEY=VALUE", nargs="+", help="limits, and more")
+    parser.add_argument("options", metavar="KEY=VALUE", nargs="+", help="limits, and other options")
     parsed = parser.parse_args(arguments)
     parsed.folders = [text for text in parsed.options if "=" not in text]
     parsed.options = [text for text in parsed.options if "=" in text]

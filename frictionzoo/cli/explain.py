@@ -47,7 +47,7 @@ def _explain_refusal(text: str, overrides: Sequence[str]) -> str:
         return _explain_unknown(unknown[1], overrides)
     unfit = re.fullmatch(r"Error merging override (.*)", text.strip())
     if unfit:
-        return f"{unfit[1]}: expected a value, or a section, of the kind that it replaces; compare with --cfg all"
+        return f"{unfit[1]}: expected a value or a section like the one that it replaces; compare with --cfg all"
     return " ".join(text.split())
 
 
@@ -67,7 +67,7 @@ def _explain_unknown(option: str, overrides: Sequence[str]) -> str:
             return f"{option}: unknown option{job}; {suggest_option(option, config)}"
     # Hydra looks at a sweep as a whole first, with the default of each group that is swept.
     group = option.partition(".")[0]
-    return f"{option}: each job of this sweep has it, the default {group} has not; write ++{option}=VALUE"
+    return f"{option}: each job of this sweep has it, the default {group} does not; write ++{option}=VALUE"
 
 
 def _has(section: Any, option: str) -> bool:

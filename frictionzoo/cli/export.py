@@ -9,8 +9,8 @@ from frictionzoo.core.options import read_options
 from frictionzoo.core.telling import Parser, say, tell
 
 _OPTIONS = """options: target=NAME or target=all; timestep=SECONDS and integrator=NAME of the simulator (Euler,
-implicitfast or RK4), those of the model file where they are left out; output=FOLDER, export/NAME in the run's where it
-is left out; and those of the target."""
+implicitfast or RK4), by default as in the model file; output=FOLDER, by default export/NAME in the run's folder; and
+options of the target."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -31,10 +31,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = Parser(
         prog="python -m frictionzoo.export",
-        description="Write the drive that a run identified for another program, run what was written there, and say "
-        "how far it is from the fitted drive and what it cannot represent.",
+        description="Export the identified drive of a run to another program, run the export there, and print its "
+        "distance from the fitted drive and what it cannot represent.",
         epilog=_OPTIONS,
     )
     parser.add_argument("folder", metavar="RUN", type=Path, help="the folder of a finished run")
-    parser.add_argument("options", metavar="KEY=VALUE", nargs="*", help="target=NAME, and more")
+    parser.add_argument("options", metavar="KEY=VALUE", nargs="*", help="target=NAME, and other options")
     return parser.parse_args(arguments)

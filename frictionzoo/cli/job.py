@@ -53,7 +53,7 @@ def run_job(
     settings = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
     logger = build(settings["logger"], RunLogger)
     parts = Parts.from_settings(settings, given, Kept(folder).settle)
-    tell("looking at the input, compiling")
+    tell("checking the input, compiling")
     with parts.computing() as device:
         measured = Problem.pose(parts)
         problem = measured if teacher is None else measured.following(teacher)

@@ -33,8 +33,8 @@ def list_kind(kind: Kind) -> str:
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = Parser(
         prog="python -m frictionzoo.list",
-        description="List the plug-ins of frictionzoo and of other installed packages: name, package, the option that "
-        "chooses it, and what it is.",
+        description="List the plug-ins of frictionzoo and of other installed packages: name, package, option and "
+        "description.",
     )
-    parser.add_argument("kinds", metavar="KIND", nargs="*", help=f"{', '.join(KINDS)}; all of them where left out")
+    parser.add_argument("kinds", metavar="KIND", nargs="*", help=f"{', '.join(KINDS)}; default: all")
     return parser.parse_args(arguments)

@@ -102,7 +102,7 @@ def run_in_sweep(
     """
     with occupy(folder, wait=True, names=RUN_FILES, inside=inside) as manifest:
         if finished is not None and (result := _read_finished(folder, finished)):
-            _log.info("%s: has its result already", folder.name)
+            _log.info("%s: result exists", folder.name)
             return math.inf if result["fit"]["stopped"] == "diverged" else objective_of(result)
         for name in (RESULT, FAILURE):
             manifest.remove(name)

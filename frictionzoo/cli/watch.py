@@ -16,7 +16,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     it with status 130, and what it watched goes on.
     """
     parsed = _parse(arguments)
-    with mistakes_in_one_line(lambda: "what was watched goes on"):
+    with mistakes_in_one_line(lambda: "the watched jobs continue"):
         # Imported here, so that --help does not wait for it.
         from frictionzoo.watch.follow import follow, show
         from frictionzoo.watch.jobs import Watched
@@ -31,10 +31,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = Parser(
         prog="python -m frictionzoo.watch",
-        description="Follow a run, or the jobs of a sweep, from the files that they leave: state, iteration, loss and "
-        "parameters, on a terminal in place, else a line for each change. It ends when all jobs have ended.",
-        epilog="The course of a fit is read where logger=tensorboard or logger=csv writes it. TensorBoard shows more.",
+        description="Follow a run, or the jobs of a sweep, from their files: state, iteration, loss and parameters, "
+        "refreshed in place on a terminal, else one line for each change. It ends when all jobs have ended.",
+        epilog="Progress is read from the files of logger=tensorboard or logger=csv. TensorBoard shows more.",
     )
-    parser.add_argument("folder", metavar="FOLDER", type=Path, help="a run's folder, a sweep's, or one they lie in")
-    parser.add_argument("--once", action="store_true", help="show how it stands now, and end")
+    parser.add_argument(
+        "folder", metavar="FOLDER", type=Path, help="folder of a run or a sweep, or one that contains them"
+    )
+    parser.add_argument("--once", action="store_true", help="print the present state and end")
     return parser.parse_args(arguments)

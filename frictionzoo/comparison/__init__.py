@@ -1,1 +1,1 @@
-"""Runs on the same data side by side: which friction law to take, and how sure that is."""
+"""Comparison of runs on the same data: which friction model to use, and how certain the ranking is."""

@@ -1,4 +1,4 @@
-"""Several drives side by side, in one object."""
+"""`Compared`: drives identified on the same data, with ranking and recommendation."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,11 +14,11 @@ from frictionzoo.result.identified import Identified
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Compared:
-    """Drives that were identified on the same recordings and judged on the same rollouts.
+    """Drives that were identified on the same recordings and evaluated on the same rollouts.
 
     Attributes:
-        record: What `comparison.json` holds.
-        runs: The runs that were compared.
+        record: Content of `comparison.json`.
+        runs: The compared runs.
         drives: The drives by label, best first.
     """
 
@@ -28,10 +28,10 @@ class Compared:
 
     @classmethod
     def of(cls, drives: Sequence[Identified], failures: Sequence[Failure] = ()) -> "Compared":
-        """Compare drives, and list what has none.
+        """Compare drives and list failed fits.
 
         Raises:
-            RunError: There is none, or they were not judged on the same rollouts of the same recordings.
+            RunError: There is no drive, or data or evaluation rollouts differ.
         """
         if not drives:
             raise RunError("drives: none, expected at least one to compare")
@@ -42,36 +42,36 @@ class Compared:
 
     @property
     def ranking(self) -> list[str]:
-        """Labels of the drives, the one with the lowest position error on test data first."""
+        """Labels of the drives, best first: fewest diverged test rollouts, then lowest position error."""
         return list(self.drives)
 
     @property
     def recommended(self) -> Identified | None:
-        """The simplest drive within noise of the best; None where all lost all rollouts."""
+        """The simplest drive within noise of the best; None if all test rollouts diverged."""
         recommendation = self.record["recommendation"]
         return self.drives[recommendation["run"]] if recommendation else None
 
     @property
     def differences(self) -> dict[tuple[str, str], PairRow]:
-        """How much worse the first of two is than the second, in paired rollouts: mean, 95 % interval, verdict."""
+        """Error of the first drive minus error of the second on paired rollouts: mean, 95 % interval, verdict."""
         return {(pair["run"], pair["other"]): pair for pair in self.record["pairs"]}
 
     def save(self, folder: str | Path) -> None:
-        """Write what `python -m frictionzoo.compare` writes: record, page, figures, and a table for a paper.
+        """Write the files of `python -m frictionzoo.compare`: JSON, page, figures, and a LaTeX table.
 
         Raises:
-            OutputError: It cannot be written.
+            OutputError: A file cannot be written.
         """
         save_comparison(self.record, self.runs, Path(folder))
 
     def __repr__(self) -> str:
-        """The drives best first, what failed, and the recommendation."""
+        """Return drives (best first), failures and recommendation as text."""
         from frictionzoo.show.terminal import summarise_comparison
 
         return summarise_comparison(self.record, None)
 
     def _repr_html_(self) -> str:
-        """The same for a notebook."""
+        """Return the same as HTML, for notebooks."""
         from frictionzoo.show.terminal import summarise_comparison_in_html
 
         return summarise_comparison_in_html(self.record, None)

@@ -1,4 +1,4 @@
-"""What a comparison leaves behind: JSON, page, figures, and a table for a paper."""
+"""Files of a comparison: JSON, page, figures, and a LaTeX table."""
 
 import json
 from collections.abc import Sequence
@@ -18,17 +18,17 @@ FILES = (
     *("comparison.json", "comparison.html", "table.tex"),
     *(f"figures/{name}.{suffix}" for name in FIGURES for suffix in ("png", "pdf")),
 )
-"""All that a comparison may write."""
+"""All files that a comparison may write."""
 
 
 def write_comparison(folders: Sequence[Path], output: Path) -> Comparison:
-    """Compare the runs in these folders, of runs or of sweeps, and write all that a comparison leaves behind.
+    """Compare the runs in these folders of runs or sweeps, and write the files of the comparison.
 
     Raises:
         RunError: A folder holds no run, runs are not comparable, or no run has a result.
         OutputError: A file cannot be written.
     """
-    with claim(output, "comparison", FILES):  # before the work
+    with claim(output, "comparison", FILES):  # an unusable output folder raises before the work
         runs, failures = read_runs(folders)
     if not runs:
         reasons = "; ".join(f"{failure.run}: {failure.reason}" for failure in failures)
@@ -39,8 +39,12 @@ def write_comparison(folders: Sequence[Path], output: Path) -> Comparison:
 
 
 def save_comparison(comparison: Comparison, runs: Sequence[Run], output: Path) -> None:
-    """Write all that a comparison of these runs leaves behind, `comparison.json` last; OutputError if that fails."""
-    # Imported here, so that what compares does not wait for what draws.
+    """Write the files of a comparison of these runs, `comparison.json` last.
+
+    Raises:
+        OutputError: A file cannot be written.
+    """
+    # Imported here: a comparison without files does not need the plotting libraries.
     from frictionzoo.show.comparison_figures import write_figures
     from frictionzoo.show.comparison_page import write_page
     from frictionzoo.show.latex import tabulate_latex

@@ -1,4 +1,4 @@
-"""`comparison.json`: runs side by side, described by `comparison.schema.json` beside this file."""
+"""`comparison.json`: comparison of runs; `comparison.schema.json` in this folder describes it."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -28,17 +28,22 @@ from frictionzoo.result.types import Result
 from frictionzoo.result.verdict import doubt_reference
 
 SCHEMA_VERSION: Final = 6
-LONGEST_LAG = 0.5  # s, of the residuals' autocorrelation
-FEW = 8  # rollouts below which an interval over them says little
+LONGEST_LAG = 0.5  # longest lag of the residuals' autocorrelation [s]
+FEW = 8  # number of rollouts below which their interval is unreliable
 
 
 def read_schema() -> dict[str, Any]:
-    """The JSON schema of `comparison.json`; its descriptions are the documentation of every field."""
+    """Return the JSON schema of `comparison.json`, which documents every field."""
     return json.loads(resources.files("frictionzoo.comparison").joinpath("comparison.schema.json").read_text("utf-8"))
 
 
 def compare_runs(runs: Sequence[Run], failures: Sequence[Failure]) -> rows.Comparison:
-    """Runs that `read_runs` found comparable side by side, best first, at least one; and jobs without a result."""
+    """Return the content of `comparison.json`.
+
+    Args:
+        runs: At least one run, comparable as checked by `gather`.
+        failures: Jobs without a result.
+    """
     ranked = sorted(runs, key=_rank)
     pairs = _compare_pairs(ranked)
     first, test = ranked[0].result, ranked[0].result["metrics"]["test"]
@@ -74,7 +79,7 @@ def compare_runs(runs: Sequence[Run], failures: Sequence[Failure]) -> rows.Compa
 
 
 def _residual(run: Run) -> Float[np.ndarray, "rollouts steps nv"]:
-    """Position error in the long test rollouts [rad or m]."""
+    """Return the position error in the long test rollouts [rad or m]."""
     return run.curves.qpos - run.curves.measured_qpos[:, 1:]
 
 
@@ -85,14 +90,14 @@ def _rank(run: Run) -> tuple[int, float, int]:
 
 
 def count_identified(result: Result) -> int:
-    """Numbers that the fit chose."""
+    """Return the number of identified values and network weights."""
     values = [value["identified"] for p in result["parameters"] for value in p["by_joint"]]
     network = result["network"]
     return sum(values) + (network["weights"] if network else 0)
 
 
 def _compare_pairs(runs: Sequence[Run]) -> dict[tuple[str, str], Difference]:
-    """Every pair, the better-ranked run second: how much worse is the first?"""
+    """Compare every pair of runs; the better-ranked run is second."""
     counts = resample(len(runs[0].curves.test_mae))
     return {
         (worse.label, better.label): difference(worse.curves.test_mae, better.curves.test_mae, counts)
@@ -101,7 +106,7 @@ def _compare_pairs(runs: Sequence[Run]) -> dict[tuple[str, str], Difference]:
 
 
 def _recommend(ranked: Sequence[Run], pairs: Mapping[tuple[str, str], Difference]) -> rows.RecommendationRow | None:
-    """The simplest run within noise of the best, why, and what it leaves open; None where all lost all rollouts."""
+    """Return the simplest run within noise of the best, with reason and doubts; None if all test rollouts diverged."""
     best = ranked[0]
     if best.result["metrics"]["test"]["position_mae"] is None:
         return None
@@ -117,7 +122,7 @@ def _recommend(ranked: Sequence[Run], pairs: Mapping[tuple[str, str], Difference
 
 
 def _list_unidentifiable(run: Run) -> list[str]:
-    """Labels of the values that the run's data do not determine."""
+    """Return the labels of the values that are not identifiable from the run's data."""
     labelled = (label_values(parameter) for parameter in run.result["parameters"])
     return [label for values in labelled for label, row in values.items() if row["identifiable"] is False]
 
@@ -126,43 +131,42 @@ def _explain(chosen: Run, best: Run, close: Sequence[Run], pairs: Mapping[tuple[
     test = chosen.result["metrics"]["test"]
     unit, rollouts = test["unit"], test["rollouts"]
     values = count_identified(chosen.result)
-    error = f"Its mean position error on test data is {test['position_mae']:.3g} {unit} with {values} identified values"
+    error = f"Test MAE {test['position_mae']:.3g} {unit} with {values} identified value{'s' * (values != 1)}"
     if chosen is not best:
         pair = pairs[chosen.label, best.label]
         lowest, most = best.result["metrics"]["test"]["position_mae"], count_identified(best.result)
         text = (
-            f"{error}. The lowest error, {lowest:.3g} {unit} of {best.label} with {most}, is within "
-            f"noise of it (difference {pair.mean:.2g} {unit}, 95 % interval {pair.low:.2g} to {pair.high:.2g} over "
-            f"{rollouts} paired rollouts; {100 * MATTERS:g} % of the error would matter), and no simpler one is"
+            f"{error}. The lowest error, {lowest:.3g} {unit} of {best.label} with {most}, is within noise of it "
+            f"(difference {pair.mean:.2g} {unit}, 95 % interval {pair.low:.2g} to {pair.high:.2g} over {rollouts} "
+            f"paired rollouts; below {100 * MATTERS:g} % of the error counts as noise). No simpler run is within noise"
         )
     elif len(close) > 1:
         others = " and ".join(run.label for run in close[1:])
-        text = f"{error}, the lowest; {others} are within noise of it but no simpler"
+        text = f"{error}, the lowest; {others} {'are' if len(close) > 2 else 'is'} within noise of it but not simpler"
     else:
-        text = f"{error}, the lowest, and all others are worse by more than noise over {rollouts} paired rollouts"
+        text = f"{error}, the lowest, and all other runs are worse by more than noise over {rollouts} paired rollouts"
     if chosen.result["network"]:
-        text += ". It is a network: it predicts, and its physical parameters need not be the drive's"
+        text += ". It is a network: do not interpret its physical parameters"
     doubtful = name_unidentifiable(chosen.result["parameters"])
-    doubt = f" Not identifiable on these data, and no property of the drive: {', '.join(doubtful)}." if doubtful else ""
+    doubt = f" Not identifiable, do not interpret these values: {', '.join(doubtful)}." if doubtful else ""
     failed = chosen.result["not_identified"]
-    doubt += f" It did not identify the drive: {failed[0]}." if failed else ""
-    caution = f" {rollouts} rollouts are few: raise evaluation.rollouts to be sure." if rollouts < FEW else ""
+    doubt += f" The drive was not identified: {failed[0]}." if failed else ""
+    caution = f" Few rollouts ({rollouts}): raise evaluation.rollouts." if rollouts < FEW else ""
     return f"{text}.{_say_hair(best, pairs)}{doubt}{caution}"
 
 
 def _say_hair(best: Run, pairs: Mapping[tuple[str, str], Difference]) -> str:
-    """Of which runs it is a close call whether they are as good as the best."""
+    """Return a sentence on runs whose verdict against the best is a close call; empty for none."""
     close = {"noise": [], "worse": []}
     for (label, other), pair in pairs.items():
         if other == best.label and pair.verdict in close and pair.by_a_hair:
             close[pair.verdict].append(label)
     said = [
-        f"{' and '.join(labels)} {'is' if len(labels) == 1 else 'are'} {how} by a hair"
-        for how, labels in (("within noise of it", close["noise"]), ("worse", close["worse"]))
+        f"{', '.join(labels)} ({how})"
+        for how, labels in (("within noise", close["noise"]), ("worse", close["worse"]))
         if labels
     ]
-    few = "an end of the interval is next to 0, so that other rollouts may tell otherwise"
-    return f" Against the lowest error, {'; '.join(said)}: {few}." if said else ""
+    return f" Near the limit of noise: {', '.join(said)}; other rollouts may decide otherwise." if said else ""
 
 
 def _describe(run: Run, reference: Run | None) -> rows.RunRow:
@@ -192,7 +196,10 @@ def _describe(run: Run, reference: Run | None) -> rows.RunRow:
 
 
 def _change(run: Run, reference: Run | None, part: Literal["train", "test"]) -> float | None:
-    """Against the error without friction: of the run that has none, else of the baseline that each run fits itself."""
+    """Return the relative change to the error without friction.
+
+    The error without friction comes from the reference run, or else, on test data only, from the run's baseline.
+    """
     value = run.result["metrics"][part]["position_mae"]
     if reference:
         without = reference.result["metrics"][part]["position_mae"]
@@ -202,7 +209,7 @@ def _change(run: Run, reference: Run | None, part: Literal["train", "test"]) -> 
 
 
 def _list_differences(runs: Sequence[Run]) -> list[rows.DifferenceRow]:
-    """Options besides the law's own in which the runs differ."""
+    """Return the options in which the runs differ, except options of the model."""
     options = differing([run.result["settings"] | {"engine": run.result["engine"]} for run in runs], NAMED)
     labels = [run.label for run in runs]
     return [{"option": name, "values": dict(zip(labels, values, strict=True))} for name, values in options.items()]
@@ -219,7 +226,7 @@ def _by_horizon(runs: Sequence[Run]) -> rows.GrowthRow:
 
 
 def _by_local(runs: Sequence[Run], signal: str) -> rows.BinnedRow:
-    """Error of the short rollouts in bins of what was measured in them."""
+    """Return the error of the short rollouts in bins of a measured quantity."""
     measured = getattr(runs[0].curves, signal)
     members = bin_evenly(measured)
     return {
@@ -251,7 +258,7 @@ def _describe_autocorrelation(runs: Sequence[Run]) -> rows.AutocorrelationRow:
         residual = np.moveaxis(_residual(run), 2, 1).reshape(rollouts * joints, steps)
         lag, curves[run.label] = autocorrelation(residual, timestep, LONGEST_LAG)
     return {
-        "lag": lag.round(9).tolist(),  # without the rounding that multiplying brings
+        "lag": lag.round(9).tolist(),  # removes rounding errors of the multiplication
         "band": 1.96 / np.sqrt(rollouts * joints * steps),
         "coefficient": {label: curve.tolist() for label, curve in curves.items()},
     }

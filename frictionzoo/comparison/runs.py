@@ -1,4 +1,4 @@
-"""Run folders to runs that can be compared."""
+"""Comparable runs, read from run folders."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -14,21 +14,21 @@ from frictionzoo.result.curves import OWN, Curves
 from frictionzoo.result.record import read_run
 from frictionzoo.result.types import Result
 
-MOST_NAMED = 2  # options in a label
-# Options that may differ between runs that are compared, and are then named. A law's own options belong to the law, and
-# data and evaluation must not differ.
+MOST_NAMED = 2  # largest number of options in a label
+# Sections that may differ between compared runs; differences are listed. Options of the model belong to the model,
+# and data and evaluation must not differ.
 NAMED = ("seed", "dtype", "engine", "segments", "loss", "fit", "bench", "teacher")
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One finished run.
+    """Finished run.
 
     Attributes:
-        label: What it is called among the others: its model, and what distinguishes it from others of that model.
-        folder: Where it lies.
-        result: What its `result.json` holds.
-        curves: What its `curves.safetensors` holds.
+        label: Unique name in a comparison: its model, and what distinguishes it from other runs of that model.
+        folder: Folder of the run.
+        result: Content of its `result.json`.
+        curves: Content of its `curves.safetensors`.
     """
 
     label: str
@@ -38,10 +38,10 @@ class Run:
 
 
 def read_runs(folders: Sequence[Path]) -> tuple[list[Run], list[Failure]]:
-    """The runs in some folders, and what failed there.
+    """Read the runs in these folders, and their failures.
 
     Args:
-        folders: Folders of runs, or of sweeps, in which runs lie.
+        folders: Folders of runs, or of sweeps that contain runs.
 
     Raises:
         RunError: A folder holds no run, a run cannot be read, or two runs are not comparable.
@@ -55,10 +55,10 @@ def read_runs(folders: Sequence[Path]) -> tuple[list[Run], list[Failure]]:
 
 
 def gather(runs: Sequence[Run]) -> list[Run]:
-    """Runs that can be compared, each with a label of its own: its model, as before, and what else they differ in.
+    """Check that runs are comparable, and return them with unique labels: the model and, if needed, differing options.
 
     Raises:
-        RunError: Two are not comparable.
+        RunError: Two runs are not comparable.
     """
     for run in runs[1:]:
         _refuse_incomparable(run, runs[0])
@@ -74,8 +74,8 @@ def _refuse_incomparable(run: Run, first: Run) -> None:
     if came["evaluation"]["sha256"] != expected["evaluation"]["sha256"]:
         options = differing([came["settings"], expected["settings"]], ("evaluation", "data"))
         named = [f"{name}={came}, expected {expected}" for name, (came, expected) in options.items()]
-        both = f"{'; '.join(named) or 'other rollouts'} as in {first.folder}"
-        raise RunError(f"{run.folder}: {both}; compare runs judged on the same rollouts")
+        both = f"{'; '.join(named)} as in {first.folder}" if named else f"its rollouts differ from {first.folder}"
+        raise RunError(f"{run.folder}: {both}; compare runs evaluated on the same rollouts")
     for field in fields(Curves):
         came, expected = (getattr(curves, field.name) for curves in (run.curves, first.curves))
         if field.name not in OWN and came.shape != expected.shape:
@@ -84,7 +84,7 @@ def _refuse_incomparable(run: Run, first: Run) -> None:
 
 
 def differing(settings: Sequence[Mapping[str, Any]], sections: Sequence[str]) -> dict[str, list[Any]]:
-    """Options of these sections in which runs differ: dotted name to each run's value, None where it has none."""
+    """Return the options of these sections in which runs differ: dotted name to one value per run, None if unset."""
     leaves = [dict(list_options({name: options.get(name) for name in sections})) for options in settings]
     names = dict.fromkeys(name for options in leaves for name in options)
     table = {name: [options.get(name) for options in leaves] for name in names}
@@ -102,11 +102,11 @@ def _label_among(run: Run, same: Sequence[Run]) -> str:
 
 
 def _describe(same: Sequence[Run]) -> Iterator[list[str]]:
-    """What may tell runs of one model apart, the plainest first: one text a run."""
+    """Yield texts that may distinguish runs of one model, the simplest first: one text per run."""
     yield [f"fit={run.result['fit']['method']}" for run in same]
     options = differing([run.result["settings"] for run in same], (*NAMED, "model"))
     if len(options) <= MOST_NAMED:
-        # Names are on pages and in tables for others, whom it does not concern where files lie here.
+        # Labels appear on shared pages and tables, which must not reveal paths of this machine.
         paths, joints = {path for run in same for path in list_paths_of(run.result)}, same[0].result["joints"]
         named = {name: without_paths(values, paths, joints) for name, values in options.items()}
         yield [" ".join(f"{name}={values[i]}" for name, values in named.items()) for i in range(len(same))]

@@ -1,4 +1,4 @@
-"""How parameters differ from recording to recording and from unit to unit, beyond what a fit is unsure of."""
+"""Spread of parameters between recordings and between units, beyond the uncertainty of the fits."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -13,12 +13,12 @@ Numbers = Float[np.ndarray, "_"]
 
 
 class Spread(NamedTuple):
-    """Of one parameter, of one joint or of joints that share a value.
+    """Spread of one parameter of one joint, or of joints that share a value.
 
     Attributes:
-        mean: Mean over the units, in the parameter's unit; of a logarithm the geometric one.
-        run: Standard deviation from recording to recording of a unit, in that unit; NaN where none was recorded twice.
-        unit: The same from unit to unit; NaN of a single one. Of units that were recorded once each, it holds both.
+        mean: Mean over the units, in the parameter's unit; geometric for `scale: log`.
+        run: Standard deviation between recordings of a unit, in the same unit; NaN if no unit was recorded twice.
+        unit: Standard deviation between units; NaN for one unit. With one recording per unit, it includes `run`.
         error: Standard error of the mean.
     """
 
@@ -29,32 +29,32 @@ class Spread(NamedTuple):
 
 
 def spread(fits: Sequence[Identified] | Mapping[str, Sequence[Identified]]) -> dict[str, Spread]:
-    """Run-to-run and unit-to-unit spread of parameters, apart from each other and from the fits' own uncertainty.
+    """Estimate run-to-run and unit-to-unit spread of parameters, separately from the uncertainty of the fits.
 
     y_ij = mean + u_i + r_ij + e_ij,   Var u = unit^2,  Var r = run^2,  Var e_ij = s_ij^2
 
     with y_ij the estimate of unit i from its recording j, in the optimiser's coordinate, and s_ij^2 from `covariance`.
-    Both variances are found by the method of moments, first that of the recordings about the means of their units, then
-    that of the units; none is below 0. For a logarithm they are brought into the parameter's unit by the mean.
+    The method of moments estimates both variances, limited to at least 0: first between the recordings of each unit,
+    then between the units. For `scale: log`, the mean converts them into the parameter's unit.
 
     Source: R. DerSimonian, N. Laird, "Meta-analysis in clinical trials", 1986; S. Konstantopoulos, "Fixed effects and
     variance components estimation in three-level meta-analysis", 2011, for two levels of spread.
 
     Args:
-        fits: Drives, each identified from one recording with the same bench and law: those of one unit, or of several
-            units by their names.
+        fits: Drives, each identified from one recording with the same bench and model: a sequence for one unit, or a
+            mapping from the names of several units.
 
     Returns:
-        By the label of each parameter that the data determine in all fits: its full name, of several joints with `/`
-        and the joint's name.
+        The spread of each parameter that is identifiable in all fits, by label: its full name; with several joints also
+        `/` and the joint's name.
 
     Raises:
-        RunError: There are less than two fits, or one has no intervals.
+        RunError: There are fewer than two fits, or a fit has no intervals.
     """
     units = fits if isinstance(fits, Mapping) else {"unit": fits}
     drives = [drive for own in units.values() for drive in own]
     if len(drives) < 2:
-        raise RunError(f"fits: {len(drives)}, expected two at least, each of a recording of its own; give more")
+        raise RunError(f"fits: {len(drives)}, expected at least two, each from a different recording; give more")
     rows = [_read(drive) for drive in drives]
     labels = [label for label in rows[0] if all(label in row for row in rows)]
     group = np.repeat(np.arange(len(units)), [len(own) for own in units.values()])
@@ -69,12 +69,12 @@ def spread(fits: Sequence[Identified] | Mapping[str, Sequence[Identified]]) -> d
 
 
 def separate(value: Numbers, variance: Numbers, group: Int[np.ndarray, "_"]) -> tuple[float, float, float, float]:
-    """Mean, the two standard deviations as `Spread` has them, and the mean's error, of values with known variances.
+    """Return the mean, the standard deviations `run` and `unit` of `Spread`, and the standard error of the mean.
 
     Args:
         value: Estimates.
-        variance: Of each one's error.
-        group: Number of the unit that each belongs to.
+        variance: Variance of each estimate's error.
+        group: Number of each estimate's unit.
     """
     owns = [group == number for number in np.unique(group)]
     sums = np.sum([_moments(value[own], variance[own]) for own in owns], axis=0)
@@ -89,19 +89,19 @@ def separate(value: Numbers, variance: Numbers, group: Int[np.ndarray, "_"]) -> 
 
 
 def _moments(value: Numbers, variance: Numbers) -> tuple[float, float]:
-    """By how much the weighted squares are above what the variances explain, and how much a spread of 1 adds."""
+    """Return the weighted squares in excess of the known variances, and the excess expected from a spread of 1."""
     weight = 1 / variance
     squares = (weight * np.square(value - np.average(value, weights=weight))).sum()
     return float(squares - (len(value) - 1)), float(weight.sum() - np.square(weight).sum() / weight.sum())
 
 
 def _read(drive: Identified) -> dict[str, tuple[float, float, str | float]]:
-    """Coordinate, variance and scale of each parameter that the data determine."""
+    """Return coordinate, variance and scale of each identifiable parameter."""
     row = drive.result["covariance"]
     if row is None:
         raise RunError(
             f"{drive.place}: {drive.result['no_intervals'] or 'data determine none of its parameters'}, expected "
-            "intervals to tell its spread from its uncertainty; leave it out"
+            "intervals to separate spread from uncertainty; leave it out"
         )
     centre, variance = row["centre"], np.diag(np.array(row["matrix"]))
     sure = {name for name, parameter in drive.parameters.items() if parameter.identifiable}

@@ -1,4 +1,4 @@
-"""What distinguishes drives that were judged on the same rollouts: numbers from arrays, nothing else."""
+"""Statistics for drives that were evaluated on the same rollouts."""
 
 from dataclasses import dataclass
 
@@ -7,12 +7,12 @@ from jaxtyping import Bool, Float, Int
 
 RESAMPLES = 10_000
 INTERVAL = (2.5, 97.5)  # percentiles
-MATTERS = 0.01  # of the smaller error: a difference below it decides nothing, however sure it is
-POINTS = 30  # horizons of an error curve
-HAIR = 0.2  # of half an interval; as near to 0 as that, its end might as well be on the other side
-BINS = 8  # of speed and of load, each with as many windows
-FEWEST = 5  # windows in a bin
-LAGS = 101  # of an autocorrelation
+MATTERS = 0.01  # smallest relevant difference, relative to the smaller error
+POINTS = 30  # number of horizons of an error curve
+HAIR = 0.2  # share of half an interval; if an end is closer to 0, other rollouts might move it across
+BINS = 8  # largest number of bins of speed and of load, each with the same number of windows
+FEWEST = 5  # smallest number of windows in a bin
+LAGS = 101  # largest number of lags of an autocorrelation
 
 Errors = Float[np.ndarray, "rollouts"]
 Curve = tuple[Float[np.ndarray, "points"], Float[np.ndarray, "points"]]
@@ -20,15 +20,15 @@ Curve = tuple[Float[np.ndarray, "points"], Float[np.ndarray, "points"]]
 
 @dataclass(frozen=True)
 class Difference:
-    """How much larger one drive's mean error over the rollouts is than another's.
+    """Difference of the mean errors of two drives on the same rollouts, first minus second.
 
     Attributes:
-        mean: Mean of the rollouts' differences [rad or m]; NaN where no rollout counts for both.
+        mean: Mean of the rollouts' differences [rad or m]; NaN if no rollout is finite for both.
         low: Lower end of its 95 % interval.
-        high: Upper end.
+        high: Upper end of its 95 % interval.
         verdict: `better` if the first drive's error is smaller, `worse` if it is larger, `noise` if the interval
-            holds 0 or the mean is below `MATTERS` of the smaller error. Where one of them diverged more often, that
-            alone decides.
+            contains 0 or the mean is below `MATTERS` of the smaller error. If one drive diverged more often, that alone
+            decides.
     """
 
     mean: float
@@ -38,24 +38,24 @@ class Difference:
 
     @property
     def by_a_hair(self) -> bool:
-        """Whether an end of the interval is so near to 0 that a few other rollouts would have told otherwise."""
+        """Whether an end of the interval is so close to 0 that a few other rollouts might change the verdict."""
         return min(abs(self.low), abs(self.high)) < HAIR * (self.high - self.low) / 2
 
 
 def resample(rollouts: int) -> Int[np.ndarray, "resamples rollouts"]:
-    """How often each of so many rollouts is drawn in each bootstrap resample, the same in every call."""
+    """Return how often each rollout is drawn in each bootstrap resample; the same in every call."""
     return np.random.default_rng(0).multinomial(rollouts, np.full(rollouts, 1 / rollouts), size=RESAMPLES)
 
 
 def difference(first: Errors, second: Errors, counts: Int[np.ndarray, "resamples rollouts"]) -> Difference:
-    """Paired bootstrap over rollouts: percentile interval of the mean difference of two drives' errors.
+    """Estimate the mean difference of two drives' errors with a percentile interval from a paired bootstrap.
 
     Source: B. Efron, R. J. Tibshirani, "An Introduction to the Bootstrap", Chapman and Hall 1993, section 13.3.
 
     Args:
-        first: Error of each rollout of one drive; NaN where it diverged.
-        second: Errors of the other on the same rollouts.
-        counts: From `resample`.
+        first: Error of the first drive in each rollout; NaN if the rollout diverged.
+        second: Errors of the second drive on the same rollouts.
+        counts: Result of `resample`.
     """
     both = np.isfinite(first) & np.isfinite(second)
     mean, low, high = _interval(np.where(both, first - second, 0.0), both, counts)
@@ -79,14 +79,14 @@ def _interval(
 
 
 def error_by_horizon(error: Float[np.ndarray, "rollouts steps"], timestep: float) -> Curve:
-    """Mean absolute error over the first h seconds of the rollouts, for evenly spaced h.
+    """Return the mean absolute error over the first h seconds of the rollouts, for evenly spaced h.
 
     Args:
-        error: Absolute error at each step of each rollout; a rollout that is not finite everywhere is left out.
-        timestep: [s].
+        error: Absolute error at each step of each rollout; rollouts with non-finite errors are ignored.
+        timestep: Time between steps [s].
 
     Returns:
-        Horizons [s], and the error at each, NaN where all rollouts diverged.
+        Horizons [s], and the error at each horizon; NaN if all rollouts diverged.
     """
     steps = np.unique(np.linspace(0, error.shape[1], POINTS + 1).round().astype(int)[1:])
     steps = steps[steps > 0]
@@ -98,38 +98,39 @@ def error_by_horizon(error: Float[np.ndarray, "rollouts steps"], timestep: float
 
 
 def bin_evenly(values: Float[np.ndarray, "windows"]) -> list[Int[np.ndarray, "members"]]:
-    """Windows in bins of rising value, each with as many of them."""
+    """Return the indices of the windows in bins of increasing value and equal count."""
     order = np.argsort(values, kind="stable")
     return np.array_split(order, max(1, min(BINS, len(values) // FEWEST)))
 
 
 def mean_of_finite(values: Float[np.ndarray, "values"]) -> float:
-    """Mean of the values that are finite; NaN if none is."""
+    """Return the mean of the finite values; NaN if there is none."""
     kept = values[np.isfinite(values)]
     return float(kept.mean()) if len(kept) else np.nan
 
 
 def autocorrelation(residual: Float[np.ndarray, "rollouts steps"], timestep: float, longest: float) -> Curve:
-    """Autocorrelation of the simulation errors, mean over rollouts: what is left in them that a law could explain.
+    """Return the autocorrelation of the simulation errors, mean over rollouts.
 
-    Errors without structure have none but at lag 0, within +- 1.96 / sqrt(samples).
+    It shows structure that a better model could explain. For white noise, the coefficients at lags above 0 lie within
+    +- 1.96 / sqrt(samples) in 95 % of cases.
 
     Source: L. Ljung, "System Identification", 2nd ed., Prentice Hall 1999, section 16.6, residual analysis.
 
     Args:
-        residual: Signed error at each step of each rollout; a rollout that is not finite everywhere is left out.
-        timestep: [s].
+        residual: Signed error at each step of each rollout; rollouts with non-finite errors are ignored.
+        timestep: Time between steps [s].
         longest: Largest lag [s].
 
     Returns:
-        Lags [s], and the coefficients, NaN where all rollouts diverged or have no error.
+        Lags [s], and the coefficients; NaN if all rollouts diverged or have no error.
     """
     steps = residual.shape[1]
     last = min(steps - 1, round(longest / timestep))
     lags = np.unique(np.linspace(0, last, min(LAGS, last + 1)).round().astype(int))
     kept = residual[np.isfinite(residual).all(axis=1)]
     largest = np.abs(kept).max(axis=1, initial=0.0, keepdims=True)
-    kept = kept[largest[:, 0] > 0] / largest[largest > 0][:, None]  # the square of a runaway's error may overflow
+    kept = kept[largest[:, 0] > 0] / largest[largest > 0][:, None]  # squares of very large errors may overflow
     kept = kept - kept.mean(axis=1, keepdims=True)
     kept = kept[np.square(kept).sum(axis=1) > 0]
     if not len(kept):

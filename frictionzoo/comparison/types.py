@@ -1,4 +1,4 @@
-"""What `comparison.json` holds, as types, from which `make docs` makes `comparison.schema.json`."""
+"""Types of `comparison.json`, from which `make docs` generates `comparison.schema.json`."""
 
 from typing import Annotated, Any, Literal, TypedDict
 
@@ -11,44 +11,44 @@ Curves = dict[str, Numbers]
 
 
 class RolloutsRow(TypedDict):
-    """The rollouts on which all runs were judged."""
+    """The evaluation rollouts, the same for all runs."""
 
     sha256: Sha256
-    """Hash of all measured windows."""
+    """SHA-256 of all measured windows and payloads."""
     horizon: Positive
     """Length of the main rollouts [s]."""
     rollouts: Count
-    """How many of them, on test data."""
+    """Number of main rollouts on test data."""
     long_rollouts: Count
-    """How many long test rollouts, for `by_horizon` and `autocorrelation`."""
+    """Number of long test rollouts, for `by_horizon` and `autocorrelation`."""
     long_horizon: Positive
-    """Their length [s]."""
+    """Length of the long test rollouts [s]."""
 
 
 class RecommendationRow(TypedDict):
-    """The simplest run within noise of the best."""
+    """The recommended run: the simplest one within noise of the best."""
 
     run: str
-    """Label of the run to take."""
+    """Label of the recommended run."""
     best: str
-    """Label of the run with the lowest test error."""
+    """Label of the best run: fewest diverged test rollouts, then lowest test error."""
     unidentifiable: list[str]
-    """Parameters of the run to take that its data do not determine, as `owner.name`, of several joints
+    """Parameters of the recommended run that its data do not determine: `owner.name`, with several joints
     `owner.name/JOINT`."""
     not_identified: list[Text] | None
-    """Null, or that the fit did not identify the drive: why that is said, and the likely reasons, the likeliest
-    first."""
+    """Reason why the fit did not identify the drive, followed by the likely causes, likeliest first; null: no sign of
+    failure."""
     reason: str
-    """Why, in sentences."""
+    """Reason for the recommendation, in sentences."""
 
 
 class ChangeRow(TypedDict):
-    """Error relative to no friction, minus 1: -0.64 is 64 % less."""
+    """Error relative to the error without friction, minus 1: -0.64 is a decrease of 64 %."""
 
     train: float | None
-    """On `train`; null without a reference run."""
+    """Change of the error of `train`; null without a reference run."""
     test: float | None
-    """On `test`."""
+    """Change of the error of `test`."""
 
 
 class RunHorizonRow(TypedDict):
@@ -57,9 +57,9 @@ class RunHorizonRow(TypedDict):
     horizon: Positive
     """Length of each rollout [s]."""
     train: MetricsRow
-    """On the logs that the fit saw."""
+    """Errors on the training logs."""
     test: MetricsRow
-    """On the logs that it did not see."""
+    """Errors on the test logs."""
 
 
 class RunPaperRow(TypedDict):
@@ -72,49 +72,50 @@ class RunPaperRow(TypedDict):
 
 
 class SettingsRow(TypedDict):
-    """How it was run."""
+    """Settings of the computation."""
 
     seed: int
-    """Seed of everything random in the run."""
+    """Seed of all random numbers in the run."""
     dtype: Number
-    """Number type of the simulation."""
+    """Floating-point type of the simulation."""
     engine: Simulator
-    """What simulated."""
+    """Simulation engine."""
 
 
 class RunRow(TypedDict):
     """One run."""
 
     label: str
-    """Its name in this file: the model, and what distinguishes it from other runs of that model."""
+    """Name of the run in this file: its model, and its difference from other runs of the same model."""
     run: str
-    """Name of its folder."""
+    """Name of the run's folder."""
     model: str
-    """The chosen model, a file of conf/model."""
+    """Name of the friction model, a file of conf/model."""
     identified: Natural
-    """How many numbers the fit chose: parameters, for each joint or group of joints that share them, and a network's
+    """Number of identified values: parameters of each joint or group of joints with a shared value, and network
     weights."""
     train: MetricsRow
-    """Main rollouts on the logs that the fit saw."""
+    """Errors of the main rollouts on the training logs."""
     test: MetricsRow
-    """Main rollouts on the logs that it did not see."""
+    """Errors of the main rollouts on the test logs."""
     by_joint: Annotated[list[JointRow], ("minItems", 1)]
     """Errors of each joint in the main rollouts, in the order of `joints`."""
     torque: TorqueRow | None
-    """What is left of recorded torque joint by joint, as in `result.json`; null where that was not measured."""
+    """Residual torque of each joint, as in `result.json`; null: not measured."""
     change: ChangeRow
     rollout_mae: Numbers
-    """Error of each main test rollout; the runs' entries belong together in pairs."""
+    """Mean absolute position error of each main test rollout [unit], null if it diverged; the rollouts are the same in
+    all runs."""
     by_horizon: list[RunHorizonRow]
-    """The metrics at every horizon of the evaluation."""
+    """Errors at every horizon of the evaluation."""
     paper: RunPaperRow
     parameters: list[ParameterRow]
-    """Physical parameters of bench and friction law. A network's weights are in friction.safetensors."""
+    """Physical parameters of bench and friction model. Network weights are in friction.safetensors."""
     not_identified: list[Text] | None
-    """Null, or that the fit did not identify the drive: why that is said, and the likely reasons, the likeliest
-    first."""
+    """Reason why the fit did not identify the drive, followed by the likely causes, likeliest first; null: no sign of
+    failure."""
     network: NetworkRow | None
-    """The law's trained network; null for a law without one."""
+    """Trained network of the friction model; null: the model has none."""
     fit: FitRow
     settings: SettingsRow
     timing: TimingRow
@@ -124,100 +125,100 @@ class FailureRow(TypedDict):
     """A job without a result."""
 
     run: str
-    """Name of its folder."""
+    """Name of the job's folder."""
     model: str
-    """The chosen model; empty where that is not known."""
+    """Name of the friction model; empty: unknown."""
     reason: str
-    """Why, in one line."""
+    """Reason for the missing result, in one line."""
 
 
 class DifferenceRow(TypedDict):
-    """An option in which the runs differ."""
+    """An option that differs between runs."""
 
     option: str
-    """Dotted name."""
+    """Dotted name of the option."""
     values: dict[str, Any]
-    """Value of each run, by label; null where it has none."""
+    """Value in each run, by label; null: the run has no such option."""
 
 
 class PairRow(TypedDict):
-    """Two runs, by a paired bootstrap over the main test rollouts."""
+    """Paired bootstrap of two runs over the main test rollouts."""
 
     run: str
-    """Label of the one that comes later in `runs`."""
+    """Label of the later run in `runs`."""
     other: str
-    """Label of the one that comes earlier."""
+    """Label of the earlier run in `runs`."""
     mean: float | None
-    """Error of `run` minus error of `other`, mean over rollouts."""
+    """Error of `run` minus error of `other`, mean over the rollouts [unit]."""
     low: float | None
-    """Lower end of its 95 % interval."""
+    """Lower end of the 95 % interval of `mean` [unit]."""
     high: float | None
-    """Upper end."""
+    """Upper end of the 95 % interval of `mean` [unit]."""
     verdict: Literal["better", "worse", "noise"]
-    """What `run` is, seen from `other`; noise: the interval holds 0, or the mean is below 1 % of the smaller error and
-    does not matter. Where one diverged more often, that decides."""
+    """Assessment of `run` relative to `other`. If one run has more diverged rollouts, it is worse. Otherwise the
+    difference is noise if the interval contains 0 or the mean is below 1 % of the smaller error."""
 
 
 class GrowthRow(TypedDict):
-    """How the error grows: mean over the first seconds of the long test rollouts."""
+    """Growth of the error: mean over the first seconds of the long test rollouts."""
 
     horizon: Numbers
     """Horizons [s]."""
     position_mae: Curves
-    """Error at each horizon, by label."""
+    """Mean error up to each horizon [unit], by label."""
 
 
 class BinnedRow(TypedDict):
-    """An error in bins of another quantity."""
+    """Error in bins of another quantity."""
 
     centre: Numbers
-    """Mean of each bin."""
+    """Mean of the quantity in each bin."""
     low: Numbers
-    """Its smallest value."""
+    """Smallest value of the quantity in each bin."""
     high: Numbers
-    """Its largest value."""
+    """Largest value of the quantity in each bin."""
     windows: list[Count]
-    """Short rollouts in it."""
+    """Number of short rollouts in each bin."""
     position_mae: Curves
-    """Error in each bin, by label."""
+    """Error in each bin [unit], by label."""
 
 
 class FrictionRow(TypedDict):
-    """A law's friction torque over velocity."""
+    """Friction torque of a model over velocity."""
 
     velocity: Numbers
-    """Velocities, in `velocity_unit`."""
+    """Velocities [velocity_unit]."""
     torque: list[Numbers]
-    """Friction torque at them, in `torque_unit`, a list a joint; the median over recorded states."""
+    """Friction torque at each velocity [torque_unit], one list for each joint: the median over recorded states."""
     low: list[Numbers]
-    """Its lower decile over these states."""
+    """10 % quantile of the friction torque over these states [torque_unit]."""
     high: list[Numbers]
-    """Its upper decile."""
+    """90 % quantile of the friction torque over these states [torque_unit]."""
 
 
 class AutocorrelationRow(TypedDict):
-    """Autocorrelation of the position errors in the long test rollouts: structure that no law has explained."""
+    """Autocorrelation of the position errors in the long test rollouts: structure that no model has explained."""
 
     lag: Numbers
     """Lags [s]."""
     band: NotNegative
-    """Errors without structure lie within +- this, 95 % of the time."""
+    """Half width of the 95 % band of unstructured errors around 0."""
     coefficient: Curves
-    """Mean over rollouts, by label."""
+    """Autocorrelation at each lag, mean over the rollouts, by label."""
 
 
 class Comparison(TypedDict):
-    """Runs on the same data and the same rollouts side by side, best first.
+    """Comparison of runs on the same data and the same evaluation rollouts, best first.
 
-    Numbers are SI, angles radians; null stands for a number that does not exist (all rollouts diverged). Errors are
-    position MAE in `unit`.
+    Numbers are in SI units, angles in radians. null stands for a number that does not exist, for example if all
+    rollouts diverged. Errors are mean absolute position errors in `unit`.
     """
 
     schema_version: Literal[6]
-    """Raised by every change that a reader of this file could notice."""
+    """Schema version, increased by every change that affects readers of the file."""
     data: DataRow
     joints: Joints
-    """Names of the identified joints, in the order of lists."""
+    """Names of the identified joints; lists with one entry for each joint have this order."""
     unit: Literal["rad", "m"]
     """Unit of position errors."""
     velocity_unit: Literal["rad/s", "m/s"]
@@ -226,25 +227,25 @@ class Comparison(TypedDict):
     """Unit of friction and load."""
     evaluation: RolloutsRow
     recommendation: RecommendationRow | None
-    """The simplest run within noise of the best; null where every run lost all its test rollouts."""
+    """The recommended run; null: all test rollouts of all runs diverged."""
     reference: str | None
-    """Label of the run without friction against which `change` is; null: each run against the drive without friction
-    that it identified itself, on test data only."""
+    """Label of the run without friction to which `change` is relative; null: there is none, and each run's test error
+    is relative to its own fit without friction."""
     reference_doubt: str | None
-    """Why a change against it says little: it ended at a bound; null where it did not."""
+    """Reason why `change` means little: the fit without friction ended at a bound; null: it did not."""
     runs: Annotated[list[RunRow], ("minItems", 1)]
-    """One entry a run: fewest diverged test rollouts first, then lowest test error."""
+    """The runs: fewest diverged test rollouts first, then lowest test error."""
     failures: list[FailureRow]
     """Jobs without a result."""
     differences: list[DifferenceRow]
-    """Options besides data, evaluation and the law's own in which the runs differ."""
+    """Options of seed, dtype, engine, segments, loss, fit, bench and teacher that differ between the runs."""
     pairs: list[PairRow]
-    """Every pair of runs: paired bootstrap over the main test rollouts."""
+    """Paired bootstrap of every pair of runs over the main test rollouts."""
     by_horizon: GrowthRow
     by_speed: BinnedRow
-    """Error of short test rollouts in bins of the mean absolute measured velocity, in `velocity_unit`."""
+    """Error of short test rollouts in bins of the mean absolute measured velocity [velocity_unit]."""
     by_load: BinnedRow
-    """Error of short test rollouts in bins of the mean absolute torque of the motor, in `torque_unit`."""
+    """Error of short test rollouts in bins of the mean absolute motor torque [torque_unit]."""
     friction: dict[str, FrictionRow]
     """Friction torque over velocity, by label."""
     autocorrelation: AutocorrelationRow

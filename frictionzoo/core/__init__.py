@@ -1,1 +1,1 @@
-"""What all parts share: recordings and segments, states, parameters, settings, errors and files."""
+"""Shared parts: recordings, segments, states, parameters, settings, errors and files."""

@@ -1,4 +1,4 @@
-"""Names of files in place of their paths, which tell of the machine on which they were made."""
+"""Removal of file paths that reveal the machine on which they were made."""
 
 import re
 import shlex
@@ -22,18 +22,18 @@ _FILES = {
     "save_dir",
     "dir",
 }
-"""Options that are files or folders, by the last part of their key."""
+"""Options that hold files or folders, by the last part of their key."""
 
 
 def list_paths(settings: Any, key: str = "") -> Iterator[str]:
-    """List the options that are an absolute path.
+    """Yield the option values that are absolute paths.
 
-    That is by the option, not by how a text looks: joints, bodies and columns may be called `/leg/knee`. An option that
-    is unknown here, as of another package's data source, is a path if there is such a file.
+    The option decides, not the look of a text: joints, bodies and columns may be called `/leg/knee`. The value of an
+    option unknown here, such as one of another package's data source, is a path if such a file exists.
 
     Args:
         settings: Mappings and lists of options.
-        key: Of the option.
+        key: Key of the option that holds `settings`.
     """
     if isinstance(settings, Mapping):
         for name, part in settings.items():
@@ -46,7 +46,7 @@ def list_paths(settings: Any, key: str = "") -> Iterator[str]:
 
 
 def list_paths_of(result: Mapping[str, Any], command: str | None = None) -> set[str]:
-    """List the paths of a run, by what its `result.json` holds and the command that made it."""
+    """Return the paths of a run, from its `result.json` and the command that made it."""
     recordings = [log["name"] for log in result["data"]["logs"]]
     commands = [command, *(row["command"] for row in result["verdict"]["commands"])]
     found = [*list_paths(result["settings"]), *list_paths(recordings, "train")]
@@ -54,23 +54,23 @@ def list_paths_of(result: Mapping[str, Any], command: str | None = None) -> set[
 
 
 def list_paths_in(command: str | None) -> Iterator[str]:
-    """List the options of a command, `KEY=VALUE` or `KEY=[VALUE,VALUE]`, that are an absolute path."""
+    """Yield the absolute paths among a command's options, `KEY=VALUE` or `KEY=[VALUE,VALUE]`."""
     for option in shlex.split(command or ""):
         key, _, value = option.partition("=")
         yield from list_paths([part.strip(" '\"") for part in value.strip("[]").split(",")], key)
 
 
 def without_paths(value: Any, paths: Collection[str], names: Collection[str] = (), below: Path | None = None) -> Any:
-    """The same mappings, lists and text with the last part of each path of this machine in place of it.
+    """Return the same mappings, lists and text with each path of this machine shortened to its last part.
 
-    These are the paths that are given, what lies in the same folders, and what lies in this user's home folder or in
-    the present one. Other text stays, also where it looks like a path.
+    These are the given paths, everything in their folders, and everything in the user's home folder or the current
+    folder. Other text stays, even if it looks like a path.
 
     Args:
-        value: Of JSON.
-        paths: Of files and folders of this machine, as `list_paths` gives them.
-        names: Of joints, which stay also where one of them is such a path.
-        below: A folder; of what lies in it, the path from there is left.
+        value: A JSON value.
+        paths: Files and folders of this machine, as `list_paths` yields them.
+        names: Names of joints, which stay even if one of them is such a path.
+        below: A folder; paths inside it become relative to it.
     """
     whole = {path for path in paths if _as_path(path).name}
     folders = {str(_folder_of(path)) for path in whole} | {str(Path.home()), str(Path.cwd())}
@@ -103,22 +103,22 @@ def _as_path(text: str) -> PurePath:
 
 
 def _folder_of(path: str) -> PurePath:
-    """The folder of a file, or of all that a pattern matches."""
+    """Return the folder of a file, or of all files that a pattern matches."""
     return _as_path(re.split(r"[*?\[]", path)[0] + "x").parent
 
 
 def _exists(path: str) -> bool:
     try:
         return Path(path).expanduser().exists()
-    except (OSError, RuntimeError, ValueError):  # too long, of an unknown user, with a NUL in it
+    except (OSError, RuntimeError, ValueError):  # too long, an unknown user, or a NUL in it
         return False
 
 
 def find_paths(content: bytes) -> list[str]:
-    """Absolute paths in attributes, text and comments of an XML file, each once; names of its elements are none.
+    """Return the absolute paths in attributes, text and comments of an XML file, each once, without element names.
 
     Raises:
-        expat.ExpatError: It is not XML.
+        expat.ExpatError: The content is not XML.
     """
     parser, texts, names = expat.ParserCreate(), list[str](), set[str]()
 
@@ -133,5 +133,5 @@ def find_paths(content: bytes) -> list[str]:
 
 
 def last_of(path: str) -> str:
-    """The last part of a path of any system."""
+    """Return the last part of a path of any operating system."""
     return PureWindowsPath(path).name or "root"

@@ -1,4 +1,4 @@
-"""Parts from sections of a configuration."""
+"""Construction of objects from sections of a configuration."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.registry import find_plugin, import_class, plug_in_packages
 
-# What a section may name besides plug-ins; a configuration from elsewhere can have nothing else made or imported.
+# Classes that a section may name in addition to plug-ins; a foreign configuration cannot import anything else.
 _PARTS = (
     "frictionzoo.bench.Bench",
     "frictionzoo.bench.Robot",
@@ -17,18 +17,18 @@ _PARTS = (
 
 
 def build(section: Any, base: type = object, /, **more: Any) -> Any:
-    """Construct what a section's `_target_` names, with the section's other keys as arguments.
+    """Construct the class in a section's `_target_` with the section's other keys as arguments.
 
-    Nested sections with a `_target_` are built first. The target is the name of a registered plug-in's class or of one
-    of this package's few other parts. No other module is imported, so that a section from elsewhere runs no code.
+    Nested sections with a `_target_` are built first. The target is the class of a registered plug-in or one of the few
+    classes in `_PARTS`. No other module is imported, so a foreign section runs no code.
 
     Args:
         section: `_target_` and constructor arguments.
-        base: The class that the part has to derive from.
-        more: Further arguments, which the configuration does not know.
+        base: Class from which the target must derive.
+        more: Arguments that are not in the configuration.
 
     Raises:
-        ConfigError: There is no section, or its target is not one of these classes, or does not take these arguments.
+        ConfigError: There is no section, its target is not such a class, or the class does not take the arguments.
     """
     if not isinstance(section, Mapping) or "_target_" not in section:
         raise ConfigError(f"{section!r:.80}: expected a section with _target_; compare it with conf/")

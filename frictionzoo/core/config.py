@@ -1,4 +1,4 @@
-"""The configuration: where it lies, its resolvers, and what an override may be."""
+"""Configuration: its location, its resolvers, and the overrides that it accepts."""
 
 import contextlib
 import copy
@@ -24,9 +24,9 @@ from frictionzoo.core.params import AUTO
 from frictionzoo.core.threads import count_cores, jobs_at_once, threads_each
 
 _PACKAGE = Path(__file__).parents[1]
-# A wheel ships conf/ inside the package; in a checkout it stands beside it.
+# A wheel ships conf/ inside the package; in a checkout it lies next to the package.
 CONF_DIR = _PACKAGE / "conf" if (_PACKAGE / "conf").is_dir() else _PACKAGE.parent / "conf"
-# What options take whose value in conf/ does not show all of it: an example of each kind, None for null.
+# Options that take more than their value in conf/ shows: an example of each kind, None for null.
 _TAKES: dict[str, tuple[Any, ...]] = {
     "resume": ("", True, None),
     "threads": (0, None),
@@ -72,7 +72,7 @@ _TAKES: dict[str, tuple[Any, ...]] = {
     "data.clean.command_lag": (0.1, None),
 }
 _OWN_CACHE = "user"  # the operating system's cache folder of this user
-_LARGEST, _LARGEST_SEED = 2**31 - 1, 2**63 - 1  # whole numbers as JAX counts in 32 bits, and as generators take them
+_LARGEST, _LARGEST_SEED = 2**31 - 1, 2**63 - 1  # JAX counts in 32 bits, generators take 64-bit seeds
 _KINDS = {
     bool: "true or false",
     int: "a whole number",
@@ -96,7 +96,7 @@ _OPEN += tuple(f"*.params.*.{part}" for part in ("init", "low", "high", "identif
 
 
 def register_resolvers() -> None:
-    """Make `mul`, `div`, `run_dir` (the resumed folder, else a new one) and counts of cores known to configurations."""
+    """Register `mul`, `div`, `run_dir` (the resumed folder, else a new one) and core counts for configurations."""
     resolvers = {
         "mul": lambda factor, other: float(factor) * float(other),
         "div": lambda dividend, divisor: float(dividend) / float(divisor),
@@ -110,18 +110,18 @@ def register_resolvers() -> None:
 
 
 def forget_plugin_schemas() -> None:
-    """Let `conf/hydra/` stand alone against configurations of the same name that Hydra's plugins bring.
+    """Remove schemas of Hydra plug-ins that have the name of a file in `conf/hydra/`.
 
-    Hydra would merge the two, with a warning that this is deprecated, or refuse to.
+    Hydra would merge the two, with a deprecation warning, or fail.
     """
-    Plugins.instance()  # imports the plugins, which store theirs
+    Plugins.instance()  # imports the plugins, which store their schemas
     store = ConfigStore.instance()
     for path in (CONF_DIR / "hydra").glob("*/*.yaml"):
         store.repo.get("hydra", {}).get(path.parent.name, {}).pop(path.name, None)
 
 
 def compose_config(*overrides: str) -> DictConfig:
-    """The configuration of a job with these overrides, `key=value`, as the command line would compose it."""
+    """Return the configuration of a job with these overrides, `key=value`, as on the command line."""
     register_resolvers()
     forget_plugin_schemas()
     with _hydra():
@@ -129,14 +129,14 @@ def compose_config(*overrides: str) -> DictConfig:
 
 
 def compose_settings(given: Mapping[str, Any], *choices: str) -> dict[str, Any]:
-    """The configuration with these choices, `group=name`, and options in place of its own, looked at and resolved.
+    """Return the resolved configuration with these choices, `group=name`, and options, after checking both.
 
     Args:
-        given: Options by section; parts that were made are taken as their sections.
-        choices: Of files of groups.
+        given: Options by section; objects become the sections that make them.
+        choices: Choices of files in configuration groups.
 
     Raises:
-        ConfigError: An option does not exist, or cannot have this value.
+        ConfigError: An option does not exist or cannot have this value.
     """
     plain = compose_config(*choices)
     changed = copy.deepcopy(plain)
@@ -147,13 +147,13 @@ def compose_settings(given: Mapping[str, Any], *choices: str) -> dict[str, Any]:
 
 
 def merge_saved(saved: Mapping[str, Any], before: DictConfig, after: DictConfig) -> DictConfig:
-    """Return a run's saved settings with what a command of today changes.
+    """Return a run's saved settings with the changes of the current command.
 
-    The logger is today's. A cache that the saved settings place in a folder of theirs is the user's own: compiled
-    functions that are read from it are executed.
+    The logger is the current command's. Caches stay in the user's own folder even if the saved settings name another
+    one: compiled functions read from a cache are executed.
 
     Args:
-        saved: All options, resolved, perhaps a stranger's.
+        saved: All options, resolved, perhaps from someone else.
         before: The configuration with the run's choices of files.
         after: The same with the command's options.
     """
@@ -163,10 +163,10 @@ def merge_saved(saved: Mapping[str, Any], before: DictConfig, after: DictConfig)
 
 
 def create_literal(settings: Mapping[str, Any]) -> DictConfig:
-    """Return the configuration of resolved settings, perhaps a stranger's: `${...}` in their text refers to nothing.
+    """Return resolved settings, perhaps from someone else, as a configuration in which `${...}` refers to nothing.
 
     Raises:
-        ConfigError: One of them is `???`, which stands for a missing value.
+        ConfigError: A setting is `???`, which stands for a missing value.
     """
     return cast(DictConfig, OmegaConf.create(_escape(settings)))
 
@@ -184,7 +184,7 @@ def _escape(settings: Any) -> Any:
 
 
 def keep_caches_at_home(saved: Mapping[str, Any]) -> dict[str, Any]:
-    """Return saved settings whose caches are in the user's own folder, if they name another."""
+    """Return saved settings with any cache in another folder moved to the user's own."""
     kept = dict(saved)
     if kept.get("compilation_cache") not in (None, _OWN_CACHE):
         kept["compilation_cache"] = _OWN_CACHE
@@ -195,7 +195,7 @@ def keep_caches_at_home(saved: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _carry_over(saved: Any, before: Any, after: Any) -> Any:
-    """The saved value with the difference of two others."""
+    """Return the saved value with the changes from `before` to `after`."""
     if not all(isinstance(value, Mapping) for value in (saved, before, after)):
         return saved if before == after else after
     kept = {key: value for key, value in saved.items() if key not in before or key in after}
@@ -205,7 +205,7 @@ def _carry_over(saved: Any, before: Any, after: Any) -> Any:
 
 
 def read_value(option: str) -> DictConfig:
-    """The configuration that has one option, `KEY=VALUE`; ConfigError for a value that is not YAML."""
+    """Return the configuration with one option, `KEY=VALUE`; ConfigError if the value is not YAML."""
     try:
         return OmegaConf.from_dotlist([option])
     except yaml.YAMLError:
@@ -213,14 +213,14 @@ def read_value(option: str) -> DictConfig:
 
 
 def list_choices(group: str) -> list[str]:
-    """Names of the files of a configuration group, those that other packages bring included, sorted."""
+    """Return the sorted names of a configuration group's files, including those of other packages."""
     with _hydra():
         return GlobalHydra.instance().config_loader().get_group_options(group)
 
 
 @contextlib.contextmanager
 def _hydra() -> Iterator[None]:
-    """Hydra as the program that runs has started it, or else started here."""
+    """Use Hydra as the running program started it, else start it here."""
     if GlobalHydra.instance().is_initialized():
         yield
     else:
@@ -229,16 +229,16 @@ def _hydra() -> Iterator[None]:
 
 
 def check_overrides(config: DictConfig, plain: DictConfig) -> None:
-    """Refuse options that do not exist, are gone, or have a value of another kind than the one that it replaces.
+    """Refuse options that do not exist, are missing, or have a value of the wrong kind.
 
     Args:
         config: The composed configuration.
-        plain: The same with nothing but the choices of groups.
+        plain: The same with only the choices of groups.
 
     Raises:
-        ConfigError: A key or a value is not what `plain` has in its place.
+        ConfigError: A key or a value differs in kind from `plain`.
     """
-    # First what is written as it is: a value that depends on a mistaken one fails to resolve, under its own name.
+    # Unresolved values first: a value that refers to a mistaken one fails to resolve, under the wrong name.
     for resolve in (False, True):
         before, after = (dict(list_options(OmegaConf.to_container(part, resolve=resolve))) for part in (plain, config))
         _check_keys(before, after, plain)
@@ -262,14 +262,14 @@ def _is_open(key: str) -> bool:
 
 
 def _check_value(key: str, value: Any, default: Any) -> None:
-    """ConfigError for a value of another kind than this option takes, or with a number that is none."""
+    """Refuse a value of the wrong kind, or with a number that is not finite or too large: ConfigError."""
     if any(isinstance(text, str) and "${" in text for text in (value, default)) or value == default == AUTO:
         return
     _refuse_open(key, value, default)
     examples = next((taken for name, taken in _TAKES.items() if fnmatchcase(key, name)), (default,))
-    if default is None or key.endswith(".torque_limit.init"):  # a robot's file may say it
+    if default is None or key.endswith(".torque_limit.init"):  # a robot's file may state it
         examples = (*examples, None) if None not in examples else examples
-    if examples == (None,):  # the part that takes the value looks at its kind
+    if examples == (None,):  # the code that takes the value checks its kind
         return _check_numbers(key, value, _LARGEST_SEED)
     such = "" if default in (None, "") else f" such as {default}"
     kinds = {type(example): such if _is_like(default, example) else "" for example in examples if example is not None}
@@ -288,7 +288,7 @@ def _check_value(key: str, value: Any, default: Any) -> None:
 
 
 def _refuse_open(key: str, value: Any, default: Any) -> None:
-    """ConfigError for an option that only a recipe may find, where there is none."""
+    """Refuse `auto` without a recipe: ConfigError."""
     if value == AUTO and key in _list_left_open():
         such = "" if default is None else f" such as {default}"
         raise ConfigError(f"{key}={AUTO}: recipe=given leaves nothing open, expected a value{such}; or add recipe=auto")
@@ -296,13 +296,13 @@ def _refuse_open(key: str, value: Any, default: Any) -> None:
 
 @functools.cache
 def _list_left_open() -> frozenset[str]:
-    """Options that a recipe may find."""
+    """Return the options that a recipe can choose."""
     options = OmegaConf.to_container(OmegaConf.load(CONF_DIR / "open" / "auto.yaml"))
     return frozenset(key for key, value in list_options(options) if value == AUTO)
 
 
 def _check_numbers(key: str, value: Any, largest: int) -> None:
-    """ConfigError for NaN and infinities, and for whole numbers that programs do not hold."""
+    """Refuse NaN, infinities, and whole numbers that are too large: ConfigError."""
     for number in _numbers(value):
         if isinstance(number, int) and abs(number) > largest:
             raise ConfigError(f"{key}={_text(value)}; expected whole numbers of at most {largest}")
@@ -311,7 +311,7 @@ def _check_numbers(key: str, value: Any, largest: int) -> None:
 
 
 def _is_like(value: Any, example: Any) -> bool:
-    """Whether a value is of an example's kind; text is so only where it says something."""
+    """Return whether a value is of an example's kind; empty text is of no kind."""
     if isinstance(example, bool) or isinstance(value, bool):
         return isinstance(value, bool) and isinstance(example, bool)
     if isinstance(example, list):
@@ -322,7 +322,7 @@ def _is_like(value: Any, example: Any) -> bool:
 
 
 def _numbers(value: Any) -> Iterator[int | float]:
-    """The numbers in a value, those in lists and sections in lists among them."""
+    """Yield the numbers in a value, including those in nested lists and sections."""
     if isinstance(value, list | dict):
         for item in value.values() if isinstance(value, dict) else value:
             yield from _numbers(item)
@@ -335,7 +335,7 @@ def _text(value: Any) -> str:
 
 
 def list_options(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Every value of nested dictionaries with its dotted key, which begins with the prefix; lists are values."""
+    """Yield every value of nested dictionaries with its dotted key, after the prefix; lists are values."""
     for key, value in config.items():
         if isinstance(value, dict):
             yield from list_options(value, f"{prefix}{key}.")
@@ -344,12 +344,12 @@ def list_options(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def suggest_option(key: str, config: DictConfig) -> str:
-    """Hint for an unknown dotted key: the closest name at the first place where it leaves the configuration."""
+    """Return a hint for an unknown dotted key: the closest name where the key leaves the configuration."""
     section, known = config, ""
     for name in key.split("."):
         inner = section.get(name) if name in section else None
         if not isinstance(inner, DictConfig):
-            options = [str(option) for option in section if option != "_target_"]  # a class is no option of itself
+            options = [str(option) for option in section if option != "_target_"]  # the class is not an option
             return f"{closest(name, options)}{f' in {known}' if known else ''}"
         section, known = inner, f"{known}.{name}".lstrip(".")
     return closest(key, map(str, config))

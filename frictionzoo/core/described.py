@@ -1,4 +1,4 @@
-"""Parts that remember how they were made, so that a run's record can tell it and they can be made again."""
+"""Objects that remember their constructor arguments, so that a run can record them and make them again."""
 
 import importlib
 import inspect
@@ -16,10 +16,10 @@ D = TypeVar("D", bound="Described")
 
 
 class Described:
-    """A class whose objects remember the arguments of their constructor."""
+    """Base class whose objects remember their constructor arguments."""
 
     def __new__(cls: type[T], *args: Any, **kwargs: Any) -> T:
-        """An object that has kept these arguments; TypeError where its class takes none, which Python would not say."""
+        """Keep the arguments of a new object; TypeError if its class takes none, which Python would not raise."""
         if (args or kwargs) and cls.__init__ is object.__init__:
             raise TypeError(f"{cls.__name__} takes no arguments")
         made = object.__new__(cls)
@@ -28,10 +28,10 @@ class Described:
 
 
 def describe(part: Any) -> Any:
-    """The section of a configuration that makes this part again, or what one is given, as `build` reads it.
+    """Return the configuration section from which `build` makes an object again, or a value in plain types.
 
     Raises:
-        ConfigError: It cannot be written into a record.
+        ConfigError: The value cannot be written into a record.
     """
     if isinstance(part, Described):
         args, kwargs = getattr(part, "_given")  # noqa: B009 - set in __new__
@@ -51,28 +51,28 @@ def describe(part: Any) -> Any:
 
 
 def remake(part: D, **changed: Any) -> D:
-    """The same part with other arguments of its constructor, by name."""
+    """Return a copy of the object with some constructor arguments changed, by name."""
     args, kwargs = getattr(part, "_given")  # noqa: B009 - set in __new__
     names = [name for name in inspect.signature(type(part).__init__).parameters][1:]
     return type(part)(**{**dict(zip(names, args, strict=False)), **kwargs, **changed})
 
 
 def _arguments(cls: type, args: tuple[Any, ...], kwargs: Mapping[str, Any]) -> dict[str, Any]:
-    """All arguments of a constructor by name, those that were not given with their defaults."""
-    signature = inspect.signature(cls.__init__)  # the class's own would be that of `Described.__new__`
+    """Return all arguments of a constructor by name, with defaults for arguments not given."""
+    signature = inspect.signature(cls.__init__)  # the signature of the class would be that of `Described.__new__`
     bound = signature.bind(None, *args, **kwargs)
     bound.apply_defaults()
     named: dict[str, Any] = {}
     for name, parameter in list(signature.parameters.items())[1:]:
         if parameter.kind is inspect.Parameter.VAR_KEYWORD:
             named |= bound.arguments[name]
-        elif parameter.kind is not inspect.Parameter.VAR_POSITIONAL:  # as a class without a constructor has it
+        elif parameter.kind is not inspect.Parameter.VAR_POSITIONAL:  # a class without a constructor has one
             named[name] = bound.arguments[name]
     return {name: describe(value) for name, value in named.items()}
 
 
 def _public_name(cls: type) -> str:
-    """Dotted name of a class in the room that offers it, as conf/ has it, which outlasts a change inside the room."""
+    """Return the dotted name of a class in the package that exports it, as in conf/, which outlasts its module."""
     parts = cls.__module__.split(".")
     for count in range(2, len(parts)):
         package = ".".join(parts[:count])

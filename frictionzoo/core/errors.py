@@ -1,4 +1,4 @@
-"""The errors that a user can cause: one line each, with what came, what was expected and what to do."""
+"""Errors that a user can cause: one line each, with what came, what was expected and what to do."""
 
 import difflib
 from collections.abc import Iterable
@@ -7,81 +7,85 @@ from frictionzoo.core.telling import escape_controls
 
 
 class FrictionzooError(Exception):
-    """Base of every error that is the input's fault; the command line prints its message without a traceback."""
+    """Base of every error caused by the input; the command line prints its message without a traceback."""
 
     def __str__(self) -> str:
-        """One line, with control characters of names in it escaped."""
+        """Return one line, with control characters in names escaped."""
         return escape_controls(super().__str__())
 
 
 class LogError(FrictionzooError):
-    """A recording that cannot be read or does not make sense."""
+    """Recording that cannot be read or is inconsistent."""
 
 
 class BenchError(FrictionzooError):
-    """An MJCF bench that does not fit its description or the recording."""
+    """MJCF bench that does not fit its description or the recording."""
 
 
 class ModelError(FrictionzooError):
-    """A friction model that does not keep the plug-in contract."""
+    """Friction model that breaks the plug-in contract."""
 
 
 class UnknownModelError(ModelError):
-    """A friction model's name that is not registered."""
+    """Friction model name that is not registered."""
 
 
 class ConfigError(FrictionzooError):
-    """An option that is unknown or has an impossible value."""
+    """Option that is unknown or has an impossible value."""
 
 
 class MissingValueError(ConfigError):
-    """A parameter has no value and no file that states one."""
+    """Parameter with no value in the configuration or in the robot's file."""
 
 
 class FitError(FrictionzooError):
-    """A fit that cannot go on."""
+    """Fit that cannot continue."""
 
 
 class CheckpointError(FrictionzooError):
-    """A checkpoint that cannot be read or belongs to another run."""
+    """Checkpoint that cannot be read or belongs to another run."""
 
 
 class RunError(FrictionzooError):
-    """A run's folder that cannot be read or is another process's, or runs that cannot be compared."""
+    """Run folder that cannot be read or that another process uses, or runs that cannot be compared."""
 
 
 class ExportError(FrictionzooError):
-    """A drive that another program cannot hold, or an export target that does not keep the plug-in contract."""
+    """Drive that another program cannot represent, or an export target that breaks the plug-in contract."""
 
 
 class OutputError(FrictionzooError):
-    """A result that cannot be written."""
+    """Result that cannot be written."""
 
 
 def refuse_outside(option: str, value: int | float, low: int | float, high: int | float) -> None:
-    """Refuse a number outside a range, by the dotted key of what a user sets: ConfigError, for NaN too."""
+    """Refuse a number outside a range, and NaN.
+
+    Raises:
+        ConfigError: It lies outside; the message names the option by its dotted key.
+    """
     if not low <= value <= high:
         raise ConfigError(f"{option}={value:g}: expected {low:g} to {high:g}")
 
 
 def refuse_unlike(name: str, value: object, kind: type | tuple[type, ...], expected: str) -> None:
-    """Refuse a value of another kind.
+    """Refuse a value of the wrong type.
 
     Args:
-        name: Of the argument.
-        value: What came.
-        kind: What is meant.
-        expected: The same in words, and what to do.
+        name: Name of the argument.
+        value: Value received.
+        kind: Type or types expected.
+        expected: The expectation in words, and what to do.
 
     Raises:
-        ConfigError: It is of another kind.
+        ConfigError: The value has another type.
     """
     if not isinstance(value, kind):
         raise ConfigError(f"{name}: {type(value).__name__}, expected {expected}")
 
 
 def closest(name: str, options: Iterable[str]) -> str:
-    """Hint for an unknown name: the closest of the options that would have been understood, then all of them."""
+    """Return a hint for an unknown name: the closest of the valid options, then all of them."""
     options = sorted(options)
     near = difflib.get_close_matches(name, options, n=1, cutoff=0.6)
     listed = f"expected one of {', '.join(options)}" if options else "none is available"

@@ -1,4 +1,4 @@
-"""Folders of runs and of sweeps, as jobs leave them: where each one is, and how it stands."""
+"""Folders of runs and sweeps: where each job lies and its status."""
 
 import json
 import re
@@ -11,16 +11,16 @@ import yaml
 from frictionzoo.core.errors import RunError
 from frictionzoo.core.output import FAILURE, RESULT, RUNNING
 
-_DEEPEST = 60  # sections within each other in a file of this program, which has a dozen
+_DEEPEST = 60  # levels of nested sections; this program's files have a dozen
 
 
 @dataclass(frozen=True)
 class Failure:
-    """A job of a sweep that has no result.
+    """Job of a sweep that has no result.
 
     Attributes:
         run: Name of its folder.
-        model: The model, or empty where that is not known.
+        model: The model, or empty if not known.
         reason: One line.
     """
 
@@ -30,19 +30,19 @@ class Failure:
 
 
 def find_runs(folder: Path) -> list[Path]:
-    """Folders of the jobs in a folder, in their order, or that folder itself if it is a job's; RunError for none."""
+    """Return the job folders in a folder, in order, or the folder itself if it is a job's; RunError for none."""
     names = (RESULT, FAILURE, RUNNING, ".hydra")
     if any((folder / name).exists() for name in names):
         return [folder]
     found = {path.parent for name in names for path in folder.rglob(name)}
     if not found:
         raise RunError(f"{folder}: no run in it, expected the folder of a run or of a sweep; name one")
-    # In the order of the numbers in them: 2_coulomb before 10_neural.
+    # By the numbers in the names: 2_coulomb before 10_neural.
     return sorted(found, key=lambda path: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", str(path))])
 
 
 def read_failure(folder: Path) -> Failure | None:
-    """Why the job in a folder has no result, None if it has one; RunError where what it left cannot be read."""
+    """Return why the job in a folder has no result, None if it has one; RunError if its files cannot be read."""
     if (folder / RESULT).exists():
         return None
     if not (folder / FAILURE).exists():
@@ -53,18 +53,18 @@ def read_failure(folder: Path) -> Failure | None:
 
 
 def refuse_unfinished(folder: Path) -> None:
-    """RunError for what is not the folder of a finished run; quick, so that nobody waits for an import to be told."""
+    """Refuse a folder without a finished run: RunError. It is quick, so that a mistake costs no slow import."""
     if not (folder / RESULT).exists():
         raise RunError(f"{folder}: no {RESULT} in it, expected the folder of a finished run; name one")
 
 
 def read_model(folder: Path) -> str:
-    """The model of a job; empty where what Hydra wrote before it began was cut short."""
+    """Return the model of a job; empty if Hydra's file was cut short."""
     return str(read_begun(folder, "hydra", "hydra", "runtime", "choices", "model") or "")
 
 
 def read_begun(folder: Path, file: str, *keys: str) -> Any:
-    """A value of what Hydra wrote before a job began, `config` or `hydra`; None where it is not there."""
+    """Return a value from `config`, `hydra` or `overrides`, which Hydra writes before a job begins; None if missing."""
     try:
         value = yaml.safe_load((folder / ".hydra" / f"{file}.yaml").read_text(encoding="utf-8"))
         for key in keys:
@@ -75,28 +75,28 @@ def read_begun(folder: Path, file: str, *keys: str) -> Any:
 
 
 def refuse_links(folder: Path, *, files: bool) -> None:
-    """Refuse links that lead out of a run's folder, behind which something else would be overwritten.
+    """Refuse links that lead out of a run's folder: writing through them would overwrite other files.
 
     Args:
-        folder: Of a run, or of several.
-        files: Whether links to files count; else those to folders alone, as files are replaced and not written into.
+        folder: Folder of one or several runs.
+        files: Whether links to files count too. Links to folders always count; files are replaced, not written through.
 
     Raises:
-        RunError: There is one.
+        RunError: There is such a link.
     """
     home = folder.resolve()
     for path in folder.rglob("*"):
-        of_wandb = path.relative_to(folder).parts[0] == "wandb"  # whose links to its logs the list of files judges
+        of_wandb = path.relative_to(folder).parts[0] == "wandb"  # the manifest judges wandb's links to its logs
         counts = path.is_dir() or (files and not of_wandb)
         if path.is_symlink() and counts and not path.resolve().is_relative_to(home):
             raise RunError(f"{path}: a link out of {folder}, expected files of the run; remove it, or copy its target")
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """The object that a JSON file holds.
+    """Return the object in a JSON file.
 
     Raises:
-        RunError: It cannot be read, or holds something else.
+        RunError: The file cannot be read, or holds something else.
     """
     try:
         content = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
@@ -115,7 +115,7 @@ def _refuse_constant(name: str) -> None:
 
 
 def _refuse_deep(path: Path, content: Any) -> None:
-    """RunError for parts within parts that no function could follow by calling itself."""
+    """Refuse content nested too deeply for recursive functions: RunError."""
     level = [content]
     for _ in range(_DEEPEST):
         level = [part for each in level if isinstance(each, dict | list) for part in _list_parts(each)]

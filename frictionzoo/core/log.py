@@ -1,4 +1,4 @@
-"""Recordings in SI units, and data sets of them."""
+"""Recordings in SI units, and data sets of recordings."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -10,27 +10,27 @@ from jaxtyping import Float
 from frictionzoo.core.errors import LogError
 from frictionzoo.core.state import Signals
 
-ABSURD = 1e9  # of any signal in SI units; a drive's are far below
-JITTER = 0.05  # largest deviation of a sample interval from the median, as a share of it, that still counts as uniform
+ABSURD = 1e9  # largest plausible value of any signal in SI units, far above a drive's
+JITTER = 0.05  # largest deviation of a uniform sample interval from the median, as a share of the median
 
 Origin = Literal["hardware", "simulated"]
 ORIGINS: dict[str | None, bool | None] = {None: None, "hardware": False, "simulated": True}
-"""Whether a simulator made recordings, by what `data.origin` states."""
+"""Whether a simulator made the recordings, by the value of `data.origin`."""
 
 
 def pool_origins(simulated: Iterable[bool | None]) -> Origin | None:
-    """Return the origin of several recordings: one that a simulator made makes them simulated; None: not stated."""
+    """Return the origin of several recordings: simulated if one of them is; None: not stated."""
     stated = {*simulated}
     return "simulated" if True in stated else "hardware" if stated == {False} else None
 
 
 class Payload(NamedTuple):
-    """What a drive carried in one recording besides the bench's own bodies.
+    """Payload of a drive in one recording, on top of the bench's bodies.
 
     Attributes:
-        mass: [kg].
-        position: Centre of mass in the frame of the body that carries it [m].
-        inertia: About that centre, along the frame's axes [kg m^2].
+        mass: Mass [kg].
+        position: Centre of mass in the frame of the carrying body [m].
+        inertia: Inertia about that centre, for the frame's axes [kg m^2].
     """
 
     mass: float
@@ -39,12 +39,12 @@ class Payload(NamedTuple):
 
 
 class Columns(NamedTuple):
-    """Where the columns of one signal come from.
+    """Origin of the columns of one signal.
 
     Attributes:
-        headers: Of the file, one a column.
-        listed: Whether a user listed them, so that their order counts where they do not name the joints.
-        by: How they were brought into the order of a bench's joints: `name`, `listed` or `place`; empty before that.
+        headers: Headers in the file, one a column.
+        listed: Whether a user listed them; their order counts if they do not name the joints.
+        by: How they were matched to the bench's joints: `name`, `listed` or `place`; empty before that.
     """
 
     headers: tuple[str, ...]
@@ -57,30 +57,29 @@ class Log:
     """One recording of a drive in SI units.
 
     Attributes:
-        name: Where it came from, for messages.
-        time: Sample times [s], increasing by one constant interval.
+        name: Origin, for messages.
+        time: Sample times [s], increasing by a constant interval.
         qpos: Joint position [rad or m].
         qvel: Joint velocity [rad/s or m/s], measured or estimated.
         ctrl: Command, one column an actuator, in the actuator law's unit.
-        sha256: Hash of what was read or made.
+        sha256: Hash of the file or the generated data.
         simulated: Whether a simulator made it; False: recorded on hardware; None: not stated.
-        payload: What the drive carried; None for nothing.
-        load: What that changes in the bench's model, of shape (load,); `Bench.accept` computes it.
-        extras: Other signals that were recorded with it, by name: supply [V], enable (0 or 1), temperature [degC], each
-            of shape (time, columns).
-        inputs: Those that the bench's actuator law needs besides the command, by name; `Bench.accept` picks them.
-        observed: Those that the friction law looks at, by name; `Bench.accept` picks them too.
-        velocity_estimated: Whether qvel was computed from qpos, so that it says nothing of its own.
-        without_velocity: Joints, by number, whose qvel was computed from qpos because what was recorded shows nothing.
-        repairs: What cleaning changed, a sentence each.
-        metadata: What else the source says about it (gains, notes).
-        units: Unit of signals by name, as the source or the user stated them, before they became SI; of those alone of
-            which somebody said it.
-        columns: Where the columns of signals come from, by the signal; empty for a log that came from no table.
-            `Bench.accept` brings them into the order of its joints.
+        payload: Payload of the drive; None for none.
+        load: Effect of the payload on the bench's MuJoCo model, of shape (load,), from `Bench.accept`.
+        extras: Other recorded signals by name: supply [V], enable (0 or 1), temperature [degC], each of shape
+            (time, columns).
+        inputs: Further signals for the actuator law, by name, from `Bench.accept`.
+        observed: Signals for the friction model, by name, from `Bench.accept`.
+        velocity_estimated: Whether qvel of every joint was computed from qpos and adds no information.
+        without_velocity: Joints, by number, whose qvel was computed from qpos.
+        repairs: Changes made by cleaning, a sentence each.
+        metadata: Other facts from the source (gains, notes).
+        units: Stated unit of signals by name, before conversion to SI; signals without a stated unit are missing.
+        columns: Origin of the columns by signal; empty for a log that did not come from a table. `Bench.accept` sorts
+            them by joint.
 
     Raises:
-        LogError: Shapes disagree, a sample is not finite, or time is not uniform.
+        LogError: Shapes disagree, a sample is not finite or implausibly large, or time is not uniform.
     """
 
     name: str
@@ -170,11 +169,11 @@ class Log:
 
     @property
     def signals(self) -> Signals:
-        """What drives a simulation."""
+        """Signals that drive a simulation."""
         return Signals(self.ctrl, dict(self.inputs), dict(self.observed))
 
     def between(self, start: int, stop: int, part: str) -> "Log":
-        """The samples from start up to, not including, stop, under the name `NAME[part]`."""
+        """Return the samples from start up to, not including, stop, under the name `NAME[part]`."""
         cut = slice(start, stop)
         return replace(
             self,
@@ -192,12 +191,12 @@ class Log:
 
 @dataclass(frozen=True)
 class Dataset:
-    """Recordings to fit on and other recordings to judge on.
+    """Recordings to fit on and other recordings to evaluate on.
 
     Attributes:
         name: The data set's name.
-        train: Logs that a fit may see.
-        test: Logs that only the evaluation sees.
+        train: Logs for the fit.
+        test: Logs for the evaluation only.
     """
 
     name: str

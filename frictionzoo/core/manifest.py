@@ -1,7 +1,7 @@
-"""The files that this program wrote into a folder: only these are ever replaced or removed, and only while unchanged.
+"""Manifest of the files written into a folder: only these are ever replaced or removed, and only while unchanged.
 
-An output folder has one manifest, `MANIFEST`, with a JSON object a line. It is written ahead: an entry is on the disk
-before the file that it describes, so that a process that is killed at any point leaves no file that looks foreign.
+An output folder has one manifest, `MANIFEST`, with one JSON object a line. An entry is on the disk before its file, so
+a process killed at any point leaves no file that looks foreign.
 """
 
 import contextlib
@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 from frictionzoo.core.errors import OutputError
 
 MANIFEST = ".frictionzoo.jsonl"
-ABANDONED = 3600.0  # s after which nobody writes a temporary file any more
-_BLOCK = 1 << 20  # byte, read at a time
+ABANDONED = 3600.0  # age of a temporary file from which it counts as abandoned [s]
+_BLOCK = 1 << 20  # bytes read at a time
 _TOKEN = re.compile(r"[0-9a-f]{16}")
 _PART = r"\.[^/]+\.TOKEN\.part"
 _UNFINISHED = (
@@ -29,7 +29,7 @@ _UNFINISHED = (
     r"wandb/offline-run-[\d_]+-TOKEN/(run-TOKEN\.wandb(\.synced)?|logs/debug[\w-]*\.log|tmp/.*)",
     r"wandb/offline-run-[\d_]+-TOKEN/files/(media/.*|requirements\.txt|config\.yaml|output\.log|wandb-[^/]*)",
 )
-"""Names that other programs choose for what they go on writing; `TOKEN` stands for one that the manifest lists."""
+"""Names that other programs choose for files that they keep writing; `TOKEN` stands for a token in the manifest."""
 _LINKS = (
     r"wandb/(latest-run|debug[\w-]*\.log) -> (.*/)?offline-run-[\d_]+-TOKEN(/.*)?",
     r"wandb/offline-run-[\d_]+-TOKEN/logs/debug[\w-]*\.log -> .*",
@@ -40,9 +40,9 @@ class State(NamedTuple):
     """Content that this program gave a file.
 
     Attributes:
-        size: In bytes.
-        sha256: Of all of them.
-        since: Size before an append, which a killed process may have done in part; equal to `size` for a whole file.
+        size: Size in bytes.
+        sha256: Hash of the content.
+        since: Size before an append, which a killed process may have left incomplete; equal to `size` for a whole file.
     """
 
     size: int
@@ -51,19 +51,19 @@ class State(NamedTuple):
 
     @classmethod
     def of(cls, content: bytes) -> "State":
-        """Of a file with this content."""
+        """Return the state of a file with this content."""
         return cls(len(content), hashlib.sha256(content).hexdigest(), len(content))
 
 
 class Manifest:
-    """The manifest of one folder, for one kind of command: what another kind wrote there is foreign to it.
+    """Manifest of one folder for one kind of command; files of another kind are foreign to it.
 
     Args:
         root: The folder; it need not exist.
         kind: `run`, `card`, `export`, `comparison` and so on.
 
     Raises:
-        OutputError: The folder has a file of the manifest's name that is not one.
+        OutputError: The folder has a file with the manifest's name that is not a manifest.
     """
 
     def __init__(self, root: Path, kind: str) -> None:
@@ -74,10 +74,10 @@ class Manifest:
         self._read()
 
     def refuse(self, names: Iterable[str]) -> None:
-        """Refuse to write under these names if anything is in the way that is not this program's and unchanged.
+        """Refuse to write under these names if a file there is not this program's or has changed.
 
         Raises:
-            OutputError: It names the first of them.
+            OutputError: There is such a file; the message names the first.
         """
         for name in names:
             if self._in_the_way(name) is None:
@@ -90,26 +90,26 @@ class Manifest:
                 )
 
     def refuse_inside(self, folder: str) -> None:
-        """Refuse a subfolder with anything in it that is not this program's and unchanged: OutputError names it."""
+        """Refuse a subfolder with a file that is not this program's or has changed: OutputError names it."""
         self.refuse([folder] if not _is_folder(self.root / folder) else self._walk(folder))
 
     def owns(self, name: str) -> bool:
-        """Whether a file is there that this program wrote, and nobody has changed it since."""
+        """Return whether a file exists that this program wrote and nobody has changed."""
         return os.path.lexists(self.root / name) and self._in_the_way(name) is None
 
     def write(self, name: str, content: bytes) -> None:
-        """Put a file in place whole, or not at all; an older one of this program's is replaced.
+        """Write a file whole or not at all; an older one of this program's is replaced.
 
         Raises:
-            OutputError: Something else is in the way, the disk is full or the folder cannot be written; nothing new is
-                left behind.
+            OutputError: A foreign file is in the way, the disk is full or the folder cannot be written. No new file
+                stays.
         """
         self.refuse([name])
         path, temporary = self.root / name, self.root / f".{Path(name).name}.{self.token}.part"
         try:
             with saying(path, len(content)):
                 path.parent.mkdir(parents=True, exist_ok=True)
-                self.begin()  # by its token the temporary file is known
+                self.begin()  # its token identifies the temporary file
                 self.record({name: State.of(content)})
                 with open(temporary, "xb") as file:
                     file.write(content)
@@ -122,13 +122,13 @@ class Manifest:
             self.forget()
 
     def put(self, source: Path, name: str) -> None:
-        """Move a file of a recorded state to its name, in one step."""
+        """Move a file with a recorded state to its name, in one step."""
         os.replace(source, self.root / name)
         self._unchanged[name] = _fingerprint(os.lstat(self.root / name))
         self._hashes.pop(name, None)
 
     def append(self, name: str, content: bytes) -> None:
-        """Add to a file that this program wrote; OutputError as for `write`."""
+        """Append to a file that this program wrote; OutputError as for `write`."""
         if not content:
             return
         self.refuse([name])
@@ -145,14 +145,14 @@ class Manifest:
             self._unchanged[name], self._hashes[name] = _fingerprint(os.lstat(path)), total
 
     def remove(self, name: str) -> None:
-        """Remove a file that this program wrote, if it is there; OutputError for anything else under its name."""
+        """Remove a file that this program wrote, if it exists; OutputError for any other file of that name."""
         self.refuse([name])
         with saying(self.root / name):
             (self.root / name).unlink(missing_ok=True)
         self._unchanged.pop(name, None)
 
     def clear(self, folder: str = "") -> None:
-        """Remove all files of this program in a subfolder or in all, and folders that are empty then."""
+        """Remove all files of this program from a subfolder or from all, and folders that become empty."""
         names = [name for name in self._walk(folder) if self.owns(name)]
         for name in names:
             self.remove(name)
@@ -161,14 +161,14 @@ class Manifest:
             remove_if_empty(place)
 
     def forget(self) -> None:
-        """Remove the manifest where no file that it lists is left."""
+        """Remove the manifest if none of the files that it lists exists."""
         if self._tokens and not any(os.path.lexists(self.root / name) for name in self._listed):
             with contextlib.suppress(OSError):
                 (self.root / MANIFEST).unlink()
             self._began = False
 
     def record(self, states: Mapping[str, State]) -> None:
-        """Note that files are about to have these contents; OSError where the disk takes no more."""
+        """List the contents that files are about to have; OSError if the disk is full."""
         new = {name: state for name, state in states.items() if state not in self._states.get(name, [])}
         if not new:
             return
@@ -179,20 +179,20 @@ class Manifest:
         self._listed |= {*states}
 
     def mark(self, name: str, at: int, content: bytes) -> None:
-        """Note that a file which another program goes on writing has these bytes at this place, and so is ours."""
+        """List bytes at a position that identify as ours a file that another program keeps writing."""
         self.begin()
         self._write([{"file": name, "at": at, "bytes": content.hex()}])
         self._marks[name] = at, content
         self._listed.add(name)
 
     def adopt(self, folder: str) -> None:
-        """Note the contents of unfinished files in a subfolder, which are finished now."""
+        """List the contents of the files in a subfolder that are now finished."""
         names = [name for name in self._walk(folder) if name not in self._states and self.owns(name)]
         with saying(self.root / folder):
             self.record({name: _state_of(self.root / name) for name in names if not (self.root / name).is_symlink()})
 
     def begin(self) -> None:
-        """Have a manifest in the folder, with the token that marks this process's unfinished files."""
+        """Create the manifest if needed and add this process's token, which marks its unfinished files."""
         if self._began:
             return
         self.root.mkdir(parents=True, exist_ok=True)
@@ -201,7 +201,7 @@ class Manifest:
         self._began = True
 
     def remove_parts(self, *, age: float = 0.0) -> None:
-        """Remove what killed processes of this program had begun to write, at least `age` seconds ago."""
+        """Remove unfinished files that killed processes of this program left at least `age` seconds ago."""
         with contextlib.suppress(OSError):
             for path in self.root.glob(".*.part"):
                 made = os.lstat(path)
@@ -210,11 +210,11 @@ class Manifest:
                     path.unlink()
 
     def list_files(self) -> set[str]:
-        """Names of all files that this kind of command wrote here and that are unchanged."""
+        """Return the names of all unchanged files that this kind of command wrote here."""
         return {name for name in self._states if _is_inside(name) and self.owns(name)}
 
     def _in_the_way(self, name: str) -> Path | None:
-        """What hinders a file of this name: itself, or a folder on the way to it that is none; None for nothing."""
+        """Return the path that blocks a file of this name: itself, or a parent that is not a folder; else None."""
         for parent in [self.root / part for part in list(Path(name).parents)[-2::-1]]:
             if os.path.lexists(parent) and not _is_folder(parent):
                 return parent
@@ -250,7 +250,7 @@ class Manifest:
         return "written by another command" if name in self._listed else "not written by this program"
 
     def _walk(self, folder: str) -> Iterator[str]:
-        """Names of all files and links in a subfolder, and of what lies in its folders; never through a link."""
+        """Yield the names of all files and links in a subfolder, recursively, without following links."""
         if not _is_folder(self.root / folder):
             return
         for place, folders, files in os.walk(self.root / folder):
@@ -285,7 +285,7 @@ class Manifest:
                 self._states.setdefault(entry["file"], []).append(state)
 
     def _write(self, entries: Iterable[Mapping[str, Any]]) -> None:
-        """Add lines to the manifest, on the disk when this returns."""
+        """Append lines to the manifest and flush them to the disk."""
         path = self.root / MANIFEST
         content = "".join(json.dumps({"kind": self.kind, **entry}) + "\n" for entry in entries).encode()
         new = not os.path.lexists(path)
@@ -304,7 +304,7 @@ class Manifest:
 
 
 def _parse(line: bytes) -> dict[str, Any] | None:
-    """An entry of a manifest; None for a line that is none, as a process leaves that was killed while it wrote."""
+    """Return an entry of a manifest; None for an invalid line, such as one that a killed process left."""
     try:
         entry = json.loads(line)
         if "session" in entry:
@@ -334,7 +334,7 @@ def _is_inside(name: str) -> bool:
 
 
 def _fingerprint(found: os.stat_result) -> tuple[int, ...]:
-    """What the operating system changes with a file's content."""
+    """Return what the operating system changes with a file's content."""
     return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
 
 
@@ -344,7 +344,7 @@ def _state_of(path: Path) -> State:
 
 
 def _is_one_of(path: Path, states: Sequence[State]) -> bool:
-    """Whether a file has one of these contents, or that before an append and a part of what was to be added."""
+    """Return whether a file has one of these contents, or the content before an append and part of the addition."""
     size = path.stat().st_size
     before = {state.since for state in states if state.since < size < state.size}
     sizes = {size, *before}
@@ -353,7 +353,7 @@ def _is_one_of(path: Path, states: Sequence[State]) -> bool:
 
 
 def _hash(path: Path, size: int) -> str:
-    """SHA-256 of a file's first bytes."""
+    """Return the SHA-256 of a file's first bytes."""
     total = hashlib.sha256()
     with open(path, "rb") as file:
         while size > 0 and (block := file.read(min(size, _BLOCK))):
@@ -369,12 +369,12 @@ def _read_at(path: Path, at: int, size: int) -> bytes:
 
 
 def show_path(path: Path) -> str:
-    """A path for a message of one line, whatever characters are in it."""
+    """Return a path for a one-line message, whatever its characters."""
     return str(path) if str(path).isprintable() else ascii(str(path))
 
 
 def remove_if_empty(path: Path) -> None:
-    """Remove a folder, unless something is in it."""
+    """Remove a folder if it is empty."""
     with contextlib.suppress(OSError):
         path.rmdir()
 

@@ -1,4 +1,4 @@
-"""Options of a command that are written KEY=VALUE, as those of a run are."""
+"""Command options written KEY=VALUE, as for a run."""
 
 from collections.abc import Sequence
 
@@ -6,10 +6,10 @@ from frictionzoo.core.errors import ConfigError
 
 
 def read_options(texts: Sequence[str], example: str) -> dict[str, str]:
-    """Values by key, as text, of a command's arguments; `example` is one as it should be, for messages.
+    """Return the values of a command's arguments by key, as text; `example` is a correct one, for messages.
 
     Raises:
-        ConfigError: One is not KEY=VALUE, or a key is given twice.
+        ConfigError: An argument is not KEY=VALUE, or a key is given twice.
     """
     options: dict[str, str] = {}
     for text in texts:

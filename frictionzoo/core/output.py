@@ -1,4 +1,4 @@
-"""Writing of results: a file is there whole, or not at all."""
+"""Output of results: a file is written whole or not at all."""
 
 import contextlib
 import logging
@@ -18,11 +18,11 @@ from filelock import FileLock, Timeout
 from frictionzoo.core.errors import OutputError, RunError
 from frictionzoo.core.manifest import ABANDONED, Manifest, State, remove_if_empty, saying, show_path
 
-# Files by which the folder of a job tells how it stands.
+# Files in a job's folder that show its status.
 RESULT = "result.json"  # done
-FAILURE = "failure.json"  # it failed, and why
-SETTLED = "checkpoints/settled.safetensors"  # automatic settings that were found
-RUNNING = ".running"  # locked while it runs, in whatever process; left behind unlocked by a job that was killed
+FAILURE = "failure.json"  # failed, with the reason
+SETTLED = "checkpoints/settled.safetensors"  # results of automatic settings
+RUNNING = ".running"  # locked while a process runs the job; a killed process leaves it unlocked
 
 _CLAIMED: ContextVar[tuple[tuple[Path, Manifest | None], ...]] = ContextVar("claimed", default=())
 _log = logging.getLogger(__name__)
@@ -35,26 +35,26 @@ RUN_FILES = (
     *(f".hydra/{name}.yaml" for name in ("config", "hydra", "overrides")),
     ".hydra/settings.json",
 )
-"""All that a run may write, besides what its logger writes into a subfolder."""
+"""All files that a run may write, except those in its logger's subfolder."""
 LOGGERS = frozenset({"tensorboard", "csv", "wandb"})
-"""Subfolders that hold what one logger of that name writes and nothing else."""
+"""Subfolders that hold only the files of the logger of the same name."""
 
 
 @contextlib.contextmanager
 def claim(
     folder: Path, kind: str, names: Iterable[str] = (), inside: Collection[str] = (), *, undone: bool = False
 ) -> Iterator[Manifest]:
-    """Have all that is written into a folder inside this context noted in its manifest.
+    """List every file written into a folder inside this context in the folder's manifest.
 
     Args:
         folder: The output folder; it need not exist.
-        kind: Of command.
-        names: What will be written there: anything foreign in the way is refused now.
-        inside: Subfolders that will hold nothing else.
-        undone: Whether all of it is removed if something goes wrong.
+        kind: Kind of command.
+        names: Files that will be written; anything foreign under these names is refused now.
+        inside: Subfolders that must hold nothing foreign.
+        undone: Whether to remove this program's files from the folder after an error.
 
     Raises:
-        OutputError: Something is in the way.
+        OutputError: A foreign file is in the way.
     """
     if os.path.lexists(folder) and not folder.is_dir():
         raise OutputError(f"{show_path(folder)}: not a folder, expected one to write into; name another")
@@ -68,7 +68,7 @@ def claim(
         yield manifest
     except BaseException:
         if undone:
-            with contextlib.suppress(OutputError):  # what went wrong matters more
+            with contextlib.suppress(OutputError):  # the first error matters more
                 manifest.clear()
             manifest.forget()
             remove_if_empty(folder)
@@ -78,7 +78,7 @@ def claim(
 
 
 def manifest_of(folder: Path, kind: str) -> Manifest:
-    """The manifest of a folder: that of a context that claimed it, or a new one."""
+    """Return the manifest of the context that claimed this folder, else a new one."""
     root = Path(os.path.abspath(folder))
     claimed = (each for place, each in _CLAIMED.get() if each and place == root and each.kind == kind)
     return next(claimed, None) or Manifest(folder, kind)
@@ -86,7 +86,7 @@ def manifest_of(folder: Path, kind: str) -> Manifest:
 
 @contextlib.contextmanager
 def scratch(folder: Path) -> Iterator[None]:
-    """Write into a folder of this process's that nobody else sees, without a manifest."""
+    """Write into a private folder of this process, without a manifest."""
     token = _CLAIMED.set(((Path(os.path.abspath(folder)), None), *_CLAIMED.get()))
     try:
         yield
@@ -95,9 +95,9 @@ def scratch(folder: Path) -> Iterator[None]:
 
 
 def find_manifest(path: Path) -> tuple[Manifest | None, str]:
-    """The manifest in which a file belongs, None in a `scratch`, and its name there.
+    """Return the manifest that lists a file, None in a `scratch`, and the file's name in it.
 
-    That is the innermost claimed folder's around it; outside of all, the one of the folder in which it lies.
+    It belongs to the innermost claimed folder around the file, else to the file's own folder.
     """
     absolute = Path(os.path.abspath(path))
     around = [(root, each) for root, each in _CLAIMED.get() if absolute.is_relative_to(root)]
@@ -109,23 +109,23 @@ def find_manifest(path: Path) -> tuple[Manifest | None, str]:
 
 @contextlib.contextmanager
 def occupy(folder: Path, *, wait: bool, names: Iterable[str] = (), inside: Collection[str] = ()) -> Iterator[Manifest]:
-    """Have a job's folder to oneself: no other process is in it that occupies it too.
+    """Lock a job's folder: one process at a time occupies it.
 
-    The lock is the operating system's and ends with its process, however that ends. What a killed process had begun to
-    write is removed. The folder exists.
+    The lock belongs to the operating system and ends with the process, even if it is killed. Unfinished files of killed
+    processes are removed. The folder must exist.
 
     Args:
-        folder: The job's.
-        wait: For a process that works in it.
+        folder: The job's folder.
+        wait: Whether to wait for another process in it.
         names: As for `claim`.
         inside: As for `claim`.
 
     Raises:
-        RunError: Another process is in it, and this one is not to wait for it.
-        OutputError: Something else is in the way of what will be written.
+        RunError: Another process is in it, and `wait` is false.
+        OutputError: A foreign file is in the way.
         OSError: The folder cannot be written.
     """
-    # The lock is a file too, and listed before it is there.
+    # The lock is a file too, listed before it exists.
     manifest = Manifest(folder, "run")
     manifest.refuse([RUNNING])
     manifest.record({RUNNING: State.of(b"")})
@@ -142,12 +142,12 @@ def occupy(folder: Path, *, wait: bool, names: Iterable[str] = (), inside: Colle
         lock.acquire()
     try:
         manifest = Manifest(folder, "run")
-        manifest.record({RUNNING: State.of(b"")})  # who had the folder before may have taken the list along
+        manifest.record({RUNNING: State.of(b"")})  # the previous owner may have removed the manifest
         with claim(folder, "run", names, inside) as manifest:
             manifest.remove_parts()
             yield manifest
     finally:
-        # Before it is released: who waits for a file that is gone looks anew.
+        # Before the release: a waiting process checks again when the file is gone.
         with contextlib.suppress(OSError):
             (folder / RUNNING).unlink()
         manifest.forget()
@@ -155,7 +155,7 @@ def occupy(folder: Path, *, wait: bool, names: Iterable[str] = (), inside: Colle
 
 
 def is_lock(path: Path) -> bool:
-    """Whether a file can be the lock of a running job: such a file is empty, so that locking it changes nothing."""
+    """Return whether a file can be a job's lock: it is empty, so locking it changes nothing."""
     with contextlib.suppress(OSError):
         found = os.lstat(path)
         return stat.S_ISREG(found.st_mode) and not found.st_size
@@ -163,13 +163,12 @@ def is_lock(path: Path) -> bool:
 
 
 def write_atomically(path: Path, content: bytes) -> None:
-    """Write a file under a temporary name, then rename it, and list it in the manifest of its output folder.
+    """Write a file under a temporary name, rename it, and list it in its output folder's manifest.
 
-    Missing folders are made. An older file of that name is replaced if this program wrote it and nobody changed it.
+    Missing folders are made. An older file is replaced if this program wrote it and nobody changed it.
 
     Raises:
-        OutputError: Another file is in the way, the disk is full or the folder cannot be written; nothing new is left
-            behind.
+        OutputError: A foreign file is in the way, the disk is full or the folder cannot be written. No new file stays.
     """
     manifest, name = find_manifest(path)
     if manifest:
@@ -181,22 +180,23 @@ def write_atomically(path: Path, content: bytes) -> None:
 
 
 def remove_written(path: Path) -> None:
-    """Remove a file that this program wrote, if it is there; OutputError for anything else under its name."""
+    """Remove a file that this program wrote, if it exists; OutputError for any other file of that name."""
     manifest, name = find_manifest(path)
-    assert manifest  # nothing is written twice in a scratch
+    assert manifest  # nothing is removed from a scratch
     manifest.remove(name)
 
 
 @contextlib.contextmanager
 def take_place(place: Path, kind: str, names: Sequence[str]) -> Iterator[Path]:
-    """An empty folder whose files take their places in another one, only if nothing went wrong.
+    """Yield an empty folder whose files move to their place only if no error occurs.
 
-    Files that a command of the same kind wrote there and that are not written again are removed; all else stays.
+    Files that an earlier command of the same kind wrote there and that are not written again are removed. All others
+    stay.
 
     Args:
-        place: The other folder.
-        kind: Of command.
-        names: What will be written, as far as that is known, the file that is to be put in place last at the end.
+        place: The folder to fill.
+        kind: Kind of command.
+        names: Files that will be written, as far as known; the last one is put in place last.
 
     Raises:
         OutputError: A foreign file is in the way, before or after the work; or the folder cannot be written.
@@ -237,7 +237,7 @@ def _no_folder(place: Path, error: OSError) -> OutputError:
 
 
 def to_json(value: Any) -> Any:
-    """The same mappings, lists, numbers and text with Python's numbers for numpy's, and None for non-finite ones."""
+    """Return JSON-compatible mappings and lists, with Python numbers for numpy's and None for non-finite ones."""
     if isinstance(value, Mapping):
         return {key: to_json(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""Parameters: value, unit, bounds, and the coordinate in which an optimiser moves them."""
+"""Parameters: value, unit, bounds, and the coordinate in which the solver moves them."""
 
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -10,13 +10,13 @@ import numpy as np
 from frictionzoo.core.errors import ConfigError, MissingValueError, closest
 
 AT_BOUND = 1e-4
-"""Share of the bounds' distance, in the optimiser's coordinate, that counts as reaching a bound."""
+"""Tolerance for reaching a bound, as a share of the distance between the bounds in the coordinate."""
 
 AUTO = "auto"
-"""Value of an option that is left open; `recipe=auto` chooses it on the training recordings."""
+"""Value of an automatic setting; `recipe=auto` chooses it on the training recordings."""
 
 LARGEST = 1e12
-"""Bound of a known value that a robot's file is to say, in any unit."""
+"""Bound, in any unit, of a known value that has to come from the robot's file."""
 
 _UNITS = {
     "position": ("rad", "m"),
@@ -48,38 +48,37 @@ _NOT_NEGATIVE = frozenset({"armature", "frictionloss", "damping", "delay", "kp",
 _NOT_NEGATIVE |= {"torque_limit", "torque_saturation", "stall_torque", "no_load_velocity", "duty_limit"}
 _NOT_NEGATIVE |= {"kt_over_r", "kt2_over_r", "coulomb_torque", "static_torque", "kinetic_torque", "stiffness"}
 _NOT_NEGATIVE |= {"micro_damping", "viscous_coefficient", "stribeck_velocity", "smoothing_velocity"}
-"""Names of quantities that cannot be negative, whoever has them."""
+"""Names of quantities that cannot be negative, in benches and models."""
 
 PerJoint = float | tuple[float, ...] | Mapping[str, float]
-"""A number for all joints, one for each in their order, or one for each pattern of joints' names."""
+"""One number for all joints, one for each joint in order, or one for each pattern of joint names."""
 Tie = bool | Mapping[str, str] | None
-"""Which joints share a value: none, all (true), those of each pattern by the group's name, or as the bench says."""
+"""Joints that share a value: all (true), none (false), those matching each group's pattern; None: as in the bench."""
 
 
 @dataclass(frozen=True)
 class Param:
-    """One physical quantity of each joint that is either known or identified.
+    """Physical quantity of each joint, known or identified.
 
-    What differs from joint to joint is a tuple with an entry for each, or a mapping from patterns of joints' names,
-    regular expressions that match whole names, of which the first that fits counts; `for_joints` makes that a tuple.
+    `init`, `low`, `high` and `identify` may differ between joints, as a tuple or as a mapping from patterns of joint
+    names (regular expressions for whole names; the first match counts). `for_joints` turns a mapping into a tuple.
 
     Attributes:
         name: MuJoCo's or the literature's word.
         dimension: A key of `UNITS`; the unit follows from the joint's type.
-        init: Initial value, and the value for good where `identify` is false; None where a robot's file is to say it.
+        init: Initial value, constant where `identify` is false; None if the robot's file has to give it.
         low: Lower bound.
         high: Upper bound.
-        scale: `log`: the optimiser moves the logarithm, so that a step is a share of the value (needs low > 0); or a
-            positive number: it moves value / scale, so that a step is a share of that number.
-        identify: Whether a fit may change it; in a configuration also `auto`, which is no until a recipe says yes.
-        tie: Joints that share one value; None: those that the bench ties.
-        joints: Indices of the joints that have such a quantity, in order; what differs from joint to joint has entries
-            for these alone. None: all.
-        is_stated: Whether somebody stated `init`; a robot's file goes before a default that nobody stated.
+        scale: `log`: the solver moves the logarithm, so a step is relative to the value (needs low > 0). A positive
+            number: the solver moves value / scale.
+        identify: Whether a fit may change it; `auto` in a configuration is false until a recipe decides.
+        tie: Joints that share one value; None: as in the bench.
+        joints: Indices of the joints that have this quantity, in order, one tuple entry each; None: all.
+        is_stated: Whether a user stated `init`. The robot's file overrides only a value that nobody stated.
 
     Raises:
-        ConfigError: The bounds are empty, an identified value begins outside them, a known one is not finite, or the
-            scale does not fit them.
+        ConfigError: The bounds are empty or do not fit the scale, an identified value starts outside them, or a known
+            value is not finite.
     """
 
     name: str
@@ -108,7 +107,7 @@ class Param:
             raise ConfigError(f"{self.name}: {_say(init)}; expected finite numbers")
         if not (low < high).all():
             raise ConfigError(f"{self.name}: bounds low={_say(low)}, high={_say(high)}; expected low < high")
-        if not (~free | ((low <= init) & (init <= high))).all():  # bounds are of a fit, which leaves known values alone
+        if not (~free | ((low <= init) & (init <= high))).all():  # bounds apply to identified values only
             bounds = f"low={_say(low)}, high={_say(high)}"
             raise ConfigError(f"{self.name}: init={_say(init)} lies outside {bounds}; start inside")
         if self.scale == "log" and not (low > 0).all():
@@ -116,9 +115,9 @@ class Param:
 
     @classmethod
     def from_config(cls, name: str, dimension: str, config: Mapping[str, Any]) -> "Param":
-        """A parameter from its section of the configuration: `init`, `low`, `high`, `scale`, `identify`, all given.
+        """Create a parameter from a configuration section with `init`, `low`, `high`, `scale` and `identify`.
 
-        Where `init` is None and there is a `default`, that is the initial value, and nobody has stated one.
+        If `init` is None, an optional `default` is the initial value and counts as not stated.
 
         Raises:
             ConfigError: A key is missing, unknown or of the wrong type.
@@ -147,7 +146,7 @@ class Param:
 
     @property
     def is_resolved(self) -> bool:
-        """Whether nothing in it depends on joints' names."""
+        """Whether no part is missing or depends on joint names."""
         return not any(part is None or isinstance(part, Mapping) for part in self._parts().values())
 
     @property
@@ -157,26 +156,27 @@ class Param:
         return any(given.values() if isinstance(given, Mapping) else np.atleast_1d(given))
 
     def for_joints(self, joints: Sequence[str | None]) -> "Param":
-        """The same of a drive of these joints, a tuple in place of patterns; of joints without names numbers alone.
+        """Return the parameter for these joints, with tuples in place of patterns.
 
         Args:
             joints: Name of each joint, or None.
 
         Raises:
-            ConfigError: A list has another length, a joint fits no pattern, or `init` is outside the bounds then.
+            ConfigError: A list has the wrong length, a joint matches no pattern, or `init` is then outside the bounds.
+            MissingValueError: A value is None.
         """
         own = [joints[joint] for joint in self.members(len(joints))]
         parts = {what: _resolve(f"{self.name}.{what}", part, own) for what, part in self._parts().items()}
         return replace(self, **parts)
 
     def members(self, nv: int) -> list[int]:
-        """Indices of the joints that have such a quantity, of a drive of so many."""
+        """Return the indices of the joints that have this quantity, out of `nv`."""
         return list(range(nv) if self.joints is None else self.joints)
 
     def spread(self, own: Any, nv: int) -> np.ndarray:
-        """An entry for each joint that has the quantity, or one for all of them, as an array of shape (nv,).
+        """Return an array of shape (nv,) from one value for all joints or one for each that has the quantity.
 
-        NaN, of truth values false, where a joint has none.
+        Joints without the quantity get NaN, or false for truth values.
         """
         own = np.asarray(own)
         if self.joints is None:
@@ -186,28 +186,28 @@ class Param:
         return whole
 
     def _parts(self) -> dict[str, Any]:
-        """What may differ from joint to joint."""
+        """Return the attributes that may differ between joints, by name."""
         return {what: getattr(self, what) for what in ("init", "low", "high", "identify")}
 
     def each(self, what: str, nv: int) -> np.ndarray:
-        """One of `init`, `low`, `high` and `identify` of each joint, of shape (nv,), as `spread` has it."""
+        """Return `init`, `low`, `high` or `identify` of each joint, shape (nv,), NaN or false as in `spread`."""
         return self.spread(getattr(self, what), nv)
 
     def only(self, joints: Sequence[int]) -> "Param":
-        """The same of the joints of these indices alone."""
+        """Return the parameter of the joints with these indices only."""
         parts = {n: tuple(g[i] for i in joints) if isinstance(g, tuple) else g for n, g in self._parts().items()}
         return replace(self, **parts, tie=None)
 
     def to_coordinate(self, value: Any, xp: Any) -> Any:
-        """The optimiser's coordinate of a physical value; `xp` is the array namespace."""
+        """Return the solver's coordinate of a physical value; `xp` is the array namespace."""
         return xp.log(value) if self.scale == "log" else value / self.scale
 
     def from_coordinate(self, coordinate: Any, xp: Any) -> Any:
-        """The physical value of an optimiser's coordinate; `xp` is the array namespace."""
+        """Return the physical value of a solver's coordinate; `xp` is the array namespace."""
         return xp.exp(coordinate) if self.scale == "log" else coordinate * self.scale
 
     def is_at_bound(self, value: Any) -> Any:
-        """Whether a physical value, or each one of an array, has reached a bound; of shape (nv,) of several joints."""
+        """Return whether a physical value, or each of shape (nv,), has reached a bound."""
         value = np.asarray(value, np.float64)
         ends = [self.each(side, len(value)) if value.ndim else getattr(self, side) for side in ("low", "high")]
         with np.errstate(divide="ignore", invalid="ignore"):  # a known value may have no logarithm
@@ -215,12 +215,12 @@ class Param:
         return np.minimum(at - low, high - at) <= AT_BOUND * (high - low)
 
     def unit(self, joint_type: str) -> str:
-        """Its unit on a `hinge` or a `slide`."""
+        """Return its unit on a `hinge` or a `slide`."""
         return UNITS[joint_type][self.dimension]
 
 
 def fits(pattern: str, joint: str, option: str) -> bool:
-    """Whether a regular expression matches a joint's whole name; ConfigError for none, by the option's name."""
+    """Return whether a regular expression matches a joint's whole name; ConfigError, naming the option, for none."""
     try:
         return re.fullmatch(pattern, joint) is not None
     except re.error as error:
@@ -228,10 +228,10 @@ def fits(pattern: str, joint: str, option: str) -> bool:
 
 
 def group_joints(option: str, tie: Tie, joints: Sequence[str]) -> list[str]:
-    """Name of the group of each joint that shares a value; a joint that shares with none is a group of its own name.
+    """Return the name of each joint's group, which shares a value; an untied joint has its own name.
 
     Raises:
-        ConfigError: A joint belongs to two groups, or a pattern fits none.
+        ConfigError: A joint belongs to two groups, or a pattern matches no joint.
     """
     if not isinstance(tie, Mapping):
         return ["all joints"] * len(joints) if tie else list(joints)
@@ -259,7 +259,7 @@ def _truth(value: Any) -> bool:
 
 
 def _per_joint(given: Any, read: Callable[[Any], Any]) -> Any:
-    """A number for all joints, a tuple with one for each, or one for each pattern; None is none."""
+    """Read a number for all joints, a sequence with one a joint, or a mapping from patterns; None stays None."""
     if given is None:
         return None
     if isinstance(given, Mapping):
@@ -270,7 +270,7 @@ def _per_joint(given: Any, read: Callable[[Any], Any]) -> Any:
 
 
 def read_tie(option: str, given: Any) -> Tie:
-    """Which joints share a value, as an option says; ConfigError where it says something else."""
+    """Return the tied joints from the value of an option; ConfigError for any other value."""
     if given is None or isinstance(given, bool):
         return given
     if not isinstance(given, Mapping) or not all(isinstance(pattern, str) for pattern in given.values()):
@@ -299,7 +299,7 @@ def _resolve(option: str, given: Any, joints: Sequence[str | None]) -> Any:
 
 
 def _complete(section: Any, defaults: Mapping[str, Any]) -> Any:
-    """A parameter's whole section; of a known value, or one a joint, bounds mean nothing and lie around it."""
+    """Complete a parameter's section; a known value gets bounds around it, which no fit uses."""
     alone = isinstance(section, Mapping) and set(section) == {"init"} and not defaults
     init = section["init"] if alone else section
     by_pattern = alone and isinstance(init, Mapping)
@@ -321,16 +321,15 @@ def read_params(
     defaults: Mapping[str, Mapping[str, Any]] | None = None,
     ends: Collection[str] = (),
 ) -> dict[str, Param]:
-    """The parameters that `owner` declares, from the configuration's section of the same names.
+    """Return the parameters that `owner` declares, from the configuration's section of the same names.
 
     Args:
-        owner: Whose they are, for messages.
+        owner: Owner of the parameters, for messages.
         dimensions: Dimension of each declared parameter.
-        config: Section of each parameter, or its value if that is known.
-        optional: Those among them that need no section, and that are left out where they are known to be 0: what they
-            stand for is not there.
-        defaults: What a section need not say, of each parameter that has such.
-        ends: Those among `optional` that are there where they are 0.
+        config: Section of each parameter, or its value if it is known.
+        optional: Parameters that need no section. One that is known to be 0 is dropped: its effect is absent.
+        defaults: Default section entries of parameters that have any.
+        ends: Parameters in `optional` that are kept at 0.
 
     Raises:
         ConfigError: A parameter is missing or unknown.
@@ -347,7 +346,11 @@ def read_params(
 
 
 def refuse_negative(prefix: str, params: Mapping[str, Param]) -> None:
-    """ConfigError for a quantity below 0 that cannot be, or that a fit may make so; `prefix` stands before its name."""
+    """Refuse negative values and lower bounds of quantities that cannot be negative.
+
+    Raises:
+        ConfigError: There is one; in the message `prefix` precedes its name.
+    """
     for name, param in params.items():
         if name.rpartition(".")[2] not in _NOT_NEGATIVE:
             continue

@@ -1,4 +1,4 @@
-"""Plug-ins by name: classes that this package's files hold, and those that other packages bring by entry points."""
+"""Plug-ins by name: classes in this package's files, and those of other packages by entry points."""
 
 import ast
 import contextlib
@@ -20,12 +20,12 @@ B = TypeVar("B")
 
 
 class Found(NamedTuple):
-    """A plug-in as its file tells it, which need not be imported for that.
+    """Plug-in as read from its file, without importing it.
 
     Attributes:
-        name: Under which it is registered.
-        module: Of the class.
-        target: Dotted name of the class, as `_target_` has it.
+        name: Registered name.
+        module: Module of the class.
+        target: Dotted name of the class, as in `_target_`.
         summary: First line of its docstring.
     """
 
@@ -36,21 +36,21 @@ class Found(NamedTuple):
 
     @property
     def package(self) -> str:
-        """Who brings it."""
+        """Package that provides it."""
         return self.module.partition(".")[0]
 
 
 @dataclass(frozen=True)
 class Kind:
-    """One kind of plug-ins.
+    """One kind of plug-in.
 
     Attributes:
-        plural: Its name on the command line and in the entry-point group.
-        noun: What one of it is, for messages.
-        home: The package whose files hold those of frictionzoo.
+        plural: Name on the command line and in the entry-point group.
+        noun: Name of one plug-in, for messages.
+        home: Package with frictionzoo's plug-ins of this kind.
         decorator: Name of the function that registers one.
-        choice: The option that chooses one, where `{name}` and `{target}` stand for its own.
-        offered: Whether `home` has the classes by their own names; else only their files have.
+        choice: Option that chooses one; `{name}` and `{target}` stand for the plug-in's.
+        offered: Whether `home` exports the classes; else only their modules have them.
     """
 
     plural: str
@@ -66,7 +66,7 @@ class Kind:
         return f"frictionzoo.{self.plural}"
 
     def own(self) -> dict[str, Found]:
-        """Those of frictionzoo by name: what the files of `home` register, imported or not.
+        """Return frictionzoo's plug-ins by name, read from the files of `home`, imported or not.
 
         Raises:
             ConfigError: Two files register one name.
@@ -84,18 +84,18 @@ class Kind:
         return found
 
     def brought(self) -> list[EntryPoint]:
-        """What other packages bring."""
+        """Return the entry points of other packages."""
         return _entry_points(tuple(sys.path))[self.group]
 
     def list_all(self) -> list[Found]:
-        """All of them, sorted by name; none is imported."""
+        """Return all plug-ins, sorted by name, without importing them."""
         return sorted([*self.own().values(), *map(self.describe, self.brought())])
 
     def describe(self, point: EntryPoint) -> Found:
-        """One that another package brings, as its file tells it."""
+        """Return another package's plug-in as read from its file."""
         try:
             origin = getattr(find_spec(point.module), "origin", None)
-        except Exception as error:  # what another package does when its root is imported is not ours to end over
+        except Exception as error:  # an error while another package is imported must not end the listing
             return Found(point.name, point.module, point.module, f"does not load: {error}")
         for name, cls, summary in _read_file(Path(origin), self.decorator) if origin else ():
             if name == point.name:
@@ -117,21 +117,21 @@ KINDS = {
         Kind("targets", "export target", "frictionzoo.export", "register_target", "target={name}"),
     )
 }
-_ALSO_AT = {"actuators": ("frictionzoo.bench",)}  # packages that offer the classes of a kind besides its home
+_ALSO_AT = {"actuators": ("frictionzoo.bench",)}  # further packages that export the classes
 _REGISTRIES: list["Registry"] = []
 
 
 @dataclass
 class Registry(Generic[B]):
-    """The plug-ins of one kind.
+    """Plug-ins of one kind.
 
     Attributes:
-        kind: Which.
-        base: Class that all of them derive from.
-        method: The method that they have to write.
-        error: Raised for a plug-in that is none.
-        unknown: Raised for a name that nobody registered.
-        entries: The registered classes that have been imported, by name.
+        kind: The kind.
+        base: Class from which all derive.
+        method: Method that each must define.
+        error: Error for an invalid plug-in.
+        unknown: Error for a name that is not registered.
+        entries: Registered classes that have been imported, by name.
     """
 
     kind: Kind
@@ -150,20 +150,20 @@ class Registry(Generic[B]):
         return self.kind.noun.split()[-1]
 
     def register(self, name: str) -> Callable[[T], T]:
-        """Class decorator that makes a plug-in available under a name.
+        """Return a class decorator that registers a plug-in under a name.
 
         Raises:
-            FrictionzooError: The name is taken or not lower case with underscores, or the class is not complete or has
-                a name already.
+            FrictionzooError: The name is taken or not lower case with underscores, or the class is incomplete or has
+                a name.
         """
         return lambda cls: self._add(name, cls)
 
     def get(self, name: str) -> type[B]:
-        """The class of that name, registered here or brought by another package.
+        """Return the class with this name, from this package or another one.
 
         Raises:
-            FrictionzooError: No such name, and the message names the closest; or two packages bring it, or the one that
-                does is broken.
+            FrictionzooError: The name is unknown (the message names the closest), two packages provide it, or its
+                package is broken.
         """
         own, outside = self.kind.own(), self._outside()
         if name in own:
@@ -175,14 +175,14 @@ class Registry(Generic[B]):
         return self.entries[name]
 
     def names(self) -> list[str]:
-        """All names, sorted."""
+        """Return all names, sorted."""
         return sorted({*self.kind.own(), *self._outside(), *self.entries})
 
     def find_class(self, name: str) -> type[B]:
-        """One of this package's classes by its own name: the `__getattr__` of the package that holds them.
+        """Return one of this package's classes by its class name, as `__getattr__` of the package that exports it.
 
         Raises:
-            AttributeError: There is none.
+            AttributeError: There is no such class.
         """
         for found in self.kind.own().values():
             if found.target == f"{self.kind.home}.{name}":
@@ -199,10 +199,10 @@ class Registry(Generic[B]):
         own = self.kind.own().get(name)
         if own and own.module != known.__module__:
             self._load(own)
-        # A class that is defined again, as when a notebook's cell is run again, replaces its older self.
+        # A class defined again, as in a notebook cell that is run again, replaces the old one.
         if dotted_name(self.entries.get(name, known)) != dotted_name(known):
             raise self.error(f"{name}: already registered by {self.entries[name].__qualname__}; choose another name")
-        # A subclass inherits its parent's name, which is not its own.
+        # A subclass inherits its parent's `name`; only the class's own counts.
         if vars(known).get("name", name) != name:
             raise self.error(f"{name}: {known.__qualname__} is already registered as {known.name}; one name each")
         known.name = name
@@ -210,12 +210,12 @@ class Registry(Generic[B]):
         return cls
 
     def _load(self, found: Found) -> type[B]:
-        """Import one of this package's own."""
+        """Import one of this package's plug-ins."""
         cls = getattr(importlib.import_module(found.module), found.target.rpartition(".")[2])
         return self.entries.setdefault(found.name, cls)
 
     def _outside(self) -> dict[str, EntryPoint]:
-        """What other packages bring, by name."""
+        """Return the entry points of other packages by name."""
         points: dict[str, EntryPoint] = {}
         for point in self.kind.brought():
             if points.setdefault(point.name, point).value != point.value:
@@ -224,7 +224,7 @@ class Registry(Generic[B]):
         return points
 
     def _load_outside(self, point: EntryPoint) -> None:
-        """Import what an entry point names and see that it registered the class itself, not one of the same name."""
+        """Import an entry point's target and check that it registered the class itself, not one of the same name."""
         try:
             point.load()
         except (ImportError, AttributeError) as error:
@@ -239,9 +239,9 @@ class Registry(Generic[B]):
 
 
 def find_plugin(target: str) -> type | None:
-    """Return the registered class of this dotted name, as `_target_` has it; None where there is none.
+    """Return the registered class with this dotted name, as in `_target_`; None if there is none.
 
-    Of this package, the file that registers it is imported; of another one, the modules that its entry points name.
+    For this package it imports the file that registers the class; for another one, the modules of its entry points.
     """
     if registered := find_registered(target):
         return registered
@@ -255,21 +255,21 @@ def find_plugin(target: str) -> type | None:
     brought = [(k, p) for k in KINDS.values() for p in k.brought() if p.module.partition(".")[0] == root]
     named = [point for kind, point in brought if kind.describe(point).target == target]
     for point in named or [point for _, point in brought]:
-        with contextlib.suppress(ImportError, AttributeError):  # told where the plug-in is asked for by its name
+        with contextlib.suppress(ImportError, AttributeError):  # reported when the plug-in is asked for by name
             point.load()
-    # Its package may offer the class in another module than the one that defines it.
+    # The package may export the class from a module other than the one that defines it.
     offered = getattr(sys.modules.get(module), name, None) if brought else None
     return find_registered(target) or next((cls for cls in _list_registered() if cls is offered), None)
 
 
 def import_class(target: str) -> type:
-    """Return the class of a dotted name that this package knows; never one that a file or a user names."""
+    """Import the class with a dotted name from this package's code; never pass a name from a file or a user."""
     module, _, name = target.rpartition(".")
     return getattr(importlib.import_module(module), name)
 
 
 def find_registered(target: str) -> Any:
-    """The class of this dotted name among those that were registered in this process, in a notebook say; else None."""
+    """Return the class with this dotted name registered in this process, for instance in a notebook; else None."""
     return next((cls for cls in _list_registered() if dotted_name(cls) == target), None)
 
 
@@ -278,20 +278,20 @@ def _list_registered() -> Iterator[Any]:
 
 
 def plug_in_packages() -> set[str]:
-    """The packages that bring plug-ins of any kind, frictionzoo among them."""
+    """Return the packages with plug-ins of any kind, including frictionzoo."""
     return {"frictionzoo", *(point.module.partition(".")[0] for kind in KINDS.values() for point in kind.brought())}
 
 
 def dotted_name(cls: type) -> str:
-    """Dotted name of a class, as `_target_` has it."""
+    """Return the dotted name of a class, as in `_target_`."""
     return f"{cls.__module__}.{cls.__qualname__}"
 
 
 @functools.cache
 def _entry_points(path: tuple[str, ...]) -> dict[str, list[EntryPoint]]:
-    """What the packages on this path bring, by group; looking through all of them takes as long as reading a file."""
+    """Return the entry points of the packages on this path, by group; cached, because the search is slow."""
     found = entry_points()
-    # The backport importlib_metadata takes discovery over where it is imported, with a class of its own.
+    # The backport importlib_metadata, once imported, takes over discovery with its own class.
     return {
         kind.group: [EntryPoint(point.name, point.value, kind.group) for point in found.select(group=kind.group)]
         for kind in KINDS.values()
@@ -300,7 +300,7 @@ def _entry_points(path: tuple[str, ...]) -> dict[str, list[EntryPoint]]:
 
 @functools.cache
 def _read_file(path: Path, decorator: str) -> tuple[tuple[str, str, str], ...]:
-    """Name, class and first line of the docstring of each plug-in that a file registers with this decorator."""
+    """Return name, class and first docstring line of each plug-in that a file registers with this decorator."""
     text = path.read_text(encoding="utf-8")
     if f"{decorator}(" not in text:
         return ()

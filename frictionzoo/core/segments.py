@@ -1,4 +1,4 @@
-"""Logs to segments: the windows that a fit learns from, and the longer ones that an evaluation rolls out."""
+"""Windows cut from logs: segments for a fit and longer rollouts for an evaluation."""
 
 import logging
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from frictionzoo.core.state import Signals
 
 _log = logging.getLogger(__name__)
 
-SAME_TIMESTEP = 1e-3  # largest relative difference between the timesteps of logs that belong together
+SAME_TIMESTEP = 1e-3  # largest relative difference between the timesteps of logs used together
 PLACEMENTS = ("random", "consecutive")
 
 
@@ -22,18 +22,18 @@ PLACEMENTS = ("random", "consecutive")
 class Segments:
     """Windows cut from logs: each starts at a measured state and is driven by the recorded commands.
 
-    Sample i of `commands` acts between samples i and i + 1 of `qpos` and `qvel`, so the states have one more.
+    Sample i of `acting` acts between samples i and i + 1 of `qpos` and `qvel`, so there is one state more.
 
     Attributes:
         qpos: Measured position [rad or m].
         qvel: Measured velocity [rad/s or m/s].
-        signals: What drives them, each of shape (batch, samples, nv): `history` samples before the first state, and the
+        signals: Driving signals, each of shape (batch, samples, nv): `history` samples before the first state, then the
             samples from there on.
         timestep: Sample interval [s].
-        load: What each one's payload changes in the bench's model; None where there is none.
-        follows: Whether each begins where the one before it ends; None where none does.
-        recording: Number of the log that each was cut from; None where they are of one.
-        begins: Time of each one's first state in its log [s]; None where that is not known.
+        load: Effect of each payload on the bench's MuJoCo model; None for no payloads.
+        follows: Whether each begins where the previous one ends; None if none does.
+        recording: Number of the log of each; None for a single log.
+        begins: Time of each first state in its log [s]; None if not known.
     """
 
     qpos: Float[np.ndarray, "batch states nv"]
@@ -52,7 +52,7 @@ class Segments:
 
     @property
     def loads(self) -> Float[np.ndarray, "batch load"]:
-        """`load`, with no column where there is none."""
+        """`load`, with no columns if there is none."""
         return np.zeros((self.count, 0)) if self.load is None else self.load
 
     @property
@@ -72,22 +72,21 @@ class Segments:
 
     @property
     def first(self) -> "Segments":
-        """The first of them alone."""
+        """The first segment only."""
         load = None if self.load is None else self.load[:1]
         signals = self.signals.map(lambda signal: signal[:1])
         return Segments(self.qpos[:1], self.qvel[:1], signals, self.timestep, load)
 
 
 class Sampling(NamedTuple):
-    """How the samples of recordings relate to steps of the simulation.
+    """Relation between the samples of recordings and simulation steps.
 
     Attributes:
-        interval: Of the samples [s].
+        interval: Sample interval [s].
         substeps: Simulation steps in it.
-        history: Samples of the command before a segment's first state that may still act in it, however late commands
-            act.
-        commands: Inputs of the actuator law that are commands too, and as late.
-        second_order: Whether rollouts are of second order in the simulation step, where MuJoCo's are of first.
+        history: Command samples before a segment's first state that the largest delay can still bring into it.
+        commands: Inputs of the actuator law that are commands too, with the same delay.
+        second_order: Whether rollouts are of second order in the simulation step; MuJoCo's are of first order.
     """
 
     interval: float
@@ -98,7 +97,7 @@ class Sampling(NamedTuple):
 
 
 def cut_segments(logs: Sequence[Log], count: int | None = 20_000, length: int = 5, history: int = 0) -> Segments:
-    """Windows for a fit: they share no step, and are spread evenly if there are more of them than asked for.
+    """Cut windows for a fit: they share no step, and are spread evenly if there are more than `count`.
 
     Neighbours share the sample on their border: it ends one and starts the other.
 
@@ -106,10 +105,10 @@ def cut_segments(logs: Sequence[Log], count: int | None = 20_000, length: int = 
         logs: Recordings with the same columns and timestep.
         count: Largest number of segments; None takes all.
         length: Sample intervals in a segment; it spans one sample more.
-        history: Samples of the command before the first state. Before a log begins, its first one counts.
+        history: Command samples before the first state; before a log begins, its first one is repeated.
 
     Raises:
-        LogError: The logs do not belong together, or none is long enough for one segment.
+        LogError: The logs do not match, or none is long enough for one segment.
         ConfigError: `count` or `length` is below 1.
     """
     _refuse_mixture(logs)
@@ -136,20 +135,20 @@ def cut_rollouts(
     history: int = 0,
     options: tuple[str, str] = ("evaluation.horizons", "evaluation.rollouts"),
 ) -> Segments:
-    """Windows for an evaluation.
+    """Cut windows for an evaluation.
 
     Args:
         logs: Recordings with the same columns and timestep.
         horizon_s: Length of a rollout [s].
         count: Largest number of rollouts; None takes all, with `consecutive` only.
         placement: `random`: distinct starts drawn from `seed`, which may overlap; `consecutive`: a restart every
-            horizon, spread evenly if there are more of them than asked for.
+            horizon, spread evenly if there are more than `count`.
         seed: Seed of the random starts.
         history: As in `cut_segments`.
-        options: Where a user sets `horizon_s` and `count`, for messages.
+        options: Names of the options for `horizon_s` and `count`, for messages.
 
     Raises:
-        LogError: The logs do not belong together, or one is shorter than the horizon.
+        LogError: The logs do not match, or one is shorter than the horizon.
         ConfigError: An option is impossible.
     """
     timestep = _refuse_mixture(logs)
@@ -170,12 +169,12 @@ def cut_rollouts(
 
 
 def split_by_time(log: Log, test_share: float, gap: float) -> tuple[Log, Log]:
-    """Train and test part of one log: its first block and its last, with a gap that neither sees.
+    """Split one log into its first block for training and its last for testing, with an unused gap between.
 
     Args:
         log: The recording.
-        test_share: Share of the samples that goes into the test part, between 0 and 1.
-        gap: Time between the parts [s], so that the drive's state at the end of the one says nothing about the other.
+        test_share: Share of the samples in the test part, between 0 and 1.
+        gap: Time between the parts [s], so that the drive's state at the end of one does not reveal the other.
 
     Raises:
         LogError: A part would have fewer than two samples.
@@ -197,7 +196,7 @@ def split_by_time(log: Log, test_share: float, gap: float) -> tuple[Log, Log]:
 
 
 def _refuse_mixture(logs: Sequence[Log]) -> float:
-    """The timestep [s] of logs that belong together; LogError where they do not."""
+    """Return the timestep [s] of logs that match; LogError if they do not."""
     if not logs:
         raise LogError("no log was given, expected at least one")
     first = logs[0]
@@ -227,19 +226,19 @@ def _steps(horizon_s: float, timestep: float, option: str) -> int:
 
 
 def _consecutive(log: Log, length: int) -> Int[np.ndarray, "segments"]:
-    """First samples of the windows of `length` steps that fit into a log one after the other."""
+    """Return the first samples of the consecutive windows of `length` steps in a log."""
     return np.arange((log.samples - 1) // length) * length
 
 
 def _places(starts: Sequence[Int[np.ndarray, "..."]]) -> Int[np.ndarray, "segments 2"]:
-    """Index of the log and first sample of every window, from the first samples in each log."""
+    """Return the log index and first sample of every window, from the first samples in each log."""
     return np.concatenate(
         [np.stack([np.full_like(first, number), first], axis=1) for number, first in enumerate(starts)]
     )
 
 
 def _spread(places: Int[np.ndarray, "available 2"], count: int | None, option: str) -> Int[np.ndarray, "segments 2"]:
-    """At most `count` of the windows, evenly spread."""
+    """Return at most `count` windows, evenly spread."""
     _refuse_below_one(option, count)
     available = len(places)
     if count is None or count >= available:
@@ -250,7 +249,7 @@ def _spread(places: Int[np.ndarray, "available 2"], count: int | None, option: s
 def _draw(
     places: Int[np.ndarray, "available 2"], count: int | None, seed: int, option: str
 ) -> Int[np.ndarray, "segments 2"]:
-    """At most `count` of the windows, drawn without repetition, in the order in which they were drawn."""
+    """Draw at most `count` windows without repetition and return them in the order of drawing."""
     if count is None:
         raise ConfigError(f"{option}=null with evaluation.placement=random: expected a number of rollouts")
     _refuse_below_one(option, count)
@@ -259,7 +258,7 @@ def _draw(
 
 
 def _windows(logs: Sequence[Log], places: Int[np.ndarray, "segments 2"], length: int, history: int) -> Segments:
-    """The windows that start at these places (index of the log, first sample)."""
+    """Cut the windows that start at these places (log index, first sample)."""
     offset = np.cumsum([0] + [log.samples for log in logs[:-1]])
     start = offset[places[:, 0]]
     index = (start + places[:, 1])[:, None] + np.arange(length + 1)

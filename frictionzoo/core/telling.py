@@ -1,4 +1,4 @@
-"""Text for a person: printed, logged or raised, with control characters escaped, and shares in per cent."""
+"""Text for people: printed, logged or raised with control characters escaped, and percentages."""
 
 import argparse
 import contextlib
@@ -10,22 +10,22 @@ import time
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-# Control characters, marks that change the direction of text, other separators of lines, and halves of surrogate pairs.
+# Control characters, marks of text direction, other line separators, and halves of surrogate pairs.
 _CONTROL = re.compile(
     "[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff\U000e0000-\U000e007f]"
 )
 
 
 def escape_controls(text: str, keep: str = "") -> str:
-    """Return the text with its control characters in hexadecimal, as Python writes them, but for those in `keep`.
+    """Return the text with control characters in hexadecimal, as Python writes them, except those in `keep`.
 
-    A terminal would obey them: names in a recording or a run of somebody else could hide or forge what it shows.
+    A terminal would obey them: names in someone else's recording or run could hide or forge its output.
     """
     return _CONTROL.sub(lambda found: found[0] if found[0] in keep else ascii(found[0])[1:-1], text)
 
 
 def escape_all(value: Any) -> Any:
-    """Return the same mappings and lists with every text in them escaped, line breaks too."""
+    """Return the same mappings and lists with every text escaped, including line breaks."""
     if isinstance(value, str):
         return escape_controls(value)
     if isinstance(value, Mapping):
@@ -34,16 +34,16 @@ def escape_all(value: Any) -> Any:
 
 
 def say(text: str) -> None:
-    """Print lines on the standard output."""
+    """Print lines on standard output."""
     print(escape_controls(text, keep="\n"))
 
 
 _told = "", 0.0
-"""What was told last, and when, by `time.monotonic`."""
+"""Last progress message and its time, by `time.monotonic`."""
 
 
 def tell(doing: str) -> None:
-    """Say on the standard error what is being done now, at once; nothing where that is no terminal."""
+    """Print the current activity on standard error at once, if that is a terminal."""
     global _told
     _told = doing, time.monotonic()
     if doing and sys.stderr.isatty():
@@ -52,10 +52,10 @@ def tell(doing: str) -> None:
 
 @contextlib.contextmanager
 def telling_again(every: float = 10.0) -> Iterator[None]:
-    """Say again what is being done, and for how long, whenever nothing was told for a time.
+    """Repeat the current activity and its duration whenever nothing was printed for some time.
 
     Args:
-        every: That time [s].
+        every: Time between repetitions [s].
     """
     ended = threading.Event()
 
@@ -81,7 +81,7 @@ def telling_again(every: float = 10.0) -> Iterator[None]:
 
 
 class LogFormatter(logging.Formatter):
-    """A line for each record, which a traceback may follow."""
+    """Formatter of one line a record, perhaps followed by a traceback."""
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - logging's name
         """Format a record without its traceback."""
@@ -93,13 +93,13 @@ class LogFormatter(logging.Formatter):
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser of arguments whose messages have no control characters."""
+    """Argument parser whose messages have no control characters."""
 
     def _print_message(self, message: str, file: Any = None) -> None:
         super()._print_message(escape_controls(message, keep="\n"), file)
 
 
 def say_percent(share: float, digits: int = 2) -> str:
-    """A share with so many significant digits or more, never as a power of ten: 0.0712 is `7.1 %`, 23.71 `2371 %`."""
+    """Format a share in per cent with at least `digits` digits, without exponent: 0.0712 is `7.1 %`, 23.71 `2371 %`."""
     percent, rounded = 100 * share, f"{100 * share:.{digits}g}"
     return f"{percent:.0f} %" if "e+" in rounded else f"{rounded} %"

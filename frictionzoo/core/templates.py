@@ -1,4 +1,4 @@
-"""The package's templates: pages, cards, and files for other programs."""
+"""Templates of the package: pages, cards, and files for other programs."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -8,13 +8,13 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template, Undefi
 
 
 class Code(str):
-    """Text that is Python code; every other text reaches a Python file as a string literal."""
+    """Python code; any other text reaches a Python file as a string literal."""
 
     __slots__ = ()
 
 
 def write_literal(value: Any) -> str:
-    """Write a value as Python reads it back: `Code` unchanged, text in double quotes where it has none."""
+    """Write a value as a Python literal: `Code` unchanged, text in double quotes unless it contains one."""
     if isinstance(value, Code):
         return value
     if isinstance(value, str):
@@ -30,20 +30,20 @@ def write_literal(value: Any) -> str:
 
 
 def write_yaml(value: str | list[str]) -> str:
-    """Write text, or a list of it, as YAML reads it back: in double quotes, on one line."""
+    """Write text or a list of texts as YAML, in double quotes, on one line."""
     return yaml.safe_dump(value, default_style='"', default_flow_style=True, width=float("inf")).rstrip("\n")
 
 
 def open_template(path: str, filters: Mapping[str, Callable[..., Any]] | None = None, html: bool = False) -> Template:
-    """A template that misses nothing silently.
+    """Open a template that raises for undefined names.
 
-    In a template of a Python file, `NAME.py.jinja`, each value becomes a literal, as autoescaping does for HTML: text
-    cannot get into the code. What is code is of the type `Code`, or goes through the filter `code`.
+    In a template of a Python file, `NAME.py.jinja`, each value becomes a literal, like autoescaping for HTML: text
+    cannot become code. Code has the type `Code` or passes through the filter `code`.
 
     Args:
-        path: Of its file, relative to the package.
-        filters: What it may use besides jinja's own, by name.
-        html: Whether text is escaped.
+        path: Path of its file, relative to the package.
+        filters: Filters in addition to jinja's, by name.
+        html: Whether to escape text.
     """
     environment = Environment(
         loader=PackageLoader("frictionzoo", ""),
@@ -59,4 +59,4 @@ def open_template(path: str, filters: Mapping[str, Callable[..., Any]] | None = 
 
 
 def _finalize(value: Any) -> str:
-    return str(value) if isinstance(value, Undefined) else write_literal(value)  # which raises
+    return str(value) if isinstance(value, Undefined) else write_literal(value)  # str() raises if undefined

@@ -1,4 +1,4 @@
-"""CPU threads: how many a job may take, so that jobs beside each other do not fight over cores."""
+"""Limits on the CPU threads of a job, so that parallel jobs do not compete for cores."""
 
 import logging
 import os
@@ -8,37 +8,37 @@ from frictionzoo.core.errors import ConfigError
 
 _log = logging.getLogger(__name__)
 
-MOST_THREADS = 1024  # more than any machine has cores; that many are started
-# Read once, by XLA's pool for the CPU, torch, and the libraries under numpy and scipy, when each is loaded.
+MOST_THREADS = 1024  # more than the cores of any machine: this many are started
+# Read once, when XLA's CPU pool, torch, and the libraries below numpy and scipy are loaded.
 _VARIABLES = ("PJRT_NPROC", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
 def count_cores() -> int:
-    """Cores on which this process may run."""
+    """Return the number of cores on which this process may run."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def usable_threads() -> int:
-    """Threads that this process may take, by its cores and by what `limit_threads` has set."""
+    """Return the number of threads this process may use: its cores, or fewer after `limit_threads`."""
     limit = os.environ.get(_VARIABLES[0], "")
     return min(count_cores(), int(limit)) if limit.isdigit() and int(limit) else count_cores()
 
 
 def threads_each(threads: int | None) -> int:
-    """Threads of one job where several run at a time: what the option `threads` asks for, else one."""
+    """Return the threads of one job when several run in parallel: the option `threads`, else one."""
     return threads or 1
 
 
 def jobs_at_once(threads: int | None) -> int:
-    """How many jobs run at a time on this machine, so that jobs x threads = cores."""
+    """Return how many jobs run in parallel on this machine, so that jobs x threads = cores."""
     return max(1, count_cores() // threads_each(threads))
 
 
 def limit_threads(threads: int | None) -> None:
-    """Limit the CPU threads of this process, None for no limit; takes effect if torch and JAX are not loaded yet.
+    """Limit the CPU threads of this process, before torch and JAX are loaded; None for no limit.
 
     Raises:
-        ConfigError: Less than one.
+        ConfigError: Fewer than one, or more than `MOST_THREADS`.
     """
     if threads is None:
         return

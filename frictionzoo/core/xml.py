@@ -1,4 +1,4 @@
-"""XML as this package writes it: whatever a name has in it, it stays an attribute, a text or a comment."""
+"""XML output in which any name stays an attribute, a text or a comment."""
 
 import re
 import xml.etree.ElementTree as ET
@@ -14,7 +14,7 @@ def write_xml(root: "ET.Element[Any]") -> str:
     """Write a whole file, indented.
 
     Raises:
-        ExportError: A name or a text has a character that XML does not have, not even as a reference.
+        ExportError: A name or a text has a character that XML cannot represent, not even as a reference.
     """
     ET.indent(root)
     return write_element(root) + "\n"
@@ -37,5 +37,5 @@ def write_element(element: "ET.Element[Any]") -> str:
 
 
 def write_comment(text: str) -> "ET.Element[Any]":
-    """Write a comment on one line, which ends where its text does; control characters are shown as escapes."""
+    """Write a one-line comment that the text cannot end early; control characters are escaped."""
     return ET.Comment(f" {re.sub('-(?=-)', '- ', escape_controls(text))} ")

@@ -1,1 +1,1 @@
-"""A fitted drive's nearest one with a simpler law: `python -m frictionzoo.distill RUN model=NAME`."""
+"""Distillation of a fitted drive into one with a simpler friction model: `python -m frictionzoo.distill`."""

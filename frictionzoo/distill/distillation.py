@@ -1,4 +1,4 @@
-"""From a run's drive, the teacher, to the nearest with another law, the student, and what is lost on the way."""
+"""Distillation: fit another friction model (the student) to a run's drive (the teacher), and measure the loss."""
 
 import json
 import os
@@ -33,21 +33,20 @@ from frictionzoo.result.identified import Identified
 from frictionzoo.result.types import Result
 
 NOTE = "distillation.json"
-_GROUPS = ("model", "fit", "logger")  # what a student may choose anew, by the name of a file
-_SHARED = ("bench", "data", "scale", "evaluation", "resume", "experiment")  # what it has from its teacher
+_GROUPS = ("model", "fit", "logger")  # configuration files that a student may choose
+_SHARED = ("bench", "data", "scale", "evaluation", "resume", "experiment")  # always the teacher's
 
 
 @dataclass(frozen=True)
 class Distillation:
-    """A student beside its teacher.
+    """Outcome of a distillation.
 
     Attributes:
-        folder: The student's.
-        teacher: What the teacher's `result.json` holds.
-        student: What the student's `result.json` holds.
-        note: What `distillation.json` holds: the teacher's folder, how far the two are apart, and what else there is to
-            say.
-        complaint: For a fit that diverged, one line.
+        folder: Folder of the student.
+        teacher: Content of the teacher's `result.json`.
+        student: Content of the student's `result.json`.
+        note: Content of `distillation.json`: the teacher's folder, differences between the two, and notes.
+        complaint: One line if the fit diverged, else None.
     """
 
     folder: Path
@@ -58,17 +57,17 @@ class Distillation:
 
 
 def distill(folder: Path, options: Mapping[str, str]) -> Distillation:
-    """Fit a law to a drive's rollouts under the recorded training commands, and judge both on the test recordings.
+    """Fit a model to a drive's rollouts under the training commands, and evaluate both on the test recordings.
 
-    The student's folder is that of a run, with `distillation.json` besides, and the teacher on its page.
+    The student's folder has the files of a run and `distillation.json`; its page also shows the teacher.
 
     Args:
-        folder: Of the teacher's run.
-        options: `model`, a name; `output`, a folder; and options of a run that tell how to fit, all as text.
+        folder: Folder of the teacher's run.
+        options: `model`, a name; `output`, a folder; and fit options of a run, all as text.
 
     Raises:
-        FrictionzooError: The run or its recordings cannot be read any more, an option is impossible, or the teacher
-            diverges. Then nothing is left behind.
+        FrictionzooError: The run or its recordings cannot be read, an option is invalid, or the teacher diverges.
+            No files remain.
     """
     teacher = Identified.load(folder)
     config = compose_student(teacher, {key: value for key, value in options.items() if key != "output"})
@@ -86,14 +85,14 @@ def distill(folder: Path, options: Mapping[str, str]) -> Distillation:
 
 
 def compose_student(teacher: Identified, options: Mapping[str, str]) -> DictConfig:
-    """The configuration of the student's job: the teacher's, with another law and another fit.
+    """Return the student's configuration: the teacher's with another model and fit.
 
     Args:
         teacher: The drive to follow.
         options: `model`, and options of a run.
 
     Raises:
-        ConfigError: One is missing, unknown, impossible or not the student's to choose.
+        ConfigError: An option is missing, unknown, invalid or shared with the teacher.
     """
     if "model" not in options:
         raise ConfigError(f"model is missing; give model=NAME, {closest('', list_choices('model'))}")
@@ -112,10 +111,10 @@ def compose_student(teacher: Identified, options: Mapping[str, str]) -> DictConf
 
 
 def _replace_choices(teacher: Identified, choices: Mapping[str, str]) -> DictConfig:
-    """The teacher's settings with these files of conf/ in place of their own; scales, say, are the settings'.
+    """Return the teacher's settings with some sections replaced by files of conf/; others, such as `scale`, stay.
 
-    A drive's rollouts have neither noise nor outliers. So nothing is done against these, and the segments need not be
-    short: they are as long as the rollouts that judge, as many as hold no more states than the teacher's did.
+    A simulated drive has neither noise nor outliers. Robust losses and short segments are not needed: segments are as
+    long as the evaluation rollouts, and hold no more states in total than the teacher's.
     """
     settings = keep_caches_at_home(teacher.result["settings"])
     composed = compose_config(*(f"{group}={name}" for group, name in choices.items()))
@@ -131,7 +130,7 @@ def _replace_choices(teacher: Identified, choices: Mapping[str, str]) -> DictCon
             "impulse": False,
             "slow": 0.0,
         },
-        "discretisation": False,  # what it follows was simulated in the same steps
+        "discretisation": False,  # the teacher was simulated with the same step
         "segments": {"count": None if count is None else max(1, count * length // longer), "length": longer},
         "resume": None,
     }
@@ -142,14 +141,14 @@ def _replace_choices(teacher: Identified, choices: Mapping[str, str]) -> DictCon
 
 
 def _choose_logger(teacher: Identified) -> str:
-    """The teacher's where it writes plain files; another one starts programs, which the user has to ask for."""
+    """Keep the teacher's logger if it writes plain files; others start programs, which the user has to request."""
     section = teacher.result["settings"].get("logger")
     target = section.get("_target_") if isinstance(section, Mapping) else None
     return "csv" if target == "frictionzoo.fit.loggers.Csv" else "tensorboard"
 
 
 def _compare(teacher: Identified, student: Identified, runs: Sequence[Run]) -> dict[str, Any]:
-    """What `distillation.json` says: who followed whom, and how far apart they are, by both runs."""
+    """Return the content of `distillation.json`: the teacher's folder, and the differences between both runs."""
     qpos, own = (run.curves.qpos for run in runs)
     taught, errors = (run.curves.test_mae for run in runs)
     kept = np.isfinite(qpos).all(axis=(1, 2)) & np.isfinite(own).all(axis=(1, 2))
@@ -175,7 +174,7 @@ def _rms(difference: np.ndarray) -> float:
 
 
 def _note(teacher: FrictionModel, student: FrictionModel) -> list[str]:
-    # Numbers that make a law, known ones among them.
+    # Count all numbers of a model, including known ones.
     before, after = (sum(values.numel() for values in law.parameters()) for law in (teacher, student))
     if after <= before:
         return []

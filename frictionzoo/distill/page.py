@@ -1,4 +1,4 @@
-"""`report.html` of a student: the page of its run, with the teacher beside it, from whether it is good enough on."""
+"""`report.html` of a student: the page of its run, with a comparison to the teacher."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -22,16 +22,16 @@ _GRADES = {
 
 
 def write_page(path: Path, student: Identified, teacher: Run, note: Mapping[str, Any]) -> None:
-    """Write the page of a student into this file in its folder.
+    """Write the page of a student.
 
     Args:
-        path: Of the page.
-        student: The drive with the simpler law.
-        teacher: The run whose drive it follows.
-        note: What `distillation.json` holds.
+        path: Path of the page, in the student's folder.
+        student: The drive with the simpler model.
+        teacher: The run of the teacher.
+        note: Content of `distillation.json`.
 
     Raises:
-        OutputError: It cannot be written.
+        OutputError: The page cannot be written.
     """
     replay = record_replay(student.bench, student.values["bench"], student.curves, student.segments.timestep)
     page = render_run(
@@ -53,13 +53,12 @@ def write_page(path: Path, student: Identified, teacher: Run, note: Mapping[str,
 
 
 def _list_files(folder: Path) -> dict[str, str]:
-    """What lies beside the page."""
     files = {"distillation.json": "how far student and teacher are apart, for programs", **FILES}
     return {name: text for name, text in files.items() if (folder / name).exists()}
 
 
 def _say_headline(student: Result, teacher: Result) -> str:
-    """The student's error, and how much worse it is than the teacher's and than that of no friction."""
+    """Describe the student's error, and its change from the teacher's error and from the error without friction."""
     own, baseline = student["metrics"]["test"], student["metrics"]["baseline"]
     if own["position_mae"] is None:
         return f"All {own['rollouts']} test rollouts of {own['horizon']:g} s diverged: there is no error to report."
@@ -84,12 +83,12 @@ def _grade(student: Result, note: Mapping[str, Any]) -> str:
 
 
 def check_student(student: Result, teacher: Run, note: Mapping[str, Any]) -> Iterator[Check]:
-    """What tells whether a student is good enough.
+    """Yield the checks whether a student is good enough.
 
     Args:
-        student: What its `result.json` holds.
-        teacher: The run whose drive it follows.
-        note: What `distillation.json` holds.
+        student: Content of its `result.json`.
+        teacher: The run of the teacher.
+        note: Content of `distillation.json`.
     """
     yield _check_teacher(student, teacher.result, note["error"])
     yield _check_gain(student, teacher.result)
@@ -99,7 +98,7 @@ def check_student(student: Result, teacher: Run, note: Mapping[str, Any]) -> Ite
 
 
 def _check_teacher(student: Result, teacher: Result, error: Mapping[str, Any]) -> Check:
-    """How much worse it is than its teacher, and how sure that is."""
+    """Compare the student's error with the teacher's, with a confidence interval."""
     title, taught = "Beside its teacher", teacher["metrics"]["test"]["position_mae"]
     unit, rollouts = student["metrics"]["test"]["unit"], student["metrics"]["test"]["rollouts"]
     if not taught or None in (error["mean"], error["low"], error["high"]):
@@ -119,7 +118,7 @@ def _check_teacher(student: Result, teacher: Result, error: Mapping[str, Any]) -
 
 
 def _check_gain(student: Result, teacher: Result) -> Check:
-    """What of the teacher's gain over no friction it keeps."""
+    """Compute the share of the teacher's gain over no friction that the student keeps."""
     title, baseline = "Beside no friction", student["metrics"]["baseline"]["position_mae"]
     own, taught = (run["metrics"]["test"]["position_mae"] for run in (student, teacher))
     if own is None or not baseline:
@@ -134,7 +133,7 @@ def _check_gain(student: Result, teacher: Result) -> Check:
 
 
 def _say_inherited(teacher: Result) -> Check:
-    """What is said of the teacher, whose motion the student follows."""
+    """Repeat the verdict on the teacher, since the student inherits its errors."""
     verdict = teacher["verdict"]
     count = len(verdict["findings"])
     text = "It follows the motion of its teacher, not the recordings: what its teacher lacks, it lacks too. "

@@ -1,1 +1,1 @@
-"""The command to record next: `python -m frictionzoo.excite velocity=4 torque=2 position=1.5`."""
+"""Experiment design, the next command to record: `python -m frictionzoo.excite velocity=4 torque=2 position=1.5`."""

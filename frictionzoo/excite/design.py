@@ -1,4 +1,4 @@
-"""The command of which a recording says the most: a series whose coefficients are optimised within limits."""
+"""Search for the command of maximal information: a Fourier series with coefficients optimised within limits."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,27 +17,27 @@ from frictionzoo.excite.series import Series
 from frictionzoo.excite.task import Seen, Task
 
 CRITERIA = ("determinant", "worst")
-_BEGIN = 0.8  # share of the limits with which a search begins
-_STEP = 0.1  # of Adam, as a share of the coefficients' root mean square
-_SPECTRA = (0.5, 0.0, 1.0)  # exponents by which velocities fall with frequency where searches begin, in turn
-_OVER, _MEAN = 4.0, 100.0  # what the farthest excess costs, and what the mean square of all does
-_SHARP = 20.0  # of the smooth maximum
-_TRIALS = 20  # of scaling
-_LEAST = 0.01  # share of the velocity's limit below which a drive does not move
+_BEGIN = 0.8  # share of the limits used by the first series
+_STEP = 0.1  # step size of Adam, as a share of the coefficients' root mean square
+_SPECTRA = (0.5, 0.0, 1.0)  # exponents of the decay of velocity with frequency, for the starting points in turn
+_OVER, _MEAN = 4.0, 100.0  # penalty weights of the largest excess and of the mean square excess
+_SHARP = 20.0  # sharpness of the smooth maximum
+_TRIALS = 20  # largest number of scalings
+_LEAST = 0.01  # share of the velocity limit below which the drive counts as not moving
 
 
 @dataclass(frozen=True)
 class Search:
-    """How the command is searched.
+    """Options of the search.
 
     Attributes:
-        criterion: `determinant`: the product of all intervals, correlations counted; `worst`: the widest one.
-        starts: Searches from random series, of which the best counts.
-        iterations: Steps of each.
-        seed: Of the random series.
+        criterion: `determinant`: product of all intervals, with correlations; `worst`: the widest interval.
+        starts: Number of random starting points; the best result counts.
+        iterations: Steps from each starting point.
+        seed: Seed of the random series.
 
     Raises:
-        ConfigError: One is impossible.
+        ConfigError: An option is invalid.
     """
 
     criterion: str = "determinant"
@@ -53,12 +53,12 @@ class Search:
 
 
 class Found(NamedTuple):
-    """What the search ended with.
+    """Result of the search.
 
     Attributes:
-        coefficients: The best series'.
-        values: Criterion of each start, the mean logarithm of half an interval; NaN of one that diverged.
-        first: The same where each began.
+        coefficients: Coefficients of the best series.
+        values: Lowest loss from each starting point: `score` plus penalties for the limits; NaN if it diverged.
+        first: Loss at each starting point.
     """
 
     coefficients: Float[np.ndarray, "nv coefficients"]
@@ -67,23 +67,23 @@ class Found(NamedTuple):
 
 
 def design(task: Task, series: Series, limits: Limits, search: Search, reference: Float[np.ndarray, "own"]) -> Found:
-    """Optimise the coefficients of a series by Adam on exact gradients, from several starts side by side.
+    """Optimise the coefficients of a series with Adam and exact gradients, from several starting points in parallel.
 
-    Limits are penalties here: `scale_within` holds them.
+    Limits are soft penalties here; `scale_within` enforces them.
 
     Args:
         task: The drive.
-        series: As `Series.shortened` has it.
-        limits: What the command and the motion have to keep.
-        search: How.
-        reference: Half of each interval, in the optimiser's coordinates, over which `worst` counts.
+        series: The series, from `Series.shortened`.
+        limits: Limits of the command and the motion.
+        search: Options of the search.
+        reference: Half of each reference interval, in the optimiser's coordinates; `worst` is relative to it.
 
     Raises:
-        ConfigError: No start leads anywhere.
+        ConfigError: The search diverges from all starting points.
     """
     look = task.drive.rollout.compile(_assess(task, series, limits, search.criterion, reference))
     begin = _draw(series, len(limits.home), search)
-    for _ in range(3):  # the torque does not follow the amplitude in proportion
+    for _ in range(3):  # the torque is not proportional to the amplitude
         _, (_, used) = look(begin, np.ones(len(begin)))[0]
         size = np.nan_to_num(np.asarray(used).max(axis=1), nan=10.0)
         begin = begin * np.minimum(_BEGIN / size, 2.0)[:, None, None]
@@ -95,7 +95,7 @@ def design(task: Task, series: Series, limits: Limits, search: Search, reference
     best = jnp.full(len(vectors), jnp.inf)
     for _ in range(search.iterations):
         (_, (values, _)), gradient = look(vectors, size)
-        better = values < best  # of NaN, False
+        better = values < best  # False for NaN
         best, kept = jnp.where(better, values, best), jnp.where(better[:, None, None], vectors, kept)
         course.append(values)
         updates, state = optimiser.update(jnp.nan_to_num(gradient, posinf=0.0, neginf=0.0), state)
@@ -108,7 +108,7 @@ def design(task: Task, series: Series, limits: Limits, search: Search, reference
 
 
 def _draw(series: Series, nv: int, search: Search) -> Float[np.ndarray, "starts nv coefficients"]:
-    """Random series, whose velocities fall with frequency in different ways."""
+    """Draw random series whose velocity spectra decay differently with frequency."""
     rng = np.random.default_rng(search.seed)
     falling = [np.tile(series.frequencies ** -_SPECTRA[i % len(_SPECTRA)], 2) for i in range(search.starts)]
     draws = rng.normal(size=(search.starts, nv, 2 * series.harmonics))
@@ -118,7 +118,7 @@ def _draw(series: Series, nv: int, search: Search) -> Float[np.ndarray, "starts 
 def _assess(
     task: Task, series: Series, limits: Limits, criterion: str, reference: Float[np.ndarray, "own"]
 ) -> Callable[..., Any]:
-    """The function of vectors and their sizes that has the value and its gradient, each start's, and shares used."""
+    """Return the function that evaluates all series: losses, gradient, and used shares of the limits."""
 
     def total(vectors: Array, size: Array) -> tuple[Array, tuple[Array, Array]]:
         ctrl, speed = series.command(jnp, vectors * size[:, None, None], limits.home)
@@ -133,9 +133,9 @@ def _assess(
 
 
 def score(information: Information, criterion: str, reference: Float[Any, "coordinates"]) -> Float[Array, "batch"]:
-    """What is minimised, of each recording: a mean or a smooth maximum of the logarithms of intervals.
+    """Return the criterion for each recording: a mean or a smooth maximum of the logarithms of half intervals.
 
-    The determinant's is that of the covariance, so that parameters that cannot be told apart count.
+    `determinant` uses the full covariance and so counts correlations between parameters.
     """
     covariance = information.covariance
     if criterion == "determinant":
@@ -147,10 +147,10 @@ def score(information: Information, criterion: str, reference: Float[Any, "coord
 def scale_within(
     task: Task, series: Series, limits: Limits, coefficients: Float[np.ndarray, "nv coefficients"]
 ) -> tuple[Float[np.ndarray, "nv coefficients"], Seen]:
-    """The same series, smaller where it has to be, so that all limits are kept along the whole command and its motion.
+    """Scale the series down until the whole command and its motion keep all limits.
 
     Raises:
-        ConfigError: None is found, or the drive does not move then.
+        ConfigError: No scale keeps the limits, or the drive does not move with it.
     """
     see = task.drive.rollout.compile(lambda ctrl, speed: task.see(ctrl, speed, limits.home))
     factor = 1.0
@@ -160,7 +160,7 @@ def scale_within(
         used = float(seen.motion.shares(np, limits).max())
         if used <= 1:
             break
-        # Friction takes its part of the torque whatever the amplitude, which has to fall by more than the excess then.
+        # Part of the torque is friction independent of the amplitude: the amplitude must fall by more than the excess.
         factor *= min(used**-1.2, 0.999) if np.isfinite(used) else 0.5
     if not used <= 1 or np.abs(seen.motion.qvel).max() < _LEAST * limits.velocity.max():
         raise ConfigError(

@@ -1,4 +1,4 @@
-"""From limits to the command to record next, checked in MuJoCo C, and to what will be known after it."""
+"""Experiment design: the next command to record within limits, checked in MuJoCo C, with its expected accuracy."""
 
 import json
 import os
@@ -37,16 +37,16 @@ NOTE = "excitation.json"
 
 @dataclass(frozen=True)
 class Excitation:
-    """A command that is ready to be recorded.
+    """A command ready to record.
 
     Attributes:
-        motion: The command at each sample, and what it leads to in MuJoCo C.
-        inputs: What else the actuator law gets, by name, of shape (samples, nv).
-        interval: Between samples [s].
-        joints: Names.
-        note: What `excitation.json` holds.
-        points: Of the trajectory in a second.
-        fps: Actions in a second.
+        motion: The command at each sample, and its motion in MuJoCo C.
+        inputs: Further commands of the actuator model by name, of shape (samples, nv).
+        interval: Time between samples [s].
+        joints: Names of the joints.
+        note: Content of `excitation.json`.
+        points: Trajectory points per second.
+        fps: Actions per second.
     """
 
     motion: Motion
@@ -58,10 +58,10 @@ class Excitation:
     fps: float
 
     def save(self, folder: str | Path) -> None:
-        """Write the command, what is expected of it and the page that shows it, `excitation.json` last.
+        """Write the command, its expected motion and the page, and `excitation.json` last.
 
         Raises:
-            OutputError: The folder exists, or cannot be written; nothing is left behind then.
+            OutputError: The folder exists, or cannot be written; then no files remain.
         """
         folder = Path(folder)
         refuse_existing(folder)
@@ -75,22 +75,21 @@ class Excitation:
 
 
 def refuse_existing(folder: Path) -> None:
-    """OutputError for a folder that is there already."""
+    """Raise OutputError if the folder exists."""
     if os.path.lexists(folder):
         raise OutputError(f"{folder}: it exists already, expected a new folder; remove it or set output to another")
 
 
 def excite(options: Mapping[str, str], run: Identified | None = None) -> Excitation:
-    """Design the command to record next.
+    """Design the next command to record.
 
     Args:
-        options: By name, as text: `position`, `velocity` and `torque`, what the drive may do; those of `Plan`, `Noise`
-            and `Search`; `home`; `inputs.NAME`; and those of a run that tell which drive it is and how it is
-            fitted.
-        run: The run whose values are taken for the drive's; None for initial values of conf/.
+        options: Options by name, as text: the limits `position`, `velocity` and `torque`; those of `Plan`, `Noise` and
+            `Search`; `home`; `inputs.NAME`; and options of a run that choose the drive and its fit.
+        run: The run whose identified values describe the drive; None for the initial values of conf/.
 
     Raises:
-        FrictionzooError: An option or the run is at fault, or no command keeps the limits.
+        FrictionzooError: An option or the run is invalid, or no command keeps the limits.
     """
     request = Request.read(options, run)
     plan, settings = request.plan, request.settings
@@ -132,10 +131,10 @@ def excite(options: Mapping[str, str], run: Identified | None = None) -> Excitat
 
 
 def prepare(request: Request, run: Identified | None) -> Task:
-    """The drive that is asked for, simulated in float64: in a `computing` of that.
+    """Build the requested drive, simulated in float64; call it in a `computing` context of that type.
 
     Raises:
-        FrictionzooError: Its bench, law or run is at fault, or no recording can tell its parameters.
+        FrictionzooError: The bench, model or run is invalid, or no recording can determine the parameters.
     """
     settings = request.settings
     bench: Bench = build(settings["bench"], Bench)
@@ -170,7 +169,7 @@ def _make_law(bench: Bench, settings: Mapping[str, Any]) -> FrictionModel:
 
 
 def _coordinates(space: Space, run: Identified) -> Float[np.ndarray, "coordinates"]:
-    """Of the values that a run found."""
+    """Return the coordinates of a run's identified values."""
     found = [np.zeros(0)]
     for name, place in space.places.items():
         values = run.parameters[name].value[place.first]
@@ -179,7 +178,7 @@ def _coordinates(space: Space, run: Identified) -> Float[np.ndarray, "coordinate
 
 
 def _known_before(space: Space, run: Identified | None) -> Float[np.ndarray, "coordinates"]:
-    """Half of each interval that a run found, in coordinates; 1 where there is none."""
+    """Return half of each confidence interval of a run, in coordinates; 1 for a missing interval."""
     if run is None:
         return np.ones(len(space.start))
     half = []
@@ -193,7 +192,7 @@ def _known_before(space: Space, run: Identified | None) -> Float[np.ndarray, "co
 def _pick_inputs(
     bench: Bench, given: Mapping[str, float], run: Identified | None
 ) -> dict[str, Float[np.ndarray, "nv"]]:
-    """What the actuator law gets besides the command: as given, as a run had it, or what it takes where it has none."""
+    """Choose the constant inputs of the actuator model: given values, else medians of the run, else its defaults."""
     law, found = bench.actuator, {}
     for name in given:
         if name not in law.inputs:
@@ -203,7 +202,7 @@ def _pick_inputs(
         if name in given:
             found[name] = np.full(bench.nv, given[name])
         elif name == "ctrl_velocity":
-            continue  # the command's own
+            continue  # the derivative of the command
         elif run is not None:
             found[name] = np.median(run.segments.signals.inputs[name], axis=(0, 1))
         elif name in law.optional_inputs:
@@ -214,7 +213,7 @@ def _pick_inputs(
 
 
 def _refuse_beyond(used: Float[np.ndarray, "kinds nv"], bench: Bench) -> None:
-    """Refuse a command under which MuJoCo C goes beyond a limit."""
+    """Refuse a command whose motion in MuJoCo C exceeds a limit."""
     if not (used <= 1).all():
         kind, joint = np.unravel_index(np.argmax(np.nan_to_num(used, nan=np.inf)), used.shape)
         raise ConfigError(
@@ -226,7 +225,7 @@ def _refuse_beyond(used: Float[np.ndarray, "kinds nv"], bench: Bench) -> None:
 def _list_parameters(
     task: Task, half: Float[np.ndarray, "coordinates"], run: Identified | None
 ) -> list[dict[str, Any]]:
-    """A row a coordinate: its value, how well it will be known, and how well it is now."""
+    """List a row for each coordinate: value, expected accuracy and present accuracy."""
     space = task.sensitivity.space
     rows, now = relative(space, task.vector, half), {} if run is None else _share_now(run)
     units = {name: param.unit(task.bench.joint_type) for name, param in space.params.items()}
@@ -245,7 +244,7 @@ def _list_parameters(
 
 
 def _share_now(run: Identified) -> dict[str, float]:
-    """Half of each interval that a run found, of its value, by the parameter's label."""
+    """Return half of each confidence interval of a run as a share of the value, by the parameter's label."""
     rows = {label: row for p in run.result["parameters"] for label, row in label_values(p).items()}
     return {
         label: (row["interval"][1] - row["interval"][0]) / abs(2 * row["value"])
@@ -257,7 +256,7 @@ def _share_now(run: Identified) -> dict[str, float]:
 def _list_limits(
     bench: Bench, limits: Limits, whole: Motion, used: Float[np.ndarray, "kinds nv"]
 ) -> list[dict[str, Any]]:
-    """A row a limited quantity and joint: what it reaches in MuJoCo C, and what it may."""
+    """List a row for each limited quantity and joint: the reached range in MuJoCo C, and the allowed one."""
     signals = whole.ctrl, whole.speed, whole.qpos, whole.qvel, whole.torque
     ends = {"position": (limits.low, limits.high)}
     ends |= {kind: (-getattr(limits, kind), getattr(limits, kind)) for kind in ("velocity", "torque")}

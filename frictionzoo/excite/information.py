@@ -1,4 +1,4 @@
-"""What a recording will say of the parameters, from exact sensitivities, before it is made."""
+"""Information about the parameters in a planned recording, computed from exact sensitivities."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,20 +18,20 @@ from frictionzoo.fit.blocks import MOST_STRETCHES
 from frictionzoo.fit.uncertainty import LEVEL
 from frictionzoo.simulate.rollout import Rollout
 
-_NOTHING = 1e-12  # curvature, as a share of each parameter's own, that is added so that a matrix can be inverted
+_NOTHING = 1e-12  # regularisation of the inverse, as a share of each parameter's curvature
 
 
 @dataclass(frozen=True)
 class Noise:
-    """What measuring will add: standard deviations of white noise.
+    """White measurement noise.
 
     Attributes:
-        quantum: Step of the encoder [rad or m], for uniform noise of its size.
-        position_noise: Of measured positions besides that [rad or m].
-        velocity_noise: Of measured velocities [rad/s or m/s].
+        quantum: Step of the encoder [rad or m]: uniform noise of this width.
+        position_noise: Standard deviation of further position noise [rad or m].
+        velocity_noise: Standard deviation of velocity noise [rad/s or m/s].
 
     Raises:
-        ConfigError: One is negative, or nothing is added at all.
+        ConfigError: A value is negative, or all are 0.
     """
 
     quantum: float = 2 * np.pi / 2**14
@@ -47,18 +47,19 @@ class Noise:
 
     @property
     def variances(self) -> tuple[float, float]:
-        """Of a measured position and of a measured velocity."""
+        """Variances of a measured position and a measured velocity."""
         return self.position_noise**2 + self.quantum**2 / 12, self.velocity_noise**2
 
 
 class Sensed(NamedTuple):
-    """The motion that a command makes, and how it depends on the parameters.
+    """Motion under a command, with its derivatives.
 
     Attributes:
-        qpos: At each sample, of shape (batch, samples, nv).
-        qvel: The same.
-        slopes: Of positions and velocities after the first sample of each whole segment, by the coordinates and by the
-            segment's initial positions and velocities, of shape (segments, tangents, batch, length, nv, 2).
+        qpos: Positions at the samples, of shape (batch, samples, nv).
+        qvel: Velocities, of the same shape.
+        slopes: Derivatives of positions and velocities after the first sample of each complete segment, with respect to
+            the coordinates and the segment's initial positions and velocities, of shape (segments, tangents, batch,
+            length, nv, 2).
     """
 
     qpos: Array
@@ -67,11 +68,11 @@ class Sensed(NamedTuple):
 
 
 class Information(NamedTuple):
-    """What a fit of segments will find, one matrix for each of a batch of recordings.
+    """Information in the segments of a batch of recordings.
 
     Attributes:
-        hessian: H, how sharply the sum of squares rises.
-        spread: S, the covariance of its gradient under the noise.
+        hessian: H, curvature of the sum of squares.
+        spread: S, covariance of its gradient under the noise.
     """
 
     hessian: Float[Array, "batch coordinates coordinates"]
@@ -79,7 +80,7 @@ class Information(NamedTuple):
 
     @property
     def covariance(self) -> Float[Array, "batch coordinates coordinates"]:
-        """H^-1 S H^-1 of the coordinates that are found."""
+        """Covariance H^-1 S H^-1 of the estimated coordinates."""
         own = jnp.sqrt(jnp.diagonal(self.hessian, axis1=1, axis2=2))
         own = jnp.where(own > 0, own, 1.0)
         scale = own[:, :, None] * own[:, None, :]
@@ -89,15 +90,15 @@ class Information(NamedTuple):
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """A drive whose recordings are fitted in segments from measured initial states, as `Objective` does it.
+    """A drive with a fit of segments from measured initial states, as in `Objective`.
 
     Attributes:
-        space: The parameters that are to be found.
+        space: The parameters to identify.
         rollout: The simulated drive.
-        sampling: Of the recording.
+        sampling: Sampling of the recording.
         length: Sample intervals in a segment.
-        weights: Of squared errors of position and velocity in the fit.
-        noise: Of the sensors.
+        weights: Weights of squared position and velocity errors in the loss.
+        noise: Noise of the sensors.
     """
 
     space: Space
@@ -108,17 +109,17 @@ class Sensitivity:
     noise: Noise
 
     def segments(self, samples: int) -> int:
-        """How many there are in a recording."""
+        """Return the number of segments in a recording of this many samples."""
         return (samples - 1) // self.length
 
     def look(self, vector: Array, home: Float[np.ndarray, "nv"], signals: Signals, load: Array) -> Sensed:
-        """Simulate recordings from rest, with their derivatives.
+        """Simulate recordings from rest, with derivatives.
 
         Args:
             vector: Coordinates of the parameters.
-            home: Where the drive rests [rad or m].
-            signals: Each of shape (batch, history + samples - 1, nv).
-            load: What the payload changes in the model, of shape (batch, load).
+            home: Initial position [rad or m].
+            signals: Commands and inputs, each of shape (batch, history + samples - 1, nv).
+            load: Changes of the MuJoCo model by the payload, of shape (batch, load).
         """
         samples = signals.ctrl.shape[1] - self.sampling.history
         count = self.segments(samples + 1)
@@ -137,19 +138,19 @@ class Sensitivity:
             return (after[:, -1, :, 0], after[:, -1, :, 1]), (after, slopes)
 
         start = jnp.broadcast_to(jnp.asarray(home, vector.dtype), (batch, nv)), jnp.zeros((batch, nv), vector.dtype)
-        # Only states are kept for a reverse sweep, and a segment is simulated anew in it.
+        # The reverse sweep stores only states and simulates each segment again, to save memory.
         end, (after, slopes) = jax.lax.scan(jax.checkpoint(segment), start, cut)
         parts = [jnp.stack(start, axis=-1)[:, None], jnp.moveaxis(after, 0, 1).reshape(batch, -1, nv, 2)]
-        if samples > count * self.length:  # what fills no segment says nothing, and keeps the limits as the rest does
+        if samples > count * self.length:  # the rest fills no segment and adds no information, but must keep the limits
             last = signals.map(lambda signal: signal[:, count * self.length :])
             parts.append(jnp.stack(self.rollout(self.space.values(vector), *end, last, load), axis=-1))
         whole = jnp.concatenate(parts, axis=1)
         return Sensed(whole[..., 0], whole[..., 1], slopes)
 
     def half_widths(self, information: Information, segments: int) -> Float[np.ndarray, "batch coordinates"]:
-        """Half of each 95 % interval, in the optimiser's coordinates, as `estimate_uncertainty` will report it.
+        """Return half of each 95 % confidence interval in the optimiser's coordinates, as in `estimate_uncertainty`.
 
-        NaN for a parameter that has no effect.
+        NaN for a parameter without effect.
         """
         quantile = scipy.special.stdtrit(max(min(segments, MOST_STRETCHES) - 1, 1), (1 + LEVEL) / 2)
         variances = np.diagonal(np.asarray(information.covariance), axis1=1, axis2=2)
@@ -157,7 +158,7 @@ class Sensitivity:
         return np.where(effect, quantile * np.sqrt(np.maximum(variances, 0)), np.nan)
 
     def _seeds(self, batch: int, nv: int, dtype: Any) -> tuple[Array, Array, Array]:
-        """Directions: each coordinate, then each joint's initial position, then its velocity."""
+        """Return the tangent directions: all coordinates, then all initial positions, then all initial velocities."""
         count = len(self.space.start)
         unit = np.eye(count + 2 * nv)
         parts = unit[:, :count], unit[:, count : count + nv], unit[:, count + nv :]
@@ -169,30 +170,30 @@ class Sensitivity:
 def inform(
     slopes: Float[Array, "segments tangents batch length nv 2"], weights: tuple[float, float], noise: Noise
 ) -> Information:
-    """What the fit finds from white noise in all samples.
+    """Compute the information of a fit with white noise in all samples.
 
-    With J the derivative of a segment's states by the coordinates, P that by its initial state, W the weights and
-    V the variances of a sample's noise n, a step of the fit is H^-1 s with
+    J and P are the derivatives of a segment's states by the coordinates and by its initial state, W the weights, and
+    n a sample's noise with variances V. A step of the fit is H^-1 s with
 
         H = sum J' W J,   s = sum J' W (n - P n_0)
 
-    where n_0 is the noise of the segment's first sample, which is the last one of the segment before: the gradient
-    is a sum of independent terms, one a sample, of which each contributes to the covariance of s.
+    where n_0 is the noise of the segment's first sample, which is also the last sample of the previous segment. The
+    gradient s is a sum of independent terms, one for each sample; their covariances add up.
 
     Source: G. Goodwin, R. Payne, "Dynamic System Identification: Experiment Design and Data Analysis", 1977, for
-    information as what an experiment is designed by.
+    experiment design by information.
 
     Args:
-        slopes: As `Sensed` has them.
-        weights: Of squared errors of position and velocity.
-        noise: Of the sensors.
+        slopes: Derivatives, as in `Sensed`.
+        weights: Weights of squared position and velocity errors.
+        noise: Noise of the sensors.
     """
     count = slopes.shape[1] - 2 * slopes.shape[4]
     variances = jnp.asarray(noise.variances)
     by_value, by_state = slopes[:, :count], slopes[:, count:]
     weighed = jnp.asarray(weights) * by_value
     hessian = jnp.einsum("sibtjk,shbtjk->bih", weighed, by_value)
-    # By position and velocity of each joint, in the order in which they are stacked.
+    # Tangents are stacked as (2, nv), states as (nv, 2).
     start = -jnp.einsum("sibtjk,shbtjk->sbih", weighed, by_state)
     start = jnp.moveaxis(start.reshape(*start.shape[:3], 2, -1), 3, 4)
     last = jnp.moveaxis(weighed[:, :, :, -1], 1, 2)
@@ -205,9 +206,9 @@ def inform(
 
 
 def relative(space: Space, vector: np.ndarray, half: np.ndarray) -> Mapping[str, tuple[float, float, float]]:
-    """Value, half of its interval in its unit, and that as a share of the value, by the coordinate's label.
+    """Return the value, half its interval in its unit, and that as a share of the value, by the coordinate's label.
 
-    The half is the larger of the two sides of the value; the share is NaN where the value is 0.
+    Half an interval is the larger of the two distances from the value to its ends. The share is NaN for a value of 0.
     """
     ends = space.pick(space.physical(np.stack([vector, vector - half, vector + half], axis=1)))
     found = {}

@@ -1,4 +1,4 @@
-"""What a drive may do while it is excited, and what share of that a command makes use of."""
+"""Limits of a designed command and its motion, and the shares of them in use."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -13,23 +13,23 @@ from frictionzoo.core.errors import ConfigError
 from frictionzoo.core.params import UNITS
 
 KINDS = ("commanded position", "commanded velocity", "position", "velocity", "torque")
-"""What is limited, in the order of `Limits.shares`."""
-_MOVED = 1e-3  # rad or m, by which a command or a joint is moved to see what the actuator makes of it
+"""Limited quantities, in the order of `Limits.shares`."""
+_MOVED = 1e-3  # displacement of command or joint that tests the actuator [rad or m]
 
 
 @dataclass(frozen=True)
 class Limits:
-    """How far, how fast and with which torque each joint may move.
+    """Limits of position, velocity and torque for each joint.
 
     Attributes:
-        home: Where the drive rests, begins and ends [rad or m], of shape (nv,).
+        home: Position at the beginning and the end [rad or m], of shape (nv,).
         low: Lowest position [rad or m], of shape (nv,).
         high: Highest position [rad or m], of shape (nv,).
         velocity: Largest speed [rad/s or m/s], of shape (nv,).
         torque: Largest magnitude of the actuator's torque or force [N m or N], of shape (nv,).
 
     Raises:
-        ConfigError: A limit leaves no room.
+        ConfigError: The limits allow no motion.
     """
 
     home: Float[np.ndarray, "nv"]
@@ -52,10 +52,10 @@ class Limits:
 
     @classmethod
     def read(cls, nv: int, position: Any, velocity: Any, torque: Any, home: Any = None) -> "Limits":
-        """The limits of options: a number for all joints, or one each; of positions, a reach to both sides or a pair.
+        """Read limits from options: a number for all joints or one for each; for positions, a reach or [low, high].
 
         Raises:
-            ConfigError: One is no such thing, or leaves no room.
+            ConfigError: A limit is invalid, or the limits allow no motion.
         """
         pairs = np.array([_pair(position)] if nv == 1 or not _is_nested(position) else list(map(_pair, position)))
         if len(pairs) not in (1, nv):
@@ -65,12 +65,12 @@ class Limits:
         return cls(middle, low, high, _per_joint("velocity", velocity, nv), _per_joint("torque", torque, nv))
 
     def within(self, share: float) -> "Limits":
-        """The same with only this share of each."""
+        """Return the limits reduced to this share, around `home`."""
         low, high = (self.home + share * (end - self.home) for end in (self.low, self.high))
         return replace(self, low=low, high=high, velocity=share * self.velocity, torque=share * self.torque)
 
     def shares(self, xp: Any, command: Any, speed: Any, qpos: Any, qvel: Any, torque: Any) -> Any:
-        """What share of its limit each of `KINDS` takes, of shape (5, ..., nv); 1 is the limit.
+        """Return the used share of the limit for each of `KINDS`, of shape (5, ..., nv); 1 is the limit.
 
         Args:
             xp: Array namespace.
@@ -78,7 +78,7 @@ class Limits:
             speed: Its derivative [rad/s or m/s].
             qpos: Position [rad or m].
             qvel: Velocity [rad/s or m/s].
-            torque: The actuator's [N m or N].
+            torque: Torque or force of the actuator [N m or N].
         """
         wanted, reached = (
             xp.maximum((x - self.home) / (self.high - self.home), self._below(x)) for x in (command, qpos)
@@ -91,16 +91,16 @@ class Limits:
 
 
 def refuse_unholdable(bench: Bench, values: Mapping[str, Any], inputs: Mapping[str, Any], limits: Limits) -> None:
-    """Refuse a drive that no command holds at a position, and limits within which it cannot rest where it begins.
+    """Refuse a drive that no command can hold at a position, and limits that do not let it rest at `home`.
 
     Args:
         bench: The test stand.
-        values: Of its parameters, by name.
-        inputs: What the actuator law needs besides the command, each of shape (nv,).
-        limits: What is allowed.
+        values: Values of its parameters, by name.
+        inputs: Further inputs of the actuator model, each of shape (nv,).
+        limits: The limits.
 
     Raises:
-        ConfigError: The command is no position, or holding the drive takes more torque than is allowed.
+        ConfigError: The command is not a position, or holding the drive takes more than the allowed torque.
     """
     still = np.zeros(bench.nv)
     inputs = {"ctrl_velocity": still, **inputs}

@@ -1,4 +1,4 @@
-"""`report.html`: a designed command on one page that opens without a network, from what will be known on."""
+"""`report.html`: a designed command on one self-contained page, beginning with the expected accuracy."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -25,37 +25,37 @@ LINKS = {
     "search": "How it was found",
     "files": "Files",
 }
-"""Sections by their id."""
-FILES = {  # by name beside the page
-    "excitation.json": "every number of this page, for programs",
+"""Headings of the sections, by id."""
+FILES = {  # descriptions of the files in the page's folder
+    "excitation.json": "all numbers of this page as JSON",
     "command.csv": "the command at each sample",
     "expected.csv": "the same with the motion that is expected: a log",
     "trajectory.yaml": "the command for ROS 2",
     "actions.json": "the command for LeRobot",
 }
-PUBLISH = (  # as docs/excite.md has it
+PUBLISH = (  # the same command as in docs/excite.md
     "ros2 topic pub --once /joint_trajectory_controller/joint_trajectory trajectory_msgs/msg/JointTrajectory "
     '"$(cat trajectory.yaml)"'
 )
-WIDE = 0.5  # share of a value, half of the interval of the widest one that counts as known
-ROOM = 4.0  # times the motion's span, from which on limits are outside the frame
+WIDE = 0.5  # largest half interval, as a share of the value, that counts as known
+ROOM = 4.0  # limits that span more than this many times the motion are outside the frame
 _DASH = (4.0, 3.0)
 _QUANTITIES = ("position", "velocity", "torque")
 
 
 def write_page(path: Path, note: Mapping[str, Any], interval: float, motion: Motion) -> None:
-    """Write the page of a command into this file, beside the command's other files.
+    """Write the page of a command.
 
     Args:
-        path: Of the page.
-        note: What `excitation.json` holds.
-        interval: Between samples [s].
-        motion: The command, and what it is expected to lead to.
+        path: Path of the page, in the command's folder.
+        note: Content of `excitation.json`.
+        interval: Time between samples [s].
+        motion: The command and its expected motion.
 
     Raises:
-        OutputError: It cannot be written.
+        OutputError: The page cannot be written.
     """
-    # A page that is handed on tells nobody where somebody's home is.
+    # A page that is passed on must not contain personal paths.
     paths = {*list_paths(dict(note)), *(path for step in note["next"] for path in list_paths_in(step["command"]))}
     note = without_paths(dict(note), paths, note["joints"], Path.cwd())
     joints = list(range(len(note["joints"])))
@@ -83,7 +83,7 @@ def write_page(path: Path, note: Mapping[str, Any], interval: float, motion: Mot
 
 
 def check_command(note: Mapping[str, Any]) -> Iterator[Check]:
-    """How far the command is to be trusted; `note` as in `excitation.json`."""
+    """Yield the checks of the command; `note` is the content of `excitation.json`."""
     unknown = [row["name"] for row in note["parameters"] if not row["identifiable"]]
     used = max(note["limits"], key=lambda row: row["share"])
     most = f"the {used['quantity']}{_of_joint(note, used['joint'])}, {100 * used['share']:.0f} % of its limit"
@@ -117,7 +117,7 @@ def _of_joint(note: Mapping[str, Any], joint: str) -> str:
 
 
 def _say_headline(note: Mapping[str, Any]) -> str:
-    """How long the command is, and of how many parameters it will tell how much."""
+    """Describe the length of the command, and how many parameters it determines and how accurately."""
     rows = [row for row in note["parameters"] if row["identifiable"] and row["share"] is not None]
     command, count = note["command"], len(note["parameters"])
     known = sum(row["identifiable"] for row in note["parameters"])
@@ -131,7 +131,7 @@ def _say_headline(note: Mapping[str, Any]) -> str:
 
 
 def _group_parameters(note: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Parameters with a row for each joint, or for those that share the value."""
+    """Group rows by parameter; each row is a joint, or joints that share the value."""
     grouped: dict[str, list[Any]] = {}
     for row in note["parameters"]:
         full, _, joint = row["name"].partition("/")
@@ -149,7 +149,7 @@ def _group_parameters(note: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _list_joints(note: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Each joint with what of its limits is taken; the one that takes most is open."""
+    """List the joints with their use of the limits; the joint with the largest share is unfolded."""
     rows = {joint: [row for row in note["limits"] if row["joint"] == joint] for joint in note["joints"]}
     shares = {joint: max(own, key=lambda row: row["share"]) for joint, own in rows.items()}
     most = max(shares, key=lambda joint: shares[joint]["share"])
@@ -157,13 +157,12 @@ def _list_joints(note: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _find_limits(note: Mapping[str, Any], joint: int) -> dict[str, Any]:
-    """Rows of one joint by quantity."""
     name = note["joints"][joint]
     return {row["quantity"]: row for row in note["limits"] if row["joint"] == name}
 
 
 def _plot_motion(note: Mapping[str, Any], interval: float, motion: Motion, joint: int) -> Figure:
-    """Command and motion of one joint over time: position above velocity above torque, and their limits."""
+    """Plot command and motion of one joint over time, with limits: position, velocity and torque."""
     limits, time = _find_limits(note, joint), interval * np.arange(len(motion.ctrl))
     commanded = {"position": motion.ctrl, "velocity": motion.speed}
     expected = {"position": motion.qpos, "velocity": motion.qvel, "torque": motion.torque}
@@ -197,14 +196,14 @@ def _draw_limits(row: Mapping[str, Any], level: bool) -> Iterator[Mark]:
 
 
 def _scale(row: Mapping[str, Any], quantity: str, curves: Sequence[Float[np.ndarray, "samples"]]) -> tuple[Axis, bool]:
-    """An axis that has the limits in it, unless they would flatten the motion; and whether it has."""
+    """Return an axis, and whether it includes the limits; it leaves them out if they would flatten the motion."""
     moved, ends = np.concatenate(curves), np.array(row["allowed"])
     near = bool(np.ptp(ends) <= ROOM * np.ptp(moved))
     return Axis(quantity, row["unit"], limits=frame([np.concatenate([moved, ends]) if near else moved])), near
 
 
 def _plot_phase(note: Mapping[str, Any], motion: Motion, joint: int) -> Figure:
-    """Expected velocity over position of one joint, and the limits of both."""
+    """Plot expected velocity over position of one joint, with limits."""
     limits, name = _find_limits(note, joint), note["joints"][joint]
     position, velocity = motion.qpos[:, joint], motion.qvel[:, joint]
     x, _ = _scale(limits["position"], "position", [position])
@@ -216,7 +215,7 @@ def _plot_phase(note: Mapping[str, Any], motion: Motion, joint: int) -> Figure:
 
 
 def _plot_spectrum(note: Mapping[str, Any], interval: float, motion: Motion, joint: int) -> Figure:
-    """Amplitudes of the commanded velocity of one joint."""
+    """Plot the amplitude spectrum of the commanded velocity of one joint."""
     name, unit = note["joints"][joint], _find_limits(note, joint)["velocity"]["unit"]
     speed = motion.speed[:, joint]
     frequency = np.fft.rfftfreq(len(speed), interval)

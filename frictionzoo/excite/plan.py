@@ -1,4 +1,4 @@
-"""Options of `python -m frictionzoo.excite`: what is recorded how, and whatever of a run tells which drive it is."""
+"""Options of `python -m frictionzoo.excite`: the recording, and the options of a run that choose the drive."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -27,26 +27,26 @@ LIMITS = ("position", "velocity", "torque")
 _GROUPS = ("bench", "model", "data", "experiment")
 _OF_A_RUN = ("bench", "model", "scale", "segments.length", "loss.position", "loss.velocity", "engine", "device")
 _INPUTS = "inputs."
-_LENGTH = 0.1  # s, of segments where nothing is said
+_LENGTH = 0.1  # default length of segments [s]
 _KINDS = {float: "a number", int: "a whole number", str: "a name"}
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What is recorded.
+    """Options of the command and its recording.
 
     Attributes:
-        seconds: Length of the command [s].
-        rate: Samples in a second, of the command and of the recording; 0 for one in each simulation step.
-        ramp: How long it takes to start, and to stop [s].
-        period: Longest time after which the command repeats itself [s].
-        bandwidth: Highest frequency in it [Hz].
-        margin: Share of each limit that is left, for a drive that is not just as simulated.
-        points: Of the trajectory for ROS 2, in a second.
-        fps: Actions for LeRobot in a second.
+        seconds: Duration of the command [s].
+        rate: Samples per second of the command and the recording; 0: one for each simulation step.
+        ramp: Duration of the ramps at both ends [s].
+        period: Longest period of the command [s].
+        bandwidth: Highest frequency of the command [Hz].
+        margin: Unused share of each limit, a reserve for differences between drive and simulation.
+        points: Points per second of the ROS 2 trajectory.
+        fps: LeRobot actions per second.
 
     Raises:
-        ConfigError: One is impossible.
+        ConfigError: An option is invalid.
     """
 
     seconds: float = 20.0
@@ -74,11 +74,11 @@ class Plan:
             raise ConfigError(f"seconds={self.seconds:g}: expected more than both ramps of {self.ramp:g} s")
 
     def series(self, interval: float, length: int) -> Series:
-        """The command's form, whose periods are whole numbers of segments.
+        """Return the series of the command, with a whole number of segments in each period.
 
         Args:
-            interval: Between samples [s].
-            length: Of a segment, in samples.
+            interval: Time between samples [s].
+            length: Sample intervals in a segment.
         """
         samples, ramp = round(self.seconds / interval) + 1, max(round(self.ramp / interval), 1)
         between = samples - 1 - 2 * ramp
@@ -89,15 +89,15 @@ class Plan:
 
 @dataclass(frozen=True)
 class Request:
-    """All that was asked for.
+    """All options of an experiment design.
 
     Attributes:
-        plan: What is recorded.
-        noise: Of its sensors.
-        search: How the command is searched.
-        limits: `position`, `velocity`, `torque`, and `home` where it is given, as they came.
-        inputs: What the actuator law needs besides the command, by name.
-        settings: Those of a run, of which bench and law are taken.
+        plan: Options of the command.
+        noise: Noise of the sensors.
+        search: Options of the search.
+        limits: `position`, `velocity`, `torque`, and `home` if given, as the user wrote them.
+        inputs: Further inputs of the actuator model, by name.
+        settings: Settings of a run, with the bench and the friction model.
     """
 
     plan: Plan
@@ -109,14 +109,14 @@ class Request:
 
     @classmethod
     def read(cls, options: Mapping[str, str], run: Identified | None) -> "Request":
-        """The request of options as text.
+        """Read the options.
 
         Args:
-            options: By name.
-            run: Whose drive it is; None for the one that options of a run choose.
+            options: Options by name, as text.
+            run: The run of the drive; None: the options choose the drive.
 
         Raises:
-            ConfigError: One is missing, unknown or impossible.
+            ConfigError: An option is missing, unknown or invalid.
         """
         rest = dict(options)
         plan, noise, search = _take(Plan, rest), _take(Noise, rest), _take(Search, rest)
@@ -130,7 +130,7 @@ class Request:
 
 
 def _settle(options: Mapping[str, str], run: Identified | None) -> dict[str, Any]:
-    """The settings of a run: its own, or those of the files that are chosen, with these options in place of theirs."""
+    """Return the settings of the run, or of the chosen configuration files, with these options applied."""
     chosen = {name: value for name, value in options.items() if name in _GROUPS}
     own = [field.name for part in (Plan, Noise, Search) for field in fields(part)]
     for name in options:
@@ -156,13 +156,13 @@ def _settle(options: Mapping[str, str], run: Identified | None) -> dict[str, Any
 
 
 def segment_length(settings: Mapping[str, Any], interval: float) -> int:
-    """Samples in a segment of the fit that is foreseen: as the settings say, or a tenth of a second."""
+    """Return the sample intervals in a segment of the planned fit; by default they span a tenth of a second."""
     length = settings["segments"]["length"]
     return max(2, round(_LENGTH / interval)) if length is None else int(length)
 
 
 def _take(part: type[Part], options: dict[str, str]) -> Part:
-    """A part of the request from its options as text, which are then gone."""
+    """Read a part of the request and remove its options from `options`."""
     found = {}
     for field in fields(part):
         if field.name in options:

@@ -1,4 +1,4 @@
-"""Limits that recordings show: a drive was seen to move so far, so fast and with so much torque."""
+"""Limits of position, velocity and torque derived from recordings."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -10,16 +10,16 @@ from frictionzoo.bench import Bench
 from frictionzoo.bench.torque import actuator_torque, stall_torque
 from frictionzoo.core.log import Log
 
-_USUAL = 0.999  # quantile of the samples that a limit holds: what lies beyond may be an outlier
-_DIGITS = 3  # of a limit
+_USUAL = 0.999  # quantile of the samples within a limit: samples beyond may be outliers
+_DIGITS = 3  # digits of a limit
 
 
 def usual_inputs(bench: Bench, logs: Sequence[Log]) -> dict[str, Float[np.ndarray, "nv"]]:
-    """Return what the actuator law usually gets besides the command, without feed-forward commands.
+    """Return the median inputs of the actuator model, without feed-forward commands.
 
     Args:
         bench: The test stand.
-        logs: Accepted by the bench.
+        logs: Logs accepted by the bench.
     """
     law = bench.actuator
     fed = set(law.commands) & set(law.optional_inputs)
@@ -28,15 +28,15 @@ def usual_inputs(bench: Bench, logs: Sequence[Log]) -> dict[str, Float[np.ndarra
 
 
 def recorded_limits(bench: Bench, values: Mapping[str, Any], logs: Sequence[Log]) -> dict[str, Any]:
-    """Return `position`, `velocity` and `torque` of each joint, as options of `frictionzoo.excite` have them.
+    """Return the limits `position`, `velocity` and `torque` of each joint as options of `frictionzoo.excite`.
 
-    None exceeds the recorded motion. The torque is that of the identified actuator at the recorded states, and never
-    above what the actuator gives at standstill. All are rounded towards less.
+    No limit exceeds the recorded motion. The torque is the identified actuator's at the recorded states, at most its
+    torque at standstill. All limits are rounded down in magnitude.
 
     Args:
         bench: The test stand.
         values: Identified values of the bench's parameters, each of shape (nv,).
-        logs: Training recordings, accepted by the bench.
+        logs: Training logs accepted by the bench.
     """
     qpos = np.concatenate([log.qpos for log in logs])
     low, high = (np.quantile(qpos, share, axis=0) for share in (1 - _USUAL, _USUAL))
@@ -50,7 +50,7 @@ def recorded_limits(bench: Bench, values: Mapping[str, Any], logs: Sequence[Log]
 
 
 def round_down(value: float) -> float:
-    """Return the largest number of three digits that is not above a value."""
+    """Round down to three significant digits."""
     if not np.isfinite(value) or value == 0:
         return float(value)
     decimals = _DIGITS - 1 - int(np.floor(np.log10(abs(value))))

@@ -1,4 +1,4 @@
-"""The command as a Fourier series that begins and ends softly."""
+"""Commands as Fourier series with soft ramps at both ends."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -10,31 +10,31 @@ from jaxtyping import Float, Int
 from frictionzoo.core.errors import ConfigError
 from frictionzoo.logs.signals import Signal
 
-_SLOWEST = 0.5  # Hz, below which a coefficient stands for no larger amplitude
+_SLOWEST = 0.5  # frequency below which the amplitude of a coefficient no longer grows [Hz]
 
 
 @dataclass(frozen=True)
 class Series:
-    """Commands q(t) = home + w(t) sum_k a_k cos(2 pi k t / T) + b_k sin(2 pi k t / T), repeated until the end.
+    """Periodic command q(t) = home + w(t) sum_k a_k cos(2 pi k t / T) + b_k sin(2 pi k t / T).
 
-    w rises from 0 to 1 over the ramp, with zero speed and acceleration at both ends of it, and falls likewise. The
-    coefficients are those of velocities: an a_k of 1 moves with an amplitude of 1 rad/s, and below `_SLOWEST` with that
-    frequency's amplitude.
+    w rises from 0 to 1 over the first ramp, with zero speed and acceleration at both ends of the ramp, and falls
+    likewise over the last. Coefficients are scaled as velocities: 1 is a velocity amplitude of 1 rad/s or 1 m/s. Below
+    the frequency `_SLOWEST` the position amplitude stays constant.
 
     Source: J. Swevers, C. Ganseman, D. Tukel, J. De Schutter, H. Van Brussel, "Optimal robot excitation and
-    identification", IEEE Transactions on Robotics and Automation 13(5), 1997, for periodic series whose coefficients
-    are optimised.
+    identification", IEEE Transactions on Robotics and Automation 13(5), 1997, for periodic series with optimised
+    coefficients.
 
     Attributes:
-        samples: Of the whole command.
-        interval: Between them [s].
+        samples: Samples of the whole command.
+        interval: Time between samples [s].
         period: T in samples.
         ramp: Samples of each ramp.
         bandwidth: Highest frequency [Hz].
-        ends: Whether it ends with a ramp; else it is cut off while it repeats itself.
+        ends: Whether the command ends with a ramp; if not, it is cut off.
 
     Raises:
-        ConfigError: A period holds no harmonic up to the bandwidth, or samples are too rare for it.
+        ConfigError: No harmonic of the period lies within the bandwidth, or the sampling rate is too low for it.
     """
 
     samples: int
@@ -53,51 +53,51 @@ class Series:
 
     @property
     def harmonics(self) -> int:
-        """Number of frequencies."""
+        """Number of harmonics."""
         return int(self.bandwidth * self.period * self.interval)
 
     @property
     def frequencies(self) -> Float[np.ndarray, "harmonics"]:
-        """Of the harmonics [Hz]."""
+        """Frequencies of the harmonics [Hz]."""
         return np.arange(1, self.harmonics + 1) / (self.period * self.interval)
 
     @property
     def shortened(self) -> "Series":
-        """Its first ramp and a period that stands for all, where it has several."""
+        """First ramp and one period, which represents all others; the series itself if it has only one."""
         once = self.ramp + self.period + 1
         return self if self.samples < once + self.period else replace(self, samples=once, ends=False)
 
     @property
     def steady(self) -> int:
-        """The sample from which on what a recording tells is counted."""
+        """First sample that counts for the information."""
         return 0 if self.ends else self.ramp
 
     @cached_property
     def window(self) -> Signal:
-        """The factor w at each sample."""
+        """Factor w at each sample."""
         rise = np.clip(np.arange(self.samples) / self.ramp, 0, 1)
         rise = np.minimum(rise, rise[::-1]) if self.ends else rise
         return rise**3 * (10 - 15 * rise + 6 * rise**2)
 
     @cached_property
     def basis(self) -> Float[np.ndarray, "coefficients period"]:
-        """One period of each term with a coefficient of 1."""
+        """One period of each term, for a coefficient of 1."""
         angle = 2 * np.pi * self.frequencies[:, None] * self.interval * np.arange(self.period)
         size = 1 / (2 * np.pi * np.maximum(self.frequencies, _SLOWEST))[:, None]
         return np.concatenate([size * np.cos(angle), size * np.sin(angle)])
 
     @cached_property
     def place(self) -> Int[np.ndarray, "samples"]:
-        """Where in its period each sample is."""
+        """Index of each sample in its period."""
         return np.arange(self.samples) % self.period
 
     def command(
         self, xp: Any, coefficients: Float[Any, "... nv coefficients"], home: Float[np.ndarray, "nv"]
     ) -> tuple[Any, Any]:
-        """Position [rad or m] and velocity [rad/s or m/s] of the command, of shape (..., samples, nv)."""
+        """Return position [rad or m] and velocity [rad/s or m/s] of the command, of shape (..., samples, nv)."""
         once = coefficients @ xp.asarray(self.basis)
         moved = xp.moveaxis(once, -1, -2)[..., self.place, :] * self.window[:, None]
         step = self.interval
         inner = (moved[..., 2:, :] - moved[..., :-2, :]) / (2 * step)
-        still = xp.zeros_like(moved[..., :1, :])  # it begins and ends at rest
+        still = xp.zeros_like(moved[..., :1, :])  # at rest at both ends
         return home + moved, xp.concatenate([still, inner, still], axis=-2)

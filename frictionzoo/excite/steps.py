@@ -1,4 +1,4 @@
-"""What is done after a designed command: another one to test on, and what to run on recordings, for a shell."""
+"""Next steps after a design, as shell commands: a command for the test recording, and the analysis of recordings."""
 
 import json
 import shlex
@@ -24,15 +24,15 @@ def list_steps(
     model: FrictionModel,
     length: int,
 ) -> list[dict[str, str]]:
-    """Purpose and command of each step, in their order.
+    """List purpose and shell command of each step, in order.
 
     Args:
-        options: With which the command was asked for, as text.
-        run: The folder of the run whose drive it is; None for none.
-        settings: Those of a run, of which bench and law are taken.
+        options: Options of the design, as text.
+        run: Folder of the run of the drive; None: no run.
+        settings: Settings of a run, with bench and friction model.
         bench: The test stand.
-        model: The law.
-        length: Samples in a segment of the fit.
+        model: The friction model.
+        length: Sample intervals in a segment of the fit.
     """
     asked = {**options, "seed": str(int(options.get("seed", "0")) + 1), "output": "excitation_test"}
     again = [*([run] if run else []), *(f"{name}={value}" for name, value in asked.items())]
@@ -55,13 +55,13 @@ def _choose_law(bench: Bench, model: FrictionModel) -> list[str]:
 
 
 def _list_drive_options(settings: Mapping[str, Any]) -> list[str]:
-    """As few options as can be that make of the bench of data=files the one that was excited."""
+    """List the fewest options that turn the bench of data=files into the bench of the design."""
     wanted = dict(_list_leaves(settings))
     return min((_differ(wanted, choice) for choice in ("", *list_choices("bench"))), key=len)
 
 
 def _differ(wanted: Mapping[str, Any], bench: str) -> list[str]:
-    """The choice of a bench's file, and what is to be set besides; what a recipe finds, it still may find."""
+    """List the options that this bench file needs; options chosen by a recipe stay open."""
     chosen = [f"bench={bench}"] if bench else []
     composed = OmegaConf.to_container(compose_config("data=files", "recipe=given", *chosen), resolve=True)
     has = dict(_list_leaves(cast(dict[str, Any], composed)))

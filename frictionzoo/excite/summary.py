@@ -1,4 +1,4 @@
-"""What `python -m frictionzoo.excite` prints."""
+"""Summary printed by `python -m frictionzoo.excite`."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,11 +9,11 @@ from frictionzoo.show.terminal import align
 
 
 def summarise_excitation(note: Mapping[str, Any], folder: Path) -> str:
-    """What will be known of each parameter, what of the limits is used, and where the files are.
+    """Summarise the expected accuracy of each parameter, the use of the limits, and the folder of the files.
 
     Args:
-        note: What `excitation.json` holds.
-        folder: Where it lies.
+        note: Content of `excitation.json`.
+        folder: Its folder.
     """
     note = escape_all(note)
     command, noise = note["command"], note["noise"]

@@ -1,4 +1,4 @@
-"""A drive that is to be excited: from a command to its motion, to what it uses of its limits, and to what it says."""
+"""Simulation of a drive for experiment design: motion, use of the limits, and information of a command."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,14 +20,14 @@ from frictionzoo.simulate.rollout import applied, make_observer
 
 
 class Motion(NamedTuple):
-    """A command, and the motion that it makes; each of shape (..., samples, nv).
+    """A command and its motion; each of shape (..., samples, nv).
 
     Attributes:
         ctrl: Commanded position [rad or m].
         speed: Its derivative [rad/s or m/s].
         qpos: Position [rad or m].
         qvel: Velocity [rad/s or m/s].
-        torque: The actuator's torque or force [N m or N], as it acts from each sample on.
+        torque: Torque or force of the actuator from each sample on [N m or N].
     """
 
     ctrl: Any
@@ -37,12 +37,12 @@ class Motion(NamedTuple):
     torque: Any
 
     def shares(self, xp: Any, limits: Limits) -> Any:
-        """Of the limits, as `Limits.shares` has them."""
+        """Return the used shares of the limits; see `Limits.shares`."""
         return limits.shares(xp, *self)
 
 
 class Seen(NamedTuple):
-    """What a batch of commands leads to: motions, and the information in them."""
+    """Motions of a batch of commands, and their information."""
 
     motion: Motion
     information: Information
@@ -50,16 +50,16 @@ class Seen(NamedTuple):
 
 @dataclass(frozen=True)
 class Task:
-    """What is excited.
+    """A drive and its planned fit.
 
     Attributes:
         bench: The test stand.
-        model: The friction law.
-        drive: Both, simulated.
-        sensitivity: How recordings of it are fitted.
-        vector: Coordinates of the parameters of which one starts.
-        constants: What the actuator law needs besides the command, by name, each of shape (nv,).
-        load: What the payload changes in the model.
+        model: The friction model.
+        drive: Simulation of both.
+        sensitivity: The planned fit.
+        vector: Coordinates of the assumed parameters.
+        constants: Constant inputs of the actuator model by name, each of shape (nv,).
+        load: Changes of the MuJoCo model by the payload.
     """
 
     bench: Bench
@@ -77,7 +77,7 @@ class Task:
         return {owner: {name: np.asarray(value) for name, value in own.items()} for owner, own in found.items()}
 
     def signals(self, xp: Any, ctrl: Any, speed: Any) -> Signals:
-        """What drives a simulation from each sample but the last on, and before the first as long as commands are late.
+        """Return the signals from each sample but the last on, with the history before the first that a delay needs.
 
         Args:
             xp: Array namespace.
@@ -95,9 +95,9 @@ class Task:
         return Signals(lengthen(ctrl), {name: lengthen(given[name]) for name in names}, observed)
 
     def see(self, ctrl: Array, speed: Array, home: Float[np.ndarray, "nv"], steady: int = 0) -> Seen:
-        """Motion and information of commands of shape (batch, samples, nv); to be compiled, and differentiable.
+        """Simulate commands of shape (batch, samples, nv), with their information; differentiable, to be compiled.
 
-        Segments that begin before the sample `steady` are no part of the information.
+        Segments that begin before the sample `steady` do not count for the information.
         """
         vector, signals = jnp.asarray(self.vector), self.signals(jnp, ctrl, speed)
         load = jnp.broadcast_to(jnp.asarray(self.load), (len(ctrl), len(self.load)))
@@ -116,7 +116,7 @@ class Task:
     def expect(
         self, ctrl: Float[np.ndarray, "samples nv"], speed: Float[np.ndarray, "samples nv"], home: np.ndarray
     ) -> Float[np.ndarray, "coordinates"]:
-        """Half of each interval that a recording of one command will lead to, in the optimiser's coordinates."""
+        """Return half of each expected interval for a recording of one command, in the optimiser's coordinates."""
         see = self.drive.rollout.compile(lambda ctrl, speed: self.see(ctrl, speed, home).information)
         segments = self.sensitivity.segments(len(ctrl))
         return self.sensitivity.half_widths(see(ctrl[None], speed[None]), segments)[0]
@@ -124,7 +124,7 @@ class Task:
     def see_in_c(
         self, ctrl: Float[np.ndarray, "samples nv"], speed: Float[np.ndarray, "samples nv"], home: np.ndarray
     ) -> tuple[Motion, Motion]:
-        """The motion of one command in MuJoCo C: at its samples, and in all simulation steps."""
+        """Simulate one command in MuJoCo C; return the motion at its samples and in all simulation steps."""
         sampling, values = self.sensitivity.sampling, self.values
         signals = self.signals(np, ctrl[None], speed[None])
         acting = applied(jax.tree.map(jnp.asarray, values), signals.map(jnp.asarray), sampling)

@@ -1,4 +1,4 @@
-"""A command as files: tables, a trajectory for ROS 2, actions for LeRobot."""
+"""Files of a command: tables, a ROS 2 trajectory, and LeRobot actions."""
 
 import csv
 import io
@@ -17,7 +17,7 @@ _DIGITS = "%.10g"
 
 
 def table(joints: Sequence[str], time: Signal, signals: Mapping[str, Float[np.ndarray, "samples nv"]]) -> bytes:
-    """A CSV table with a column a signal, of several joints a column `SIGNAL_JOINT` each, as `data=files` reads it."""
+    """Write a CSV table as `data=files` reads it: a column for each signal, or `SIGNAL_JOINT` for several joints."""
     headers = [name if len(joints) == 1 else f"{name}_{joint}" for name in signals for joint in joints]
     buffer = io.StringIO()
     csv.writer(buffer, lineterminator="\n").writerow(["time", *headers])
@@ -27,16 +27,16 @@ def table(joints: Sequence[str], time: Signal, signals: Mapping[str, Float[np.nd
 
 
 def trajectory(joints: Sequence[str], time: Signal, motion: Motion, interval: float) -> bytes:
-    """The command as `trajectory_msgs/JointTrajectory` in YAML, as `ros2 topic pub` takes it.
+    """Write the command as `trajectory_msgs/JointTrajectory` in YAML, for `ros2 topic pub`.
 
-    Each point has position, velocity and acceleration, between which `joint_trajectory_controller` puts polynomials of
+    Each point has position, velocity and acceleration; `joint_trajectory_controller` interpolates by polynomials of
     fifth degree.
 
     Args:
-        joints: Names.
-        time: Of the command's samples [s].
-        motion: With the command.
-        interval: Between points [s].
+        joints: Names of the joints.
+        time: Time of the command's samples [s].
+        motion: The command.
+        interval: Time between points [s].
     """
     acceleration = np.gradient(motion.speed, time, axis=0)
     at = np.minimum(interval * np.arange(int(np.ceil(time[-1] / interval - 1e-9)) + 1), time[-1])
@@ -52,7 +52,7 @@ def trajectory(joints: Sequence[str], time: Signal, motion: Motion, interval: fl
 
 
 def actions(joints: Sequence[str], time: Signal, motion: Motion, fps: float) -> bytes:
-    """The command as a list of actions in JSON, one a frame, named as LeRobot names them: `knee.pos`."""
+    """Write the command as a JSON list of actions, one for each frame, with LeRobot's names: `knee.pos`."""
     at = np.arange(int(time[-1] * fps + 1e-9) + 1) / fps
     rows = _sample(at, time, motion.ctrl).tolist()
     named = [dict(zip((f"{joint}.pos" for joint in joints), row, strict=True)) for row in rows]
@@ -63,15 +63,15 @@ def actions(joints: Sequence[str], time: Signal, motion: Motion, fps: float) -> 
 def files_of(
     joints: Sequence[str], interval: float, motion: Motion, given: Mapping[str, Any], points: float, fps: float
 ) -> dict[str, bytes]:
-    """All files of a command, by name.
+    """Write all files of a command; return their content by name.
 
     Args:
-        joints: Names.
-        interval: Between samples [s].
-        motion: The command, and what it is expected to lead to.
-        given: What else the actuator law gets, by name, of shape (samples, nv).
-        points: Of the trajectory in a second.
-        fps: Actions in a second.
+        joints: Names of the joints.
+        interval: Time between samples [s].
+        motion: The command and its expected motion.
+        given: Further commands of the actuator model by name, of shape (samples, nv).
+        points: Trajectory points per second.
+        fps: Actions per second.
     """
     time = interval * np.arange(len(motion.ctrl))
     command = {"ctrl": motion.ctrl, **given}

@@ -1,1 +1,1 @@
-"""What other tools read: one file a format."""
+"""Export of an identified drive to other programs: one module for each format."""

@@ -1,4 +1,4 @@
-"""The target `bam`: parameter files of Rhoban's BAM, which its MuJoCo controller and its mjlab actuator read."""
+"""Target `bam`: parameter files of Rhoban's BAM for its MuJoCo controller and its mjlab actuator."""
 
 import json
 from collections import defaultdict
@@ -25,8 +25,8 @@ from frictionzoo.export.written import Difference, Export
 from frictionzoo.models.base import sliding_torque
 from frictionzoo.result.identified import Identified
 
-_LONGEST = 200  # characters of a file's name
-_AT_ONCE = 1e3  # rad/s, faster than any command: BAM's STS3215 else follows commands at its default speed
+_LONGEST = 200  # characters of a file name
+_AT_ONCE = 1e3  # faster than any command [rad/s]: otherwise BAM's STS3215 follows commands at its default speed
 _INPUTS = "Supply and gain are not in the file: BAM takes them from its logs, or as vin and kp."
 _KT = "Only kt / R and kt^2 / R are identified: kt and R are those that give them, not a data sheet's."
 _SMOOTH = ("coulomb_smooth", "coulomb_stribeck")
@@ -35,7 +35,7 @@ _STICKS = "BAM's joint sticks at rest, where the law's smooth sign lets it creep
 
 @register_target("bam")
 class Bam(Target):
-    """One file a joint, with BAM's friction law m1 to m6, or for other laws the nearest m3.
+    """BAM parameter file for each joint, with BAM's friction model m1 to m6, or the nearest m3 for other models.
 
     Source: M. Duclusaud, G. Passault, V. Padois, O. Ly, "Extended friction models for the physics simulation of servo
     actuators", 2024; github.com/Rhoban/bam.
@@ -51,7 +51,7 @@ class Bam(Target):
             raise ExportError(f"target=bam: {came}, expected a VoltageServo; write target=mjcf")
         actuator, remark = _choose_actuator(fitted, options)
         laws, remarks = _to_bam(fitted)
-        # A joint's name may have a "/" in it, which a file's name has not.
+        # A joint's name may contain "/", a file name may not.
         prefixes = [f"{quote(name, safe='')}_" for name in fitted.bench.joints] if fitted.bench.nv > 1 else [""]
         files = tuple(f"{prefix}{law['model']}.json" for prefix, law in zip(prefixes, laws, strict=True))
         if long := [file for file in files if len(file) > _LONGEST]:
@@ -68,7 +68,7 @@ class Bam(Target):
 
 
 def friction_budget(parameters: Mapping[str, Any], state: DriveState) -> FrictionTerms:
-    """Dry friction and damping of BAM's m1 to m6 with a file's parameters, at states in numpy arrays of one shape."""
+    """Evaluate dry friction and damping of BAM's m1 to m6 with a file's parameters, at states in numpy arrays."""
     _, names = LAWS[parameters["model"]]
     has = defaultdict(float, {bam: parameters[bam] for bam in names})
     motor, external = state.motor_torque, state.external_torque
@@ -90,7 +90,7 @@ def friction_budget(parameters: Mapping[str, Any], state: DriveState) -> Frictio
 
 
 def _to_bam(fitted: Identified) -> tuple[list[dict[str, Any]], list[str]]:
-    """BAM's friction parameters of each joint, and what they cost."""
+    """Return BAM's friction parameters for each joint, and remarks on the loss of accuracy."""
     joints = range(fitted.bench.nv)
     laws = [_rename(fitted, joint) for joint in joints]
     smooth = any(fitted.model.of_joint(j)[0].name in _SMOOTH and laws[j] is not None for j in joints)
@@ -103,7 +103,7 @@ def _to_bam(fitted: Identified) -> tuple[list[dict[str, Any]], list[str]]:
 
 
 def _rename(fitted: Identified, joint: int) -> dict[str, Any] | None:
-    """BAM's parameters of a joint whose law it has; None where it has not."""
+    """Return BAM's parameters of a joint's friction model; None if BAM has no such model."""
     law, place, prefix = fitted.model.of_joint(joint)
     values = {name: float(fitted.values["friction"][prefix + name][place]) for name in law.params}
     for model, (name, names) in LAWS.items():
@@ -121,7 +121,7 @@ def _rename(fitted: Identified, joint: int) -> dict[str, Any] | None:
 
 
 def _nearest(fitted: Identified, joints: Sequence[int]) -> tuple[dict[int, dict[str, Any]], list[str]]:
-    """The least-squares m3 over the recorded states of each of these joints, all terms >= 0."""
+    """Fit m3 to the friction torque of these joints at the recorded states, by least squares with all terms >= 0."""
     samples = fitted.samples
     torque = sliding_torque(np, evaluate_law(fitted.model, samples), samples.qvel)
     load = np.abs(samples.external_torque - samples.motor_torque)
@@ -142,7 +142,7 @@ def _nearest(fitted: Identified, joints: Sequence[int]) -> tuple[dict[int, dict[
 
 
 def _motor(fitted: Identified, joint: int, actuator: str) -> dict[str, float]:
-    """BAM's parameters of motor and rig."""
+    """Return BAM's parameters of a joint's motor and bench."""
     bench = {name: float(value[joint]) for name, value in fitted.values["bench"].items()}
     torque_constant = bench["kt2_over_r"] / bench["kt_over_r"]
     motor = {
@@ -158,7 +158,7 @@ def _motor(fitted: Identified, joint: int, actuator: str) -> dict[str, float]:
 
 
 def _choose_actuator(fitted: Identified, options: Mapping[str, str]) -> tuple[str, list[str]]:
-    """BAM's name of the servo, and what is to be said of it."""
+    """Choose BAM's name of the servo, and list remarks on it."""
     gain = float(fitted.values["bench"]["duty_gain"][0])
     given = options.get("servo")
     if given is not None and given not in DUTY:
@@ -174,7 +174,7 @@ def _choose_actuator(fitted: Identified, options: Mapping[str, str]) -> tuple[st
 
 
 def _lack(fitted: Identified, actuator: str) -> str:
-    """In a few words, why BAM moves otherwise than the drive."""
+    """Describe in a few words why BAM moves differently than the drive."""
     own = [_rename(fitted, joint) for joint in range(fitted.bench.nv)]
     other = dict.fromkeys(fitted.model.of_joint(j)[0].name for j, law in enumerate(own) if law is None)
     smooth = any(fitted.model.of_joint(j)[0].name in _SMOOTH for j, law in enumerate(own) if law)
@@ -187,9 +187,9 @@ def _lack(fitted: Identified, actuator: str) -> str:
 
 
 def _compare(fitted: Identified, paths: list[Path], reason: str) -> tuple[Difference, ...]:
-    """The files against the drive: friction at the recorded states, and the rollouts in MuJoCo C.
+    """Compare the files with the drive: friction at the recorded states, and rollouts in MuJoCo C.
 
-    The `reason` says what BAM lacks of the drive.
+    `reason` names what BAM lacks of the drive.
     """
     files = [load_parameters(path) for path in paths]
     bench = [read_bench(path, data) for path, data in zip(paths, files, strict=True)]
@@ -206,7 +206,7 @@ def _compare(fitted: Identified, paths: list[Path], reason: str) -> tuple[Differ
 
 
 def _budgets(files: list[dict[str, Any]], state: DriveState) -> FrictionTerms:
-    """Friction of all joints, along the last axis."""
+    """Evaluate the friction of all joints, stacked along the last axis."""
     states = [state.map(lambda signal, joint=joint: signal[..., joint]) for joint in range(len(files))]
     terms = [friction_budget(data, seen) for data, seen in zip(files, states, strict=True)]
     loss, damping = (np.stack([getattr(term, name) for term in terms], -1) for name in ("frictionloss", "damping"))
@@ -214,7 +214,7 @@ def _budgets(files: list[dict[str, Any]], state: DriveState) -> FrictionTerms:
 
 
 def _step(written: Identified, files: list[dict[str, Any]]) -> Step:
-    """A step as BAM's MuJoCo controller takes it: friction from the state before it, by MuJoCo's own constraint."""
+    """Return a step of BAM's MuJoCo controller: MuJoCo's friction constraint, set from the state before the step."""
     advance = step_with_control(written)
 
     def step(model: mujoco.MjModel, data: mujoco.MjData, signals: Signals) -> None:

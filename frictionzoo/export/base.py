@@ -1,4 +1,4 @@
-"""The interface of an export target: what it writes, how exact that is, and what it cannot represent."""
+"""Interface of an export target: files, their accuracy, and their limits."""
 
 import re
 from abc import ABC, abstractmethod
@@ -19,14 +19,15 @@ from frictionzoo.result.simulator import find_errors
 
 
 class Target(ABC):
-    """One kind of files that another program reads.
+    """Export target: files for another program.
 
     Attributes:
         name: Set by `register_target`.
-        options: What it takes besides `timestep` and `output`: name to meaning, in a few words.
-        integrators: MuJoCo's integrators that it can be written for.
-        packages: Python packages without which it can be neither written nor run; their versions are noted.
-        instant: Whether it writes the law itself as a function of one instant, which a law with a memory is not.
+        options: Options of the target, with a short description each, in addition to the common ones.
+        integrators: MuJoCo integrators that the target supports.
+        packages: Python packages needed to write and run the files; their versions are noted.
+        instant: Whether the files hold the friction model as a function of one instant, which excludes models with
+            memory.
     """
 
     name: ClassVar[str]
@@ -37,28 +38,28 @@ class Target(ABC):
 
     @abstractmethod
     def write(self, fitted: Identified, folder: Path, options: Mapping[str, str]) -> Export:
-        """Write the drive, and run what was written.
+        """Write the drive, and run the written files.
 
         Args:
-            fitted: The drive, at the time step that was asked for.
-            folder: An empty folder; whatever goes wrong, nothing of it is left to the user.
-            options: Those of `options` that were given, as text.
+            fitted: The drive, for the requested time step.
+            folder: An empty folder; its files are discarded after an error.
+            options: The given options of the target, as text.
 
         Raises:
-            FrictionzooError: The target cannot hold this drive at all, or an option makes no sense.
+            FrictionzooError: The target cannot represent this drive, or an option is invalid.
         """
 
 
 REGISTRY = Registry(KINDS["targets"], Target, "write", ExportError)
 
 register_target = REGISTRY.register
-"""Class decorator that makes a target available on the command line, as `Registry.register`."""
+"""Class decorator that registers an export target; see `Registry.register`."""
 
 get_target: Callable[[str], type[Target]] = REGISTRY.get
-"""The target of that name, as `Registry.get`."""
+"""Return the target with this name; see `Registry.get`."""
 
 target_names: Callable[[], list[str]] = REGISTRY.names
-"""Names of all targets, sorted."""
+"""Return the names of all targets, sorted."""
 
 
 def measure(
@@ -69,15 +70,15 @@ def measure(
     over: str | None = None,
     reason: str = "",
 ) -> Difference:
-    """Measure the difference of the written files from the fitted drive.
+    """Measure the difference between the written files and the fitted drive.
 
     Args:
         quantity: `qpos` or `torque`.
         fitted: The drive.
-        came: Values of the written files; positions of all long test rollouts are compared with the recordings too.
+        came: Values of the written files; positions of all long test rollouts are also compared with the recordings.
         expected: Values of the drive.
         over: The compared data, in words; None for the long test rollouts.
-        reason: What the target lacks of the drive, in a few words.
+        reason: Reason for a difference, in a few words.
     """
     distance, positions = np.abs(came - expected), quantity == "qpos"
     whole = positions and over is None
@@ -87,20 +88,20 @@ def measure(
 
 
 def match_joint(name: str) -> str:
-    """Write a regular expression that matches the whole name of this joint and no other name."""
+    """Return a regular expression that matches only this joint name."""
     return f"^{re.escape(name)}$"
 
 
 def list_values(values: Float[np.ndarray, "nv"]) -> str:
-    """Numbers of the joints for a line, one number where all are the same."""
+    """Format one value for each joint, or a single one if all are equal."""
     return f"{values[0]:.4g}" if (values == values[0]).all() else ", ".join(f"{value:.4g}" for value in values)
 
 
 def read_number(options: Mapping[str, Any], name: str) -> float | None:
-    """An option as a number; None where it was not given.
+    """Read an option as a number; None if it is not given.
 
     Raises:
-        ConfigError: It is not a finite number.
+        ConfigError: The option is not a finite number.
     """
     if name not in options:
         return None

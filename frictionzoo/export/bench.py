@@ -1,4 +1,4 @@
-"""The target `mjcf`: the bench as a model for MuJoCo."""
+"""Target `mjcf`: the bench or a robot as MJCF."""
 
 import logging
 from collections.abc import Mapping, Sequence
@@ -32,7 +32,7 @@ IDENTIFIED = "identified"
 
 @register_target("mjcf")
 class Mjcf(Target):
-    """The bench or a robot as MJCF with the identified values; friction is the nearest of MuJoCo's joints."""
+    """MJCF of the bench or a robot with identified values; friction as MuJoCo's nearest frictionloss and damping."""
 
     options: ClassVar[Mapping[str, str]] = {
         "into": "a robot's MJCF or URDF, of which a copy gets the drive",
@@ -63,7 +63,7 @@ class Mjcf(Target):
 
 
 class _Robot(NamedTuple):
-    """A robot's file for the drive: its path, the joints' names, and one of `ACTUATORS`."""
+    """A robot's file: its path, the names of the joints, and one of `ACTUATORS`."""
 
     path: Path
     joints: tuple[str, ...]
@@ -73,8 +73,8 @@ class _Robot(NamedTuple):
 def write_identified(fitted: Identified) -> list[ModelFile]:
     """Write a run's model files for MuJoCo.
 
-    These are the bench and, for a robot, its own file with the drive. Where that file cannot hold the drive, a line of
-    the log says why.
+    These are the bench and, for a robot, the robot's file with the drive. If that file cannot hold the drive, a warning
+    gives the reason.
     """
     fitted = fitted.at() if fitted.bench.second_order and fitted.origin is None else fitted
     own = isinstance(fitted.bench, Robot)
@@ -88,9 +88,9 @@ def write_identified(fitted: Identified) -> list[ModelFile]:
 def _write_models(
     fitted: Identified, robot: _Robot | None, asked: bool
 ) -> tuple[list[ModelFile], tuple[Difference, ...]]:
-    """Write the bench with the drive and a robot's file if there is one; also return that file's torque difference.
+    """Write the bench and the robot's file, if any, with the drive; also return the torque difference of that file.
 
-    A robot that cannot hold the drive is left out, and the bench's last limit says so; with `asked` it raises.
+    If the robot's file cannot hold the drive, raise if `asked`, else give the reason as the last limit of the bench.
     """
     nearest = find_nearest(fitted)
     expected = predict_origin(fitted) if stands_in(fitted) else Prediction(*fitted.rollout())
@@ -107,7 +107,7 @@ def _write_models(
 
 
 def _write_bench_file(fitted: Identified, nearest: Nearest, expected: Prediction) -> ModelFile:
-    """Write the bench, played as loaded; its comment gives the difference."""
+    """Write the bench, and run it as loaded; its comment states the difference."""
     model = mujoco.MjModel.from_xml_string(write_bench(fitted, nearest))
     difference, more = play(model, fitted, expected, list_lacks(fitted, nearest, fitted.timestep))
     limits = (*say_limits(fitted, nearest), *more)
@@ -118,9 +118,9 @@ def _write_bench_file(fitted: Identified, nearest: Nearest, expected: Prediction
 def _write_robot_file(
     fitted: Identified, nearest: Nearest, expected: Prediction, asked: _Robot
 ) -> tuple[ModelFile, Difference]:
-    """Write a robot's file with the drive, played as loaded if it is the recorded robot's.
+    """Write a robot's file with the drive, and run it as loaded if it is the file of the recorded robot.
 
-    Also return the difference of its actuators' torque.
+    Also return the torque difference of its actuators.
     """
     text, (path, joints, actuators) = write_bench(fitted, nearest), asked
     robot = put_into(path, joints, actuators, fitted, nearest, text)
@@ -140,7 +140,7 @@ def _write_robot_file(
 def _play_robot(
     robot: Equipped, fitted: Identified, nearest: Nearest, expected: Prediction, path: Path, bench: str, why: list[str]
 ) -> tuple[Difference | None, tuple[str, ...]]:
-    """See `play`."""
+    """Run a robot's file on the test stand; see `play`."""
     if robot.unknown:
         bodies = name_some(robot.unknown)
         return None, (f"It is not played: MuJoCo does not take the inertia of {bodies}, or does not find its mesh.",)
@@ -157,7 +157,7 @@ def _play_robot(
 def _list_remarks(
     fitted: Identified, nearest: Nearest, difference: Difference | None, limits: tuple[str, ...]
 ) -> list[str]:
-    """List the sentences of a file's comment, without its friction law."""
+    """List the sentences of a file's comment, except the one on the friction model."""
     return [
         f"Its parameters are those for steps of {fitted.timestep:g} s with the integrator {read_integrator(fitted)}.",
         *([say_difference(fitted, difference)] if difference else []),
@@ -166,7 +166,7 @@ def _list_remarks(
 
 
 def _say_robot(robot: Equipped, fitted: Identified, nearest: Nearest, actuators: str) -> list[str]:
-    """List what the robot's file leaves out, a sentence each."""
+    """List the limits of the robot's file, a sentence each."""
     units, armature = UNITS[fitted.bench.joint_type], ", ".join(f"{value:.6g}" for value in nearest.bench["armature"])
     limits, timestep = [], robot.model.opt.timestep
     if robot.urdf:
@@ -190,8 +190,8 @@ def _say_robot(robot: Equipped, fitted: Identified, nearest: Nearest, actuators:
 
 
 def write_bench(fitted: Identified, nearest: Nearest, remarks: Sequence[str] = ()) -> str:
-    """Return the bench's MJCF with these values, in the drive's steps, with remarks in its comments."""
-    loss = nearest.frictionloss if nearest.frictionloss.any() else None  # 0 would be a constraint without effect
+    """Return the bench's MJCF with these values and the drive's time step, with remarks as comments."""
+    loss = nearest.frictionloss if nearest.frictionloss.any() else None  # a constraint of 0 has no effect
     comments, late = (nearest.remark or say_law(fitted.model), *remarks), write_late(fitted, nearest, fitted.timestep)
     text = fitted.bench.mjcf({**nearest.bench, **late}, loss, nearest.damping, comments, limited=True)
     if read_integrator(fitted) == fitted.bench.integrator:
@@ -202,7 +202,7 @@ def write_bench(fitted: Identified, nearest: Nearest, remarks: Sequence[str] = (
 
 
 def say_limits(fitted: Identified, nearest: Nearest, timestep: float | None = None) -> tuple[str, ...]:
-    """List what a user of an MJCF with the drive has to know, in steps of this length [s] or of the drive's."""
+    """List the limits of an MJCF with the drive, for this time step [s] or the drive's."""
     law, limits = fitted.bench.actuator, [nearest.remark] if nearest.remark else []
     limits += say_delay(fitted, fitted.timestep if timestep is None else timestep)
     if not law.needs_state and any(np.any(fitted.segments.signals.inputs[name]) for name in fitted.sampling.commands):

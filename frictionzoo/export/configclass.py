@@ -1,4 +1,4 @@
-"""Targets that write a Python file of another program's configuration classes: as text, and read without running it."""
+"""Targets that write a Python file with configuration classes of another program, as text."""
 
 import ast
 from abc import abstractmethod
@@ -21,7 +21,7 @@ _LIMITS = ("saturation_effort", "velocity_limit", "effort_limit")
 
 
 class Field(NamedTuple):
-    """A keyword of a configuration class, its value, and for a comment its unit."""
+    """Keyword of a configuration class, its value, and its unit for a comment."""
 
     name: str
     value: object
@@ -29,15 +29,15 @@ class Field(NamedTuple):
 
 
 class ConfigFile(Target):
-    """A Python file with `ACTUATORS`, the configuration of one actuator a joint.
+    """Python file with `ACTUATORS`, the configuration of an actuator for each joint.
 
     Attributes:
         program: Name of the simulator.
         file: Name of the file.
         head: Docstring of the file.
-        module: Which the classes are imported from.
+        module: Module of the configuration classes.
         keyed: Whether `ACTUATORS` is a dict by joint instead of a tuple.
-        keywords: What armature, dry friction, viscous friction and delay [steps] are called there.
+        keywords: Keywords of armature, dry friction, viscous friction and delay [steps].
     """
 
     options: ClassVar[Mapping[str, str]] = INPUTS
@@ -51,11 +51,11 @@ class ConfigFile(Target):
 
     @abstractmethod
     def configure(self, fitted: Identified, nearest: Nearest, joint: int, motor: Motor) -> tuple[str, list[Field]]:
-        """Class and keywords of a joint's actuator."""
+        """Return class and keywords of a joint's actuator."""
 
     @abstractmethod
     def say_more(self, fitted: Identified, drives: list[Motor]) -> tuple[str, ...]:
-        """What this program lacks besides what all of them do."""
+        """List the further limits of this program."""
 
     def write(self, fitted: Identified, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
@@ -68,7 +68,7 @@ class ConfigFile(Target):
         opening, closing = "{}" if self.keyed else "()"
         text = f'"""{self.head}"""\n\n{imports}\n\nACTUATORS = {opening}\n{indent(body, "    ")}{closing}\n'
         (folder / self.file).write_text(text, encoding="utf-8")
-        # What has no delay in the file gets it from its caller.
+        # If the file has no delay, the caller delays the commands.
         joints = [joint._replace(lag=joint.lag or lag(fitted, i)) for i, joint in enumerate(self.read(text))]
         difference = measure(
             *("qpos", fitted, run_joints(fitted, nearest, joints), fitted.rollout()[0]),
@@ -78,7 +78,7 @@ class ConfigFile(Target):
         return Export((self.file,), (difference,), said)
 
     def read(self, text: str) -> list[Joint]:
-        """What a written file says of each joint, without running it."""
+        """Read each joint from a written file, without running it."""
         (value,) = (node.value for node in ast.parse(text).body if isinstance(node, ast.Assign))
         calls = value.values if isinstance(value, ast.Dict) else getattr(value, "elts", [])
         return [self._read_call(call) for call in calls if isinstance(call, ast.Call)]
@@ -92,7 +92,7 @@ class ConfigFile(Target):
 
 
 def list_motor(fitted: Identified, motor: Motor) -> list[Field]:
-    """Keywords of gains and, where there are any, of torque limits, as all programs call them."""
+    """List the keywords of gains and torque limits, which have the same names in all programs."""
     units = UNITS[fitted.bench.joint_type]
     gains = [
         Field("stiffness", motor.stiffness, units["stiffness"]),
@@ -106,12 +106,12 @@ def list_motor(fitted: Identified, motor: Motor) -> list[Field]:
 
 
 def list_delay(fitted: Identified, joint: int, *names: str) -> list[Field]:
-    """Keywords of the least and the largest delay [steps]; none where there is no delay."""
+    """List the keywords of smallest and largest delay [steps]; none without a delay."""
     steps = lag(fitted, joint)
     return [Field(name, steps, "steps") for name in names] if steps else []
 
 
 def _write_call(cls: str, fields: list[Field]) -> str:
-    """A call with one keyword a line, its unit beside it."""
+    """Write a call with one keyword and its unit on each line."""
     lines = [f"    {f.name}={write_literal(f.value)}," + (f"  # {f.unit}" if f.unit else "") for f in fields]
     return "\n".join([f"{cls}(", *lines, "),\n"])

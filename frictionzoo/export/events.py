@@ -1,4 +1,4 @@
-"""Files with events that randomise an identified drive in mjlab and in Isaac Lab."""
+"""Files with events that randomise an identified drive in mjlab and Isaac Lab."""
 
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
@@ -28,8 +28,8 @@ class Program:
 
     Attributes:
         file: Name of its file.
-        template: Of this package.
-        fields: What a quantity is called there, by its name; in this order it is changed.
+        template: Name of its template in this package.
+        fields: The simulator's name of each quantity, in the order of the changes.
     """
 
     file: str
@@ -63,14 +63,14 @@ ISAAC_LAB = Program(
 
 
 class Cell(NamedTuple):
-    """The range of a quantity in a joint.
+    """Range of a quantity in a joint.
 
     Attributes:
-        joint: Its name.
+        joint: Name of the joint.
         low: Lower end, in the unit or as a share.
         high: Upper end.
-        unit: For a comment; of a share, what it is a share of.
-        varies: Whether it has a width.
+        unit: Unit for a comment; for a share, also the reference value.
+        varies: Whether the quantity varies in this joint.
     """
 
     joint: str
@@ -87,17 +87,17 @@ def write_events(
     delays: Mapping[str, tuple[int, int]],
     operation: str,
 ) -> str:
-    """The file of a program.
+    """Write the file of a simulator.
 
     Args:
-        program: Which.
+        program: The simulator.
         fitted: The drive.
-        quantities: Of the drives that were drawn, those that a simulator takes among them.
-        delays: Least and largest delay [steps] by joint, where that varies.
-        operation: How ranges are given, one of `OPERATIONS`.
+        quantities: Quantities of the drawn drives; those that the simulator does not have are ignored.
+        delays: Smallest and largest delay [steps] by joint, where the delay varies.
+        operation: Form of the ranges, one of `OPERATIONS`.
 
     Raises:
-        ConfigError: Shares are asked for of a quantity that is 0.
+        ConfigError: The operation is `scale`, and a quantity is 0.
     """
     joints = fitted.bench.joints
     own = {one.name: one for one in quantities if one.name in program.fields}
@@ -121,7 +121,7 @@ def write_events(
 
 
 def _list_changes(field: str, quantity: Quantity, fitted: Identified) -> Iterator[str]:
-    """What is changed, a line for each joint in which it is."""
+    """Yield a line for each joint in which the quantity varies."""
     for joint, name in enumerate(fitted.bench.joints):
         if why := quantity.why[joint]:
             low, high = quantity.ends[joint]
@@ -133,7 +133,7 @@ def _list_cells(quantity: Quantity, joints: Sequence[str], operation: str) -> li
     for joint, name in enumerate(joints):
         nominal, why = quantity.nominal[joint], quantity.why[joint]
         low, high = quantity.ends[joint]
-        unit = quantity.unit if why else f"{quantity.unit}, known"  # of `UNITS`; why a range is what it is: CHANGES
+        unit = quantity.unit if why else f"{quantity.unit}, known"  # the reasons for the ranges are in CHANGES
         if operation == "scale":
             if why and nominal == 0:
                 raise ConfigError(

@@ -1,4 +1,4 @@
-"""A friction law as a function of plain tensors, which runtimes without frictionzoo can hold."""
+"""A friction model as a function of plain tensors, for runtimes without frictionzoo."""
 
 import copy
 import json
@@ -32,9 +32,9 @@ _OBSERVED = "Besides, the inputs {names} of the same shape: the friction law loo
 
 
 class Graph(torch.nn.Module):
-    """A copy of a law with its values as constants: the signals of a `DriveState` to the three of `FrictionTerms`.
+    """Copy of a friction model with constant parameters: maps the signals of a `DriveState` to `FrictionTerms`.
 
-    Inputs, outputs and constants are of one `dtype`.
+    Inputs, outputs and constants have one `dtype`.
     """
 
     def __init__(self, model: FrictionModel, dtype: torch.dtype) -> None:
@@ -51,19 +51,19 @@ class Graph(torch.nn.Module):
         external_torque: torch.Tensor,
         temperature: torch.Tensor | None = None,
     ) -> tuple[torch.Tensor, ...]:
-        """Each of the terms, of shape (batch, nv), 0 where the law does not use it."""
+        """Return all terms, each of shape (batch, nv); 0 for a term that the model does not use."""
         terms = self.law(DriveState(qpos, qvel, ctrl, motor_torque, external_torque, temperature))
         shape = qvel.shape
         return tuple(torch.zeros_like(qvel) if term is None else torch.broadcast_to(term, shape) for term in terms)
 
 
 def signals(model: FrictionModel) -> tuple[str, ...]:
-    """Names of what a law looks at, in order."""
+    """Return the names of a model's input signals, in order."""
     return tuple(name for name in DriveState._fields if name in model.inputs or name not in DriveState._field_defaults)
 
 
 def list_units(fitted: Identified) -> dict[str, str]:
-    """Unit of each input and output of a law's file, by name."""
+    """Return the unit of each input and output of a model's file, by name."""
     units = UNITS[fitted.bench.joint_type]
     outputs = {"torque": units["torque"], "frictionloss": units["torque"], "damping": units["damping"]}
     torques = dict.fromkeys(("motor_torque", "external_torque"), units["torque"])
@@ -72,7 +72,7 @@ def list_units(fitted: Identified) -> dict[str, str]:
 
 
 def list_facts(fitted: Identified) -> dict[str, str]:
-    """What a law's file says of itself, as text: law, joints, units and how it is evaluated."""
+    """Return the metadata of a model's file as text: model, joints, units and usage."""
     inputs, units = signals(fitted.model), list_units(fitted)
     return {
         "producer": f"frictionzoo {__version__}",
@@ -87,7 +87,7 @@ def list_facts(fitted: Identified) -> dict[str, str]:
 
 
 def compare(fitted: Identified, came: FrictionTerms, how: str) -> Difference:
-    """How far the friction torque of terms of shape (samples, nv), computed by `how`, is from the law in float64."""
+    """Compare the friction torque of terms of shape (samples, nv), computed by `how`, with the model in float64."""
     samples = fitted.samples
     expected = sliding_torque(np, evaluate_law(fitted.model, samples), samples.qvel)
     over = f"{len(expected)} recorded states in {how}"
@@ -95,12 +95,12 @@ def compare(fitted: Identified, came: FrictionTerms, how: str) -> Difference:
 
 
 class GraphFile(Target):
-    """The law alone in one file.
+    """Friction model in one file.
 
     Attributes:
-        file: Its name.
-        runtime: What runs it.
-        remarks: What its user has to know besides `LIMITS`.
+        file: Name of the file.
+        runtime: Runtime of the file.
+        remarks: Further remarks for the user, after `LIMITS`.
     """
 
     options: ClassVar[Mapping[str, str]] = {"dtype": "float64 or float32, of inputs and outputs"}
@@ -111,11 +111,11 @@ class GraphFile(Target):
 
     @abstractmethod
     def serialise(self, graph: Graph, inputs: Mapping[str, torch.Tensor], fitted: Identified) -> bytes:
-        """The file's content, recorded with these inputs by name; what it says of the drive is in its metadata."""
+        """Return the file's content, traced with these inputs by name; its metadata describes the drive."""
 
     @abstractmethod
     def run(self, path: Path, inputs: Mapping[str, torch.Tensor]) -> tuple[np.ndarray, ...]:
-        """What the file answers on the CPU."""
+        """Evaluate the file on the CPU."""
 
     def write(self, fitted: Identified, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
@@ -123,7 +123,7 @@ class GraphFile(Target):
         if name not in DTYPES:
             raise ConfigError(f"dtype={name}: unknown; {closest(name, DTYPES)}")
         dtype, seen = DTYPES[name], signals(model)
-        # Two rows, since one would be taken for a constant.
+        # A batch of one would be traced as a constant size.
         rows = {name: torch.ones(2, model.nv, dtype=dtype) for name in seen}
         write_atomically(path, self.serialise(Graph(model, dtype), rows, fitted))
         inputs = samples.map(lambda signal: torch.tensor(np.asarray(signal, np.float64), dtype=dtype)).given()

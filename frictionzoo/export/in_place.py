@@ -1,4 +1,4 @@
-"""An XML file changed where it has to be, byte by byte as it was everywhere else."""
+"""Changes to an XML file that leave all other bytes as they are."""
 
 import re
 import xml.etree.ElementTree as ET
@@ -17,16 +17,16 @@ _LAST_LINE = re.compile(rb"\r?\n[ \t]*\Z")
 
 @dataclass
 class Tag:
-    """An element of a file, where it stands.
+    """An element of a file and its position.
 
     Attributes:
-        name: Of the element.
-        attributes: As text.
-        path: Names of the elements around it, the root first.
-        owner: The element around it; None for the root.
-        start: Index of the byte at which it begins.
-        opened: Index of the byte after its start tag.
-        closing: Index of the byte at which its end tag begins; `opened` where it has none.
+        name: Name of the element.
+        attributes: Attributes as text.
+        path: Names of the enclosing elements, the root first.
+        owner: The enclosing element; None for the root.
+        start: Byte index of the element's beginning.
+        opened: Byte index after its start tag.
+        closing: Byte index of its end tag; `opened` without an end tag.
     """
 
     name: str
@@ -40,12 +40,12 @@ class Tag:
 
 @dataclass
 class InPlace:
-    """A file and what is to be changed in it.
+    """A file and its changes.
 
     Attributes:
-        content: The file.
+        content: Content of the file.
         tags: All its elements, in order.
-        changes: First byte, byte after the last one, and what comes in their place.
+        changes: First byte, byte after the last one, and their replacement.
     """
 
     content: bytes
@@ -57,7 +57,7 @@ class InPlace:
         """Find the elements of a file.
 
         Raises:
-            expat.ExpatError: It is not XML.
+            expat.ExpatError: The content is not XML.
         """
         parser, tags, around = expat.ParserCreate(), list[Tag](), list[Tag]()
 
@@ -78,11 +78,11 @@ class InPlace:
         return cls(content, tags)
 
     def set(self, tag: Tag, attributes: Mapping[str, str]) -> None:
-        """Give an element these attributes; those that it has besides stay."""
+        """Set these attributes of an element; its other attributes stay."""
         text = self.content[tag.start : tag.opened]
         for name, value in attributes.items():
             said = _encode(f" {name}={quoteattr(value)}")
-            # One after the other: the value of another attribute may look like this one.
+            # Match attribute by attribute: the value of another attribute may contain similar text.
             old = next((found for found in _ATTRIBUTE.finditer(text) if found[1] == name.encode()), None)
             if old:
                 text = text[: old.start(2)] + _encode(quoteattr(value)) + text[old.end(2) :]
@@ -93,11 +93,11 @@ class InPlace:
         self.changes.append((tag.start, tag.opened, text))
 
     def replace(self, tag: Tag, element: "ET.Element[Any]") -> None:
-        """Put another element in the place of an element, with all that is in it."""
+        """Replace an element and its content by another element."""
         self.changes.append((tag.start, self._end(tag), _write(element)))
 
     def remove(self, tag: Tag) -> None:
-        """Take an element out, with all that is in it, and the line that it leaves empty."""
+        """Remove an element and its content, and the line if it becomes empty."""
         end = self._end(tag)
         line = re.search(rb"\r?\n[ \t]*\Z", self.content[: tag.start])
         alone = line and re.match(rb"[ \t]*\r?\n", self.content[end:])
@@ -109,7 +109,7 @@ class InPlace:
         return tag.opened
 
     def append(self, tag: Tag, element: "ET.Element[Any]") -> None:
-        """Put an element at the end of another one, on a line of its own where the end is on one."""
+        """Append an element to another one, on a separate line if the end tag has one."""
         if self.content[: tag.opened].endswith(b"/>"):
             said = b">" + _write(element) + _encode(f"</{tag.name}>")
             self.changes.append((tag.opened - 2, tag.opened, said))
@@ -119,14 +119,14 @@ class InPlace:
         self.changes.append((before, before, (lead[0] + b"  " if lead else b"") + _write(element)))
 
     def remark(self, text: str) -> None:
-        """Put a comment at the beginning of the root, on a line of its own where what follows is on one."""
+        """Insert a comment at the beginning of the root, on a separate line if the following content has one."""
         root = self.tags[0]
         lead = re.match(rb"(\r?\n)[ \t]*(?:\r?\n[ \t]*)*", self.content[root.opened :])
         indent = lead[1] + lead[0].rpartition(b"\n")[2] if lead else b""
         self.changes.append((root.opened, root.opened, indent + _write(write_comment(text))))
 
     def write(self) -> bytes:
-        """The file with its changes."""
+        """Return the content with all changes."""
         parts, done = list[bytes](), 0
         for start, end, text in sorted(self.changes, key=lambda change: change[:2]):
             parts += [self.content[done:start], text]
@@ -139,5 +139,5 @@ def _write(element: "ET.Element[Any]") -> bytes:
 
 
 def _encode(text: str) -> bytes:
-    """In any encoding of which ASCII is a part; a comment cannot have references, and has question marks instead."""
+    """Encode as ASCII, valid in most encodings; other characters become references, in comments question marks."""
     return text.encode("ascii", "replace" if text.startswith("<!--") else "xmlcharrefreplace")

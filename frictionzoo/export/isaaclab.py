@@ -1,4 +1,4 @@
-"""The target `isaaclab`: actuator configurations of Isaac Lab, one a joint."""
+"""Target `isaaclab`: Isaac Lab actuator configurations."""
 
 import numpy as np
 
@@ -22,9 +22,9 @@ _STICKS = (
 
 @register_target("isaaclab")
 class IsaacLab(ConfigFile):
-    """A Python file with Isaac Lab's ideal, delayed or DC motor actuator and PhysX's joint friction.
+    """Python file with Isaac Lab's ideal, delayed or DC motor actuator and PhysX's joint friction.
 
-    None is an `ImplicitActuatorCfg`: PhysX takes the gains of that implicitly, which brakes by step * stiffness more.
+    `ImplicitActuatorCfg` is not used: PhysX integrates its gains implicitly, which adds a damping of step * stiffness.
 
     Source: documentation of Isaac Lab 2.3, `isaaclab.actuators`.
     """
@@ -59,6 +59,6 @@ USD has the limits of torque and velocity that are not here.
     def say_more(self, fitted: Identified, drives: list[Motor]) -> tuple[str, ...]:
         """See `ConfigFile.say_more`."""
         late = max(lag(fitted, joint) for joint in range(fitted.bench.nv))
-        if not late or not np.isfinite(drives[0].saturation_effort):  # DC motors act at once
+        if not late or not np.isfinite(drives[0].saturation_effort):  # DCMotorCfg has no delay
             return _UNITS, _STICKS
         return f"DCMotorCfg has no delay: give its commands {late} steps late, as for the difference.", _UNITS, _STICKS

@@ -1,4 +1,4 @@
-"""Model files for MuJoCo, loaded as their users do and compared with the identified drive."""
+"""Model files for MuJoCo, loaded like a user loads them, and compared with the identified drive."""
 
 from dataclasses import dataclass
 from typing import Literal, cast
@@ -19,21 +19,21 @@ from frictionzoo.result.run_types import WrittenRow
 from frictionzoo.result.simulator import RK4, read_integrator, stands_in
 
 EXACT = 1e-9
-"""Largest difference of a position [rad or m] that counts as rounding."""
+"""Largest position difference that counts as rounding [rad or m]."""
 
 
 @dataclass(frozen=True)
 class ModelFile:
-    """A model file that holds the drive.
+    """A model file with the drive.
 
     Attributes:
-        name: Of the file.
-        content: The file.
-        timestep: Of the model as loaded [s].
-        difference: Difference of its positions from the identified drive's; None where it was not played, and `limits`
-            say why.
-        limits: What it cannot hold and what a user has to know, a sentence each.
-        notes: Remarks for this machine alone, a sentence each; neither the file nor `result.json` has them.
+        name: Name of the file.
+        content: Content of the file.
+        timestep: Time step of the loaded model [s].
+        difference: Position difference from the identified drive; None if the file was not run, with the reason in
+            `limits`.
+        limits: Limits of the file and remarks for users, a sentence each.
+        notes: Remarks that hold only on this machine, a sentence each; the file and `result.json` do not have them.
     """
 
     name: str
@@ -63,17 +63,17 @@ class ModelFile:
 def play(
     model: mujoco.MjModel, fitted: Identified, expected: Prediction, why: list[str], place: Place | None = None
 ) -> tuple[Difference | None, tuple[str, ...]]:
-    """Play a loaded model over the long test rollouts.
+    """Run a loaded model over the long test rollouts.
 
     Args:
-        model: The file compiled; payloads are put into it.
+        model: The compiled file; payloads are added to it.
         fitted: The identified drive.
         expected: Its rollouts.
-        why: What the file lacks, in a few words each.
-        place: Where the joints are in the model; None for the bench's own.
+        why: Reasons for a difference, in a few words each.
+        place: Indices of the joints in the model; None for the bench's MJCF.
 
     Returns:
-        The difference of positions and their error, or None and a sentence why there is none.
+        The position difference; or None, and a sentence with the reason.
     """
     sound = ~expected.diverged
     if not sound.any():
@@ -97,12 +97,12 @@ def is_clipped(model: mujoco.MjModel, fitted: Identified, place: Place) -> bool:
 
 
 def read_error(fitted: Identified) -> float | None:
-    """Return the drive's own mean absolute position error in its held-out rollouts; None where there is none."""
+    """Return the drive's mean absolute position error in its held-out rollouts; None if there is none."""
     return fitted.result["metrics"]["test"]["position_mae"]
 
 
 def say_difference(fitted: Identified, difference: Difference) -> str:
-    """Describe how a file moves as loaded, for its comment."""
+    """Describe the difference of a file from the drive, for the file's comment."""
     played = f"Loaded unchanged in MuJoCo and played under held-out commands ({difference.over}):"
     if difference.largest <= EXACT:
         return f"{played} the identified drive is represented exactly, positions within {EXACT:g} {difference.unit}."
@@ -116,7 +116,7 @@ def say_difference(fitted: Identified, difference: Difference) -> str:
 
 
 def list_lacks(fitted: Identified, nearest: Nearest, timestep: float) -> list[str]:
-    """List what a file with steps of this length [s] lacks of the drive, in a few words each."""
+    """List the differences of a file with this time step [s] from the drive, in a few words each."""
     lacks = [nearest.lacks] if nearest.lacks else []
     if say_delay(fitted, timestep):
         lacks.append("a delay below one step is a filter")
@@ -130,9 +130,9 @@ def list_lacks(fitted: Identified, nearest: Nearest, timestep: float) -> list[st
 
 
 def say_delay(fitted: Identified, timestep: float) -> list[str]:
-    """Name the delays that are written as filters in steps of this length [s]."""
+    """Describe the delays that become filters with this time step [s]; empty if none does."""
     delays = fitted.values["bench"].get("delay", np.empty(0))
-    if fitted.bench.actuator.needs_state:  # whose commands the caller delays
+    if fitted.bench.actuator.needs_state:  # the caller delays the commands
         return []
     delays = stretch(delays, timestep) if read_integrator(fitted) == RK4 else delays
     each = zip(fitted.bench.joints, map(float, delays), strict=False)

@@ -1,4 +1,4 @@
-"""The target `mjlab`: actuator configurations of mjlab, one a joint."""
+"""Target `mjlab`: mjlab actuator configurations."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from frictionzoo.result.identified import Identified
 
 @register_target("mjlab")
 class Mjlab(ConfigFile):
-    """A Python file with mjlab's position or DC motor actuator and MuJoCo's joint friction.
+    """Python file with mjlab's position or DC motor actuator and MuJoCo's joint friction.
 
     Source: documentation of mjlab 1.6, "Actuators".
     """

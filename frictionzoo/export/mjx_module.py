@@ -1,4 +1,4 @@
-"""The target `mjx`: the law as a Python module over JAX, inside MJX's own step."""
+"""Target `mjx`: a Python module with the friction model inside MJX's step."""
 
 from collections.abc import Mapping
 from operator import itemgetter
@@ -24,13 +24,13 @@ from frictionzoo.result.identified import Identified
 
 @register_target("mjx")
 class Mjx(Target):
-    """A Python module, of jax and mujoco-mjx alone, that brings the law itself into MJX's step."""
+    """Python module with the exact friction model inside MJX's step; needs only jax and mujoco-mjx."""
 
     packages: ClassVar[tuple[str, ...]] = ("mujoco", "jax", "numpy")
 
     def write(self, fitted: Identified, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
-        # MJX makes a row of the friction constraint for joints with a limit; its size is set in each step.
+        # MJX allocates friction constraints only for joints with frictionloss > 0; each step sets their values.
         loss = np.array(fitted.model.constrained, float) if fitted.model.constraint else None
         (folder / BENCH).write_text(write_bare_bench(fitted, loss))
         written = write_module(
@@ -81,7 +81,7 @@ def _run(folder: Path, fitted: Identified) -> Float[np.ndarray, "batch time nv"]
 
 
 def _signals(fitted: Identified, number: int, kept: int) -> tuple[Signals, Signals]:
-    """What drives each step of a rollout, and the commands in so many steps before."""
+    """Return the signals of each step of a rollout, and the commands in the `kept` steps before it."""
     now = fitted.acting(late=False).map(lambda signal: jnp.asarray(signal[number].reshape(-1, fitted.bench.nv)))
     held = commands_before(fitted, number)
     return now, held.map(lambda of: jnp.asarray(np.concatenate([np.repeat(of[:1], kept, axis=0), of])[-kept:]))

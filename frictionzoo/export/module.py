@@ -1,4 +1,4 @@
-"""Python modules that hold a drive's law and values, and stand alone."""
+"""Self-contained Python modules with a drive's friction model and values."""
 
 import importlib.util
 from collections.abc import Mapping
@@ -21,17 +21,17 @@ WEIGHTS = "weights.npz"
 
 
 def write_module(fitted: Identified, folder: Path, template: str, name: str, **more: Any) -> tuple[str, ...]:
-    """Write a module and, for a network, its weights beside it; the names of the files.
+    """Write a module and, for a network, a file with its weights; return the names of the files.
 
     Args:
         fitted: The drive.
-        folder: Where to.
-        template: Of this package.
-        name: Of the file.
-        more: What else the template asks for.
+        folder: Folder for the files.
+        template: Name of a template of this package.
+        name: Name of the module's file.
+        more: Further variables of the template.
 
     Raises:
-        ExportError: The law cannot be written down.
+        ExportError: The model cannot be written as source text.
     """
     if isinstance(fitted.model, TorchFriction):
         raise ExportError(
@@ -48,7 +48,7 @@ def write_module(fitted: Identified, folder: Path, template: str, name: str, **m
 
 
 def render(template: str, **context: Any) -> str:
-    """A Python file of a template of this package, in which all text but `Code` is a literal."""
+    """Render a Python file from a template of this package; text becomes a literal, except `Code`."""
     return open_template(f"export/{template}").render(version=Code(__version__), **context).lstrip()
 
 
@@ -84,12 +84,12 @@ def _describe(fitted: Identified, values: Code, weights: bool) -> Mapping[str, A
 
 
 def controls(fitted: Identified) -> bool:
-    """Whether what MuJoCo's actuator gets is something else than the command."""
+    """Return whether `ctrl` of MuJoCo's actuator differs from the command."""
     return "delay" in fitted.values["bench"] or fitted.bench.actuator.has_controller
 
 
 def load_module(path: Path) -> ModuleType:
-    """Import the file of a module that was just written."""
+    """Import a written module."""
     spec = importlib.util.spec_from_file_location(f"frictionzoo_export_{path.stem}", path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)

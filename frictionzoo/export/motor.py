@@ -1,4 +1,4 @@
-"""A position-controlled drive as robot simulators configure it: gains, torque limits, friction, a whole-step delay."""
+"""Position-controlled drives as in robot simulators: gains, torque limits, friction, and a delay in whole steps."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -26,22 +26,22 @@ INPUTS: Mapping[str, str] = {
     "gain": "of a servo's firmware; the recordings' median where it is left out",
     "supply": "of a servo [V]; the recordings' median where it is left out",
 }
-_NEVER = 3.0  # times the torque at standstill: acts on a joint that is driven backwards at twice the free speed alone
+_NEVER = 3.0  # times the stall torque: only reached by a joint driven backwards at twice the no-load speed
 
 
 @dataclass(frozen=True)
 class Motor:
-    """One joint's drive.
+    """Position controller and motor of one joint.
 
         torque = clip(stiffness (ctrl - qpos) - damping qvel, low, high), within +- effort_limit
         high = saturation_effort (1 - qvel / velocity_limit),  low = -saturation_effort (1 + qvel / velocity_limit)
 
     Attributes:
-        stiffness: [N m/rad or N/m].
-        damping: [N m s/rad or N s/m].
-        saturation_effort: Torque at standstill [N m or N]; infinite for no such limit.
-        velocity_limit: Velocity without load [rad/s or m/s].
-        effort_limit: [N m or N]; infinite for none.
+        stiffness: Gain on the position error [N m/rad or N/m].
+        damping: Gain on the velocity [N m s/rad or N s/m].
+        saturation_effort: Stall torque [N m or N]; infinite: no such limit.
+        velocity_limit: No-load velocity [rad/s or m/s].
+        effort_limit: Largest torque [N m or N]; infinite: no limit.
     """
 
     stiffness: float
@@ -51,7 +51,7 @@ class Motor:
     effort_limit: float = np.inf
 
     def torque(self, ctrl: float, qpos: float, qvel: float) -> float:
-        """What the drive gives [N m or N]."""
+        """Return the torque or force [N m or N]."""
         wanted = self.stiffness * (ctrl - qpos) - self.damping * qvel
         if np.isfinite(self.saturation_effort):
             falling = self.saturation_effort / self.velocity_limit * qvel
@@ -60,14 +60,14 @@ class Motor:
 
 
 class Joint(NamedTuple):
-    """What a configuration file says of one joint.
+    """One joint of a configuration file.
 
     Attributes:
-        motor: Its drive.
+        motor: Position controller and motor.
         armature: [kg m^2 or kg].
         frictionloss: [N m or N].
         damping: Viscous friction [N m s/rad or N s/m].
-        lag: Steps of the simulation by which commands act late.
+        lag: Command delay in simulation steps.
     """
 
     motor: Motor
@@ -78,7 +78,7 @@ class Joint(NamedTuple):
 
 
 def read_inputs(fitted: Identified, options: Mapping[str, str]) -> dict[str, float]:
-    """Gain and supply of a drive that needs them, as given or as the median over the long test rollouts."""
+    """Return inputs of the actuator model, such as gain and supply: given values, or medians over the test rollouts."""
     names = fitted.bench.actuator.inputs
     medians = {name: float(np.median(signal)) for name, signal in fitted.segments.acting.inputs.items()}
     given = {name: read_number(options, name) for name in INPUTS}
@@ -86,10 +86,10 @@ def read_inputs(fitted: Identified, options: Mapping[str, str]) -> dict[str, flo
 
 
 def motors(fitted: Identified, inputs: Mapping[str, float]) -> list[Motor]:
-    """The drive of each joint, with these inputs of a servo.
+    """Return the motor of each joint, with these inputs of a servo.
 
     Raises:
-        ExportError: The actuator law is none of a position-controlled motor.
+        ExportError: The actuator is not position-controlled, or recorded gains change.
     """
     law, values = fitted.bench.actuator, fitted.values["bench"]
     if isinstance(law, RecordedPD):
@@ -98,7 +98,7 @@ def motors(fitted: Identified, inputs: Mapping[str, float]) -> list[Motor]:
 
 
 def _constant_gains(fitted: Identified) -> dict[str, Float[np.ndarray, "nv"]]:
-    """Recorded gains of each joint; ExportError where they change, or no position is controlled."""
+    """Return the recorded gains of each joint; raise ExportError if they change, or if kp is not positive."""
     gains = {name: fitted.segments.acting.inputs[name] for name in ("kp", "kd")}
     for name, of in gains.items():
         low, high = of.min(axis=(0, 1)), of.max(axis=(0, 1))
@@ -122,7 +122,7 @@ def _motor(law: Actuator, values: Mapping[str, float], inputs: Mapping[str, floa
         limits = (values["stall_torque"], values["no_load_velocity"], values["torque_limit"])
         return Motor(values["kp"], values["kd"], *limits)
     if isinstance(law, VoltageServo):
-        # A limited voltage and back-EMF make a DC motor's torque-speed line whose slope is the damping itself.
+        # A limited voltage and back-EMF give a DC motor's torque-speed line; its slope equals the damping.
         per_duty = values["kt_over_r"] * inputs["supply"]
         stall = per_duty * values["duty_limit"]
         back = values["kt2_over_r"]
@@ -132,7 +132,7 @@ def _motor(law: Actuator, values: Mapping[str, float], inputs: Mapping[str, floa
 
 
 def lag(fitted: Identified, joint: int) -> int:
-    """Whole steps of the simulation by which commands act late."""
+    """Return the command delay in whole simulation steps."""
     if "delay" not in fitted.values["bench"]:
         return 0
     known = fitted.sampling.history * fitted.sampling.substeps
@@ -140,7 +140,7 @@ def lag(fitted: Identified, joint: int) -> int:
 
 
 def run_joints(fitted: Identified, nearest: Nearest, joints: Sequence[Joint]) -> Float[np.ndarray, "batch time nv"]:
-    """Positions of the long test rollouts in MuJoCo C with what a configuration file says, and `nearest`'s offset."""
+    """Simulate the long test rollouts in MuJoCo C with a configuration file's joints and `nearest`'s offset."""
     delay = np.array([joint.lag * fitted.timestep for joint in joints])
     late = {"delay": delay} if "delay" in fitted.values["bench"] else {}
     written = replace(fitted, values={**fitted.values, "bench": {**nearest.bench, **late}})
@@ -148,7 +148,7 @@ def run_joints(fitted: Identified, nearest: Nearest, joints: Sequence[Joint]) ->
 
 
 def _compile(fitted: Identified, nearest: Nearest, joints: Sequence[Joint]) -> mujoco.MjModel:
-    """The bench with this friction, and actuators whose `ctrl` is the torque."""
+    """Compile the bench with this friction, and with `ctrl` as the torque of the actuators."""
     _, armature, loss, damping, _ = map(np.array, zip(*joints, strict=True))
     bench = {name: value for name, value in nearest.bench.items() if name != "delay"} | {"armature": armature}
     text = fitted.bench.mjcf(bench, loss if loss.any() else None, damping - fitted.bench.own_damping)
@@ -158,7 +158,7 @@ def _compile(fitted: Identified, nearest: Nearest, joints: Sequence[Joint]) -> m
 
 
 def aim(fitted: Identified, drives: Sequence[Motor]) -> Callable[[Signals], Float[np.ndarray, "... nv"]]:
-    """Of a drive's signals, the desired positions [rad or m] with which these motors do what all commands ask for."""
+    """Return a function from a drive's signals to desired positions [rad or m] that include all other commands."""
     law = fitted.bench.actuator
     told = isinstance(law, JointPD | RecordedPD)
     gains = {**fitted.values["bench"], **(_constant_gains(fitted) if isinstance(law, RecordedPD) else {})}
@@ -181,7 +181,7 @@ def _step(fitted: Identified, joints: Sequence[Joint]) -> Step:
 
 
 def list_lacks(fitted: Identified, nearest: Nearest) -> list[str]:
-    """In a few words each, why a configuration moves otherwise than the drive."""
+    """List in a few words each why a configuration moves differently than the drive."""
     acting, values = fitted.segments.acting.inputs, fitted.values["bench"]
     varied = [name for name in INPUTS if name in acting and np.ptp(acting[name]) > 0]
     said = [nearest.lacks] if nearest.lacks else []
@@ -194,7 +194,7 @@ def list_lacks(fitted: Identified, nearest: Nearest) -> list[str]:
 
 
 def say_common(fitted: Identified, nearest: Nearest, inputs: Mapping[str, float], program: str) -> list[str]:
-    """What the configuration files of every simulator lack; `program` is its name."""
+    """List the limits common to the configuration files of all simulators; `program` is the simulator's name."""
     values, units = fitted.values["bench"], UNITS[fitted.bench.joint_type]
     said = [
         f"{program} itself was not run: the difference is that of the numbers in the file, read back, with the formula "
@@ -228,7 +228,7 @@ def say_common(fitted: Identified, nearest: Nearest, inputs: Mapping[str, float]
 
 
 def _say_commands(fitted: Identified) -> list[str]:
-    """What configurations of position-controlled motors lack of a robot's commands and limits."""
+    """List the limits of such configurations for a robot's commands and torque limits."""
     law, values, said = fitted.bench.actuator, fitted.values["bench"], []
     if not isinstance(law, JointPD | RecordedPD):
         return said

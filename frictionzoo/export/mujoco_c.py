@@ -1,4 +1,4 @@
-"""The target `mujoco`: the law as a Python module inside MuJoCo's own step."""
+"""Target `mujoco`: a Python module with the friction model inside MuJoCo's step."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -25,7 +25,7 @@ FORMS = ("module", "native")
 
 @register_target("mujoco")
 class MujocoC(Target):
-    """A Python module, of numpy and mujoco alone, that brings the law itself into MuJoCo C's step."""
+    """Python module with the exact friction model inside MuJoCo C's step; needs only numpy and mujoco."""
 
     options: ClassVar[Mapping[str, str]] = {
         "law": "module, its own formula in Python, or native, MuJoCo's dcmotor for lugre and dahl"
@@ -65,7 +65,7 @@ def _write_native(fitted: Identified, folder: Path) -> Export:
 
 
 def write_bare_bench(fitted: Identified, frictionloss: np.ndarray | None = None) -> str:
-    """The bench's MJCF, without friction and without delay: the module brings both."""
+    """Return the bench's MJCF without friction and delay, which the module adds."""
     values = {name: value for name, value in fitted.values["bench"].items() if name != "delay"}
     return fitted.bench.mjcf(values, frictionloss, comments=(f"Friction is in {MODULE} beside this file.",))
 

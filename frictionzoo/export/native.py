@@ -1,4 +1,4 @@
-"""Friction laws that MuJoCo C has itself: bristles, as the friction of a DC motor that has no winding to speak of."""
+"""Bristle friction models native to MuJoCo C: the `lugre` friction of a `dcmotor` with negligible motor constant."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
@@ -16,17 +16,17 @@ from frictionzoo.result.identified import Identified
 
 LAWS = ("lugre", "dahl")
 REASON = "MuJoCo takes the bristles' torque at a step's beginning, the drive at its end"
-_NO_WINDING = {"motorconst": "1e-9", "resistance": "1", "input": "none"}  # back-EMF of 1e-18 N m s/rad, and no command
+_NO_WINDING = {"motorconst": "1e-9", "resistance": "1", "input": "none"}  # back-EMF of 1e-18 N m s/rad, no command
 
 
 def write_native(fitted: Identified) -> str:
-    """The bench's MJCF with a `dcmotor` beside each joint's actuator, whose `lugre` is the law, and MuJoCo's damping.
+    """Write the bench's MJCF with MuJoCo's damping, and for each joint a `dcmotor` with the friction model as `lugre`.
 
-    Source: the law's; MuJoCo documentation, XML reference, `actuator/dcmotor`. The equations are the same, and both
-    advance the bend exactly for a velocity that is constant in a step.
+    Source: as of the friction model; MuJoCo documentation, XML reference, `actuator/dcmotor`. The equations are the
+    same; both integrate the deflection exactly for a constant velocity within a step.
 
     Raises:
-        ExportError: MuJoCo has no such law.
+        ExportError: MuJoCo has no such friction model.
     """
     model, bench = fitted.model, fitted.bench
     if model.name not in LAWS:
@@ -48,14 +48,14 @@ def write_native(fitted: Identified) -> str:
 
 
 def _lugre(values: Mapping[str, Float[np.ndarray, "nv"]], joint: int) -> list[float]:
-    """Stiffness, damping of the bristles, kinetic and static torque, Stribeck velocity; of `dahl`, one torque."""
+    """Return bristle stiffness and damping, kinetic and static torque (equal for `dahl`), and Stribeck velocity."""
     both = [name if name in values else "coulomb_torque" for name in ("kinetic_torque", "static_torque")]
     said = [values[name][joint] if name in values else 0.0 for name in ("stiffness", "micro_damping", *both)]
     return [*map(float, said), float(values["stribeck_velocity"][joint]) if "stribeck_velocity" in values else 1.0]
 
 
 def run_native(text: str, fitted: Identified) -> Float[np.ndarray, "batch time nv"]:
-    """Positions of the long test rollouts in MuJoCo C, which begin with the law's own bend."""
+    """Simulate the long test rollouts in MuJoCo C from the friction model's initial deflection; return positions."""
     segments, bench = fitted.segments, fitted.bench
     first = fitted.samples.map(lambda signal: signal.reshape(segments.count, segments.length, bench.nv)[:, 0])
     bend = fitted.model.settle(np, fitted.values["friction"], first)[..., 0]

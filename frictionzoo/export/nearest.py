@@ -1,4 +1,4 @@
-"""MuJoCo's own joint friction that moves a bench most like a law that MuJoCo does not have."""
+"""Nearest MuJoCo joint friction (frictionloss and damping) for friction models that MuJoCo does not have."""
 
 import copy
 from collections.abc import Sequence
@@ -29,23 +29,23 @@ from frictionzoo.result.names import name_some
 from frictionzoo.simulate import friction_of, make_engine
 from frictionzoo.simulate.rollout import Rollout, make_rollout
 
-_ITERATIONS = 50  # a dozen is usual
-_CLOSE = 1e-6  # relative change at which the refit of a drawn drive ends: it begins next to its end
+_ITERATIONS = 50  # usually a dozen suffice
+_CLOSE = 1e-6  # relative tolerance of the refit of a drawn drive, which starts close to its solution
 MOST_STEPS = 5e8
-"""Steps of joints, with all tangents, for which drawn drives are refitted: some minutes on two cores."""
-_SMALLEST, _LARGEST = 1e-6, 1e3  # of the typical torque, between which friction is looked for
+"""Largest number of joint steps, with all tangents, for refits of drawn drives: some minutes on two cores."""
+_SMALLEST, _LARGEST = 1e-6, 1e3  # bounds of friction, as shares of the typical torque
 
 
 @dataclass(frozen=True)
 class Nearest:
-    """What MuJoCo's joints can hold of a drive.
+    """A drive with MuJoCo's joint friction.
 
     Attributes:
         bench: Values of the bench's parameters.
         frictionloss: [N m or N].
         damping: [N m s/rad or N s/m].
-        remark: In words, what was done and what that costs; empty where the law is MuJoCo's own.
-        lacks: In a few words, what it is not.
+        remark: Description of the approximation and its loss of accuracy; empty for MuJoCo's friction model.
+        lacks: Reason for differences from the drive, in a few words.
     """
 
     bench: dict[str, Float[np.ndarray, "nv"]]
@@ -56,11 +56,11 @@ class Nearest:
 
 
 def find_nearest(fitted: Identified) -> Nearest:
-    """The drive with MuJoCo's own friction, refitted where the law is another.
+    """Return the drive with MuJoCo's friction, refitted in joints with another friction model.
 
-    The start is the least-squares friction over the measured states. From there armature, frictionloss and damping
-    follow the fitted drive's own long rollouts, so that they make up for each other. Where those diverge, it stays at
-    the start, and says so.
+    The initial values are the least-squares friction over the measured states. From there, armature, frictionloss and
+    damping are fitted together to the fitted drive's long rollouts. If these diverge, the initial values are the
+    result, and the remark says so.
     """
     model, bench, samples = fitted.model, dict(fitted.values["bench"]), _forget_inputs(fitted)
     velocity, terms = samples.qvel, evaluate_law(model, samples)
@@ -86,13 +86,13 @@ def find_nearest(fitted: Identified) -> Nearest:
 
 
 def find_nearest_each(fitted: Identified, draws: Sequence[Values]) -> list[Nearest]:
-    """The same of drives that differ from the fitted one in their values alone.
+    """Return drawn drives, which differ from the fitted one only in values, with MuJoCo's friction.
 
-    Where the law is another than MuJoCo's, armature, frictionloss and damping follow the rollouts of each drive, with
-    the fitted gains, delay and offset in both; a drive's own ones are as they were drawn.
+    In joints with another friction model, armature, frictionloss and damping are refitted to the rollouts of each drawn
+    drive. These refits use the fitted gains, delay and offset; the result has the drawn ones.
 
     Raises:
-        ExportError: A drive diverges, or so many refits take too long.
+        ExportError: A drive diverges, or the refits take too long.
     """
     model, samples = fitted.model, _forget_inputs(fitted)
     exact, *_ = _find_exact(evaluate_law(model, samples), samples.qvel)
@@ -105,7 +105,7 @@ def find_nearest_each(fitted: Identified, draws: Sequence[Values]) -> list[Neare
 
 
 def _forget_inputs(fitted: Identified) -> DriveState:
-    """What the law sees at the measured states; what it looks at besides the state, MuJoCo's joints do not know."""
+    """Return the measured states with constant further inputs, such as temperature, since MuJoCo has none."""
     samples = fitted.samples
     return samples._replace(**{n: np.full(samples.qvel.shape, value) for n, value in fitted.model.inputs.items()})
 
@@ -113,7 +113,7 @@ def _forget_inputs(fitted: Identified) -> DriveState:
 def _find_exact(
     terms: FrictionTerms, velocity: Float[np.ndarray, "samples nv"]
 ) -> tuple[Bool[np.ndarray, "nv"], Float[np.ndarray, "samples nv"], Float[np.ndarray, "samples nv"]]:
-    """Of which joints a frictionloss and a damping are the law; and both at each state."""
+    """Find the joints whose friction model is a constant frictionloss and damping; also return both at each state."""
     explicit, loss, viscous = (np.zeros(velocity.shape) if term is None else term for term in terms)
     exact = (explicit == 0).all(axis=0) & (loss == loss[0]).all(axis=0) & (viscous == viscous[0]).all(axis=0)
     return exact, loss, viscous
@@ -122,7 +122,7 @@ def _find_exact(
 def _refit_each(
     fitted: Identified, start: Sequence[Nearest], draws: Sequence[Values], exact: Bool[np.ndarray, "nv"]
 ) -> list[Nearest]:
-    """Each of these with armature, frictionloss and damping refitted in the joints whose law is not exact."""
+    """Refit armature, frictionloss and damping of each drawn drive in the joints that are not exact."""
     _refuse_long(fitted, len(draws), exact)
     centre, found = find_nearest(fitted), list[Nearest]()
     with jax.enable_x64(True):
@@ -152,7 +152,7 @@ def _follow(fitted: Identified, values: Values | None = None) -> Segments:
 
 
 def _read(objective: Objective, vector: Float[np.ndarray, "coordinates"]) -> tuple[Float[np.ndarray, "nv"], ...]:
-    """Armature, frictionloss and damping of a vector."""
+    """Return armature, frictionloss and damping of a coordinate vector."""
     values = objective.space.values(jnp.asarray(vector))
     friction = values["friction"]
     return tuple(
@@ -162,7 +162,7 @@ def _read(objective: Objective, vector: Float[np.ndarray, "coordinates"]) -> tup
 
 
 def _refuse_long(fitted: Identified, count: int, exact: Bool[np.ndarray, "nv"]) -> None:
-    """ExportError where so many refits take too long."""
+    """Raise ExportError if the refits take too long."""
     segments, nv = fitted.segments, fitted.bench.nv
     each = segments.count * segments.length * fitted.sampling.substeps * nv * (1 + 3 * int((~exact).sum()))
     if count * each > MOST_STEPS:
@@ -176,7 +176,7 @@ def _refuse_long(fitted: Identified, count: int, exact: Bool[np.ndarray, "nv"]) 
 
 
 def _mix(fitted: Identified, values: Values, exact: Bool[np.ndarray, "nv"]) -> Values:
-    """Armature and friction of a drawn drive where the law is not exact, all else as it was fitted."""
+    """Return the fitted values with armature and friction of a drawn drive in the joints that are not exact."""
     armature = np.where(exact, fitted.values["bench"]["armature"], values["bench"]["armature"])
     friction = dict(fitted.values["friction"])
     for name, param in fitted.model.params.items():
@@ -185,12 +185,12 @@ def _mix(fitted: Identified, values: Values, exact: Bool[np.ndarray, "nv"]) -> V
 
 
 def _descend(objective: Objective) -> tuple[Float[np.ndarray, "coordinates"], float]:
-    """The vector of the lowest objective nearby, and its root."""
+    """Minimise the objective from its initial vector; return the solution and the root mean square distance."""
     evaluate, space, seen = objective.compile_normal_equations(), objective.space, list[NormalEquations]()
     low, high, start = (np.asarray(side, np.float64) for side in (space.low, space.high, space.start))
 
     def unit() -> float:
-        return seen[0].loss or 1.0  # tolerances mean shares of it
+        return seen[0].loss or 1.0  # makes tolerances relative to the initial loss
 
     def residuals(vector: Float[np.ndarray, "coordinates"]) -> Float[np.ndarray, "compressed"]:
         seen.append(evaluate(vector))
@@ -234,9 +234,9 @@ def _pose(
     damping: Float[np.ndarray, "nv"],
     exact: Bool[np.ndarray, "nv"],
 ) -> tuple[Objective, Rollout]:
-    """The mean square distance of MuJoCo's friction from these rollouts, from this friction on; exact joints stay.
+    """Return the fit of MuJoCo's friction to these rollouts, from these initial values, and its simulation.
 
-    And what simulates it.
+    The loss is the mean square position difference; exact joints are fixed.
     """
     bench, free = fitted.bench.restarted(fitted.values["bench"]), (~exact).tolist()
     bench.params["armature"] = replace(bench.params["armature"], identify=tuple(free))
@@ -271,7 +271,7 @@ def _say(
 def _take_exact(
     model: FrictionModel, bench: dict[str, Float[np.ndarray, "nv"]], loss: np.ndarray, damping: np.ndarray
 ) -> Nearest:
-    """A drive whose law is MuJoCo's own, for one value of what it looks at besides the state."""
+    """Return a drive whose friction model is MuJoCo's, for constant values of its further inputs."""
     if not model.inputs:
         return Nearest(bench, loss, damping)
     return Nearest(bench, loss, damping, say_law(model), f"friction of one {', '.join(model.inputs)}")
@@ -291,7 +291,7 @@ def _say_drawn(fitted: Identified, rms: float, exact: Bool[np.ndarray, "nv"]) ->
 
 
 def _name(fitted: Identified, exact: Bool[np.ndarray, "nv"]) -> str:
-    """The laws that MuJoCo does not have, and where not all joints have such, those that do."""
+    """Name the friction models that MuJoCo does not have, and their joints unless all joints have one."""
     joints = np.flatnonzero(~exact).tolist()
     laws = ", ".join(dict.fromkeys(fitted.model.of_joint(joint)[0].name for joint in joints))
     return f"{laws} (of {name_some([fitted.bench.joints[joint] for joint in joints])})" if exact.any() else laws
@@ -308,9 +308,9 @@ def _list(values: Float[np.ndarray, "nv"]) -> str:
 def nearest_frictionloss_and_damping(
     torque: Float[np.ndarray, "samples nv"], velocity: Float[np.ndarray, "samples nv"]
 ) -> tuple[Float[np.ndarray, "nv"], Float[np.ndarray, "nv"]]:
-    """Coulomb [N m or N] and viscous friction [N m s/rad or N s/m] nearest to a friction torque [N m or N], both >= 0.
+    """Fit Coulomb [N m or N] and viscous friction [N m s/rad or N s/m], both >= 0, to a friction torque [N m or N].
 
-    By non-negative least squares a joint; the torque is positive against a positive velocity [rad/s or m/s].
+    Non-negative least squares for each joint; a torque against a positive velocity [rad/s or m/s] is positive.
     """
     fits = [nnls(np.stack([np.sign(v), v], axis=1), t)[0] for t, v in zip(torque.T, velocity.T, strict=True)]
     loss, viscous = np.array(fits).T
@@ -318,9 +318,9 @@ def nearest_frictionloss_and_damping(
 
 
 def evaluate_law(model: FrictionModel, samples: DriveState, values: Values | None = None) -> FrictionTerms:
-    """The law's terms on numpy samples of shape (samples, nv), as float64 arrays of this shape, or None.
+    """Evaluate a friction model on numpy samples of shape (samples, nv); each term is a float64 array or None.
 
-    With `values`, those of a drive whose law has these.
+    `values` replace the parameters of the model.
     """
     double = copy.deepcopy(model).double()
     if values is not None:
@@ -331,7 +331,7 @@ def evaluate_law(model: FrictionModel, samples: DriveState, values: Values | Non
 
 
 def say_law(model: FrictionModel) -> str:
-    """Say that a frictionloss and a damping are the law, and where."""
+    """State that frictionloss and damping are the friction model, and for which inputs."""
     return f"{model.name}: its friction is the frictionloss and damping below{_say_where(model)}."
 
 

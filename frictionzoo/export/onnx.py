@@ -1,4 +1,4 @@
-"""The friction law as an ONNX graph, which ONNX Runtime and many others run without Python."""
+"""Target `onnx`: the friction model as an ONNX graph, for ONNX Runtime and others, without Python."""
 
 import logging
 import warnings
@@ -18,7 +18,7 @@ from frictionzoo.result.identified import Identified
 
 @register_target("onnx")
 class Onnx(GraphFile):
-    """The law alone, of any batch size, in one file with its weights, run in ONNX Runtime."""
+    """Friction model with its weights in one ONNX file, for any batch size."""
 
     packages: ClassVar[tuple[str, ...]] = ("onnx", "onnxscript", "onnxruntime")
     file, runtime = "friction.onnx", "ONNX Runtime"
@@ -29,7 +29,7 @@ class Onnx(GraphFile):
         logger = logging.getLogger("torch.onnx")
         level = logger.level
         with warnings.catch_warnings():
-            # About the exporter's own internals, and about packages that no law needs.
+            # Warnings about the exporter's internals, and about packages that no friction model needs.
             warnings.simplefilter("ignore")
             logger.setLevel(logging.ERROR)
             try:
@@ -54,14 +54,14 @@ class Onnx(GraphFile):
 
 
 def _without_traces(proto: Any) -> Any:
-    """The model without where in the source each node came from: paths of this machine, and most of the file."""
+    """Remove the source locations of all nodes: paths of this machine, and most of the file."""
     for holder in (proto.graph, *proto.graph.node, *proto.graph.value_info, *proto.graph.input, *proto.graph.output):
         del holder.metadata_props[:]
     return proto
 
 
 def _describe(proto: Any, fitted: Identified) -> Any:
-    """The model with what it says of itself, and the unit of each input and output."""
+    """Add the metadata, and the unit of each input and output."""
     facts, units = list_facts(fitted), list_units(fitted)
     proto.producer_name, proto.producer_version = "frictionzoo", __version__
     proto.doc_string = f"Friction law {facts['law']}: {facts['sampling']}. {facts['use']}"

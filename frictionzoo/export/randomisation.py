@@ -1,4 +1,4 @@
-"""The target `randomisation`: drives that the recordings allow, for training a policy on all of them."""
+"""Target `randomisation`: drives drawn within the uncertainty of the identification, for training a policy."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -27,13 +27,13 @@ _COUNT, _FILES, _MOST = 256, 8, 100_000
 _OFFSETS = ("position_offset", "torque_offset")
 _LIMITS = ("saturation_effort", "velocity_limit", "effort_limit")
 
-_WHOLE = 1e-6  # of a step, which rounding may be off
+_WHOLE = 1e-6  # rounding tolerance, as a share of a step
 Drive = tuple[Identified, Nearest]
-"""A drive, and what MuJoCo's joints hold of it."""
+"""A drive, and the same with MuJoCo's joint friction."""
 
 
 class _Asked(NamedTuple):
-    """The options."""
+    """Options of the target."""
 
     ranges: Ranges
     count: int
@@ -44,7 +44,7 @@ class _Asked(NamedTuple):
 
 @register_target("randomisation")
 class Randomisation(Target):
-    """Drives that the recordings allow: samples, MJCF files, and events for mjlab and Isaac Lab.
+    """Drives drawn from the identified distribution: samples, MJCF files, and events for mjlab and Isaac Lab.
 
     Source: mjlab 1.6, `mjlab.envs.mdp.dr`; Isaac Lab 2.3.2, `isaaclab.envs.mdp.events`.
     """
@@ -98,11 +98,11 @@ def _read_count(options: Mapping[str, str], name: str, default: int, low: int, h
 
 
 def write_samples(path: Path, fitted: Identified, quantities: Sequence[Quantity], seed: int) -> None:
-    """The drives as plain arrays.
+    """Write the drives as plain arrays.
 
-    One of shape (count, nv) a quantity, under its name. `joints` has the names of the nv joints; `names` has those of
-    the quantities and `units`, `nominal`, `low` and `high` their units, values in the fitted drive and ranges, the last
-    three of shape (quantities, nv); `seed` is that of the draws.
+    Each quantity is an array of shape (count, nv) under its name. `joints` lists the nv joints, `names` the quantities
+    and `units` their units. `nominal`, `low` and `high`, of shape (quantities, nv), are the values of the fitted drive
+    and the ranges. `seed` is the seed of the draws.
     """
     arrays = {"seed": np.array(seed), **{one.name: one.values for one in quantities}}
     arrays |= {"joints": np.array(fitted.bench.joints), "names": np.array([one.name for one in quantities])}
@@ -113,7 +113,7 @@ def write_samples(path: Path, fitted: Identified, quantities: Sequence[Quantity]
 
 
 def _list_delays(variants: Variants) -> dict[str, tuple[int, int]]:
-    """Least and largest delay by joint, in whole steps around its range, where it varies."""
+    """Return smallest and largest delay by joint where it varies, rounded outwards to whole steps."""
     fitted, found = variants.fitted, {}
     for parameter in variants.parameters:
         for joint, name in enumerate(fitted.bench.joints) if parameter.name == "bench.delay" else ():
@@ -124,7 +124,7 @@ def _list_delays(variants: Variants) -> dict[str, tuple[int, int]]:
 
 
 def write_files(folder: Path, drives: Sequence[Drive]) -> tuple[list[str], tuple[str, ...]]:
-    """The MJCF of each drive, of a robot its own file; their names, and what has to be said of them."""
+    """Write the MJCF of each drive, or the robot's file for a robot; return their names, and remarks."""
     (folder / FOLDER).mkdir()
     fitted, names = drives[0][0], [NOMINAL, *(f"{FOLDER}/{number:03d}" for number in range(len(drives) - 1))]
     suffix, contents, said = ".xml", [write_bench(*drive).encode() for drive in drives], tuple[str, ...]()
@@ -139,7 +139,7 @@ def write_files(folder: Path, drives: Sequence[Drive]) -> tuple[list[str], tuple
 
 
 def _put_into_robot(drives: Sequence[Drive]) -> tuple[str, list[bytes], tuple[str, ...]]:
-    """Ending and content of the robot's own file with each of the drives, and what has to be said of them."""
+    """Put each drive into the robot's file; return file extension, contents, and remarks."""
     path = Path(drives[0][0].bench.source)
     robots = [
         put_into(path, fitted.bench.joints, ACTUATORS[0], fitted, nearest, write_bench(fitted, nearest))
@@ -152,7 +152,7 @@ def _put_into_robot(drives: Sequence[Drive]) -> tuple[str, list[bytes], tuple[st
 
 
 def _run_benches(drives: Sequence[Drive]) -> tuple[tuple[Difference, ...], str]:
-    """How far what was written is from the drives in MuJoCo C, and in words how far these are from each other."""
+    """Compare the files with the drives in MuJoCo C, and describe the spread of the drives."""
     fitted = drives[0][0]
     came = [run_loaded(mujoco.MjModel.from_xml_string(write_bench(*drive)), drive[0]) for drive in drives]
     laws = [fitted.rollout(values=drive.values)[0] for drive, _ in drives]
@@ -171,7 +171,7 @@ def _run_benches(drives: Sequence[Drive]) -> tuple[tuple[Difference, ...], str]:
 
 
 def _say(variants: Variants, taken: Sequence[Quantity], delays: Mapping[str, tuple[int, int]]) -> list[str]:
-    """What events leave out, and what was not run."""
+    """List the limits of the events."""
     own = [one.name.partition(".")[2] for one in variants.parameters if one.name.startswith("bench.")]
     in_motor = any(one.name == "actuator.stiffness" for one in taken)
     beside = [name for name in own if name in _OFFSETS or not (in_motor or name in ("armature", "delay"))]

@@ -1,4 +1,4 @@
-"""The limits of a robot's own actuator, for the identified one that takes its place."""
+"""Limits of a robot's actuator, converted for the identified actuator that replaces it."""
 
 from collections.abc import Mapping
 
@@ -15,11 +15,10 @@ _NONE = np.array([np.nan, np.nan])
 
 
 def list_limits(before: Source, joint: str, law: Mapping[str, str]) -> tuple[dict[str, str], list[str]]:
-    """Group and ranges of the actuator of a joint, as attributes of one without gear, and what is to be said of them.
+    """Return group and ranges of a joint's actuator as attributes of an actuator without class and gear, and remarks.
 
-    Classes and gears are resolved: the new actuator has none. A range of commands stays where both take positions, or
-    both torques, in the new one's unit. Where a motor becomes a position controller, its range of torque limits the
-    force.
+    The command range stays, in the unit of the new actuator, if both actuators take positions or both take torques. If
+    a position controller replaces a motor, the motor's command range limits the force.
 
     Args:
         before: The robot.
@@ -39,7 +38,7 @@ def list_limits(before: Source, joint: str, law: Mapping[str, str]) -> tuple[dic
 
 
 def _convert(read: ReadActuator, gain: float, bias1: float, bias2: float) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Ranges of the command and of the force, for an actuator with these coefficients."""
+    """Convert command and force ranges to an actuator with these coefficients; also return remarks."""
     ctrl, force = np.array(read.ctrlrange), np.array(read.forcerange)
     if read.bias1 and bias1:
         return _ordered(ctrl * (read.gain / read.bias1) * (bias1 / gain)), force, []
@@ -59,7 +58,7 @@ def _ordered(ends: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
 
 
 def _as_attributes(ctrl: Float[np.ndarray, "2"], force: Float[np.ndarray, "2"], group: int) -> dict[str, str]:
-    """Said outright, whatever the robot's defaults are."""
+    """Write all limits explicitly, to override the robot's defaults."""
     said = {"group": str(group)} if group else {}
     for name, ends in (("ctrl", ctrl), ("force", force)):
         limited = bool(np.isfinite(ends).all())

@@ -1,4 +1,4 @@
-"""Parameter files of Rhoban's BAM, read as values of our benches and laws.
+"""Parameter files of Rhoban's BAM, read as values of a bench and a friction model.
 
 `python -m frictionzoo.export.read_bam FILE.json` prints them as options of a run:
 
@@ -41,7 +41,7 @@ LAWS: Mapping[str, tuple[str, Mapping[str, str]]] = {
     "m5": ("directional", _M5),
     "m6": ("quadratic", _M6),
 }
-"""Of BAM's friction laws, the name here, and by BAM's name of each of its parameters the one here."""
+"""Friction model for each of BAM's, and its parameter for each of BAM's parameters."""
 DUTY: Mapping[str, tuple[float, float]] = {
     "mx64": (0.158, 0.9625),
     "mx106": (0.158, 0.9625),
@@ -49,21 +49,21 @@ DUTY: Mapping[str, tuple[float, float]] = {
     "xl330": (0.00246, 1.0),
     "sts3215": (0.166, 0.97),
 }
-"""BAM's voltage servos: duty cycle per radian of error at a gain of one [1/rad], and its limit [1]."""
-_NEGLIGIBLE = 1e-9  # N m; at 0 MuJoCo's friction constraint would lock the joint
+"""Duty cycle per radian of error at unit gain [1/rad] and its limit [1], for each voltage servo of BAM."""
+_NEGLIGIBLE = 1e-9  # smallest frictionloss [N m]: at 0 MuJoCo's friction constraint would lock the joint
 
 
 @dataclass(frozen=True)
 class BamDrive:
-    """A drive as BAM's file describes it.
+    """A drive from a BAM parameter file.
 
     Attributes:
-        bam: BAM's name of the friction law, `m1` to `m6`.
+        bam: BAM's name of the friction model, `m1` to `m6`.
         actuator: BAM's name of the servo.
-        bench: Values of the bench's parameters and of `VoltageServo`'s.
-        model: The friction law here.
-        friction: Values of its parameters; what the file does not name is left to conf/model.
-        remarks: What is not the same here, a sentence each.
+        bench: Values of the parameters of the bench and of `VoltageServo`.
+        model: Name of the friction model in frictionzoo.
+        friction: Values of its parameters; conf/model has the others.
+        remarks: Differences from BAM, a sentence each.
     """
 
     bam: str
@@ -74,7 +74,7 @@ class BamDrive:
     remarks: tuple[str, ...]
 
     def overrides(self) -> list[str]:
-        """The values as known ones in a run's options, for a bench with a `VoltageServo`."""
+        """Return the values as known parameters in options of a run, for a bench with a `VoltageServo`."""
         own = {f"bench.params.{name}": self.bench[name] for name in ("armature", "delay", "position_offset")}
         actuator = {f"bench.actuator.params.{k}": v for k, v in self.bench.items() if f"bench.params.{k}" not in own}
         known = own | actuator | {f"model.params.{name}": value for name, value in self.friction.items()}
@@ -82,7 +82,7 @@ class BamDrive:
 
 
 def read_bam(path: Path) -> BamDrive:
-    """The drive of a parameter file, JSON as BAM's `fit` writes it.
+    """Read a parameter file, JSON from BAM's `fit`.
 
     Raises:
         ConfigError: It is no such file, or its servo is not driven by voltage.
@@ -101,10 +101,10 @@ def read_bam(path: Path) -> BamDrive:
 
 
 def load_parameters(path: Path) -> dict[str, Any]:
-    """What a parameter file holds.
+    """Load the content of a parameter file.
 
     Raises:
-        ConfigError: It is none.
+        ConfigError: It is no such file.
     """
     try:
         data = json.loads(path.read_text())
@@ -117,10 +117,10 @@ def load_parameters(path: Path) -> dict[str, Any]:
 
 
 def read_bench(path: Path, data: Mapping[str, Any]) -> dict[str, float]:
-    """Values of the bench's parameters and of `VoltageServo`'s in what the file of this path holds.
+    """Return values of the parameters of the bench and of `VoltageServo` from a file's content.
 
     Raises:
-        ConfigError: The servo is not driven by voltage, or a value makes no sense.
+        ConfigError: The servo is not driven by voltage, or a value is invalid.
     """
     actuator = data["actuator"]
     if actuator not in DUTY:
@@ -154,14 +154,14 @@ def _positive(path: Path, data: Mapping[str, Any], name: str) -> float:
 
 
 def _known(value: float) -> str:
-    """A parameter's section with this value and no search."""
+    """Return the section of a known parameter with this value."""
     reach = 2 * abs(value) or 1.0
     low = -reach if value < 0 else 0.0
     return f"{{init:{value!r},low:{low!r},high:{reach!r},scale:1.0,identify:false}}"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status, 2 for a user's mistake."""
+    """Print a file as options of a run; return the exit status, 2 for an invalid input."""
     parser = Parser(
         prog="python -m frictionzoo.export.read_bam",
         description="Print a BAM parameter file as options of python -m frictionzoo.run.",

@@ -1,4 +1,4 @@
-"""An identified drive put into the joints of a robot's own file, MJCF or URDF."""
+"""An identified drive in the joints of a robot's file, MJCF or URDF."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
@@ -26,12 +26,12 @@ from frictionzoo.result.identified import Identified
 from frictionzoo.result.simulator import RK4, read_integrator
 
 _JOINT = ("armature", "solreffriction", "frictionloss", "damping")
-_PLAIN = {"dyntype": "none", "gaintype": "fixed", "gear": "1 0 0 0 0 0"}  # whatever the robot's defaults are
+_PLAIN = {"dyntype": "none", "gaintype": "fixed", "gear": "1 0 0 0 0 0"}  # override the robot's defaults
 _LATE = ("delay", "nsample", "interp", "dyntype", "dynprm", "actearly")
-_STATES = 200  # recorded states in which torques are compared
-_NAMED = 3  # joints up to which a line names them
-_ROUNDING = 1e-9  # share of a limit that was identified, up to which torque is within
-_SAME = 1e-12  # share by which a value that is read back may differ
+_STATES = 200  # number of recorded states for the torque comparison
+_NAMED = 3  # largest number of joints that are listed by name
+_ROUNDING = 1e-9  # tolerance of a torque limit, as a share of the limit
+_SAME = 1e-12  # relative tolerance of a value read back
 ACTUATORS = ("identified", "keep")
 
 
@@ -42,12 +42,12 @@ class Equipped:
     Attributes:
         content: The file.
         urdf: Whether it is URDF, else MJCF.
-        joints: Names of the joints that were identified.
+        joints: Names of the identified joints.
         column: Column of each joint in the drive's values.
-        model: The file compiled, with every joint and actuator; without meshes, sensors and keyframes.
-        remark: What was changed, for a comment of the file.
-        notes: What a user has to know of the changes, a sentence each.
-        unknown: Names of bodies that move with the joints and lack an inertia in the model.
+        model: The compiled file with all joints and actuators, without meshes, sensors and keyframes.
+        remark: The changes, for a comment in the file.
+        notes: Remarks for the user, a sentence each.
+        unknown: Names of bodies that move with the joints and have no inertia in the model.
     """
 
     content: bytes
@@ -60,14 +60,14 @@ class Equipped:
     unknown: tuple[str, ...]
 
     def commented(self, *sentences: str) -> "Equipped":
-        """Return the same with a comment at the top of the file: the changes, and these sentences."""
+        """Return the robot with a comment at the top of the file: the changes, and these sentences."""
         file = InPlace.read(self.content)
         file.remark(" ".join([self.remark, *sentences]))
         return replace(self, content=file.write())
 
 
 def _refuse_inertia(path: Path, fitted: Identified) -> None:
-    """Raise ExportError where the drive was identified with other links or another gravity than its file's."""
+    """Raise ExportError if inertias or gravity of the identified drive differ from its file."""
     if fitted.bench.inertia and path == Path(fitted.bench.source):
         links = ", ".join(list(fitted.bench.inertia)[:3])
         raise ExportError(
@@ -85,24 +85,25 @@ def _refuse_inertia(path: Path, fitted: Identified) -> None:
 def put_into(
     path: Path, joints: Sequence[str], actuators: str, fitted: Identified, nearest: Nearest, bench: str
 ) -> Equipped:
-    """Put the drive into joints of a robot's file; all else stays as it was, byte by byte.
+    """Put the drive into joints of a robot's file, and leave all other bytes unchanged.
 
-    Meshes may be missing. The written file is read back and checked. It has no comment yet. Of a drive that `at` made
-    for a simulator, an MJCF gets the step and the integrator too.
+    Meshes may be missing. The result is read back and checked; it has no comment yet. For a drive from `at`, an MJCF
+    also gets the time step and the integrator.
 
     Args:
-        path: Of the robot, MJCF or URDF.
-        joints: Names of its joints. A drive of one joint is put into each of them, one of several into as many.
-        actuators: `identified` to replace the joints' actuators, or add them, or `keep` to leave them.
+        path: File of the robot, MJCF or URDF.
+        joints: Names of its joints. A drive with one joint is put into each of them; a drive with several joints needs
+            as many names.
+        actuators: `identified` replaces or adds the joints' actuators, `keep` leaves them.
         fitted: The drive.
-        nearest: Its values in MuJoCo's joints.
+        nearest: The drive with MuJoCo's joint friction.
         bench: The bench's MJCF with these values.
 
     Raises:
-        ConfigError: The file or a joint does not exist, or an option makes no sense.
-        BenchError: MuJoCo does not take the robot.
-        ExportError: A joint is of another type, links have other inertias than the robot's, or the file cannot hold the
-            drive.
+        ConfigError: The file or a joint does not exist, or an option is invalid.
+        BenchError: MuJoCo cannot load the robot.
+        ExportError: A joint has another type, the drive has other inertias or gravity than the file, or the file cannot
+            hold the drive.
     """
     if actuators not in ACTUATORS:
         raise ConfigError(f"actuator={actuators}: expected {' or '.join(ACTUATORS)}")
@@ -140,12 +141,12 @@ def put_into(
 def compare_torque(
     robot: Equipped, fitted: Identified, nearest: Nearest, actuators: bool
 ) -> tuple[Difference, tuple[str, ...]]:
-    """Compare the torque of the file's actuators and damping, in MuJoCo C at recorded states, with the drive's.
+    """Compare the torque of the file's actuators and damping with the drive's, in MuJoCo C at recorded states.
 
-    Without the identified `actuators`, compare the damping alone.
+    Without identified `actuators`, compare only the damping.
 
     Returns:
-        The difference; and a sentence where limits of the robot contribute to it.
+        The difference; and a sentence if limits of the robot contribute to it.
     """
     states = _pick_states(fitted)
     data, column = mujoco.MjData(robot.model), list(robot.column)
@@ -160,12 +161,12 @@ def compare_torque(
 
 
 def offset_of(fitted: Identified) -> Float[np.ndarray, "nv"]:
-    """Return the offset of true positions, which the robot's joints have, from recorded ones [rad or m]."""
+    """Return the offset of true from recorded positions [rad or m]."""
     return fitted.values["bench"].get("position_offset", np.zeros(fitted.bench.nv))
 
 
 def _say_cut(robot: Equipped, torque: Float[np.ndarray, "states joints"]) -> tuple[str, ...]:
-    """Say in how many states limits of actuators and joints act that the bench does not have."""
+    """Count the states in which force limits of the robot act, which the bench does not have."""
     model, cut = robot.model, np.zeros(len(torque), bool)
     ids = [model.joint(name).id for name in robot.joints]
     limits = [(model.jnt_actfrcrange[ids], model.jnt_actfrclimited[ids], ids)]
@@ -180,10 +181,10 @@ def _say_cut(robot: Equipped, torque: Float[np.ndarray, "states joints"]) -> tup
 
 
 def say_whole(path: Path, robot: Equipped) -> tuple[str, ...]:
-    """A sentence where MuJoCo does not compile the file as a whole, with its meshes, nor the original.
+    """Compile the whole file with meshes in MuJoCo; return a sentence if neither it nor the original compiles.
 
     Raises:
-        ExportError: It does compile the original.
+        ExportError: MuJoCo compiles only the original.
     """
     failure = _compile(robot.content, path)
     if failure is None:
@@ -194,7 +195,7 @@ def say_whole(path: Path, robot: Equipped) -> tuple[str, ...]:
 
 
 def _compile(content: bytes, path: Path) -> str | None:
-    """Return why MuJoCo does not compile a file at this path; None where it does."""
+    """Compile a file at this path; return MuJoCo's error, or None."""
     try:
         spec = mujoco.MjSpec.from_string(ET.tostring(ET.fromstring(content), encoding="unicode"))
         spec.modelfiledir = str(path.resolve().parent)
@@ -205,7 +206,7 @@ def _compile(content: bytes, path: Path) -> str | None:
 
 
 def _pick_states(fitted: Identified) -> DriveState:
-    """Pick some recorded states, with the `ctrl` of MuJoCo's actuators in them."""
+    """Pick some recorded states, with the `ctrl` of MuJoCo's actuators."""
     bench, samples = fitted.bench, fitted.samples
     signals = fitted.acting().map(lambda signal: signal[:, :, 0].reshape(-1, bench.nv))
     state = samples.qpos, samples.qvel
@@ -251,12 +252,12 @@ def _read(path: Path) -> tuple[InPlace, bool]:
 
 
 def _is_joint(tag: Tag) -> bool:
-    """Whether it is a joint of the robot, not of its equalities, tendons, defaults or transmissions."""
+    """Return whether an element is a joint of the robot, not of its equalities, tendons, defaults or transmissions."""
     return tag.name == "joint" and (tag.path[:2] == ("mujoco", "worldbody") or tag.path == ("robot",))
 
 
 def _match(path: Path, joints: Sequence[str], found: Sequence[str], fitted: Identified) -> tuple[int, ...]:
-    """Column of the drive's values for each joint."""
+    """Return the column of the drive's values for each joint."""
     for name in joints:
         if name not in found:
             raise ConfigError(f"joint={name}: no such joint in {path}; {closest(name, found)}")
@@ -285,7 +286,7 @@ def _refuse_other_types(model: mujoco.MjModel, path: Path, joints: Sequence[str]
 
 
 def _write_dynamics(file: InPlace, joint: Tag, nearest: Nearest, own_damping: np.ndarray, column: int) -> None:
-    """URDF: friction and damping; the armature as a comment, which is all that URDF has for it."""
+    """Write friction and damping of a URDF joint, and the armature as a comment, since URDF has no place for it."""
     said = {
         "damping": in_full(nearest.damping[column] + own_damping[column]),
         "friction": in_full(nearest.frictionloss[column]),
@@ -300,7 +301,7 @@ def _write_dynamics(file: InPlace, joint: Tag, nearest: Nearest, own_damping: np
 
 
 def _meant(fitted: Identified, nearest: Nearest) -> Affine:
-    """Return the actuators' coefficients for true positions, where the bench's are those of the encoders."""
+    """Return the actuators' coefficients for true positions; the bench's are for encoder positions."""
     law = fitted.bench.actuator.affine(nearest.bench)
     return law._replace(bias0=law.bias0 - law.bias1 * offset_of(fitted))
 
@@ -308,7 +309,7 @@ def _meant(fitted: Identified, nearest: Nearest) -> Affine:
 def describe_law(
     fitted: Identified, nearest: Nearest, column: int, general: ET.Element, timestep: float
 ) -> dict[str, str]:
-    """Attributes of a joint's actuator, from those of the bench's, in the robot's own positions and time step [s]."""
+    """Return the attributes of a joint's actuator for the robot's positions and time step [s]."""
     law = {key: value for key, value in general.attrib.items() if key not in ("name", "joint", *_LATE)}
     law["biasprm"] = " ".join(in_full(bias[column]) for bias in _meant(fitted, nearest)[1:])
     if "delay" in nearest.bench and not fitted.bench.actuator.needs_state:
@@ -317,13 +318,13 @@ def describe_law(
 
 
 def write_late(fitted: Identified, nearest: Nearest, timestep: float) -> dict[str, Float[np.ndarray, "nv"]]:
-    """Return the delays [s], where there are any, that actuators need in steps of this length [s]."""
+    """Return the delays [s] of the actuators for this time step [s]; empty without a delay."""
     late = {name: value for name, value in nearest.bench.items() if name == "delay"}
     return {name: stretch(value, timestep) for name, value in late.items()} if read_integrator(fitted) == RK4 else late
 
 
 def set_option(file: InPlace, fitted: Identified) -> None:
-    """Write the step and the integrator that the drive's parameters are for into an MJCF's option."""
+    """Write time step and integrator of the drive into the `option` element of an MJCF."""
     said = {"timestep": in_full(fitted.timestep), "integrator": read_integrator(fitted)}
     options = [tag for tag in file.tags if tag.path == ("mujoco",) and tag.name == "option"]
     for tag in options:
@@ -333,9 +334,9 @@ def set_option(file: InPlace, fitted: Identified) -> None:
 
 
 def _change_option(file: InPlace, option: mujoco.MjOption, fitted: Identified) -> list[str]:
-    """Do so where the file has others, and return a sentence that says it."""
+    """Write time step and integrator if the file has others; return a sentence on the change."""
     own, wanted = mujoco.mjtIntegrator(option.integrator).name.removeprefix("mjINT_"), read_integrator(fitted)
-    # Parameters for implicitfast are those for implicit.
+    # Parameters for implicitfast also hold for implicit.
     if np.isclose(option.timestep, fitted.timestep, rtol=1e-6) and wanted.lower().startswith(own.lower()):
         return []
     set_option(file, fitted)
@@ -346,7 +347,7 @@ def _change_option(file: InPlace, option: mujoco.MjOption, fitted: Identified) -
 
 
 def _list_unknown(after: Source, joints: Sequence[str]) -> tuple[str, ...]:
-    """Name the bodies that these joints move and whose inertia MuJoCo does not take, or finds no mesh for."""
+    """Name the bodies moved by these joints whose inertia MuJoCo rejects, or whose mesh is missing."""
     model, ids, moved = after.model, {after.model.joint(name).id for name in joints}, np.zeros(after.model.nbody, bool)
     for body in range(1, model.nbody):
         first = model.body_jntadr[body]
@@ -356,12 +357,12 @@ def _list_unknown(after: Source, joints: Sequence[str]) -> tuple[str, ...]:
 
 
 def _write_actuator(file: InPlace, path: Path, joint: str, law: dict[str, str], before: Source) -> list[str]:
-    """MJCF: the joint's actuator with the attributes of this law, within the limits of the robot's own."""
+    """Write a joint's actuator with these attributes into an MJCF, within the limits of the robot's actuator."""
     sections = [tag for tag in file.tags if tag.path == ("mujoco",) and tag.name == "actuator"]
     inside = [tag for tag in file.tags if any(tag.owner is section for section in sections)]
     old = [tag for tag in inside if joint in (tag.attributes.get("joint"), tag.attributes.get("jointinparent"))]
     rubbing = [tag for tag in old if tag.name == "dcmotor" and tag.attributes.get("input") == "none"]
-    for tag in rubbing:  # its friction is in what was identified
+    for tag in rubbing:  # the identified friction includes its friction
         file.remove(tag)
     old = [tag for tag in old if tag not in rubbing]
     if len(old) > 1:
@@ -385,7 +386,7 @@ def _write_actuator(file: InPlace, path: Path, joint: str, law: dict[str, str], 
 
 
 def _refuse_keys(file: InPlace, path: Path, before: mujoco.MjModel, after: mujoco.MjModel) -> None:
-    """Keyframes of other numbers of commands and activations, which MuJoCo would refuse."""
+    """Refuse keyframes with another number of commands or activations, which MuJoCo does not accept."""
     for attribute, number, now in (("ctrl", before.nu, after.nu), ("act", before.na, after.na)):
         keys = [tag for tag in file.tags if tag.name == "key" and attribute in tag.attributes]
         if keys and number != now:
@@ -396,7 +397,7 @@ def _refuse_keys(file: InPlace, path: Path, before: mujoco.MjModel, after: mujoc
 
 
 def _refuse_unlike(after: Source, robot: Equipped, fitted: Identified, nearest: Nearest, actuators: bool) -> None:
-    """What was written, read back, is to be what was meant, whatever the file's defaults are."""
+    """Read the written file back, and refuse values changed by the file's defaults or other actuators."""
     ids = [after.model.joint(name).id for name in robot.joints]
     if not np.isnan(read_friction(after, ids)["stiffness"]).all():
         raise ExportError(

@@ -1,4 +1,4 @@
-"""The target `sdf`: the bench as SDFormat, with what Gazebo and Drake take from one."""
+"""Target `sdf`: the bench as SDFormat, for Gazebo and Drake."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
@@ -28,17 +28,17 @@ from frictionzoo.export.written import Export
 from frictionzoo.result.identified import Identified
 
 FILE = "bench.sdf"
-_VERSION = "1.7"  # the first in which poses may name the frame that they are in
+_VERSION = "1.7"  # the first version with poses relative to a named frame
 _KINDS = {"hinge": "revolute", "slide": "prismatic", "fixed": "fixed"}
 _TYPES = {"revolute": mujoco.mjtJoint.mjJNT_HINGE, "prismatic": mujoco.mjtJoint.mjJNT_SLIDE}
 _PLACES = ("joints", "links")
-_LEVEL = 1e-6  # share of gravity along a slide that counts as none
-_ENTRIES = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")  # in the order of MuJoCo's `fullinertia`
+_LEVEL = 1e-6  # share of gravity along a slide that counts as 0
+_ENTRIES = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")  # order of MuJoCo's `fullinertia`
 
 
 @register_target("sdf")
 class Sdf(Target):
-    """The bench as SDFormat: dynamics with dry friction, as Gazebo reads them, and armature as Drake does."""
+    """SDFormat of the bench: damping and dry friction, read by Gazebo, and armature, read by Drake."""
 
     options: ClassVar[Mapping[str, str]] = {"armature": "joints, as Drake reads it, or links, for Gazebo; else joints"}
     packages: ClassVar[tuple[str, ...]] = ("mujoco",)
@@ -67,15 +67,15 @@ class Sdf(Target):
 
 
 def write_sdf(fitted: Identified, nearest: Nearest, in_links: bool = False) -> str:
-    """The file; the frame of a joint is that of its link.
+    """Write the file; a joint has the frame of its link.
 
     Args:
         fitted: The drive.
-        nearest: What MuJoCo's joints can hold of it.
-        in_links: Whether links have the armature of their joints, or the joints.
+        nearest: The drive with MuJoCo's joint friction.
+        in_links: Whether the armature is added to the links instead of the joints.
 
     Raises:
-        ExportError: The links cannot have it.
+        ExportError: The links cannot represent the armature, or SDFormat the bench.
     """
     root = ET.Element("sdf", {"version": _VERSION, "xmlns:drake": DRAKE})
     root.append(write_comment(f"frictionzoo: {nearest.remark or say_law(fitted.model)}"))
@@ -92,7 +92,7 @@ def write_sdf(fitted: Identified, nearest: Nearest, in_links: bool = False) -> s
 
 
 def _name_links(links: Sequence[Link]) -> dict[str, str]:
-    """A model has one name for one thing, and MuJoCo's bodies may be called like joints.
+    """Choose unique names of links: in SDFormat, unlike MuJoCo, a link and a joint cannot share a name.
 
     Raises:
         ExportError: SDFormat does not allow a name.
@@ -112,7 +112,7 @@ def _name_links(links: Sequence[Link]) -> dict[str, str]:
 
 
 def _load(link: Link, armature: float, fitted: Identified) -> Link:
-    """A link as heavy along its joint as with the armature: a thin disc about the axis, which has half across."""
+    """Add the armature to a link: to the mass for a slide; for a hinge as a thin disc about the axis."""
     bench = fitted.bench
     if bench.payload is not None:
         raise ExportError(
@@ -147,7 +147,7 @@ def _add_link(model: ET.Element, link: Link) -> None:
 
 
 def _add_joint(model: ET.Element, link: Link, armature: float | None) -> None:
-    """Without limits, which a joint of SDFormat need not have."""
+    """Add a joint without limits, which are optional in SDFormat."""
     joint = ET.SubElement(model, "joint", name=link.joint, type=_KINDS[link.kind])
     ET.SubElement(joint, "parent").text = link.parent
     ET.SubElement(joint, "child").text = link.name
@@ -163,7 +163,7 @@ def _add_joint(model: ET.Element, link: Link, armature: float | None) -> None:
 
 
 def read_sdf(text: str) -> tuple[mujoco.MjSpec, dict[str, float]]:
-    """The links of such a file for MuJoCo, which reads no SDFormat, and the rotor's inertia by joint."""
+    """Read the links of a written file for MuJoCo, which cannot read SDFormat, and the rotor inertia by joint."""
     spec, inertia = mujoco.MjSpec(), dict[str, float]()
     bodies, links = {WORLD: spec.worldbody}, dict[str, ET.Element]()
     for element in ET.fromstring(text).findall("./model/*"):

@@ -1,4 +1,4 @@
-"""MuJoCo C under the commands of recordings: how written models are compared with the fitted drive."""
+"""Simulation of written models in MuJoCo C under recorded commands, for comparison with the fitted drive."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -13,25 +13,25 @@ from frictionzoo.core.state import Signals
 from frictionzoo.result.identified import Identified
 
 PAYLOADS = "Payloads of recordings are left out; for the difference above they were put into the model."
-_WHOLE = 0.01  # share by which samples may differ from a whole number of steps, as for recordings
-_ROUNDING = 1e-6  # of a step
+_WHOLE = 0.01  # relative deviation of a sample from whole steps that is rounded away, as for recordings
+_ROUNDING = 1e-6  # rounding tolerance, as a share of a step
 _DIVERGED = [mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC]
 
 Step = Callable[[mujoco.MjModel, mujoco.MjData, Signals], None]
-"""Advances a model by one time step under one sample of the commands and both laws' other inputs."""
+"""Advances a model by one time step under one sample of the commands and of further inputs of actuator and friction."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where the identified joints are in a model.
+    """Indices of the identified joints in a model.
 
     Attributes:
         qpos: Index of each joint's position.
         dof: Index of each joint's velocity.
         ctrl: Index of the command of each joint's actuator.
         actuator: Index of each joint's actuator.
-        offset: The model's position less the recorded one [rad or m].
-        put_load: Lets the body that carries payloads be what a row of `Segments.load` makes of it.
+        offset: The model's position minus the recorded one [rad or m].
+        put_load: Puts the payload of a row of `Segments.load` into the model.
     """
 
     qpos: Int[np.ndarray, "nv"]
@@ -43,7 +43,7 @@ class Place:
 
     @classmethod
     def of_bench(cls, fitted: Identified) -> "Place":
-        """The bench's own MJCF: its joints and actuators alone, and positions as they were recorded."""
+        """Return the indices for the bench's MJCF, which has only these joints, and recorded positions."""
         each = np.arange(fitted.bench.nv)
         return cls(each, each, each, each, np.zeros(fitted.bench.nv), fitted.bench.put_load)
 
@@ -56,18 +56,18 @@ def simulate(
     late: bool = True,
     place: Place | None = None,
 ) -> Float[np.ndarray, "batch time nv"]:
-    """Positions after each sample of the long test rollouts, in the model's own time steps.
+    """Simulate the long test rollouts with the model's time step.
 
     Args:
-        model: What was written, compiled; payloads are put into it.
-        fitted: The drive whose rollouts these are.
+        model: The compiled model; payloads are put into it.
+        fitted: The drive of the rollouts.
         step: One time step.
-        prepare: Called with a rollout's number before it begins, from its initial state.
-        late: Whether the commands that `step` gets are late by the bench's delay.
-        place: Where the joints are in the model; None for the bench's own.
+        prepare: Called with a rollout's number at its initial state.
+        late: Whether `step` gets commands delayed by the bench's delay.
+        place: Indices of the joints in the model; None for the bench's MJCF.
 
     Returns:
-        Recorded positions, without `Place.offset`; NaN in a rollout in which MuJoCo finds that it diverges.
+        Positions after each sample, without `Place.offset`; NaN in rollouts that diverge according to MuJoCo.
     """
     segments, place = fitted.segments, Place.of_bench(fitted) if place is None else place
     timestep = float(model.opt.timestep)
@@ -96,7 +96,7 @@ def simulate(
 
 @contextmanager
 def _without_log() -> Iterator[None]:
-    """Keep MuJoCo from writing a file into the working directory where a simulation diverges."""
+    """Keep MuJoCo from writing a log file into the working directory when a simulation diverges."""
     mujoco.set_mju_user_warning(lambda _: None)
     try:
         yield
@@ -105,23 +105,23 @@ def _without_log() -> Iterator[None]:
 
 
 def _steps_a_sample(fitted: Identified, timestep: float) -> float:
-    """Return how many steps of this length [s] a sample of the recordings lasts, rounded where it is nearly whole."""
+    """Return the number of time steps [s] in a recorded sample, rounded if it is nearly whole."""
     steps = fitted.segments.timestep / timestep
     whole = max(1.0, float(round(steps)))
     return whole if abs(steps / whole - 1) <= _WHOLE else steps
 
 
 def _held(fitted: Identified, timestep: float, step: Int[np.ndarray, "..."]) -> Int[np.ndarray, "..."]:
-    """Return the sample of `Segments.signals` that is held in a step; steps before the first state are negative."""
+    """Return the index in `Segments.signals` of a step's sample; steps before the first state are negative."""
     segments = fitted.segments
     sample = segments.history + np.floor((step + _ROUNDING) / _steps_a_sample(fitted, timestep)).astype(int)
     return np.clip(sample, 0, segments.history + segments.length - 1)
 
 
 def _act(fitted: Identified, timestep: float, late: bool) -> Signals:
-    """What drives each step of the long test rollouts, each of shape (batch, steps, nv).
+    """Return the signals of each step of the long test rollouts, each of shape (batch, steps, nv).
 
-    As `frictionzoo.simulate.rollout.applied`, in steps of any length [s].
+    Like `frictionzoo.simulate.rollout.applied`, for any time step [s].
     """
     per_sample, joint = _steps_a_sample(fitted, timestep), np.arange(fitted.bench.nv)
     step = np.arange(int(np.ceil(fitted.segments.length * per_sample - _ROUNDING)))[:, None]
@@ -142,7 +142,7 @@ def _act(fitted: Identified, timestep: float, late: bool) -> Signals:
 def _at_samples(
     states: Float[np.ndarray, "instants 2 nv"], fitted: Identified, timestep: float
 ) -> Float[np.ndarray, "time nv"]:
-    """Positions at the recordings' samples: between two steps, of the cubic through their positions and velocities."""
+    """Interpolate positions at the recorded samples, by cubics through positions and velocities of the steps."""
     at = _steps_a_sample(fitted, timestep) * np.arange(1, fitted.segments.length + 1)
     first = np.floor(at + _ROUNDING).astype(int)
     start, end = states[first], states[np.minimum(first + 1, len(states) - 1)]
@@ -153,7 +153,7 @@ def _at_samples(
 
 
 def step_with_control(fitted: Identified) -> Step:
-    """A step in which the caller computes the actuator law's controller, and MuJoCo does the rest."""
+    """Return a step in which the caller computes the controller of the actuator model."""
     bench = fitted.bench
 
     def step(model: mujoco.MjModel, data: mujoco.MjData, signals: Signals) -> None:
@@ -171,17 +171,17 @@ def run_loaded(
     begin: Callable[[mujoco.MjData, int], None] = lambda *_: None,
     late: bool | None = None,
 ) -> Float[np.ndarray, "batch time nv"]:
-    """Positions of the long test rollouts in MuJoCo C, in a written model that is played as its users would.
+    """Simulate the long test rollouts in MuJoCo C with a written model, as its user would; return positions.
 
-    `ctrl` is the recorded command, or several of them combined, and the model's actuators delay it. For an actuator law
-    that needs the state, the caller computes the controller in each step from late commands.
+    `ctrl` is the recorded command, or several commands combined, and the model's actuators delay it. If the actuator
+    model needs the state, the caller computes the controller in each step from delayed commands.
 
     Args:
-        model: What was written, compiled.
-        fitted: The drive whose rollouts these are.
-        place: Where the joints are in the model; None for the bench's own.
+        model: The compiled model.
+        fitted: The drive of the rollouts.
+        place: Indices of the joints in the model; None for the bench's MJCF.
         begin: Called with a rollout's number before it begins.
-        late: Whether the caller delays the commands; None for a law that needs the state alone.
+        late: Whether the caller delays the commands; None: only if the actuator model needs the state.
     """
     place = Place.of_bench(fitted) if place is None else place
     law, values = fitted.bench.actuator, fitted.values["bench"]
@@ -195,7 +195,7 @@ def run_loaded(
         mujoco.mj_step(model, data)
 
     def prepare(model: mujoco.MjModel, data: mujoco.MjData, rollout: int) -> None:
-        """Put the commands before the first state where MuJoCo's late actuators look for them."""
+        """Write the commands before the first state into the history of MuJoCo's delayed actuators."""
         begin(data, rollout)
         signals = fitted.segments.signals.map(itemgetter(rollout))
         command = np.asarray(law.combine(values, signals.ctrl, signals.inputs), np.float64)
@@ -213,9 +213,9 @@ def run_loaded(
 
 
 def commands_before(fitted: Identified, rollout: int) -> Signals:
-    """The commands in the steps before the first state of a rollout of this number, the newest last; at least one.
+    """Return the commands of the steps before the first state of a rollout, the newest last; at least one step.
 
-    Each of shape (steps, nv); `inputs` has those that are commands alone.
+    Each has shape (steps, nv); `inputs` has only commands.
     """
     segments = fitted.segments
     inputs = {name: segments.signals.inputs[name] for name in fitted.sampling.commands}

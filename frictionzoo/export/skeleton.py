@@ -1,4 +1,4 @@
-"""Links and joints of a bench, as description formats of robots have them: the frame of a link is that of its joint."""
+"""Links and joints of a bench for robot description formats, in which a link has the frame of its joint."""
 
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
@@ -25,16 +25,16 @@ class Link(NamedTuple):
     """A link and the joint that holds it.
 
     Attributes:
-        name: Of the link.
-        parent: Of the link that holds it, or `WORLD`.
-        pos: Of its frame in that of the parent [m].
-        rpy: Turn of its frame about the parent's fixed axes x, y, z [rad].
+        name: Name of the link.
+        parent: Name of its parent link, or `WORLD`.
+        pos: Position of its frame in the parent's [m].
+        rpy: Rotation of its frame about the parent's fixed axes x, y, z [rad].
         mass: [kg].
         com: Centre of mass in its frame [m].
-        inertia: About the centre of mass, along the axes of its frame [kg m^2].
-        joint: Name of the joint; that of a fixed one is the link's.
+        inertia: About the centre of mass, in the axes of its frame [kg m^2].
+        joint: Name of the joint; for a fixed joint, the link's name with `_fixed`.
         kind: `hinge`, `slide`, or `fixed`.
-        axis: Of the joint, in the link's frame.
+        axis: Axis of the joint in the link's frame.
         damping: [N m s/rad or N s/m].
         friction: Dry friction [N m or N].
     """
@@ -54,10 +54,11 @@ class Link(NamedTuple):
 
 
 def read_links(fitted: Identified, nearest: Nearest) -> list[Link]:
-    """Those of the bench with the friction that MuJoCo's joints can hold.
+    """Read the links of the bench, with MuJoCo's joint friction.
 
     Raises:
-        ExportError: It has what a tree of links with a joint each has not.
+        ExportError: The bench is no tree of links with one joint each: it has several joints in a body, an equality or
+            a tendon.
     """
     model = mujoco.MjModel.from_xml_string(write_bench(fitted, nearest))
     if (model.body_jntnum > 1).any() or model.neq or model.ntendon:
@@ -74,7 +75,7 @@ def read_links(fitted: Identified, nearest: Nearest) -> list[Link]:
 
 
 def find_free_name(name: str, taken: set[str]) -> str:
-    """The name, with underscores where others have it; it is taken from now on."""
+    """Return the name, with underscores appended until it is free, and add it to `taken`."""
     while name in taken:
         name += "_"
     taken.add(name)
@@ -104,22 +105,22 @@ def _read_link(model: mujoco.MjModel, body: int, names: Sequence[str], fixed: st
 
 
 def _anchor(model: mujoco.MjModel, body: int) -> Float[np.ndarray, "3"]:
-    """Where the frame of a body's joint lies in that of the body [m]."""
+    """Return the position of a body's joint in the body's frame [m]."""
     return model.jnt_pos[model.body_jntadr[body]] if model.body_jntnum[body] else np.zeros(3)
 
 
 def run_links(
     spec: mujoco.MjSpec, fitted: Identified, nearest: Nearest, armature: Sequence[float]
 ) -> Float[np.ndarray, "batch time nv"]:
-    """Positions of the long test rollouts in MuJoCo C.
+    """Simulate the long test rollouts in MuJoCo C with links from a written file; return positions.
+
+    Options, actuators, `solreffriction` and reference positions, which these formats lack, come from the bench.
 
     Args:
-        spec: The links that were read from a written file.
+        spec: The links from a written file.
         fitted: The drive.
-        nearest: What MuJoCo's joints can hold of it.
-        armature: Of each joint [kg m^2 or kg].
-
-    What these files have not is that of the bench: options, actuators, `solreffriction` and positions of rest.
+        nearest: The drive with MuJoCo's joint friction.
+        armature: Armature of each joint [kg m^2 or kg].
     """
     text = write_bench(fitted, nearest)
     bench, law = mujoco.MjModel.from_xml_string(text), fitted.bench.actuator.affine(nearest.bench)
@@ -144,12 +145,12 @@ def run_links(
 
 
 def list_numbers(values: Iterable[float]) -> str:
-    """Numbers as these formats have them, at full precision."""
+    """Format numbers at full precision, separated by spaces."""
     return " ".join(map(in_full, values))
 
 
 def say_lacks(fitted: Identified, nearest: Nearest, in_links: bool = False) -> tuple[str, ...]:
-    """What every such description leaves out; `in_links` says that the armature is in the links."""
+    """List the limits common to these formats; `in_links`: the armature is in the links."""
     values, units = fitted.values["bench"], UNITS[fitted.bench.joint_type]
     armature = list_values(nearest.bench["armature"])
     whose = f"Only Drake reads the armature, {armature} {units['inertia']}, from drake:rotor_inertia: set it where a "
@@ -160,7 +161,7 @@ def say_lacks(fitted: Identified, nearest: Nearest, in_links: bool = False) -> t
         "Drake reads no dry friction: its joints have damping alone.",
         "Shapes are left out, and so are solreffriction, gravity and the time step.",
     ]
-    if "delay" in values and not fitted.bench.actuator.needs_state:  # whose limit says so
+    if "delay" in values and not fitted.bench.actuator.needs_state:  # a limit already says it otherwise
         said.append(
             f"Commands act {list_values(values['delay'])} s late, which the caller does, as for the difference."
         )

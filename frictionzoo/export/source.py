@@ -1,4 +1,4 @@
-"""A law's formula as text: its own methods and the functions that they call, for modules that stand alone."""
+"""Source text of a model's formula, with all functions that it calls, for self-contained modules."""
 
 import ast
 import inspect
@@ -19,18 +19,18 @@ from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.core.templates import Code, write_literal
 from frictionzoo.models import FrictionModel
 
-INLINE = 64  # numbers up to which an array is written as text; a larger one, of a network, goes into a file beside
+INLINE = 64  # largest size of an array written as text; larger ones, such as weights, go into a separate file
 _PROVIDED = (DriveState, FrictionTerms)
 _MODULES: Mapping[ModuleType, str] = {np: "numpy", math: "math"}
 
 
 @dataclass
 class Source:
-    """What a module needs so that methods of an object can be called there.
+    """Source text of an object's methods and of all that they need.
 
     Attributes:
-        imports: Import statements.
-        functions: Text of each function that is called, by name, of each constant, and of the class of each law in it.
+        imports: Import statements, by name.
+        functions: Text of each called function, constant, and class of a contained model, by name.
         methods: Text of each method, by name.
         attributes: Value of each attribute that the methods read, as text, by name.
     """
@@ -41,10 +41,10 @@ class Source:
     attributes: dict[str, str] = field(default_factory=dict)
 
     def take(self, other: "Source") -> None:
-        """What another needs around its class, too.
+        """Add imports and functions of another source.
 
         Raises:
-            ExportError: The two call different things by one name.
+            ExportError: Both have different functions of the same name.
         """
         for name, text in other.functions.items():
             if self.functions.setdefault(name, text) != text:
@@ -52,17 +52,17 @@ class Source:
         self.imports.update(other.imports)
 
     def as_class(self, name: str, docstring: str) -> Code:
-        """A class of this name with these methods and attributes; neither the name nor the docstring is a user's."""
+        """Write a class with these methods and attributes; name and docstring must not come from a user."""
         lines = [f"{key} = {value}" for key, value in self.attributes.items()]
         body = [f'"""{docstring}"""', *(["\n".join(lines)] if lines else []), *self.methods.values()]
         return Code(f"class {name}:\n" + textwrap.indent("\n\n".join(body), 4 * " ") + "\n")
 
 
 def read_source(owner: Any, *methods: str) -> Source:
-    """What stands behind methods of a friction or an actuator law, in numbers and Python over an array namespace.
+    """Read the source of methods of a friction or actuator model.
 
     Raises:
-        ExportError: A method needs something that cannot be written down: another package, a closure, an object.
+        ExportError: A method needs something that cannot be written as text: another package, a closure, an object.
     """
     source = Source()
     for method in methods:
@@ -71,10 +71,10 @@ def read_source(owner: Any, *methods: str) -> Source:
 
 
 def merge(*sources: Source) -> Source:
-    """What all of them need around their classes.
+    """Merge imports and functions of several sources.
 
     Raises:
-        ExportError: Two of them call different things by one name.
+        ExportError: Two sources have different functions of the same name.
     """
     merged = Source()
     for source in sources:
@@ -83,7 +83,7 @@ def merge(*sources: Source) -> Source:
 
 
 def write_values(values: Mapping[str, Float[np.ndarray, "..."]]) -> tuple[Code, dict[str, np.ndarray]]:
-    """Values by name as the text of a dictionary over `np`, and those that are too large for it."""
+    """Write values as the text of a dictionary of `np` arrays; also return the arrays too large for it."""
     arrays = {name: np.asarray(value) for name, value in values.items()}
     large = {name: array for name, array in arrays.items() if array.size > INLINE}
     small = {write_literal(name): array.tolist() for name, array in arrays.items() if name not in large}
@@ -109,7 +109,7 @@ def _add_method(source: Source, owner: Any, name: str) -> None:
 
 
 def _add_laws(source: Source, laws: Sequence[FrictionModel]) -> str:
-    """Laws that a law is made of, a class each; as text, an object of each."""
+    """Add a class for each contained model; return the text of a tuple with an object of each."""
     names = []
     for number, law in enumerate(laws, 1):
         own = read_source(law, "terms", "settle", "advance")
@@ -133,7 +133,7 @@ def _read(function: Any) -> tuple[str, ast.FunctionDef]:
 
 
 def _own_attributes(tree: ast.FunctionDef) -> set[str]:
-    """What a method reads of the object that it belongs to."""
+    """Return the attributes of its object that a method reads."""
     own = tree.args.args[0].arg
     return {
         node.attr
@@ -160,13 +160,13 @@ def _add_function(source: Source, name: str, function: Any) -> None:
     text, tree = _read(function)
     if function.__name__ != name:
         raise ExportError(f"{name}: another name of the function {function.__name__}, expected its own; use that")
-    source.functions[name] = ""  # holds the place, in case it calls itself
+    source.functions[name] = ""  # placeholder, in case the function calls itself
     _add_globals(source, function, tree)
     source.functions[name] = text
 
 
 def _write_attribute(owner: Any, name: str, value: Any) -> str:
-    """A number, a text, a collection of them, or modules, of which only the number counts."""
+    """Write a number, a text, or a list of them; of a list of torch modules only its length matters."""
     if isinstance(value, torch.nn.ModuleList):
         return f"{len(value)} * [None]"
     if _is_plain(value):

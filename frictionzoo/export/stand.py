@@ -1,4 +1,4 @@
-"""A robot's own file on the test stand of its recordings: what the bench leaves out stands still or is switched off."""
+"""A robot's file on the test stand of its recordings: parts that the bench leaves out are fixed or disabled."""
 
 import copy
 import xml.etree.ElementTree as ET
@@ -26,19 +26,19 @@ def mount(
 ) -> tuple[mujoco.MjModel, Place]:
     """Put a robot's file with the drive on the test stand of the recordings.
 
-    The file's time step, integrator, solver, joints and actuators are its own. As in the bench, the base and the joints
-    that were not identified stand still, and contacts and limits act where the bench has them. To a URDF are added what
-    it cannot hold: the options, armatures and actuators of the bench's MJCF.
+    Time step, integrator, solver, joints and actuators are the file's. As in the bench, the base and the joints that
+    were not identified are fixed, and contacts and limits act only if the bench has them. A URDF gets the options,
+    armatures and actuators of the bench's MJCF, which it cannot hold.
 
     Args:
         robot: The file.
-        fitted: The drive, identified on a bench that is this robot.
-        nearest: What MuJoCo's joints can hold of it.
-        path: Of the robot, beside which its meshes lie.
+        fitted: The drive, identified on a bench of this robot.
+        nearest: The drive with MuJoCo's joint friction.
+        path: File of the robot; its meshes are relative to it.
         bench: The bench's MJCF with these values.
 
     Returns:
-        The compiled model, and where the joints are in it.
+        The compiled model, and the indices of the joints in it.
     """
     stand = fitted.bench
     assert isinstance(stand, Robot)
@@ -71,20 +71,19 @@ def mount(
 
 
 def _actuator_of(model: mujoco.MjModel, joint: int) -> int:
-    """Return the index of the actuator that was written for a joint."""
     at_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
     return int(np.flatnonzero(at_joint & (model.actuator_trnid[:, 0] == joint))[0])
 
 
 def list_coupled(robot: Equipped) -> list[str]:
-    """Name the joints that were not identified and pull at a tendon."""
+    """Name the joints that were not identified and act on a tendon."""
     pulling = robot.model.wrap_objid[robot.model.wrap_type == mujoco.mjtWrap.mjWRAP_JOINT]
     names = (robot.model.joint(joint).name for joint in np.unique(pulling).tolist())
     return [name for name in names if name not in robot.joints]
 
 
 def _hold_others(spec: mujoco.MjSpec, joints: Sequence[str]) -> None:
-    """Let all joints but these stand still at their reference position, without actuators and ties among themselves."""
+    """Fix all other joints at their reference positions, and remove their actuators and joint equalities."""
     others = [joint for joint in spec.joints if joint.name not in joints]
     held = {joint.name for joint in others}
     acting = [one for one in spec.actuators if one.target in held and one.trntype in _AT_JOINT]
@@ -96,7 +95,7 @@ def _hold_others(spec: mujoco.MjSpec, joints: Sequence[str]) -> None:
 
 
 def _equip(spec: mujoco.MjSpec, fitted: Identified, nearest: Nearest, bench: str) -> None:
-    """Add to a URDF what is in the bench's MJCF alone."""
+    """Add options, armatures and actuators of the bench's MJCF to a URDF."""
     spec.option = mujoco.MjSpec.from_string(bench).option
     template = ET.fromstring(bench)
     own = {element.get("name", ""): element.attrib for element in template.iter("joint")}

@@ -1,4 +1,4 @@
-"""The friction law as TorchScript, which `torch.jit.load` and libtorch run without frictionzoo."""
+"""Target `torchscript`: the friction model as TorchScript, for `torch.jit.load` and libtorch without frictionzoo."""
 
 import io
 import json
@@ -15,14 +15,14 @@ from frictionzoo.export.graph import Graph, GraphFile, list_facts
 from frictionzoo.result.identified import Identified
 
 FACTS = "frictionzoo.json"
-"""File inside, `torch.jit.load(path, _extra_files={"frictionzoo.json": ""})`, with what it says of itself."""
+"""Metadata file in the archive: `torch.jit.load(path, _extra_files={"frictionzoo.json": ""})`."""
 
-_OWN = ("version", ".data/serialization_id")  # written by the writer itself
+_OWN = ("version", ".data/serialization_id")  # the writer adds these records
 
 
 @register_target("torchscript")
 class TorchScript(GraphFile):
-    """The law alone, of any batch size and on any device, in one file with its weights."""
+    """Friction model with its weights in one TorchScript file, for any batch size and device."""
 
     packages: ClassVar[tuple[str, ...]] = ("torch",)
     file, runtime = "friction.pt", "torch.jit.load"
@@ -48,7 +48,7 @@ class TorchScript(GraphFile):
 
 
 def _without_traces(content: bytes) -> bytes:
-    """The file without where in the source each operation came from: paths of this machine."""
+    """Remove the source locations of all operations: paths of this machine."""
     buffer, reader = io.BytesIO(), torch._C.PyTorchFileReader(io.BytesIO(content))
     writer = torch._C.PyTorchFileWriter(buffer)
     for name in reader.get_all_records():

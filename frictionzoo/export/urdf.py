@@ -1,4 +1,4 @@
-"""The target `urdf`: the bench as URDF, with what Drake and ros2_control take from one."""
+"""Target `urdf`: the bench as URDF, for Drake and ros2_control."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
@@ -21,13 +21,13 @@ from frictionzoo.result.identified import Identified
 
 FILE = "bench.urdf"
 _KINDS = {"hinge": "continuous", "slide": "prismatic", "fixed": "fixed"}
-_NONE = "1e6"  # URDF has no word for a slide without limits, m and N
+_NONE = "1e6"  # limits of a slide [m, m/s, N]: URDF cannot express a slide without limits
 _SENSED = ("position", "velocity", "effort")
 
 
 @register_target("urdf")
 class Urdf(Target):
-    """The bench as URDF: dynamics, armature as Drake reads it, interfaces and gains of ros2_control."""
+    """URDF of the bench: damping and friction, armature for Drake, interfaces and gains for ros2_control."""
 
     options: ClassVar[Mapping[str, str]] = INPUTS
     packages: ClassVar[tuple[str, ...]] = ("mujoco",)
@@ -35,7 +35,7 @@ class Urdf(Target):
     def write(self, fitted: Identified, folder: Path, options: Mapping[str, str]) -> Export:
         """See `Target.write`."""
         nearest, drives, inputs = find_nearest(fitted), [], read_inputs(fitted, options)
-        with suppress(ExportError):  # where no position is commanded
+        with suppress(ExportError):  # the command is not a position
             drives = motors(fitted, inputs)
         text = write_urdf(fitted, nearest, drives)
         (folder / FILE).write_text(text, encoding="utf-8")
@@ -46,7 +46,7 @@ class Urdf(Target):
 
 
 def write_urdf(fitted: Identified, nearest: Nearest, drives: list[Motor]) -> str:
-    """The file; `drives` is empty where the command is no position."""
+    """Write the file; `drives` is empty if the command is not a position."""
     robot = ET.Element("robot", {"name": "bench", "xmlns:drake": DRAKE})
     robot.append(write_comment(f"frictionzoo: {nearest.remark or say_law(fitted.model)}"))
     ET.SubElement(robot, "link", name=WORLD)
@@ -80,7 +80,7 @@ def _add_link(robot: ET.Element, link: Link) -> None:
 
 
 def _add_transmission(robot: ET.Element, joint: str, armature: float) -> None:
-    """Drake: the inertia that a joint feels is rotor_inertia gear_ratio^2."""
+    """Add Drake's transmission; the armature is rotor_inertia gear_ratio^2."""
     transmission = ET.SubElement(robot, "transmission", name=f"{joint}_transmission")
     ET.SubElement(transmission, "type").text = "transmission_interface/SimpleTransmission"
     ET.SubElement(transmission, "joint", name=joint)
@@ -90,7 +90,7 @@ def _add_transmission(robot: ET.Element, joint: str, armature: float) -> None:
 
 
 def _add_interfaces(system: ET.Element, name: str, drive: Motor | None) -> None:
-    """ros2_control: what is commanded and measured, and the gains for the hardware that takes a position."""
+    """Add the command and state interfaces of ros2_control, and the gains if the command is a position."""
     joint = ET.SubElement(system, "joint", name=name)
     ET.SubElement(joint, "command_interface", name="position" if drive else "effort")
     for sensed in _SENSED:
@@ -103,7 +103,7 @@ def _add_interfaces(system: ET.Element, name: str, drive: Motor | None) -> None:
 
 
 def _say(fitted: Identified, nearest: Nearest, drives: list[Motor], inputs: Mapping[str, float]) -> list[str]:
-    """What a URDF, or a reader of one, has not."""
+    """List the limits of a URDF and of the programs that read it."""
     said = [
         "Drake and ros2_control were not run: the difference is that of the file in MuJoCo, with its "
         "drake:rotor_inertia as armature and the bench's actuator.",

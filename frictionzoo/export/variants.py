@@ -1,4 +1,4 @@
-"""Drives that a run allows: what is drawn of each, and what a simulator's joints take of it."""
+"""Drives drawn from a run's parameter distribution, and their values in a simulator's joints."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,7 +17,7 @@ from frictionzoo.result.identified import Identified
 from frictionzoo.result.names import label_values, name_some
 from frictionzoo.result.types import ValueRow
 
-_SAME = 1e-9  # share of a quantity by which it may differ from a parameter that it is
+_SAME = 1e-9  # relative tolerance for a quantity to equal a parameter
 _EXAMPLE = "'ranges={bench.armature: [0.8, 1.2]}'"
 QUANTILES = 0.025, 0.975
 MOTOR: Mapping[str, str] = {
@@ -27,16 +27,16 @@ MOTOR: Mapping[str, str] = {
     "velocity_limit": "velocity",
     "effort_limit": "torque",
 }
-"""What a `Motor` has, and of which dimension."""
+"""Dimension of each attribute of a `Motor`."""
 
 
 class Range(NamedTuple):
-    """What a user says that a parameter may be.
+    """Range of a parameter stated by the user.
 
     Attributes:
-        low: Lower end, as a share of its value.
+        low: Lower end, as a share of the value.
         high: Upper end.
-        absolute: Whether they are in its unit instead.
+        absolute: Whether both ends are in the parameter's unit instead.
     """
 
     low: float
@@ -45,19 +45,19 @@ class Range(NamedTuple):
 
 
 Ranges = Mapping[str, Range]
-"""By a parameter's full name, or that and a joint's."""
+"""Ranges by the full name of a parameter, optionally with a joint."""
 
 
 class Quantity(NamedTuple):
-    """One number of each joint in all drives.
+    """A quantity of each joint in all drives.
 
     Attributes:
-        name: A parameter's full name, or what MuJoCo's joint or actuator has: `joint.armature`.
+        name: Full name of a parameter, or of a property of MuJoCo's joint or actuator: `joint.armature`.
         unit: Its unit.
-        values: In each drive; NaN where a joint has none.
-        nominal: In the fitted drive.
+        values: Values in each drive; NaN for joints without it.
+        nominal: Values in the fitted drive.
         ends: Lower and upper end of its range.
-        why: What the range is, in words, one a joint; empty where it is known.
+        why: Origin of the range in words, for each joint; empty if the value is known.
     """
 
     name: str
@@ -70,12 +70,12 @@ class Quantity(NamedTuple):
 
 @dataclass(frozen=True)
 class Variants:
-    """Drives that were drawn.
+    """Drawn drives.
 
     Attributes:
-        fitted: The drive that they are around.
-        parameters: What varies in any joint.
-        count: How many drives.
+        fitted: The fitted drive.
+        parameters: Parameters that vary in any joint.
+        count: Number of drives.
     """
 
     fitted: Identified
@@ -83,20 +83,20 @@ class Variants:
     count: int
 
     def at(self, number: int) -> Values:
-        """Values of all parameters of one drive, as `Identified.values` has them."""
+        """Return the values of all parameters of one drive, as in `Identified.values`."""
         return self.fitted.with_values({each.name: each.values[number] for each in self.parameters})
 
     @property
     def all(self) -> list[Values]:
-        """Of each drive."""
+        """Values of all drives."""
         return [self.at(number) for number in range(self.count)]
 
 
 def read_ranges(text: str, fitted: Identified) -> Ranges:
-    """The option `ranges`: by name, two shares of the value, or `low` and `high` in the parameter's unit.
+    """Read the option `ranges`: for each name two shares of the value, or `low` and `high` in the parameter's unit.
 
     Raises:
-        ConfigError: It is no mapping of names to two numbers, or there is no such parameter.
+        ConfigError: The option is no mapping from names to two numbers, or there is no such parameter.
     """
     try:
         given = yaml.safe_load(text)
@@ -128,13 +128,13 @@ def _read_range(name: str, given: Any) -> Range:
 
 
 def draw_variants(fitted: Identified, count: int, seed: int, ranges: Ranges) -> Variants:
-    """Draw drives: what data determine from its joint distribution, what has a range that was stated evenly from that.
+    """Draw drives: identifiable parameters from their joint distribution, parameters with a stated range uniformly.
 
-    A determined parameter with a stated range keeps the order of its draws, so that it still goes with the others.
+    An identifiable parameter with a stated range keeps the order of its draws, and so its correlations.
 
     Raises:
-        ExportError: A parameter that was identified is not identifiable and has no stated range; or nothing varies.
-        ConfigError: A stated range makes no sense of a parameter.
+        ExportError: An identified parameter is not identifiable and has no stated range; or no parameter varies.
+        ConfigError: A stated range is invalid for its parameter.
     """
     _refuse_vague(fitted, ranges)
     sure = any(entry["identifiable"] for row in fitted.result["parameters"] for entry in row["by_joint"])
@@ -160,12 +160,12 @@ def draw_variants(fitted: Identified, count: int, seed: int, ranges: Ranges) -> 
 
 
 def _stated(ranges: Ranges, label: str) -> Range | None:
-    """The range stated for an entry, by its own label or by its parameter's name."""
+    """Return the range stated for an entry, by its label or its parameter's name; None if there is none."""
     return ranges.get(label, ranges.get(label.partition("/")[0]))
 
 
 def _refuse_vague(fitted: Identified, ranges: Ranges) -> None:
-    """ExportError where something was identified that data do not determine, and nobody states its range."""
+    """Raise ExportError for identified parameters that are not identifiable and have no stated range."""
     entries = {label: entry for row in fitted.result["parameters"] for label, entry in label_values(row).items()}
     vague = [
         label
@@ -184,9 +184,9 @@ def _refuse_vague(fitted: Identified, ranges: Ranges) -> None:
 
 
 def _scale(fitted: Identified, label: str, entry: ValueRow, stated: Range) -> Float[np.ndarray, "2"]:
-    """The ends of a stated range in the parameter's unit; ConfigError where they make no sense of a value."""
+    """Return the ends of a stated range in the parameter's unit; raise ConfigError if they are invalid."""
     low, high = entry["low"], entry["high"]
-    if label.partition("/")[0] == "bench.delay":  # commands of before are known as far back as this
+    if label.partition("/")[0] == "bench.delay":  # longest delay covered by the recorded history
         high = min(high, fitted.sampling.history * fitted.sampling.interval)
     first, last = sorted(end * (1 if stated.absolute else entry["value"]) for end in stated[:2])
     if first == last:
@@ -202,7 +202,7 @@ def _scale(fitted: Identified, label: str, entry: ValueRow, stated: Range) -> Fl
 def _spread(
     drawn: Float[np.ndarray, "count joints"], low: float, high: float, rng: np.random.Generator
 ) -> Float[np.ndarray, "count joints"]:
-    """Values evenly over a range, in the order of what was drawn, or in any order of what was not."""
+    """Spread values evenly over a range, in the order of the draws, or in random order without draws."""
     count, first = len(drawn), drawn[:, 0]
     order = np.argsort(np.argsort(first)) if np.ptp(first) > 0 else rng.permutation(count)
     return np.broadcast_to(low + (order[:, None] + 0.5) / count * (high - low), drawn.shape)
@@ -211,12 +211,12 @@ def _spread(
 def list_quantities(
     variants: Variants, nominal: Nearest, each: Sequence[Nearest], inputs: Mapping[str, float]
 ) -> tuple[Quantity, ...]:
-    """What MuJoCo's joints have of the drives, and what a position-controlled motor has where that varies.
+    """List the quantities of MuJoCo's joints, and those of a position-controlled motor that vary.
 
     Args:
         variants: The drives.
-        nominal: What MuJoCo's joints can hold of the fitted drive.
-        each: Of each one that was drawn.
+        nominal: The fitted drive with MuJoCo's joint friction.
+        each: Each drawn drive with MuJoCo's joint friction.
         inputs: Gain and supply of a servo.
     """
     fitted = variants.fitted
@@ -237,13 +237,13 @@ def list_quantities(
         rows = np.array([[getattr(motor, name) for motor in joints] for joints in drives])
         if np.isfinite(rows).all():
             of_motor.append(_describe(variants, f"actuator.{name}", units[of], rows))
-    # Programs set both gains together.
+    # Simulators set both gains together.
     gains = any(any(one.why) for one in of_motor[:2])
     return (*found, *(one for place, one in enumerate(of_motor) if any(one.why) or (gains and place < 2)))
 
 
 def at_rest(fitted: Identified, values: Values, frictionloss: Float[np.ndarray, "nv"]) -> Float[np.ndarray, "nv"]:
-    """Friction that holds a joint at rest [N m or N]: the law's `static_torque` where it has one."""
+    """Return the friction that holds a joint at rest [N m or N]: `static_torque` if the model has it."""
     found = frictionloss.copy()
     for joint in range(fitted.bench.nv):
         _, place, prefix = fitted.model.of_joint(joint)
@@ -253,7 +253,7 @@ def at_rest(fitted: Identified, values: Values, frictionloss: Float[np.ndarray, 
 
 
 def _motors(fitted: Identified, inputs: Mapping[str, float]) -> list[Motor]:
-    """The joints' position-controlled motors; none where they are no such."""
+    """Return the joints' motors; none if they are not position-controlled."""
     try:
         return motors(fitted, inputs)
     except ExportError:
@@ -261,9 +261,9 @@ def _motors(fitted: Identified, inputs: Mapping[str, float]) -> list[Motor]:
 
 
 def _describe(variants: Variants, name: str, unit: str, rows: Float[np.ndarray, "drives nv"]) -> Quantity:
-    """A quantity of the fitted drive, the first row, and of those that were drawn.
+    """Describe a quantity of the fitted drive, the first row, and of the drawn drives.
 
-    Where it is a parameter, but for what does not vary, its range is that; else the middle 95 % of the draws.
+    If it equals a parameter plus a constant, it has that parameter's range, else the middle 95 % of the draws.
     """
     nominal, values = rows[0], rows[1:]
     ends, why = np.repeat(nominal[:, None], 2, axis=1), [""] * len(nominal)

@@ -1,4 +1,4 @@
-"""A run's drive written for one program or for all of them, with a note of its accuracy."""
+"""Export of a run's drive to one program or to all, with a note of its accuracy."""
 
 import json
 import platform
@@ -38,18 +38,18 @@ COMMON = ("target", "timestep", "integrator", "output")
 
 
 def write_exports(folder: Path, options: Mapping[str, str]) -> list[Written]:
-    """Write the targets that the options ask for.
+    """Write the requested targets.
 
     Args:
         folder: The run's folder.
         options: `target`, a name or `all`; `timestep` [s] and `integrator` of the simulator; `output`, a folder; and
-            the target's own, all as text.
+            options of the target, all as text.
 
     Returns:
-        One entry per target. With `all`, also for a target that cannot hold this drive or is not installed.
+        One entry for each target. With `all`, also for targets that cannot represent this drive or lack a package.
 
     Raises:
-        FrictionzooError: An option is impossible, the run cannot be read, or the one target cannot hold the drive.
+        FrictionzooError: An option is invalid, the run cannot be read, or the single target cannot represent the drive.
     """
     names = _choose(options)
     fitted = Identified.load(folder)
@@ -70,7 +70,7 @@ def write_exports(folder: Path, options: Mapping[str, str]) -> list[Written]:
 
 
 def summarise_exports(written: Sequence[Written]) -> str:
-    """Return a table with one row per comparison, then the limits of each target and the folders of the files."""
+    """Return a table with a row for each comparison, then the limits of each target and the folders of the files."""
     rows = [("target", "compared", "over", "largest difference", "mean", "error", "limits", "")]
     rows += [row for one in written for row in _list_rows(one)]
     limits = [f"{one.target}: {limit}" for one in written if one.export for limit in one.export.limits]
@@ -99,11 +99,11 @@ def export_to(drive: Identified, target: str, path: Path, options: Mapping[str, 
     Args:
         drive: The identified drive.
         target: The target's name.
-        path: A folder; or a file, which the target's only file of that ending replaces.
-        options: `timestep` [s] and `integrator` of the simulator, and the target's own, as text.
+        path: A folder; or a file, which the target's only file with this extension replaces.
+        options: `timestep` [s] and `integrator` of the simulator, and options of the target, as text.
 
     Raises:
-        FrictionzooError: An option is impossible, the target cannot hold the drive, or it has no such file.
+        FrictionzooError: An option is invalid, the target cannot represent the drive, or has no such file.
     """
     asked = {**options, "target": target}
     (name, *more) = _choose(asked)
@@ -123,12 +123,12 @@ def export_to(drive: Identified, target: str, path: Path, options: Mapping[str, 
 
 
 def as_text(option: Any) -> str:
-    """Return an option, text, a number or a mapping of them, as the command line has it."""
+    """Convert an option (text, number, or mapping) to the text of the command line."""
     return option if isinstance(option, str) else json.dumps(to_json(option))
 
 
 def _choose(options: Mapping[str, str]) -> list[str]:
-    """Return the targets that are asked for; refuse options that none of them has."""
+    """Return the requested targets; refuse options that none of them has."""
     if "target" not in options:
         raise ConfigError(f"target is missing; give target=NAME, {closest('', [*target_names(), ALL])}")
     asked, existing = options["target"], target_names()
@@ -143,7 +143,7 @@ def _choose(options: Mapping[str, str]) -> list[str]:
 
 
 def _in_simulator(fitted: Identified, options: Mapping[str, str]) -> Identified:
-    """Return the drive for the simulator that is asked for, or for the steps of its model file."""
+    """Return the drive for the requested simulator, by default with the time step of its model file."""
     timestep, integrator = read_number(options, "timestep"), options.get("integrator")
     if timestep is None and integrator is None and (fitted.origin is not None or not fitted.bench.second_order):
         return fitted
@@ -178,7 +178,7 @@ def _write(moved: Identified, name: str, place: Path, options: Mapping[str, str]
 
 
 def _say_simulator(moved: Identified) -> list[str]:
-    """Name the steps that the parameters are for, and the errors of the drive in them."""
+    """Describe the time step of the parameters, and the error of the drive with it."""
     origin, step, continuous = moved.origin, moved.timestep, stands_in(moved)
     if origin is None or (np.isclose(origin.timestep, step, rtol=1e-6) and not continuous):
         return []
@@ -222,7 +222,7 @@ def _note(fitted: Identified, written: Written, packages: Sequence[str], export:
 
 
 def _version(package: str) -> str:
-    """Return the version of a package, by the name that is imported."""
+    """Return the version of a package, given its import name."""
     for distribution in metadata.packages_distributions().get(package, [package]):
         return metadata.version(distribution)
     return "unknown"

@@ -1,9 +1,9 @@
-"""Outcome of an export: files, their distance from the drive, and what they cannot represent."""
+"""Outcome of an export: files, their difference from the drive, and their limits."""
 
 from dataclasses import dataclass
 from pathlib import Path
 
-FAR = 0.1  # share of the drive's own error; larger differences are marked
+FAR = 0.1  # share of the drive's error; larger differences are marked
 
 
 @dataclass(frozen=True)
@@ -16,8 +16,8 @@ class Difference:
         largest: Largest absolute difference.
         mean: Mean absolute difference.
         over: The compared data, in words: `10 rollouts of 3 s`.
-        reason: What the target lacks of the drive, in a few words; empty where it should move as the drive.
-        error: Mean absolute position error against the recordings; None where that was not measured.
+        reason: Reason for a difference, in a few words; empty if no difference is expected.
+        error: Mean absolute position error against the recordings; None if not measured.
     """
 
     quantity: str
@@ -31,12 +31,12 @@ class Difference:
 
 @dataclass(frozen=True)
 class Export:
-    """Files that a target wrote.
+    """Files written by a target.
 
     Attributes:
         files: Their names in the folder.
         differences: Differences from the drive, measured by running the files.
-        limits: What they cannot represent and what a user has to know, a sentence each, with the loss of accuracy.
+        limits: Limits of the files and remarks for users, a sentence each, with the loss of accuracy.
     """
 
     files: tuple[str, ...]
@@ -49,11 +49,11 @@ class Written:
     """Outcome of one target.
 
     Attributes:
-        target: Its name.
-        folder: Folder of the files; None where there are none.
-        export: The written files; None where nothing was written.
-        reason: Why nothing was written, in one line.
-        error: Mean absolute position error of the drive itself in the run's test rollouts; None where that is unknown.
+        target: Name of the target.
+        folder: Folder of the files; None if there are none.
+        export: The written files; None if nothing was written.
+        reason: Reason why nothing was written, in one line.
+        error: Mean absolute position error of the drive in the run's test rollouts; None if unknown.
     """
 
     target: str
@@ -63,16 +63,16 @@ class Written:
     error: float | None = None
 
     def share(self, difference: Difference) -> float | None:
-        """Return the mean difference of positions over the drive's own error; None where that is unknown."""
+        """Return the mean position difference as a share of the drive's error; None if unknown."""
         return difference.mean / self.error if difference.quantity == "qpos" and self.error else None
 
     def is_far(self, difference: Difference) -> bool:
-        """Return whether the files move differently than the drive by more than a tenth of its own error."""
+        """Return whether the mean position difference exceeds a tenth of the drive's error."""
         share = self.share(difference)
         return share is not None and not share <= FAR
 
     def mark(self, difference: Difference) -> str:
-        """Return the end of a difference's row: empty, or by how much the files are far and why."""
+        """Return the mark in a difference's row: empty, or size and reason of a large difference."""
         if not self.is_far(difference):
             return ""
         reason = difference.reason or "for no known reason: do not use it"

@@ -132,7 +132,7 @@ register_method = REGISTRY.register
 def as_start(start: Any) -> Fit | None:
     """What an argument `start` gives, a method or None; ConfigError for anything else."""
     if start is not None:
-        refuse_unlike("fit.start", start, Fit, "another fit, as start=inverse_dynamics gives it, or null")
+        refuse_unlike("fit.start", start, Fit, "another fit, such as start=inverse_dynamics, or null")
     return start
 
 

@@ -143,8 +143,8 @@ class InverseDynamics(Fit):
             vector = balance(equation.lack, equation.slope, equation.box, equation.moving).vector
             for (one, other), share in equation.couplings(vector).items():
                 _log.warning(
-                    "%s and %s: %.0f %% of the torque that is left goes with the other's motion, as where a gear "
-                    "couples joints, which a bench cannot: what is found of the two is not theirs",
+                    "%s and %s: the other joint's motion explains %.0f %% of the residual torque, as with a gear that "
+                    "couples joints, which a bench lacks: do not interpret the values of these two joints",
                     *(equation.joints[joint] for joint in (one, other)),
                     100 * share,
                 )

@@ -73,7 +73,7 @@ class LinkInertia:
             moved = 1e3 * float(np.linalg.norm(centre - before))
             yield f"link {name}: {mass:.4g} kg, the model file's {was:.4g}; centre moved by {moved:.3g} mm"
         if self.tilt is not None:
-            yield f"gravity is {self.tilt.say()}: the base stands askew"
+            yield f"gravity is {self.tilt.say()}: the base is tilted"
         told = self.determined
         yield f"{told.sum()} of {len(told)} combinations of parameters are determined by the data, not by the prior"
         if self.prior_only:

@@ -62,7 +62,7 @@ class Loss:
         if self.impulse and (self.refine or position):
             raise ConfigError(
                 f"loss.impulse=true with loss.refine={str(self.refine).lower()}, loss.position={position:g}; expected "
-                "loss.refine=false and loss.position=0, for impulses are between measured velocities"
+                "loss.refine=false and loss.position=0, because impulses use measured velocities"
             )
         if self.refine and robust != "none":
             raise ConfigError(f"loss.robust={robust} with loss.refine=true; expected one of them, set the other off")
@@ -138,8 +138,8 @@ class Loss:
         """
         if not np.isfinite(squares).all():
             raise ConfigError(
-                "loss.by_joint=true: rollouts of the segments are not finite where the fit begins; begin elsewhere, or "
-                "lower segments.length"
+                "loss.by_joint=true: rollouts of the segments are not finite at the start of the fit; change the "
+                "initial values, or lower segments.length"
             )
         least = _LEAST * np.max(squares, axis=0, initial=np.finfo(float).tiny)
         return replace(self, size=np.sqrt(np.maximum(squares, least)))

@@ -144,7 +144,7 @@ class FitModule(pl.LightningModule):
             history = _from_tensors(saved["history"], self._whole_history(), rows=int(progress.iteration))
         except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
             raise CheckpointError(
-                f"last.ckpt: its progress cannot be read ({error}), expected that of this run; start a new run"
+                f"last.ckpt: its progress cannot be read ({error}), expected a checkpoint of this run; start a new run"
             ) from None
         self.progress, self.history = progress, [jax.tree.map(np.asarray, history)]
 
@@ -181,7 +181,7 @@ class FitModule(pl.LightningModule):
         if not bool(self.progress.broken):
             return None
         some = int(self.progress.best_iteration) >= 0
-        kept = "the best of the iterations before it is kept" if some else "none before it"
+        kept = "the best earlier iteration is kept" if some else "no earlier iteration is finite"
         return (
             f"fit diverged at iteration {self.iteration}: {self._name_divergence()}; {kept}; "
             f"{'lower fit.learning_rate, or ' if self._fit.name == 'adam' else ''}start from other initial values or "

@@ -103,7 +103,7 @@ class Objective:
     ) -> None:
         how = position, velocity, robust, robust_scale, refine, continuity, encoder_step, by_joint, impulse, slow
         self._loss = Loss(*how)
-        for option, why in (("refine", "with no forward mode"), ("impulse", "where the loss knows no armature")):
+        for option, why in (("refine", "with no forward mode"), ("impulse", "where the loss has no armature")):
             if isinstance(rollout, TorchRollout) and getattr(self._loss, option):
                 raise ConfigError(
                     f"loss.{option}=true: {rollout.law} exists only in torch, {why}; set loss.{option}=false"
@@ -344,12 +344,12 @@ class Objective:
         """The same for a law that exists only in torch, block by block: what lies in JAX is a torch operation."""
         if derivative == "forward":
             raise ConfigError(
-                f"fit.derivative=forward: {rollout.law} exists only in torch, where there is a reverse mode alone; set "
+                f"fit.derivative=forward: {rollout.law} exists only in torch, which has reverse mode only; set "
                 "fit.derivative=reverse or auto"
             )
         if not rollout.reverse:
             raise ConfigError(
-                f"{rollout.law} exists only in torch and needs reverse mode, which engine=mjx has not where it solves "
+                f"{rollout.law} exists only in torch and needs reverse mode, which engine=mjx lacks for "
                 "the constraints of several joints; set engine=specialised"
             )
         values_of, loss_of = map(as_torch_function, (self.space.values, self._loss_of_prediction))

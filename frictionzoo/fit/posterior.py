@@ -227,7 +227,7 @@ def _refuse(fitted: Fitted, covariance: Covariance) -> None:
         )
     if type(fitted.fit).compile_scores is not Fit.compile_scores:
         raise ConfigError(
-            f"fit={fitted.fit.name}: its loss is one of torque, without the rollouts that a posterior is drawn by; fit "
+            f"fit={fitted.fit.name}: its loss is a torque error, but a posterior needs rollouts; fit "
             "with method lm, or draw with sample"
         )
     if len(covariance.labels) > MOST_COORDINATES:

@@ -126,7 +126,7 @@ class Searches:
 
     def go_on(self, vector: Float[np.ndarray, "coordinates"]) -> End:
         """Where a search from this vector ends; what does not move stays as it is there."""
-        return self._descend(self._moving(vector), "a known start", vector)
+        return self._descend(self._moving(vector), "the given start", vector)
 
     def look(self) -> End:
         """The best from all starts that laws which the law contains give, with all coordinates moving."""
@@ -139,7 +139,7 @@ class Searches:
         delays = [at for at, label in enumerate(self._space.labels) if label == "bench.delay" and self._kept[at]]
         if recordings is not None and delays:
             found = self._shift(found, delays[0], recordings.logs[0].timestep)
-        _log.info("of several starts, the best is at %s", found.name)
+        _log.info("multi-start: %s gave the best result", found.name)
         return found
 
     def _moving(self, vector: Float[np.ndarray, "coordinates"]) -> Part:
@@ -162,13 +162,13 @@ class Searches:
         if (known := self._found.get(part.law.name)) is not None:
             return known
         initial = part.whole(np.clip(*part.box))
-        ends = [self._descend(part, "initial values", initial)]
+        ends = [self._descend(part, "the initial values", initial)]
         for inner in part.contained():
             found, held = self._look(inner).vector, ~inner.spread.any(axis=1)
-            ends.append(self._descend(part, f"what {inner.law.name} finds", found))
+            ends.append(self._descend(part, f"the fit of {inner.law.name}", found))
             beside = np.where(held, initial, found)
             if (beside != found).any():
-                ends.append(self._descend(part, f"what {inner.law.name} finds, with more", beside))
+                ends.append(self._descend(part, f"the fit of {inner.law.name} with other initial values", beside))
         best = _least(ends)
         for name, factors in part.law.valleys.items():
             for factor in factors if name in part.places else ():
@@ -213,7 +213,7 @@ class Searches:
             for shift in _SHIFTS:
                 by = np.clip(middle + shift * unit, low, high) - middle
                 if not leads_back(shifted := best.vector + np.clip(by * along, -_FAR, _FAR)):
-                    name = f"a delay {by / unit:+.2g} sample intervals from the best before"
+                    name = f"a delay {by / unit:+.2g} sample intervals from the previous best"
                     ends.append(self._descend(whole, name, shifted, _SHORT, leads_back))
             if (least := _least(ends)) is best:
                 break
@@ -232,7 +232,7 @@ class Searches:
             begun = np.where(inertia & self._kept, self._space.start, best.vector)
             begun[at] = share * best.vector[at]
             if not leads_back(begun):
-                name = f"the best before with the initial armature and {share:g} of the delay"
+                name = f"the previous best with the initial armature and {share:g} of the delay"
                 ends.append(self._descend(whole, name, begun, _SHORT, leads_back))
         return _least(ends)
 

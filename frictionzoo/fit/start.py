@@ -22,9 +22,9 @@ def begin_where(start: Fit, objective: Objective) -> Objective:
     start = start.choose(objective)
     progress, _ = search(start, objective)
     if bool(progress.broken) or not np.isfinite(np.asarray(progress.best)).all():
-        raise FitError(f"fit.start: {start.name} ends without a finite value, expected one to begin at; set start=null")
+        raise FitError(f"fit.start: {start.name} ends without a finite value, expected a finite start; set start=null")
     moved = objective.starting(np.asarray(progress.best))
     found = moved.space.identified(moved.space.start).items()
     told = (f"{name} {' '.join(f'{value:.3g}' for value in values)}" for name, values in found)
-    _log.info("the fit begins where %s ends: %s", start.name, ", ".join(told))
+    _log.info("the fit starts from the result of %s: %s", start.name, ", ".join(told))
     return moved

@@ -65,7 +65,8 @@ class Tilt:
         numbers = ", ".join(f"{number:.4g}" for number in self.gravity)
         error = np.degrees(self.errors.max())
         return (
-            f"{np.degrees(self.angle):.3g} +- {error:.1g} degrees from where the model file has it, ({numbers}) m/s^2"
+            f"{np.degrees(self.angle):.3g} +- {error:.1g} degrees from its direction in the model file, ({numbers}) "
+            "m/s^2"
         )
 
 

@@ -114,7 +114,7 @@ def estimate_uncertainty(
     if not space.names:
         return Uncertainty(missing="nothing was identified")
     if space.weights:
-        return Uncertainty(missing="a network's weights can stand for its physical parameters and for each other")
+        return Uncertainty(missing="a network's weights can replace its physical parameters and each other")
     if objective.torch_law:
         return Uncertainty(missing=f"{objective.torch_law} exists only in torch, where no Jacobian is taken")
     if len(vector) > MOST_COORDINATES:

@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 from frictionzoo.core.params import AUTO
 
 OPTIONAL = {
-    "delay": "commands act late",
-    "position_offset": "the encoder's zero is another",
-    "torque_offset": "a constant torque acts besides the actuator's",
+    "delay": "the data show a delay",
+    "position_offset": "the data show an encoder offset",
+    "torque_offset": "the data show a constant torque",
 }
 """Parameters of a bench that are identified where recordings show them, and what they stand for."""
 RIVALS = "torque_offset", "position_offset"
@@ -35,15 +35,15 @@ def imply(loss: Mapping[str, Any]) -> Iterator[Choice]:
     """
     given = {name: value for name, value in loss.items() if value != AUTO}
     if given.get("impulse"):
-        yield Choice("loss.position", 0.0, "impulses are between measured velocities")
-        yield Choice("loss.refine", False, "impulses are between measured velocities")
+        yield Choice("loss.position", 0.0, "loss.impulse uses measured velocities only")
+        yield Choice("loss.refine", False, "loss.impulse uses measured velocities only")
     if given.get("robust", "none") != "none":
-        yield Choice("loss.refine", False, "a robust loss begins at measured states")
+        yield Choice("loss.refine", False, "a robust loss starts at measured states")
     if 0 in (given.get("position"), given.get("velocity")):
-        yield Choice("loss.refine", False, "initial states are estimated by position and velocity, or not at all")
+        yield Choice("loss.refine", False, "multiple shooting needs weights above 0 for position and velocity")
     if given.get("continuity"):
-        yield Choice("loss.refine", True, "segments hold together where initial states are estimated along")
-        yield Choice("segments.count", None, "segments hold together that follow one another")
+        yield Choice("loss.refine", True, "loss.continuity needs estimated initial states")
+        yield Choice("segments.count", None, "loss.continuity needs consecutive segments")
 
 
 def is_open(params: Mapping[str, Any], name: str) -> bool:

@@ -135,7 +135,7 @@ def _repair_in_python(problem: Problem, repairs: Mapping[str, Any], origin: Orig
     logs = logs_call(repairs, problem.settings["data"])
     if logs is None:
         wanted = ", ".join(f"{name}={_plain(value)}" for name, value in repairs.items() if name.startswith("data."))
-        return f"logs  # they are in no file: change them as {wanted} would"
+        return f"logs  # not read from files: apply {wanted} to them"
     return f"fz.identify({', '.join([bench_call(repairs), repr(law), logs, *origin.options])})"
 
 
@@ -209,7 +209,7 @@ def _texts(limits: Mapping[str, Any]) -> dict[str, str]:
     return {name: _plain(value) for name, value in limits.items()}
 
 
-_NO_DESIGN = "  # no command can be designed for this drive; record more of the motion that is missing"
+_NO_DESIGN = "  # no command can be designed for this drive; record the motion that is missing"
 
 
 def _plain(value: Any) -> str:

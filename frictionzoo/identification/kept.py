@@ -61,7 +61,7 @@ class Kept:
             if kept.start is not None and self._had_pilot:  # by whose equations the fit began
                 pilot = Stages(settings, bench, dataset, model, fit).repeat(kept.settings, kept.start)
                 kept = replace(kept, pilot=pilot)
-            _log.info("automatic settings, as found before: %s", self._path)
+            _log.info("automatic settings read from %s", self._path)
             return kept
         settled = settle(settings, bench, dataset, model, fit)
         self._write(identity, settings, settled)
@@ -96,11 +96,11 @@ class Kept:
             header, arrays = {}, {}
         said = header.get(_TEXT, "")
         if header.get("sha256") != _sign(said, arrays):
-            _log.info("%s: damaged; automatic settings are found again", self._path)
+            _log.info("%s: damaged; automatic settings are chosen again", self._path)
             return None
         text = json.loads(said)
         if text["identity"] != identity or not set(text["options"]) <= {*_list_open(settings)}:
-            _log.info("%s: of other options or data; automatic settings are found again", self._path)
+            _log.info("%s: for other options or data; automatic settings are chosen again", self._path)
             return None
         chosen = _put(settings, text["options"])
         section, start = chosen["bench"], None

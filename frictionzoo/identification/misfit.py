@@ -53,4 +53,4 @@ class Misfit(NamedTuple):
         return self.kurtosis < _EVEN and self.beyond < _NO_MORE
 
     def __str__(self) -> str:
-        return f"errors are {self.beyond:.2g} times the noise, and their kurtosis is {self.kurtosis:.2g}, of noise 3"
+        return f"errors are {self.beyond:.2g} times the noise, with kurtosis {self.kurtosis:.2g} (noise: 3)"

@@ -184,7 +184,7 @@ class Pilot:
             end = min(end, searches.look(), key=lambda end: end.loss)
         vector, loss = (searches.best(end) if thorough else end)[1:]
         if not np.isfinite([loss, *vector]).all():
-            raise FitError("the loss is not finite where the fit begins")
+            raise FitError("the loss is not finite at the start of the fit")
         self._end = objective.beginning(searches.states).compile_scores()(vector)
         return self._conclude(vector, loss, moving, searches.states and searches.states.states)
 
@@ -327,7 +327,7 @@ def _solve(equations: NormalEquations, free: Any) -> Float[np.ndarray, "free"]:
         FitError: They are not finite.
     """
     if not equations.finite:
-        raise FitError("the loss is not finite where the fit ended")
+        raise FitError("the loss is not finite at the end of the fit")
     hessian, gradient = equations.hessian[np.ix_(free, free)], equations.gradient[free]
     curvature = np.diag(hessian)
     scale = np.sqrt(np.where(curvature > 0, curvature, 1.0))

@@ -248,7 +248,7 @@ class Problem:
         for what, sha256 in came.items():
             if sha256 != (expected := teacher.result[what]["sha256"]):
                 raise RunError(
-                    f"{teacher.place}: {what} with SHA-256 {sha256[:12]}, expected {expected[:12]} as when it ran; "
+                    f"{teacher.place}: {what} with SHA-256 {sha256[:12]}, expected {expected[:12]} as in that run; "
                     "restore its recordings or run it again"
                 )
         # The teacher's law may look at something that the student's does not, and the other way round.
@@ -271,7 +271,7 @@ def _divide_interval(bench: Bench, settings: Mapping[str, Any], interval: float)
     if asked not in (None, AUTO) or bench.fits(interval):
         return bench, settings
     step = interval / math.ceil(steps)
-    _log.info("%s: steps of %g s, not %g s, as samples are %g s apart", bench.source, step, bench.timestep, interval)
+    _log.info("%s: steps of %g s, not %g s: samples are %g s apart", bench.source, step, bench.timestep, interval)
     if asked is None:
         settings = {**settings, "bench": {**settings["bench"], "timestep": step}}
     return remake(bench, timestep=step), settings

@@ -70,7 +70,7 @@ def solve(
     outcome = run_fit(problem.fit, problem.objective, problem.drive.model, record, **problem.settings["loop"])
 
     if problem.settings["loop"].get("progress", True):
-        tell("finding intervals, judging on rollouts beside the drive without friction")
+        tell("computing intervals, evaluating rollouts with and without friction")
     asked = time.perf_counter()
     uncertainty = estimate_uncertainty(problem.objective, outcome.vector, problem.fit, steps)
 
@@ -174,10 +174,10 @@ def _portray(problem: Problem, result: Result, left: Left | None) -> dict[str, A
 def _log_engine(problem: Problem) -> None:
     engine, segments = problem.drive.engine, problem.segments
     note = f": {engine.note}" if engine.note else ""
-    _log.info("engine %s, as MuJoCo C within %.1g%s", engine.name, problem.proof.rollout, note)
+    _log.info("engine %s, matches MuJoCo C within %.1g%s", engine.name, problem.proof.rollout, note)
     if problem.objective.devices > 1:
-        _log.info("segments are spread over %d devices", problem.objective.devices)
-    _log.info("%s: %d segments of %d steps to train on", problem.dataset.name, segments.count, segments.length)
+        _log.info("segments run on %d devices", problem.objective.devices)
+    _log.info("%s: training on %d segments of %d steps", problem.dataset.name, segments.count, segments.length)
 
 
 def _collect_curves(problem: Problem, outcome: Outcome, judgement: Judgement, baseline: Judgement) -> Curves:

@@ -42,6 +42,8 @@ _BETTER = 0.02  # share by which a robust loss has to predict a validation block
 _HELPFUL = 0.005  # share by which a parameter that is not shown has to
 _HOPELESS = 3.0  # times another's loss, that a step promises, after which there is no search
 _VALIDATION = 0.2  # share of the training recordings
+_HELPS = "reduces the validation error"
+_NOT_SHOWN = "not identifiable from these data, fixed at 0"
 
 
 class Stages:
@@ -140,26 +142,26 @@ class Stages:
         """Precision and weights."""
         if self._order_is_open:
             second = self.settings["bench"]["second_order"]
-            why = "parameters are the drive's in continuous time" if second else "parameters are those for this step"
+            why = "parameters hold in continuous time" if second else "parameters hold for this timestep"
             yield Choice("bench.second_order", second, why)
-        least_squares = "least squares are solved to the last digit: rounding must stay far below the noise"
-        other = "rounding is far below what a fit that is no least squares of few parameters tells apart"
+        least_squares = "least squares need rounding errors far below the noise"
+        other = "rounding errors are far below the accuracy of this fit"
         yield from self._set("dtype", *(("float64", least_squares) if self._small else ("float32", other)))
         noise, several = self._noise, self._bench.nv > 1
         position = " ".join(f"{each:.2g}" for each in noise.position)
         yield from self._set("loss.position", 1.0, f"noise of the measured position: {position} {self._unit}")
         if not self._small:
-            yield from self._set("loss.velocity", 1.0, "this fit begins at measured states, whose noise is in both")
+            yield from self._set("loss.velocity", 1.0, "this fit starts at measured states, noise included")
         else:
             yield from self._set("loss.velocity", noise.velocity_weight, self._say_velocity(noise))
-        why = "each joint's errors count over what is left of them" if several else "there is one joint"
+        why = "each joint's errors are divided by their RMS at the start" if several else "one joint"
         yield from self._set("loss.by_joint", several, why)
         if not self._small:
-            yield from self._set("loss.refine", False, "initial states are estimated in fits of few parameters")
+            yield from self._set("loss.refine", False, "initial states are estimated only with few parameters")
 
     def _say_velocity(self, noise: Noise) -> str:
         if noise.velocity is None:
-            return "velocities were estimated from positions and say next to nothing besides"
+            return "velocities were estimated from positions and add almost no information"
         measured = " ".join(f"{each:.2g}" for each in noise.velocity)
         return f"noise of the measured velocity: {measured} {self._unit}/s"
 
@@ -184,8 +186,8 @@ class Stages:
         grown = pilot.growth(self._found)
         steady = int(np.argmax(grown > _GROWTH)) if (grown > _GROWTH).any() else longest
         length = max(min(_FEWEST, longest), steady)
-        far = f"a disturbance of the velocity goes {grown[length - 1]:.2g} times as far as without forces"
-        yield from self._set("segments.length", length, f"{length * self._interval:.3g} s, in which {far}")
+        far = f"an initial velocity error moves the position {grown[length - 1]:.2g} times as far as without forces"
+        yield from self._set("segments.length", length, f"{length * self._interval:.3g} s, within which {far}")
 
     def _samples_in(self, seconds: float) -> int:
         """Sample intervals of a segment: at most so long, within each recording, and with many others beside it."""
@@ -198,10 +200,10 @@ class Stages:
         length, step = self.settings["segments"]["length"], self._first_step
         steps = self._samples * self._interval / step
         if steps <= most_steps:
-            return None, "all there are"
+            return None, "all segments"
         share = max(most_steps / steps, _LEAST)
         count = max(1, int(share * self._samples / self._bench.nv / length))
-        return count, f"{100 * share:.0f} % of all, evenly spread: with steps of {1e3 * step:.3g} ms these say enough"
+        return count, f"{100 * share:.0f} % of all segments, evenly spread: steps of {1e3 * step:.3g} ms are costly"
 
     def _pilot(self, most_steps: float = _FIRST_STEPS, **given: Any) -> Pilot:
         """A pilot with the settings as they are by now; what was open of the bench is free.
@@ -273,23 +275,23 @@ class Stages:
             misfit = self._measure(pilot.errors(self._found, self._train, self._horizon * self._interval))
         longer = max(self._horizon, self.settings["segments"]["length"])
         robust = {"robust": "soft_l1", "robust_scale": misfit.scale, "refine": False, "length": longer}
-        beyond_it = "beyond, errors count by their size"
+        beyond_it = "larger errors get less weight"
         if self.settings["loss"]["robust"] not in (AUTO, "none"):  # of these errors; the pilot knew no scale
             yield from self._set("loss.robust_scale", robust["robust_scale"], beyond_it)
             return
         wanted = self._lacking and all(map(self._is_open, ("loss.robust", "loss.robust_scale", "loss.refine")))
         share = self._validate(**robust) / self._validate() if wanted else 1.0
         if wanted:
-            told += f"; a robust loss predicts a validation block with {share:.3g} times the error of least squares"
+            told += f"; the robust loss has {share:.3g} times the validation error of least squares"
         if share < 1 - _BETTER:
             yield from self._set("loss.robust", "soft_l1", told)
             yield from self._set("loss.robust_scale", robust["robust_scale"], beyond_it)
-            yield from self._set("loss.refine", False, "a robust loss begins at measured states")
+            yield from self._set("loss.refine", False, "a robust loss starts at measured states")
             if self._is_open("segments.length") and longer > self.settings["segments"]["length"]:
                 self.settings["segments"]["length"] = longer
-                yield Choice("segments.length", longer, "longer: so it predicted the validation block")
+                yield Choice("segments.length", longer, "the length of the validated fit")
             return
-        along = "initial states are estimated along, so that the noise of measured ones does not bend the result"
+        along = "multiple shooting; noise in measured initial states would bias the result"
         yield from self._set("loss.robust", "none", told)
         yield from self._set("loss.robust_scale", 1.0, "not used")
         yield from self._set("loss.refine", True, along)
@@ -297,7 +299,7 @@ class Stages:
     def _go_on(self, pilot: Pilot, thorough: bool = False) -> None:
         """Fit a pilot from where the last one ended."""
         free = len(pilot.space.labels)
-        tell(f"choosing settings: a fit of {free} parameters in steps of {1e3 * self._first_step:.3g} ms")
+        tell(f"automatic settings: fitting {free} parameters in steps of {1e3 * self._first_step:.3g} ms")
         self._found, self._last = pilot.fit(self._found, self._out, thorough), pilot
 
     def _look(self, pilot: Pilot) -> Misfit:
@@ -314,7 +316,7 @@ class Stages:
 
     def _choose_softness(self, pilot: Pilot) -> Generator[Choice, None, Pilot]:
         """Dry friction as stiff as the step allows, or as soft as MuJoCo has it where that fits better."""
-        why = "the law has no friction constraint"
+        why = "the model has no friction constraint"
         if np.any(self._model.constrained):
             stiff = self._change(solreffriction=list(DEFAULT_SOLREFFRICTION))
             other, soft = pilot.simulate(self.bench(OPTIONAL)), self._found
@@ -323,7 +325,7 @@ class Stages:
                 soft = soft._replace(vector=soft.vector + ahead)
                 soft = pilot.approaching(other, soft).fit(soft, self._out)
                 ratio = soft.loss / self._found.loss
-            why = f"MuJoCo's own, {DEFAULT_SOLREFFRICTION[0]:g} s, has {ratio:.3g} times the loss"
+            why = f"MuJoCo's default, {DEFAULT_SOLREFFRICTION[0]:g} s, gives {ratio:.3g} times the loss"
             if ratio < 1:
                 self._found, pilot = soft, self._pilot()
                 self._go_on(pilot)
@@ -352,15 +354,15 @@ class Stages:
         step = self._noise.step
         counts = bool(step) and self._rounded and self.settings["loss"]["robust"] in (AUTO, "none")
         if not (counts and self._is_open("loss.encoder_step")):
-            told = "rounding is not what is left" if step else "positions are not rounded, or have more noise than that"
+            told = "rounding does not explain the residual" if step else "positions show no rounding beyond noise"
             yield from self._set("loss.encoder_step", 0.0, told)
             return
-        told = "positions are rounded to it, and nothing more is left: within half of it errors say nothing"
+        told = "rounding explains the residual: errors within half an encoder step do not count"
         yield from self._set("loss.encoder_step", step, told)
         if self._is_open("loss.velocity"):
-            told = f"less: beyond half a step, errors of position count as noise of {soft_width(step):.2g} "
+            told = f"reduced: beyond half an encoder step, position errors count like noise of {soft_width(step):.2g} "
             self.settings["loss"]["velocity"] = self._velocity_beside_rounding()
-            yield Choice("loss.velocity", self.settings["loss"]["velocity"], f"{told}{self._unit} would")
+            yield Choice("loss.velocity", self.settings["loss"]["velocity"], f"{told}{self._unit}")
 
     def _velocity_beside_rounding(self) -> float:
         """Weight of velocities where errors of position count beyond half an encoder's step."""
@@ -390,12 +392,12 @@ class Stages:
             if more := self._doubt(told):
                 self._out |= more
                 self._go_on(pilot)
-        beside = f"; with it, the error on a validation block is {share:.3g} times as large"
+        beside = f", to {share:.3g} times its value without it"
         for name in free:
             shown = name not in self._out
             self._identify(name, shown)
-            why = "of use" if helps and name in doubtful else OPTIONAL[name] if shown else "not shown"
-            yield Choice(f"bench.params.{name}.identify", shown, f"{why}: {told[name]}" + beside * (why == "of use"))
+            why = _HELPS if helps and name in doubtful else OPTIONAL[name] if shown else _NOT_SHOWN
+            yield Choice(f"bench.params.{name}.identify", shown, f"{why} ({told[name]})" + beside * (why == _HELPS))
 
     def _judge_rivals(self, pilot: Pilot) -> dict[str, str]:
         """Leave out the rival that fits worse, or that does not show; returns what is told of that one."""
@@ -421,7 +423,7 @@ class Stages:
         shown = bool((np.abs(values) > _CLEAR * halves).any() or ended_high.any())
         unit = param.unit(self._bench.joint_type)
         said = (f"{v:.3g}" + (f" +- {h:.2g}" if np.isfinite(h) else "") for v, h in zip(values, halves, strict=True))
-        return shown, f"{', '.join(said)} {unit}" + ("" if np.isfinite(halves).any() else ", of which nothing is told")
+        return shown, f"{', '.join(said)} {unit}" + ("" if np.isfinite(halves).any() else ", no interval")
 
     def _identify(self, name: str, whether: bool) -> None:
         params = dict(self.settings["bench"]["params"])
@@ -436,8 +438,8 @@ class Stages:
         if largest > _MOVES:
             self.doubts.append(
                 Doubt(
-                    f"bench.timestep={self._step:.3g} s: {reason}, expected at most {_MOVES:.2g}; shorter steps "
-                    "take long: set bench.timestep, and fewer segments with segments.count"
+                    f"bench.timestep={self._step:.3g} s: {reason}, expected at most {_MOVES:.2g}; set a shorter "
+                    "bench.timestep, and fewer segments with segments.count to save time"
                 )
             )
         self.start = self._found
@@ -461,14 +463,14 @@ class Stages:
             softness = None if self._softness_is_open else bench.solreffriction
             for _ in range(times):
                 bench = halve_step(bench, softness)
-            tell(f"choosing settings: what steps of {1e3 * bench.timestep:.3g} ms change")
+            tell(f"automatic settings: effect of steps of {1e3 * bench.timestep:.3g} ms")
             near = self._coarse.approaching(self._coarse.simulate(bench), self._found)
             ahead, _ = near.step(self._found)
             moves = self._found.in_halves(ahead)
             largest = float(moves.max(initial=0.0))
             moved = self._found.labels[int(moves.argmax())]
             share = {1: "half", 2: "a quarter"}.get(times, f"1/{2**times}")
-            reason = f"with {share} of it, {moved} would move by {largest:.2g} of half its interval, or of 0.3 %"
+            reason = f"with {share} of it, {moved} would change by {largest:.2g} of half its interval or of 0.3 %"
             if largest <= _MOVES or bench.timestep < self._first_step / 2**_ROUNDS:
                 break
             self._change(timestep=bench.timestep)
@@ -497,17 +499,17 @@ class Stages:
         """What a fit without a pilot does not look for."""
         for name in [name for name, free in self._free.items() if free]:
             self._identify(name, False)
-            why = "not looked for in this fit; fit a law of few parameters with fit=lm first, then set it"
+            why = "not estimated in this fit; fit a model with few parameters with fit=lm first, then set it"
             yield Choice(f"bench.params.{name}.identify", False, why)
         if self._softness_is_open:
             self._change(solreffriction=list(DEFAULT_SOLREFFRICTION))
-            why = "MuJoCo's own; a stiffer one is tried in fits of few parameters"
+            why = "MuJoCo's default; a stiffer constraint is tried only with few parameters"
             yield Choice("bench.solreffriction", list(DEFAULT_SOLREFFRICTION), why)
-        yield from self._set("loss.robust", "none", "the errors' tails are looked at in fits of few parameters")
+        yield from self._set("loss.robust", "none", "a robust loss is tried only with few parameters")
         yield from self._set("loss.robust_scale", 1.0, "not used")
-        yield from self._set("loss.encoder_step", 0.0, "least squares average over what the encoder rounds")
+        yield from self._set("loss.encoder_step", 0.0, "least squares average out encoder rounding")
         if self._step_is_open:
-            yield Choice("bench.timestep", self._step, f"at most {1e3 * _COARSEST:g} ms, a whole part of the interval")
+            yield Choice("bench.timestep", self._step, f"at most {1e3 * _COARSEST:g} ms, divides the sample interval")
 
 
 def hold_back(segments: Segments, logs: Sequence[Log]) -> tuple[Bool[np.ndarray, "segments"], list[Log]]:

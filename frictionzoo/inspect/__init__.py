@@ -1,1 +1,1 @@
-"""What is in a data set, before any fit: `python -m frictionzoo.inspect data=...`."""
+"""Diagnostics of a data set before a fit: `python -m frictionzoo.inspect data=...`."""

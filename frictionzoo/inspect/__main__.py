@@ -1,4 +1,4 @@
-"""`python -m frictionzoo.inspect`, see `frictionzoo.cli.inspect`."""
+"""Entry point of `python -m frictionzoo.inspect`, see `frictionzoo.cli.inspect`."""
 
 from frictionzoo.cli.commands import main
 

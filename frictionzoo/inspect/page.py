@@ -1,4 +1,4 @@
-"""`inspect.html`: a data set on one page that opens without a network."""
+"""`inspect.html`: diagnostics of a data set on one page that works offline."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -17,15 +17,15 @@ from frictionzoo.show.figure import Axis, Bars, Curve, Figure, Mark, Panel, Stri
 from frictionzoo.show.page import Check, render_page
 
 BINS = 61
-LISTED = 50  # recordings in the table; inspect.json has all
-SMALL = 220  # pixels
+LISTED = 50  # largest number of recordings in the table; inspect.json has all
+SMALL = 220  # height of a small figure [px]
 
 
 def write_page(path: Path, survey: Mapping[str, Any], recordings: Sequence[Recording]) -> None:
-    """Write the page of what `inspect.json` beside it holds, of the same recordings.
+    """Write the page of a survey (content of `inspect.json`) and its recordings.
 
     Raises:
-        OutputError: It cannot be written.
+        OutputError: The file cannot be written.
     """
     ranked = rank_by_faults(survey)
     worst = next(recording for recording in recordings if recording.name == ranked[0]["name"])
@@ -53,13 +53,13 @@ def _plot_velocities(recordings: Sequence[Recording], joint: int, survey: Mappin
     bars = _count(velocity, low, high, "share of the samples")
     band = Stripe(low=-slow["speed"], high=slow["speed"], color=BASELINE, opacity=0.18)
     panel = Panel((band, bars), Axis("velocity", survey["units"]["velocity"]), Axis("share of the samples", "%"))
-    text = f"Velocities of all samples, estimated from the position. {100 * slow['share']:.0f} % lie in the band, "
-    text += f"under {slow['speed']:.2g} {survey['units']['velocity']}."
+    text = f"Velocities of all samples, estimated from the position. {100 * slow['share']:.0f} % are in the band, "
+    text += f"below {slow['speed']:.2g} {survey['units']['velocity']}."
     return Figure(_name("Velocities", joint, survey), text, (panel,))
 
 
 def _plot_recording(recording: Recording, joint: int, survey: Mapping[str, Any]) -> Figure:
-    """Position and command above velocity, over time, with the spikes marked."""
+    """Return position and command above velocity, over time, with spikes marked."""
     units = survey["units"]
     time = recording.time - recording.time[0]
     position, spikes = recording.signals["qpos"][:, joint], find_spikes(recording.signals["qpos"][:, joint])
@@ -81,14 +81,13 @@ def _plot_recording(recording: Recording, joint: int, survey: Mapping[str, Any])
     axis = Axis("time", "s")
     upper = Panel(above, axis, Axis("position, command"), share=3.0)
     lower = Panel(below, axis, Axis("velocity", units["velocity"]), share=2.0)
-    text = (
-        f"{recording.name}: position [{units['position']}] and command above the velocity, estimated over the longest "
-    )
-    return Figure(_name(recording.name, joint, survey), f"{text}stretch without a gap.", (upper, lower))
+    text = f"{recording.name}: position [{units['position']}] and command at the top, velocity at the bottom; the "
+    text += "estimate covers the longest stretch without a gap."
+    return Figure(_name(recording.name, joint, survey), text, (upper, lower))
 
 
 def _plot_spreads(survey: Mapping[str, Any]) -> Iterator[Figure]:
-    """How quantities differ between the recordings."""
+    """Yield histograms of quantities over the recordings."""
     recordings = survey["recordings"]
     yield from _plot_spread("Sample interval", "ms", [1e3 * entry["timing"]["interval"] for entry in recordings])
     yield from _plot_spread("Uneven intervals", "%", [100 * entry["timing"]["jitter"] for entry in recordings])
@@ -104,7 +103,7 @@ def _plot_spreads(survey: Mapping[str, Any]) -> Iterator[Figure]:
 
 
 def _plot_spread(title: str, unit: str, values: Sequence[float]) -> Iterator[Figure]:
-    """How many recordings have which value; nothing where there are not two."""
+    """Yield a histogram over the recordings; nothing for fewer than two values."""
     if len(values) < 2:
         return
     known = np.array(values, float)
@@ -117,7 +116,7 @@ def _plot_spread(title: str, unit: str, values: Sequence[float]) -> Iterator[Fig
 def _count(
     values: Float[np.ndarray, "samples"], low: float, high: float, name: str, bins: int = BINS, share: bool = True
 ) -> Bars:
-    """A histogram; what lies outside counts in the outermost bins."""
+    """Return a histogram; values outside the range count in the outermost bins."""
     room = max(high - low, 1e-3 * max(abs(low), abs(high)), 1e-9)
     counts, edges = np.histogram(np.clip(values, low, high), bins, (low - 0.01 * room, high + 0.01 * room))
     length, width = 100 * counts / len(values) if share else counts.astype(float), float(edges[1] - edges[0])

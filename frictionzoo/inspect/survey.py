@@ -1,4 +1,4 @@
-"""`inspect.json`: what is in the recordings of a data set, described by `inspect.schema.json` beside this file."""
+"""`inspect.json`: survey of the recordings of a data set; `inspect.schema.json` in this folder describes it."""
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
@@ -24,30 +24,30 @@ from frictionzoo.logs.signals import TOP, derive_velocity, repair_spikes
 SCHEMA_VERSION = 3
 
 Survey = dict[str, Any]
-"""What `inspect.json` holds."""
+"""Content of `inspect.json`."""
 
 
 def read_schema() -> dict[str, Any]:
-    """The JSON schema of `inspect.json`; its descriptions are the documentation of every field."""
+    """Return the JSON schema of `inspect.json`, which documents every field."""
     return json.loads(resources.files("frictionzoo.inspect").joinpath("inspect.schema.json").read_text("utf-8"))
 
 
 def list_recordings(source: Any) -> list[Recording]:
-    """The recordings, as they come, of what the section `data` builds, or where it has none, its logs.
+    """Return the raw recordings of a data source, or its logs if it has no recordings.
 
     Raises:
-        LogError: They cannot be read.
+        LogError: The recordings cannot be read.
     """
     return source.recordings() if hasattr(source, "recordings") else [_as_recording(log) for log in source.load().logs]
 
 
 def put_in_order(recordings: Sequence[Recording], joints: Sequence[str] = ()) -> tuple[list[Recording], list[str]]:
-    """Return recordings whose columns have one order of the joints, and the joints' names.
+    """Return recordings with columns in one joint order, and the names of the joints.
 
     Args:
-        recordings: Of one drive, at least one.
-        joints: Names of the bench's joints, in whose order the columns are; empty where no bench is known. The headers
-            of the first recording's positions give the names then, and all columns are matched with these.
+        recordings: At least one recording, all of one drive.
+        joints: Names of the bench's joints, if the columns are in this order; empty without a bench. Then the position
+            headers of the first recording give the names, and all columns are matched with them.
     """
     count = recordings[0].signals["qpos"].shape[1]
     if len(joints) == count:
@@ -61,7 +61,7 @@ def put_in_order(recordings: Sequence[Recording], joints: Sequence[str] = ()) ->
     for each in recordings:
         try:
             found = arrange(each.name, each.columns, known if count > 1 else ())
-        except LogError:  # commands may have names of their own, which leaves the order of the columns
+        except LogError:  # columns with other names cannot be matched: keep their order
             return list(recordings), list(names)
         signals = {signal: each.signals[signal][:, list(order)] for signal, (order, _) in found.items()}
         ordered.append(replace(each, signals=signals, columns=reorder(each.columns, found)))
@@ -71,16 +71,16 @@ def put_in_order(recordings: Sequence[Recording], joints: Sequence[str] = ()) ->
 def survey_recordings(
     name: str, recordings: Sequence[Recording], joint_type: str | None = None, names: Sequence[str] = ()
 ) -> Survey:
-    """What is in the recordings of a data set, at least one and all of one drive, and what should be looked at.
+    """Survey the recordings of a data set and list findings.
 
     Args:
-        name: The data set's.
-        recordings: As they come.
-        joint_type: `hinge` or `slide`, which tells the units; None where nobody said it.
-        names: Of the joints, in the order of the columns; numbers where there are none.
+        name: Name of the data set.
+        recordings: At least one raw recording, all of one drive; only joints present in all of them are surveyed.
+        joint_type: `hinge` or `slide`, which determines the units; None if unknown.
+        names: Names of the joints in column order; empty for numbers.
 
     Raises:
-        LogError: A recording holds next to nothing, or another number of joints than the first.
+        LogError: A recording is incomplete or too short, or the shapes of its signals disagree.
     """
     diagnoses = [diagnose(recording) for recording in recordings]
     joints = min(len(diagnosis.joints) for diagnosis in diagnoses)
@@ -106,7 +106,7 @@ def survey_recordings(
 
 
 def pool_velocities(recordings: Sequence[Recording], joint: int) -> Float[np.ndarray, "samples"]:
-    """The velocities of a joint in all recordings, estimated from the position [rad/s or m/s]."""
+    """Return the velocities of a joint in all recordings, estimated from the position [rad/s or m/s]."""
     return np.concatenate([derive_velocity(r.time, repair_spikes(r.signals["qpos"][:, joint])) for r in recordings])
 
 
@@ -186,7 +186,7 @@ def _pool_supply(diagnoses: Sequence[Diagnosis]) -> dict[str, Any] | None:
 
 
 def _spread(values: Iterable[float | None]) -> dict[str, float] | None:
-    """Lowest, median and highest over the recordings; None where none has a value."""
+    """Return lowest, median and highest over the recordings; None if none has a value."""
     known = [float(value) for value in values if value is not None]
     if not known:
         return None
@@ -200,7 +200,7 @@ def _envelop(ranges: Iterable[Sequence[float]]) -> list[float]:
 
 
 def rank_by_faults(survey: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """The entries of the recordings, those with most spikes first, then breaks and lost samples, then jitter."""
+    """Return the entries of the recordings, worst first: by spikes, then breaks and lost samples, then jitter."""
 
     def faults(entry: Mapping[str, Any]) -> tuple[int, int, float]:
         timing = entry["timing"]

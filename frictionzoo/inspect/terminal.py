@@ -1,4 +1,4 @@
-"""The summary of a data set in plain text."""
+"""Summary of a data set in plain text."""
 
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
@@ -9,14 +9,14 @@ from typing import Any
 from frictionzoo.core.telling import escape_all
 from frictionzoo.show.terminal import align, list_columns
 
-WIDTH = 110  # characters of a line, at most, and where there is no terminal
+WIDTH = 110  # characters per line, at most, and without a terminal
 MARKS = {"good": "ok", "note": "note", "caution": "caution", "bad": "problem"}
 
 Row = tuple[str, str, str, str, str]
 
 
 def summarise(survey: Mapping[str, Any], folder: Path) -> str:
-    """Quantities over the recordings, findings in words, and where `inspect.json` and its page are."""
+    """Summarise a data set: quantities over the recordings, findings, and the folder of `inspect.json` and its page."""
     survey = escape_all(survey)
     data, count = survey["data"], survey["data"]["recordings"]
     length = f"{data['samples']} samples, {data['duration']:.4g} s"
@@ -25,20 +25,20 @@ def summarise(survey: Mapping[str, Any], folder: Path) -> str:
     blocks = [
         f"{data['name']}: {count} recording{'s' * (count != 1)}, {length}",
         *(tables if len(survey["joints"]) > 1 else []),
-        align([("over the recordings", "lowest", "median", "highest", "unit"), *list_quantities(survey)]),
+        align([("over all recordings", "lowest", "median", "highest", "unit"), *list_quantities(survey)]),
         "\n".join(_tell(survey["findings"])),
-        *([f"options to think about: {' '.join(dict.fromkeys(options))}"] if options else []),
+        *([f"suggested options: {' '.join(dict.fromkeys(options))}"] if options else []),
         f"files: {folder}",
     ]
     return "\n\n".join(blocks)
 
 
 def list_quantities(survey: Mapping[str, Any]) -> Iterator[Row]:
-    """Rows of the table of quantities: name, lowest, median and highest over the recordings, unit."""
+    """Yield rows of the table of quantities: name, lowest, median and highest over the recordings, unit."""
     timing, units = survey["timing"], survey["units"]
     small = " or ".join(f"m{unit}" for unit in units["position"].split(" or "))
     yield from _row("sample interval", timing["interval"], "ms", 1e3)
-    yield from _row("intervals off by over 5 %", timing["jitter"], "%", 100.0)
+    yield from _row("intervals off by more than 5 %", timing["jitter"], "%", 100.0)
     for joint in survey["joints"]:
         which = f" {joint['name']}" if len(survey["joints"]) > 1 else ""
         yield _bounds(f"position{which}", joint["position"], units["position"])
@@ -52,7 +52,7 @@ def list_quantities(survey: Mapping[str, Any]) -> Iterator[Row]:
     for command in survey["commands"]:
         which = f" {command['name']}" if len(survey["commands"]) > 1 else ""
         yield _bounds(f"command{which}", command["range"], "")
-        yield from _row(f"command at an end{which}", command["saturated"], "%", 100.0)
+        yield from _row(f"command at a limit{which}", command["saturated"], "%", 100.0)
     if survey["supply"]:
         yield from _row("supply, measured", survey["supply"]["measured"], "V", 1.0)
 
@@ -68,7 +68,7 @@ def _bounds(name: str, bounds: Sequence[float], unit: str) -> Row:
 
 
 def _tell(findings: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """The findings that ask for something first."""
+    """Yield the findings as wrapped text, most severe first."""
     order, width = list(MARKS)[::-1], min(WIDTH, shutil.get_terminal_size((WIDTH, 24)).columns)
     for finding in sorted(findings, key=lambda finding: order.index(finding["state"])):
         text = f"{finding['title']}: {finding['text']}"

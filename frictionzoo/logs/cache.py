@@ -48,11 +48,11 @@ def _read(path: Path, names: Sequence[str]) -> dict[str, np.ndarray] | None:
             arrays = {name: stored[name] for name in names}
             if digest(arrays) == str(stored["sha256"]):
                 return arrays
-            _log.warning("%s: its contents do not match their hash; made anew", path)
+            _log.warning("%s: contents do not match their hash; rebuilt", path)
     except FileNotFoundError:
         pass
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        _log.warning("%s: cannot be read (%s); made anew", path, error)
+        _log.warning("%s: cannot be read (%s); rebuilt", path, error)
     return None
 
 
@@ -64,4 +64,4 @@ def _write(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
         with claim(path.parent, "cache"):
             write_atomically(path, content.getvalue())
     except OutputError as error:
-        _log.warning("%s; it cannot be written, the data will be made again next time", error)
+        _log.warning("%s; the cache cannot be written, the data will be rebuilt next time", error)

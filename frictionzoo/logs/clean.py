@@ -206,7 +206,7 @@ def _even_out(piece: Piece) -> Piece:
     slope, start = np.polyfit(samples, piece.time, 1)
     if np.abs(piece.time - start - slope * samples).max() > ROUNDED * step:
         return piece
-    said = f"{TIMES_ROUNDED} {step:.4g} s: even ones, {slope:.6g} s apart, stand in their place"
+    said = f"{TIMES_ROUNDED} {step:.4g} s: replaced by even times, {slope:.6g} s apart"
     return replace(piece, time=start + slope * samples).say(said)
 
 
@@ -214,7 +214,7 @@ def _drop_repeated(piece: Piece) -> Piece:
     new = np.diff(piece.time, prepend=-np.inf) != 0
     if new.all():
         return piece
-    return piece.keep(new).say(f"samples with the time of the one before dropped: {(~new).sum()}")
+    return piece.keep(new).say(f"samples with a repeated time dropped: {(~new).sum()}")
 
 
 def _unwrap(piece: Piece, turn: float | None) -> Piece:
@@ -222,7 +222,7 @@ def _unwrap(piece: Piece, turn: float | None) -> Piece:
         return piece
     qpos = np.unwrap(piece.signals["qpos"], period=turn, axis=0)
     turned = np.count_nonzero(np.diff(np.round((qpos - piece.signals["qpos"]) / turn), axis=0))
-    return replace(piece, signals={**piece.signals, "qpos": qpos}).say(f"turns that the position goes on: {turned}")
+    return replace(piece, signals={**piece.signals, "qpos": qpos}).say(f"turns of the position unwrapped: {turned}")
 
 
 def _drop_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
@@ -253,7 +253,9 @@ def _drop_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
 
 def _split(piece: Piece, gap: float) -> list[Piece]:
     """The stretches between gaps, resets of the clock and long runs of NaN."""
-    pieces = _split_at(piece, find_breaks(piece.time, gap), f"split where time jumps by over {gap:g} intervals or back")
+    pieces = _split_at(
+        piece, find_breaks(piece.time, gap), f"split where time jumps by over {gap:g} intervals or goes back"
+    )
     return [part for stretch in pieces for part in _split_at_nan(stretch, gap)]
 
 
@@ -288,7 +290,7 @@ def _fill_nan(piece: Piece) -> Piece:
             pairs = zip(~bad.T, values.T, strict=True)
             columns = [_sample(column[known], piece.time[known], piece.time, method) for known, column in pairs]
             filled[name] = np.where(bad, np.stack(columns, axis=1), values)
-            sentences.append(f"samples of {name} that are NaN interpolated: {bad.any(axis=1).sum()}")
+            sentences.append(f"NaN samples of {name} interpolated: {bad.any(axis=1).sum()}")
     return replace(piece, signals=filled).say(*sentences) if sentences else piece
 
 
@@ -301,7 +303,7 @@ def _repair_spikes(piece: Piece) -> Piece:
             before = np.maximum.accumulate(np.where(far, 0, np.arange(len(values))[:, None]), axis=0)
             if far.any():
                 repaired[name] = np.take_along_axis(values, before, axis=0)
-                sentences.append(f"outliers of {name} replaced by the value before: {far.any(axis=1).sum()}")
+                sentences.append(f"outliers of {name} replaced by the previous value: {far.any(axis=1).sum()}")
         count = 0 if name in HELD else sum(map(count_spikes, values.T))
         if count:
             repaired[name] = _each(repair_spikes, values)
@@ -320,7 +322,7 @@ def _shift_velocity(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
         raise LogError(f"{name}: shorter than data.clean.velocity_lag={lag:g} s; set a smaller one")
     moved = _each(_sample, piece.signals["qvel"], piece.time, later[kept], cleaning.resample)
     cut = piece.keep(kept)
-    sentence = f"qvel moved {lag:.4g} s earlier, {cleaning.resample} between samples"
+    sentence = f"qvel shifted {lag:.4g} s earlier, {cleaning.resample} between samples"
     return replace(cut, signals={**cut.signals, "qvel": moved}).say(sentence)
 
 
@@ -335,7 +337,7 @@ def _shift_commands(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
     commands = [signal for signal in COMMANDS if signal in piece.signals]
     cut = piece.keep(kept)
     moved = {signal: _each(_sample, piece.signals[signal], piece.time, later[kept], "held") for signal in commands}
-    sentence = f"{', '.join(commands)} moved {cleaning.command_lag:.4g} s earlier"
+    sentence = f"{', '.join(commands)} shifted {cleaning.command_lag:.4g} s earlier"
     return replace(cut, signals={**cut.signals, **moved}).say(sentence)
 
 
@@ -346,7 +348,7 @@ def _find_lag(piece: Piece, name: str) -> float:
     lags = [lag[0] for lag in found if lag is not None]
     if not lags:
         raise LogError(
-            f"{name}: qvel is no delayed copy of the position's derivative, expected one for "
+            f"{name}: qvel does not match a delayed derivative of the position, expected for "
             "data.clean.velocity_lag=auto; give the lag in s or set data.clean.velocity=estimated"
         )
     return float(np.median(lags))
@@ -363,12 +365,12 @@ def _resample(piece: Piece, name: str, cleaning: Cleaning) -> Piece:
     step = interval if cleaning.step is None else cleaning.step
     if step < interval / MOST_FINER:
         raise ConfigError(
-            f"data.clean.step={step:g}: expected at least {interval / MOST_FINER:g} s, for {name} has a sample every "
-            f"{interval:g} s"
+            f"data.clean.step={step:g}: expected at least {interval / MOST_FINER:g} s, because {name} has a sample "
+            f"every {interval:g} s"
         )
     samples = int((piece.time[-1] - piece.time[0]) / step + FOLLOWED) + 1
     if samples < 2:
-        raise LogError(f"{name}: shorter than data.clean.step={step:g} s; set a smaller one, or leave it out")
+        raise LogError(f"{name}: shorter than data.clean.step={step:g} s; set a smaller one, or omit it")
     grid = piece.time[0] + step * np.arange(samples)
     signals = {
         name: _each(_sample, values, piece.time, grid, RESAMPLED.get(name, cleaning.resample))

@@ -68,7 +68,7 @@ def _refuse_unread(table: Table, columns: Mapping[str, Any]) -> None:
     for signal in SIGNALS:
         for header in (signal, BAM.get(signal, signal)):
             if header in table.refused and columns.get(signal) is None and signal not in table.columns:
-                without = "" if signal in NEEDED else ", to [] to do without"
+                without = "" if signal in NEEDED else ", to [] to omit it"
                 raise LogError(f"{table.refused[header]}; or set data.columns.{signal}{without}")
 
 
@@ -161,12 +161,12 @@ class _Clock:
         if len(back):
             raise LogError(
                 f"{name}: {own} runs backwards at sample {back[0] + 1} ({times[back[0]]:.6g} s, then "
-                f"{times[back[0] + 1]:.6g} s); expected times of {header} that increase, so that it can be brought to "
-                "those of qpos; cut the recording there, or write its messages in order"
+                f"{times[back[0] + 1]:.6g} s); expected increasing times of {header}, to interpolate it at the "
+                "times of qpos; cut the recording there, or write its messages in order"
             )
         held = signal in HELD
         self.notes.append(
-            f"{signal} {'held' if held else 'interpolated linearly'} from {len(times)} samples of its own on the "
+            f"{signal} {'held' if held else 'interpolated linearly'} from {len(times)} samples to the "
             f"{len(self.time)} times of qpos"
         )
         if held:  # the last value at or before each time; the first one before all of them

@@ -169,12 +169,12 @@ def refuse_incomplete(recording: Recording) -> None:
             )
     for signal, values in recording.signals.items():
         if values.ndim != 2 or len(values) != samples:
-            raise LogError(f"{name}: {signal} has shape {values.shape}, expected ({samples}, columns) as time has")
+            raise LogError(f"{name}: {signal} has shape {values.shape}, expected ({samples}, columns) like time")
     joints, speeds = (recording.signals.get(signal, recording.signals["qpos"]).shape[1] for signal in ("qpos", "qvel"))
     if speeds != joints:
         raise LogError(
             f"{name}: qvel has {speeds} columns and qpos {joints}, expected as many; name them in data.columns.qvel, "
-            "or set it to [] to do without"
+            "or set it to [] to omit it"
         )
     if not np.isfinite(recording.time).all():
         at = int(np.argmin(np.isfinite(recording.time)))

@@ -46,7 +46,7 @@ def find_columns(
                 continue
             columns[signal] = headers
             others = [other[0] for other in found.values() if not {*other} & {*headers}]
-            also = f"; {', '.join(others)} could be as well" if others else ""
+            also = f"; also possible: {', '.join(others)}" if others else ""
             reasons.append(f"{signal}: {', '.join(headers)}, by name{also}")
     own = table.times.get(columns.get("qpos", ("",))[0])
     return ({**columns, "time": (own,)} if own else columns), reasons
@@ -68,7 +68,7 @@ def _choose(
         pair(every, joints)
     except LogError as error:
         option = f"data.columns.{signal}"
-        needed = "" if signal in ("qpos", "ctrl") else f", to [] to do without {signal}"
+        needed = "" if signal in ("qpos", "ctrl") else f", to [] to omit {signal}"
         raise LogError(f"{table.name}: {signal} {error}; set {option} to the columns{needed}") from None
     return every
 

@@ -137,7 +137,7 @@ class Files(Source):
         held_out = {table.name for table in test}
         twice = [table.name for table in train if table.name in held_out]
         if twice:
-            raise LogError(f"{twice[0]}: in data.train and in data.test; expected recordings that no fit has seen")
+            raise LogError(f"{twice[0]}: in data.train and in data.test; expected test recordings that do not train")
         recordings = self._interpret(self.selection.keep(train + test))
         first = [recording for recording in recordings if recording.name not in held_out]
         last = [recording for recording in recordings if recording.name in held_out]
@@ -206,7 +206,7 @@ class Files(Source):
             if self.joints:
                 came = reorder(came, arrange(table.name, came, self.joints))
             taken = " ".join(Proposal({signal: of.headers for signal, of in came.items()}, units).overrides())
-            _log.log(level, "%s: taken from names and numbers in %s: %s", self.name, table.name, taken)
+            _log.log(level, "%s: inferred from names and numbers in %s: %s", self.name, table.name, taken)
         return {**columns, **self.columns}, {**units, **self.units}
 
     def _clean(self, recording: Recording, payload: Payload | None) -> list[Log]:
@@ -227,15 +227,15 @@ class Files(Source):
         lost = [recording.name for recording, cleaned in zip(recordings, logs, strict=True) if not cleaned]
         if not kept:
             raise LogError(
-                f"{lost[0]}: cleaning leaves nothing of it, and of {len(lost) - 1} others; expected the "
-                f"{self.clean.shortest:g} s of data.clean.shortest without gaps and NaN, and no spikes with "
-                "data.clean.spikes=drop; look at the file or change data.clean"
+                f"{lost[0]}: cleaning leaves nothing of it, nor of {len(lost) - 1} others; expected "
+                f"{self.clean.shortest:g} s (data.clean.shortest) without gaps and NaN, and no spikes with "
+                "data.clean.spikes=drop; check the file or change data.clean"
             )
-        told = [f"{len(lost)} left out as data.clean asks, such as {lost[0]}"] if lost else []
+        told = [f"{len(lost)} left out by data.clean, such as {lost[0]}"] if lost else []
         told += summarise_repairs(kept)
         if told:
             counts = len(recordings), len(kept)
-            _log.info("%s: of %d recordings came %d logs; %s", self.name, *counts, "; ".join(told))
+            _log.info("%s: recordings read: %d; logs: %d; %s", self.name, *counts, "; ".join(told))
 
 
 def _constant(recording: Recording, name: str, given: str | float) -> float:

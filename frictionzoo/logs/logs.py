@@ -26,8 +26,8 @@ class InMemory(Source):
     def load(self) -> NoReturn:
         """See `Source.load`."""
         raise LogError(
-            f"{self.names[0]}: the run had it in memory, expected a file to read it from again; save its arrays as "
-            "CSV, read that with read('a.csv') and identify the drive again"
+            f"{self.names[0]}: the run had it in memory, expected a file; save its arrays as CSV, "
+            "read it with read('a.csv') and identify the drive again"
         )
 
 
@@ -63,7 +63,7 @@ class Logs:
         if not held:
             raise LogError("logs: none, expected at least one recording")
         for log in held:
-            refuse_unlike("logs", log, Log, "a Log, or all that read('a.csv') returns")
+            refuse_unlike("logs", log, Log, "a Log, or the result of read('a.csv')")
         recordings = tuple(Recording(log.name, log.time, {}, log.metadata, log.sha256, log.simulated) for log in held)
         section = describe(InMemory([log.name for log in held]))
         return cls("logs in memory", recordings, tuple((log,) for log in held), 0, Split(), section)
@@ -93,8 +93,8 @@ class Logs:
         if not isinstance(test, Split) and not 0 < test < 1:
             raise ConfigError(f"test={test:g}; expected a share between 0 and 1, or a Split")
         if self.held_out:
-            why = f"for {self.held_out} of the recordings were read to test"
-            raise ConfigError(f"test={test}: expected None, {why}; leave one of the two out")
+            why = f"because {self.held_out} of the recordings were read as test data"
+            raise ConfigError(f"test={test}: expected None, {why}; omit one of the two")
         split = test if isinstance(test, Split) else Split(test_share=test)
         return replace(self, split=split, section={**self.section, "split": describe(asdict(split))})
 

@@ -76,7 +76,7 @@ def _arrange(name: str, signal: str, of: Columns, joints: Sequence[str]) -> Pair
     except LogError as error:
         if of.listed:
             return as_listed
-        needed = "" if signal in ("qpos", "ctrl") else f", to [] to do without {signal}"
+        needed = "" if signal in ("qpos", "ctrl") else f", to [] to omit {signal}"
         raise LogError(f"{name}: {signal} {error}; set data.columns.{signal} to the columns{needed}") from None
     return found if found.by == "name" or not of.listed else as_listed
 

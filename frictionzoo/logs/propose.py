@@ -86,7 +86,7 @@ def _units(table: Table, columns: Mapping[str, tuple[str, ...]]) -> tuple[dict[s
         unit = _unit_of(signal, headers[0])
         if unit is not None and not table.units.get(headers[0]):
             units[signal] = unit
-            reasons.append(f"{signal} in {unit}: its header {headers[0]} says so")
+            reasons.append(f"{signal} in {unit}: by its header {headers[0]}")
     for guess in (_guess_time, _guess_rate, _guess_turns, _guess_command, _guess_command_rate):
         for signal, unit, reason in guess(table, columns, units):
             units[signal] = unit
@@ -157,7 +157,7 @@ def _guess_turns(table: Table, columns: Columns, units: Mapping[str, str]) -> Gu
     largest = float(np.nanmax(np.abs(table.columns[columns["qpos"][0]]), initial=0.0))
     if not TURNS < largest < math.inf:
         return []
-    rate = [("qvel", "deg/s", "as its position")] if "qvel" in columns and "qvel" not in units else []
+    rate = [("qvel", "deg/s", "like its position")] if "qvel" in columns and "qvel" not in units else []
     return [("qpos", "deg", f"it reaches {largest:.4g}, nine turns in radians"), *rate]
 
 
@@ -188,7 +188,7 @@ def _guess_followed(
     # A position that falls short of its command is no other unit, as one of 57 times less is.
     if distance > 10 * NEAR or _si(signal, unit) == 1:
         return []
-    return [(told, unit, f"{columns[signal][0]} follows it at {size:.3g} times its size")]
+    return [(told, unit, f"{columns[signal][0]} follows it, {size:.3g} times as large")]
 
 
 def _values(table: Table, columns: Columns, signals: tuple[str, ...]) -> list[Signal] | None:

@@ -54,7 +54,7 @@ class Selection:
                 refuse_absent(tables, name, values, f"data.{option}", f"data.{option}.{name}")
         kept = [table for table in tables if self._is_kept(table.fields)]
         if not kept:
-            raise LogError(f"data.where and data.exclude leave none of {len(tables)} recordings; ask for less")
+            raise LogError(f"data.where and data.exclude leave none of {len(tables)} recordings; relax them")
         return kept
 
     def _all_fields(self, table: Table) -> dict[str, Any]:
@@ -62,7 +62,9 @@ class Selection:
         if self.from_name is not None:
             match = _compile(self.from_name).search(table.name)
             if match is None:
-                raise LogError(f"{table.name}: data.fields_from_name={self.from_name} does not match; mend the pattern")
+                raise LogError(
+                    f"{table.name}: data.fields_from_name={self.from_name} does not match; correct the pattern"
+                )
             named = {name: _number_or_text(text) for name, text in match.groupdict().items() if text is not None}
         added = {name: value if isinstance(value, str) else float(value) for name, value in self.fields.items()}
         return {**table.fields, **named, **added}
@@ -151,7 +153,7 @@ def _look_up(table: Sequence[tuple[Mapping[str, Any], Payload]], recording: Reco
         return fitting[0]
     asked = {name: fields.get(name, "missing") for when, _ in table for name in when}
     came = f"{recording.name}: {len(fitting) or 'no'} entries of data.payload fit {_describe(asked)}"
-    raise ConfigError(f"{came}, expected one; mend the table or leave the recording out with data.exclude")
+    raise ConfigError(f"{came}, expected one; correct the table or leave the recording out with data.exclude")
 
 
 def _read_numbers(owner: str, numbers: Any) -> Payload:
@@ -161,7 +163,7 @@ def _read_numbers(owner: str, numbers: Any) -> Payload:
         raise ConfigError(f"{came}; expected 7 numbers: mass, centre x, y, z, inertia ixx, iyy, izz")
     mass, x, y, z, ixx, iyy, izz = map(float, numbers)
     if min(mass, ixx, iyy, izz) < 0 or 2 * max(ixx, iyy, izz) > (ixx + iyy + izz) * (1 + 1e-9):
-        expected = "mass and inertia of at least 0, and no inertia above the sum of the other two, which no body has"
+        expected = "mass and inertia of at least 0, and no inertia above the sum of the other two"
         raise ConfigError(f"{came}; expected {expected}")
     return Payload(mass, (x, y, z), (ixx, iyy, izz))
 

@@ -41,7 +41,7 @@ class Split:
                 f"data.split.test={self.test} with by=time; expected by=file or a field, as in by=kp test=[16]"
             )
         if self.by != "time" and not self._tested:
-            raise ConfigError(f"data.split.test=[] with by={self.by}; expected what tests")
+            raise ConfigError(f"data.split.test=[] with by={self.by}; expected names or values that test")
 
     @property
     def _tested(self) -> list[Any]:
@@ -61,7 +61,7 @@ class Split:
         tests = self._choose_files(recordings) if self.by == "file" else self._choose_by_field(recordings)
         if tests.all():
             all_of_them = f"data.split.by={self.by} test={self.test}: all {len(tests)} recordings test"
-            raise LogError(f"{all_of_them}, none is left to train; let fewer test")
+            raise LogError(f"{all_of_them}, none is left to train; select fewer")
         train, test = [], []
         for chosen, cleaned in zip(tests, logs, strict=True):
             (test if chosen else train).extend(cleaned)
@@ -71,7 +71,7 @@ class Split:
         refuse_absent(recordings, self.by, self._tested, "data.split.by", f"data.split.by={self.by} test")
         for recording in recordings:
             if self.by not in recording.fields:
-                what = f"{recording.name}: no field {self.by}, by which data.split divides"
+                what = f"{recording.name}: no field {self.by} for data.split"
                 raise LogError(f"{what}; add it with data.fields or leave the recording out")
         return np.array([is_among(recording.fields[self.by], self._tested) for recording in recordings])
 
@@ -84,7 +84,7 @@ class Split:
             fits = np.array([_is_called(recording.name, pattern) for recording in recordings])
             if not fits.any():
                 raise LogError(
-                    f"data.split.test={pattern}: none of {len(fits)} recordings is called so; expected a name or a "
+                    f"data.split.test={pattern}: none of {len(fits)} recordings has that name; expected a name or a "
                     f"pattern such as {_last_part(recordings[0].name)}"
                 )
             tests |= fits

@@ -283,9 +283,9 @@ class Twin(Source):
     def _refuse_divergence(self, torque: float, sample: int) -> None:
         if not abs(torque) < DIVERGED:
             raise LogError(
-                f"{self.name}: the simulation diverged at sample {sample}; expected a drive that a step of "
-                f"{self.timestep / self.substeps:g} s holds; raise data.substeps, or lower data.timestep or what "
-                "data.controller and data.drive hold"
+                f"{self.name}: the simulation diverged at sample {sample}; expected a drive that is stable with steps "
+                f"of {self.timestep / self.substeps:g} s; raise data.substeps, or lower data.timestep or the gains in "
+                "data.controller and data.drive"
             )
 
     def _spec(self) -> mujoco.MjSpec:

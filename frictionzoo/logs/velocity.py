@@ -79,13 +79,13 @@ def compare_velocities(name: str, time: Signal, qpos: Columns, qvel: Columns, jo
         elif not 1 / SAME_UNIT < found[1] < SAME_UNIT:
             raise LogError(
                 f"{name}: qvel{of_joints([joint], qvel)} is {found[1]:.4g} times the position's derivative, expected "
-                "about 1 (57.3 is a degree, 9.55 a turn a minute); set data.units, or data.clean.velocity=measured to "
-                "take it as it is"
+                "about 1 (57.3: degrees, 9.55: rpm); set data.units, or data.clean.velocity=measured to use it "
+                "unchanged"
             )
     if not unlike:
         return []
     return [
-        f"qvel{of_joints(unlike, qvel)} is no copy of the position's derivative: look whether columns are swapped, or "
+        f"qvel{of_joints(unlike, qvel)} does not match the position's derivative: check for swapped columns, or "
         "set data.clean.velocity=estimated"
     ]
 

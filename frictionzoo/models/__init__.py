@@ -1,4 +1,4 @@
-"""Friction laws, one a file; the files are looked through, not listed."""
+"""Friction models, one per file, found without a list."""
 
 from frictionzoo.models.base import FrictionModel, Params, Values
 from frictionzoo.models.registry import REGISTRY, get_model, model_names, register_model
@@ -8,5 +8,5 @@ __all__ = ["FrictionModel", "Params", "TorchFriction", "Values", "get_model", "m
 
 
 def __getattr__(name: str) -> type[FrictionModel]:
-    """A law by the name of its class, as `_target_` has it; its own module has its type."""
+    """Return a model class by its class name, as in `_target_`; for static types import it from its module."""
     return REGISTRY.find_class(name)

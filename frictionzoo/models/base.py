@@ -1,4 +1,4 @@
-"""The whole plug-in interface of a friction model."""
+"""The plug-in interface of a friction model."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -13,53 +13,51 @@ from frictionzoo.core.params import Param, read_params, refuse_negative
 from frictionzoo.core.state import DriveState, FrictionTerms
 
 Values = Mapping[str, Any]
-"""Arrays of a law under the names of its `state_dict`."""
+"""Arrays of a model under the names of its `state_dict`."""
 Params = Mapping[str, Mapping[str, Any] | Sequence[float] | float | int]
-"""Of each physical parameter its section, `init`, `low`, `high`, `scale`, `identify`, or its value if that is known,
-one for all joints or a list."""
+"""Section of each physical parameter (`init`, `low`, `high`, `scale`, `identify`), or its value if it is known: one for
+all joints or a list."""
 Within = Mapping[str, str | float | Callable[[Values], Any]]
-"""What parameters of a law are where it is another one: a number that they have then, the name of the other's parameter
-that they equal, or a function of the other's values, one to one. What is not listed has one name in both."""
+"""Parameter values at which a model equals a nested model: a number, the name of the nested model's parameter, or a
+one-to-one function of the nested model's values. Parameters that are not listed have the same name in both."""
 
 
 class FrictionModel(Described, torch.nn.Module, ABC):
-    """A friction law: a torch module that owns its parameters, and one formula written over an array namespace.
+    """Friction model: a torch module that owns its parameters, with one formula over an array namespace.
 
-    A law declares its physical parameters in `dimensions`; they become `torch.nn.Parameter`s of shape (nv,) that hold
-    values in SI units, so that a saved state reads as physics. Anything else it registers as a parameter (the weights
-    of a network) is optimised as it is, without bounds.
+    A model declares its physical parameters in `dimensions`. They become `torch.nn.Parameter`s of shape (nv,) in SI
+    units, so a saved state contains physical values. Any other registered parameter, such as the weights of a network,
+    is optimised directly, without bounds.
 
     Attributes:
-        name: The law's name, set by `register_model`.
+        name: Name of the model, set by `register_model`.
         dimensions: Dimension of each physical parameter, a key of `frictionzoo.core.params.UNITS`.
-        constraint: Whether the law answers with a `frictionloss`, so that the simulated joint needs MuJoCo's friction
-            constraint.
-        constrained: The same of each joint; where not, the `frictionloss` that others answer with is 0.
-        dissipative: Whether the law promises never to give energy to the drive, whatever its values within bounds: all
-            its terms together oppose the motion while the joint slides, and hold it where it stands still. Of a law
-            with a memory: at constant velocity, for what bends springs back.
-        inputs: What the law looks at in each sample besides the state, a field of `DriveState` that recordings have
-            among their extras, and the value at which it acts where they lack it.
-        contains: Laws that this one is with certain values, by name, and these values. What it has besides is without
-            effect then.
-        valleys: Parameters over which the loss is known to have several minima, and multiples of the initial value at
-            which a search begins besides.
-        memory: Numbers that the law remembers of each joint from step to step; 0 for a function of the present state.
-        shortest_segment: Length of segments [s] that a recipe chooses at least, in recordings of ten times that: a
-            rollout begins with a memory that is guessed, and has to forget it early in each.
-        sees: What the friction changes with, of `frictionzoo.models.sees.SEES`: `speed`; `slow`, that it falls as the
-            speed rises; `fast`, that it grows faster than the speed; `direction`, that it differs between the two;
-            `load`, `position`, `temperature`; `reversal`, that it remembers how long ago the motion turned round. By
-            this a run's verdict names the law that has a term which another lacks; a law that says nothing is not
-            named.
-        params: Each physical parameter's initial value, bounds and scale.
+        constraint: Whether `terms` returns a `frictionloss`, so the simulated joint needs MuJoCo's friction constraint.
+        constrained: `constraint` of each joint; a joint without it has `frictionloss` 0 if other joints have one.
+        dissipative: Whether the model never adds energy to the drive, for any values within bounds: the sum of its
+            terms opposes the motion of a sliding joint and holds a joint at rest. For a model with memory this applies
+            at constant velocity, because a deflected spring returns energy.
+        inputs: Signals that the model reads in addition to the state, each with the value that applies if the
+            recordings lack it. Each is a field of `DriveState` that recordings have among their extras.
+        contains: Nested models by name, with the parameter values at which this model equals them. Parameters that
+            only this model has, and that are not listed, have no effect then.
+        valleys: Parameters over which the loss is known to have several minima, with the multiples of the initial value
+            from which a search also starts.
+        memory: Number of memory values per joint, carried from step to step; 0 for a function of the present state.
+        shortest_segment: Minimum segment length [s] that a recipe chooses for recordings ten times as long. A rollout
+            starts with a guessed memory, and must forget it early in each segment.
+        sees: Quantities on which the friction depends, of `frictionzoo.models.sees.SEES`: `speed`; `slow`, friction
+            falls as the speed rises; `fast`, friction grows faster than the speed; `direction`, friction differs
+            between the two; `load`, `position`, `temperature`; `reversal`, friction depends on how long ago the motion
+            reversed. A run's verdict uses it to suggest a model with a missing term, never one with empty `sees`.
+        params: Initial value, bounds and scale of each physical parameter.
 
     Args:
         nv: Number of joints.
-        params: As `Params` says.
+        params: See `Params`.
 
     Raises:
-        ConfigError: There is no joint, or a parameter is missing, unknown, or its bounds make no sense.
+        ConfigError: There is no joint, or a parameter is missing, unknown, or has invalid bounds.
     """
 
     name: ClassVar[str]
@@ -85,27 +83,27 @@ class FrictionModel(Described, torch.nn.Module, ABC):
 
     @property
     def constrained(self) -> tuple[bool, ...]:
-        """See above."""
+        """`constraint` of each joint; see the class."""
         return self.nv * (self.constraint,)
 
     def of_joint(self, joint: int) -> tuple["FrictionModel", int, str]:
-        """The law of one joint, its place in that law, and what stands before that law's names in this one's values.
+        """Return a joint's model, the joint's index in that model, and the prefix of that model's names in `values`.
 
         Args:
-            joint: Its index.
+            joint: Index of the joint.
         """
         return self, joint, ""
 
     def begin(self, values: Mapping[str, Any]) -> None:
-        """Let parameters begin with these values, each of shape (nv,), by name."""
+        """Set initial values of parameters by name, each of shape (nv,)."""
         for name, value in values.items():
             self.get_parameter(name).data.copy_(torch.tensor(np.asarray(value)))
 
     def bind(self, joints: Sequence[str]) -> None:
-        """Give each joint what parameters say by patterns of joints' names; what has a value already keeps it.
+        """Resolve parameters given by patterns of joint names; parameters that have values keep them.
 
         Raises:
-            ConfigError: A joint fits no pattern, or a list has not an entry for each joint.
+            ConfigError: A joint matches no pattern, or the length of a list is not the number of joints.
         """
         for name, param in self.params.items():
             if not param.is_resolved:
@@ -114,57 +112,57 @@ class FrictionModel(Described, torch.nn.Module, ABC):
 
     @abstractmethod
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
-        """The law itself, pure: no attribute that a fit changes, no branch on a value.
+        """Compute the friction terms; a pure function: no attribute that a fit changes, no branch on a value.
 
-        Of a law with a memory: what it comes down to at constant velocity.
+        For a model with memory, compute its friction at constant velocity.
 
         Args:
             xp: Array namespace, `torch` or `jax.numpy`.
             values: Arrays of this namespace under the names of `state_dict`.
-            state: What the drive is doing, arrays of shape (..., nv).
+            state: State of the drive, arrays of shape (..., nv).
 
         Returns:
-            Terms of shape (..., nv), or that broadcast to it.
+            Terms of shape (..., nv), or broadcastable to it.
         """
 
     def settle(self, xp: Any, values: Values, state: DriveState) -> Any:
-        """The memory that a simulation begins with, of shape (..., nv, memory): as if the drive had long been so.
+        """Return the memory at the start of a simulation, of shape (..., nv, memory): as if this state had long lasted.
 
-        Arguments are as in `terms`.
+        The arguments are as in `terms`.
         """
         return xp.zeros((*state.qvel.shape, self.memory))
 
     def advance(
         self, xp: Any, values: Values, state: DriveState, memory: Any, timestep: float
     ) -> tuple[FrictionTerms, Any]:
-        """One step of a simulation: the terms that act until the next state, and the memory in this one.
+        """Advance one simulation step: return the terms that act until the next state, and the memory in this state.
 
-        A law with a memory overrides it together with `settle`; pure like `terms`, with the same arguments, what the
-        step before left, of shape (..., nv, memory), and the timestep of the simulation [s].
+        A model with memory overrides this method and `settle`. It is pure like `terms` and takes the same arguments,
+        the memory after the previous step, of shape (..., nv, memory), and the timestep of the simulation [s].
         """
         return self.terms(xp, values, state), memory
 
     def prepare(self, samples: DriveState) -> None:
-        """Take constants (normalisation) from the training data; most laws need none.
+        """Take constants, such as a normalisation, from the training data; most models need none.
 
-        An identification calls it before it takes the law's values, with a law that may have been fitted before. So
-        constants that other values belong to, such as weights, are taken once: a later call leaves them as they are.
+        An identification calls it before it reads the model's values. The model may already have been fitted: set
+        constants on which other values depend, such as weights, only once, and keep them in later calls.
 
         Args:
             samples: Training samples as numpy arrays of shape (samples, nv).
         """
 
     def forward(self, state: DriveState) -> FrictionTerms:
-        """The law in torch with this module's own values, of torch tensors of shape (..., nv)."""
+        """Compute the terms in torch with this module's values, for torch tensors of shape (..., nv)."""
         return self.terms(torch, self.state_dict(keep_vars=True), state)
 
 
 def sliding_torque(xp: Any, terms: FrictionTerms, qvel: Any) -> Any:
-    """The torque of all terms of a law while the joint slides, positive against positive velocity [N m or N].
+    """Return the total friction torque of a sliding joint, positive against positive velocity [N m or N].
 
     Args:
         xp: Array namespace, `numpy`, `torch` or `jax.numpy`.
-        terms: The law's answer, arrays that broadcast to the velocity's shape, or None.
+        terms: The model's terms, arrays that broadcast to the shape of the velocity, or None.
         qvel: Velocity [rad/s or m/s].
     """
     torque, frictionloss, damping = (xp.zeros_like(qvel) if term is None else term for term in terms)
@@ -172,8 +170,8 @@ def sliding_torque(xp: Any, terms: FrictionTerms, qvel: Any) -> Any:
 
 
 def _initial(param: Param, nv: int) -> torch.Tensor:
-    """Initial values of the joints, of shape (nv,); NaN while patterns of names wait for the names."""
+    """Return initial values of shape (nv,); NaN while joint names for the patterns are missing."""
     if not param.is_resolved:
         return torch.full((nv,), torch.nan, dtype=torch.float64)
-    param.for_joints([None] * nv)  # a list of another length is refused
+    param.for_joints([None] * nv)  # raises if a list has another length
     return torch.tensor(param.each("init", nv), dtype=torch.float64)

@@ -1,4 +1,4 @@
-"""No friction at all."""
+"""No friction."""
 
 from typing import Any
 
@@ -8,11 +8,11 @@ from frictionzoo.models import FrictionModel, Values, register_model
 
 @register_model("baseline")
 class Baseline(FrictionModel):
-    """A drive without friction, what every other law is measured against; only the bench's quantities are identified.
+    """Drive without friction, the reference for all other models; only parameters of the bench are identified.
+
+    Cannot represent: any loss. A drive with friction appears heavier or weaker than it is.
 
     torque = 0
-
-    Cannot represent: any loss. A drive that rubs looks heavier or weaker than it is.
 
     Source: V. Kovalev et al., Proc. MIPT 18(2), 2026, Table 1, "Baseline (no friction)".
     """
@@ -20,5 +20,5 @@ class Baseline(FrictionModel):
     dissipative = True
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
-        """No term."""
+        """Return no terms."""
         return FrictionTerms()

@@ -1,19 +1,19 @@
-"""What laws of friction that remember have in common: where they begin, and bristles that bend and slip."""
+"""Shared functions of models with memory: initial memory, and bristles that deflect and slip."""
 
 from typing import Any
 
 from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models.base import Values
 
-_NEARLY_ZERO = 1e-2  # below it, the series is exact to 1e-10, and the quotient loses digits in float32
+_NEARLY_ZERO = 1e-2  # below it the series is exact to 1e-10, while the quotient loses digits in float32
 
 
 def settled_force(xp: Any, state: DriveState, limit: Any, rest_velocity: Any) -> Any:
-    """Dry friction of a drive that has long been in this state [N m or N].
+    """Return the dry friction [N m or N] of a drive that has long been in this state.
 
-    At rest it holds whatever actuator and external torque ask for, up to the limit; in motion it is at the limit,
-    against the motion. Between the two lies the rest velocity [rad/s or m/s], up to about which a measured joint may
-    stand still.
+    At rest it balances actuator and external torque, up to the limit; in motion it equals the limit and opposes the
+    motion. The transition is at the rest velocity [rad/s or m/s], below about which a joint may stand still although
+    its measured velocity is not 0.
     """
     asked = state.motor_torque + state.external_torque
     held = xp.minimum(xp.maximum(asked, -limit), limit)
@@ -21,9 +21,9 @@ def settled_force(xp: Any, state: DriveState, limit: Any, rest_velocity: Any) ->
 
 
 def settled(xp: Any, qvel: Any, rest_velocity: Any, held: Any, sliding: Any) -> Any:
-    """What friction remembers of a drive that has long been at this velocity [rad/s or m/s]: held at rest, or sliding.
+    """Return the settled memory at this velocity [rad/s or m/s]: `held` at rest, `sliding` in motion.
 
-    What it is while sliding has the sign of the velocity; the rest velocity is that of `settled_force`.
+    `sliding` gets the sign of the velocity; for the rest velocity see `settled_force`.
     """
     share = qvel / rest_velocity
     slides = 1 - xp.exp(-xp.square(share))
@@ -31,46 +31,47 @@ def settled(xp: Any, qvel: Any, rest_velocity: Any, held: Any, sliding: Any) -> 
 
 
 def remaining(xp: Any, rate: Any, timestep: float) -> tuple[Any, Any]:
-    """How a bend z that follows z' = v - rate z ends a step in which v is constant: decay * z + reach * v.
+    """Return decay and reach of a step of z' = v - rate z with constant v: z ends at decay * z + reach * v.
 
-    Both, decay [1] and reach [s], are exact for a constant rate of 0/s or more, so that no rate makes them unstable.
+    Decay [1] and reach [s] are exact for a constant rate of 0/s or more, so the step is stable at any rate.
     """
     steps = rate * timestep
     small = steps < _NEARLY_ZERO
-    divisor = xp.where(small, 1.0, steps)  # else the branch not taken would have a gradient that is not finite
+    divisor = xp.where(small, 1.0, steps)  # keeps the gradient of the unused branch finite
     series = 1 - steps / 2 * (1 - steps / 3 * (1 - steps / 4))
     return xp.exp(-steps), timestep * xp.where(small, series, -xp.expm1(-divisor) / divisor)
 
 
 def stribeck_bell(xp: Any, values: Values, velocity: Any) -> Any:
-    """Share of what friction has at rest and loses over the Stribeck velocity [1]."""
+    """Return the remaining fraction [1] of the friction that decays over the Stribeck velocity, 1 at rest."""
     return xp.exp(-xp.square(velocity / values["stribeck_velocity"]))
 
 
 def stribeck_force(xp: Any, values: Values, velocity: Any) -> Any:
-    """Dry friction that falls with speed [N m or N], of static and kinetic torque and the Stribeck velocity."""
+    """Return dry friction [N m or N] that falls with speed from the static to the kinetic torque."""
     excess = values["static_torque"] - values["kinetic_torque"]
     return values["kinetic_torque"] + excess * stribeck_bell(xp, values, velocity)
 
 
 def slip(xp: Any, values: Values, state: DriveState, limit: Any) -> FrictionTerms:
-    """What bristles come down to at constant velocity: dry friction at its limit [N m or N], and viscous friction."""
+    """Return the friction of slipping bristles: dry friction at its limit [N m or N], and viscous friction."""
     dry = limit * xp.tanh(state.qvel / values["rest_velocity"])
     return FrictionTerms(torque=dry, damping=values["viscous_coefficient"])
 
 
 def settled_bend(xp: Any, values: Values, state: DriveState, limit: Any) -> Any:
-    """The bend of bristles of a joint at rest or in steady motion, of shape (..., nv, 1) [rad or m]."""
+    """Return the bristle deflection at rest or in steady motion, of shape (..., nv, 1) [rad or m]."""
     return (settled_force(xp, state, limit, values["rest_velocity"]) / values["stiffness"])[..., None]
 
 
 def bend(
     xp: Any, values: Values, state: DriveState, memory: Any, timestep: float, limit: Any, micro_damping: Any
 ) -> tuple[FrictionTerms, Any]:
-    """Bristles that bend and yield at a limit [N m or N]: their torque at the end of a step, and the bend in the state.
+    """Return the bristle torque at the end of a step, and the deflection in this state.
 
-    z' = v - s |v| z / limit, torque = s z + c z' + d v; of the stiffness s, the micro-damping c [N m s/rad or N s/m]
-    and the viscous coefficient d, in a step of this length [s].
+    The bristles yield at `limit` [N m or N]:
+    z' = v - s |v| z / limit, torque = s z + c z' + d v, with the stiffness s, the micro-damping c [N m s/rad or N s/m],
+    the viscous coefficient d and the length of the step `timestep` [s].
     """
     stiffness = values["stiffness"]
     rate = stiffness * xp.abs(state.qvel) / limit

@@ -1,4 +1,4 @@
-"""Laws of their own for groups of joints."""
+"""Different friction models for groups of joints."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -14,38 +14,40 @@ from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models import FrictionModel, TorchFriction, Values, register_model
 
 Section = Mapping[str, Any]
-"""A law's class, `_target_`, and the arguments of its constructor but for the number of joints."""
+"""Class of a model, `_target_`, and the arguments of its constructor except the number of joints."""
 
 
 @register_model("by_joint")
 class ByJoint(FrictionModel):
-    """Laws of their own for groups of joints, another for the knee than for the hip, side by side in one drive.
+    """Different friction models for groups of joints of one robot, such as knee and hip.
+
+    Use it if the joints of a robot have different drives: `model.laws={.*_calf_joint: stribeck, .*: mujoco_default}`.
+
+    Cannot represent: friction of a joint that depends on the state of another joint; a model that exists only in torch.
 
     friction_j = L(j)(q_j, v_j, ...)
 
         j  the joint
-        L  law of the first of the patterns of `laws` that fits the joint's name, or of its entry in the list
+        L  model of the first pattern in `laws` that matches the joint's name, or of the joint's entry in the list
 
-    The parameters of a law are of its joints alone, by the law's name and their own: `stribeck.damping`. A law that
-    several patterns name has them once for each, `stribeck_1.damping`, `stribeck_2.damping`. A network shares its
-    weights among the joints of its pattern, and learns its normalisation from them; another pattern's has others.
-
-    `model.laws={.*_calf_joint: stribeck, .*: mujoco_default}`. A law with options is a section:
+    A model with options is a section:
     `{.*_calf_joint: {law: stribeck, params: {damping: {init: 0.2}}}, .*: mujoco_default}`. Patterns are regular
-    expressions that match whole names; where both come from a file and the command line, those of the file are the
-    first. A list has a law for each joint, in their order.
+    expressions that match whole names. If patterns come from a file and from the command line, the file's come first. A
+    list has one model per joint, in their order.
 
-    Cannot represent: friction of a joint that depends on the state of another one; a law that exists only in torch.
+    Each model has parameters for its joints only, named after the model: `stribeck.damping`. If several patterns name
+    the same model, each has its parameters: `stribeck_1.damping`, `stribeck_2.damping`. A network shares its weights
+    among the joints of its pattern, and takes its normalisation from them; another pattern has a separate network.
 
-    Source: composition of this package; each law has its own.
+    Source: composition of this package; each model has its source.
 
     Args:
         nv: Number of joints.
-        laws: Section of a law for each pattern of joints' names, or a list with one for each joint.
+        laws: Section of a model for each pattern of joint names, or a list with one for each joint.
 
     Raises:
-        ConfigError: A list has another length, a law cannot be made, or two of them differ in what they look at.
-        ModelError: A law exists only in torch, or is this one.
+        ConfigError: A list has the wrong length, a model cannot be made, or two models differ in an input's default.
+        ModelError: A model exists only in torch, or is `by_joint`.
     """
 
     def __init__(self, nv: int, laws: Mapping[str, Section] | Sequence[Section]) -> None:
@@ -57,7 +59,7 @@ class ByJoint(FrictionModel):
         self.widths: tuple[int, ...] = ()
         if isinstance(laws, Mapping):
             self._sections = dict(laws)
-            if len(laws) == 1:  # no need to know the names
+            if len(laws) == 1:  # needs no joint names
                 self._take([*laws.items()], [list(range(nv))])
             return
         if len(laws) != nv:
@@ -68,10 +70,10 @@ class ByJoint(FrictionModel):
 
     @property
     def laws(self) -> tuple[FrictionModel, ...]:
-        """The law of each group of joints.
+        """Model of each group of joints.
 
         Raises:
-            ConfigError: They go by names of joints, which it does not know yet.
+            ConfigError: The models are given by patterns, and the joint names are not known yet.
         """
         if not self.labels:
             raise ConfigError(
@@ -92,10 +94,10 @@ class ByJoint(FrictionModel):
         return self.laws[group], self.members[group].index(joint), f"{self.labels[group]}."
 
     def bind(self, joints: Sequence[str]) -> None:
-        """Give each joint the law of its pattern, and see `FrictionModel.bind`.
+        """Assign a model to each joint by its pattern; see `FrictionModel.bind`.
 
         Raises:
-            ConfigError: A joint fits no pattern, or a pattern has no joint.
+            ConfigError: A joint matches no pattern, or a pattern has no joint.
         """
         if self._sections:
             groups = _assign([*self._sections], joints)
@@ -111,12 +113,12 @@ class ByJoint(FrictionModel):
             law.begin({name: np.asarray(value)[list(joints)] for name, value in _own(values, label).items()})
 
     def prepare(self, samples: DriveState) -> None:
-        """Each law takes its constants from the samples of its joints."""
+        """Let each model take its constants from the samples of its joints."""
         for joints, law in zip(self.members, self.laws, strict=True):
             law.prepare(_seen(samples, joints, len(self.members)))
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
-        """The terms of each joint's law; 0 where it does not use one that another does."""
+        """Return the terms of each joint's model; 0 for a term that only other joints' models use."""
         parts = [
             law.terms(xp, _own(values, label), _seen(state, joints, len(self.members)))
             for label, joints, law in zip(self.labels, self.members, self.laws, strict=True)
@@ -124,7 +126,7 @@ class ByJoint(FrictionModel):
         return _join_terms(xp, parts, self.members, self.order, state)
 
     def settle(self, xp: Any, values: Values, state: DriveState) -> Any:
-        """The memory of each joint's law, filled up with 0 to that of the law that remembers most."""
+        """Return the memory of each joint's model, padded with 0 to the largest memory."""
         parts = []
         for label, joints, width, law in zip(self.labels, self.members, self.widths, self.laws, strict=True):
             seen = _seen(state, joints, len(self.members))
@@ -135,7 +137,7 @@ class ByJoint(FrictionModel):
     def advance(
         self, xp: Any, values: Values, state: DriveState, memory: Any, timestep: float
     ) -> tuple[FrictionTerms, Any]:
-        """A step of each joint's law."""
+        """Advance each joint's model by one step."""
         parts, after = [], []
         for label, joints, width, law in zip(self.labels, self.members, self.widths, self.laws, strict=True):
             seen, held = _seen(state, joints, len(self.members)), memory[..., np.array(joints), :width]
@@ -145,7 +147,7 @@ class ByJoint(FrictionModel):
         return _join_terms(xp, parts, self.members, self.order, state), _join(xp, after, self.order, -2)
 
     def _take(self, laws: Sequence[tuple[str, Section]], groups: Sequence[Sequence[int]]) -> None:
-        """Make the law of each group of joints."""
+        """Make the model of each group of joints."""
         made = [_make(option, section, len(joints)) for (option, section), joints in zip(laws, groups, strict=True)]
         self.labels = _label([law.name for law in made])
         self.members = tuple(map(tuple, groups))
@@ -163,7 +165,7 @@ class ByJoint(FrictionModel):
         self._gather()
 
     def _gather(self) -> None:
-        """The parameters of all laws, each of the joints of its law."""
+        """Collect the parameters of all models, each for the joints of its model."""
         self.params = {
             f"{label}.{name}": replace(param, joints=joints if len(joints) < self.nv else None)
             for label, joints, law in zip(self.labels, self.members, self.laws, strict=True)
@@ -190,7 +192,7 @@ def _make(option: str, section: Section, nv: int) -> FrictionModel:
 
 
 def _assign(patterns: Sequence[str], joints: Sequence[str]) -> list[list[int]]:
-    """Joints of each pattern, the first that fits; ConfigError where a joint has none, or a pattern no joint."""
+    """Return the joints of each pattern, first match; ConfigError if a joint or a pattern has no match."""
     groups: dict[str, list[int]] = {pattern: [] for pattern in patterns}
     for index, joint in enumerate(joints):
         fitting = [pattern for pattern in patterns if fits(pattern, joint, "model.laws")]
@@ -208,7 +210,7 @@ def _assign(patterns: Sequence[str], joints: Sequence[str]) -> list[list[int]]:
 
 
 def _label(names: Sequence[str]) -> tuple[str, ...]:
-    """Each law's name, numbered from 1 where several have it."""
+    """Return each model's name, numbered from 1 if several models have the same name."""
     count, seen, labels = Counter(names), Counter[str](), []
     for name in names:
         seen[name] += 1
@@ -217,7 +219,7 @@ def _label(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _merge_inputs(laws: Sequence[FrictionModel]) -> dict[str, float]:
-    """What the laws look at; they have to agree on what it is where recordings lack it."""
+    """Return the inputs of all models; their defaults for recordings without the signal must agree."""
     inputs: dict[str, float] = {}
     for law in laws:
         for name, value in law.inputs.items():
@@ -230,12 +232,12 @@ def _merge_inputs(laws: Sequence[FrictionModel]) -> dict[str, float]:
 
 
 def _own(values: Values, label: str) -> dict[str, Any]:
-    """Values of one law, by the names that it has for them."""
+    """Return the values of one model under that model's names."""
     return {name[len(label) + 1 :]: value for name, value in values.items() if name.startswith(label + ".")}
 
 
 def _seen(state: DriveState, joints: Sequence[int], groups: int) -> DriveState:
-    """The state of these joints alone, one of so many groups."""
+    """Return the state of these joints, which are one of `groups` groups."""
     if groups == 1:
         return state
     return type(state)(*(None if signal is None else signal[..., np.array(joints)] for signal in state))
@@ -244,7 +246,7 @@ def _seen(state: DriveState, joints: Sequence[int], groups: int) -> DriveState:
 def _join_terms(
     xp: Any, parts: Sequence[FrictionTerms], members: Sequence[Sequence[int]], order: Sequence[int], state: DriveState
 ) -> FrictionTerms:
-    """Terms of all joints from those of each group; a term that no law uses is left out."""
+    """Join the terms of all groups; a term that no model uses stays None."""
     if len(parts) == 1:
         return parts[0]
     found = []
@@ -259,7 +261,7 @@ def _join_terms(
 
 
 def _join(xp: Any, parts: Sequence[Any], order: Sequence[int], axis: int) -> Any:
-    """Arrays of all groups as one of all joints, in their order."""
+    """Join the groups' arrays into one of all joints, in their order."""
     if len(parts) == 1:
         return parts[0]
     whole = xp.concatenate(parts, axis)
@@ -267,5 +269,5 @@ def _join(xp: Any, parts: Sequence[Any], order: Sequence[int], axis: int) -> Any
 
 
 def _fill(xp: Any, memory: Any, missing: int, seen: DriveState) -> Any:
-    """A law's memory with so many zeros behind it."""
+    """Pad a model's memory with `missing` zeros."""
     return memory if not missing else xp.concatenate([memory, xp.stack(missing * [xp.zeros_like(seen.qvel)], -1)], -1)

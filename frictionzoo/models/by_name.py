@@ -1,4 +1,4 @@
-"""Laws by name: their sections as `conf/model` has them, with a user's options."""
+"""Models by name: their sections of `conf/model`, with the user's options."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -9,20 +9,20 @@ from frictionzoo.core.registry import dotted_name
 from frictionzoo.models.registry import get_model
 
 OF_SEVERAL = "frictionzoo.models.ByJoint"
-_SHARED = ("scale", "seed")  # options of a job that laws' files refer to
+_SHARED = ("scale", "seed")  # options of a job to which the models' files refer
 
 
 def law_section(name: str, shared: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, Any]:
-    """The section that makes a law: that of its file in `conf/model`, or, where there is none, its class alone.
+    """Return the section that makes a model: from its file in `conf/model`, or, without a file, its class alone.
 
     Args:
-        name: Of the file, or of a law that was registered in this program.
-        shared: A job's `scale` and `seed`, where they are known; anything else in it does not count.
-        options: Of the law, in place of the file's.
+        name: Name of the file, or of a model registered in this program.
+        shared: `scale` and `seed` of a job, if known; other entries are ignored.
+        options: Options of the model that replace the file's.
 
     Raises:
-        UnknownModelError: No such law.
-        ConfigError: No such option, or a value that it cannot have.
+        UnknownModelError: There is no such model.
+        ConfigError: An option does not exist, or its value is invalid.
     """
     if "_target_" in options:
         raise ConfigError(f"{name}: unknown option _target_, which would make it another law; name that law")
@@ -33,15 +33,15 @@ def law_section(name: str, shared: Mapping[str, Any], options: Mapping[str, Any]
 
 
 def complete_laws(section: Mapping[str, Any], shared: Mapping[str, Any]) -> dict[str, Any]:
-    """A law's section; of one with several laws in it, with the whole section of each in place of its name.
+    """Return a model's section; if it has several models, with the complete section of each in place of its name.
 
     Args:
-        section: Of any law.
+        section: Section of any model.
         shared: As in `law_section`.
 
     Raises:
-        UnknownModelError: One of them does not exist.
-        ConfigError: One of them has no such option, or a value that it cannot have; or it is no law.
+        UnknownModelError: One of the models does not exist.
+        ConfigError: An option of one of them does not exist or is invalid; or an entry is not a model.
     """
     if section.get("_target_") != OF_SEVERAL:
         return dict(section)
@@ -56,7 +56,7 @@ def complete_laws(section: Mapping[str, Any], shared: Mapping[str, Any]) -> dict
 
 
 def _complete(where: str, law: Any, shared: Mapping[str, Any]) -> dict[str, Any]:
-    """The section of a law that is a name, or a section with its name and options, or complete already."""
+    """Return the section of a model given as a name, as a section with name and options, or complete."""
     if isinstance(law, Mapping) and "_target_" in law:
         return dict(law)
     options = dict(law) if isinstance(law, Mapping) else {"law": law}

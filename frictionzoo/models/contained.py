@@ -1,4 +1,4 @@
-"""That a law is each law that it says it contains, with the values that it names."""
+"""Check that a model equals each of its nested models at the declared parameter values."""
 
 from collections.abc import Mapping
 from typing import Any, NoReturn
@@ -12,21 +12,21 @@ from frictionzoo.models.base import FrictionModel, sliding_torque
 from frictionzoo.models.formula import as_numpy, torch_state
 from frictionzoo.models.registry import get_model
 
-_DRAWS = 5  # of values
-_NEAR = 0.2  # share of the way from the initial value towards a bound
-_SLIDING = 1.0  # rad/s or m/s, far above what smooths a sign
-_TOLERANCE = 1e-3  # of friction, that a smooth sign lacks there
+_DRAWS = 5  # of parameter values
+_NEAR = 0.2  # fraction of the way from the initial value to a bound
+_SLIDING = 1.0  # rad/s or m/s, far above the smoothing of any sign
+_TOLERANCE = 1e-3  # relative, for the error of a smooth sign at that speed
 
 
 def check_contained(model: FrictionModel, samples: DriveState) -> None:
-    """See that a law slides as each one that it contains, at random values of both.
+    """Check that the sliding friction of a model equals each nested model's, at random values of both.
 
     Args:
-        model: The law that contains others.
-        samples: States to check it on; each joint slides at least at `_SLIDING`.
+        model: Model that contains others.
+        samples: States to check; each joint slides at least at `_SLIDING`.
 
     Raises:
-        ModelError: It does not, or it names what is none of the parameters.
+        ModelError: The friction differs, or `contains` names an unknown parameter.
     """
     random = np.random.default_rng(0)
     sliding = samples._replace(qvel=samples.qvel + np.where(samples.qvel < 0, -_SLIDING, _SLIDING))
@@ -53,11 +53,11 @@ def _refuse_unknown(model: FrictionModel, law: type[FrictionModel], within: Mapp
 def _draw(
     model: FrictionModel, law: type[FrictionModel], within: Mapping[str, Any], random: np.random.Generator
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Values of the contained law, and those with which the other one is that law, of shape (nv,)."""
+    """Return values of the nested model, and the containing model's values that make both equal, of shape (nv,)."""
     ours = {name: _between(model, name, random) for name in model.params}
     rules = {name: within.get(name, name) for name in model.params}
     theirs = {rule: ours[name] for name, rule in rules.items() if isinstance(rule, str) and rule in law.dimensions}
-    theirs = {name: theirs.get(name, np.exp(random.uniform(-1, 1, model.nv))) for name in law.dimensions}  # else any
+    theirs = {name: theirs.get(name, np.exp(random.uniform(-1, 1, model.nv))) for name in law.dimensions}  # any value
     for name, rule in rules.items():
         if isinstance(rule, float):
             ours[name] = np.full(model.nv, rule)
@@ -69,7 +69,7 @@ def _draw(
 
 
 def _between(model: FrictionModel, name: str, random: np.random.Generator) -> np.ndarray:
-    """A value near the initial one of a parameter, for at bounds a law may guard itself; of a known one, its own."""
+    """Return a value near the initial one, because a model may clip near its bounds; a known value stays."""
     param = model.params[name]
     low, high, init = (param.each(what, model.nv) for what in ("low", "high", "init"))
     if not param.is_identified:
@@ -79,7 +79,7 @@ def _between(model: FrictionModel, name: str, random: np.random.Generator) -> np
 
 
 def _torque(model: FrictionModel, values: Mapping[str, np.ndarray], samples: DriveState) -> np.ndarray:
-    """Of a law with these values while it slides."""
+    """Return the friction torque of a sliding model with these values."""
     state = {**model.state_dict(), **{name: torch.tensor(value) for name, value in values.items()}}
     with torch.no_grad():
         terms = as_numpy(model.terms(torch, state, torch_state(samples)).given())

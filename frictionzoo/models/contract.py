@@ -1,4 +1,4 @@
-"""The contract that every friction model keeps, as one call for its author's tests."""
+"""The contract of all friction models, as one call for tests of a model."""
 
 import copy
 import textwrap
@@ -22,34 +22,40 @@ from frictionzoo.models.registry import REGISTRY
 from frictionzoo.models.sees import SEES, is_curved, observe
 from frictionzoo.models.torch_friction import TorchFriction
 
-TOLERANCE = 1e-12  # of torch against JAX in float64, relative to the largest entry of an array, absolute below 1
+TOLERANCE = 1e-12  # torch against JAX in float64: relative to the largest entry of an array, absolute below 1
 SAMPLES = 64
 TIMESTEP = 1e-3  # s
-INPUT_SPREAD = 20.0  # of drawn inputs about the value at which the law acts without; degC of a temperature
+INPUT_SPREAD = 20.0  # of drawn inputs about their default; degC for a temperature
 NOWHERE = "where all is 0"
-SETTLED = 1e-6  # share of a settled memory by which a step may still change it
-DRAWS = 5  # of values between their bounds, where the promise to dissipate holds too
+SETTLED = 1e-6  # largest relative change of a settled memory in a step
+DRAWS = 5  # of values between their bounds, for the check of `dissipative`
 
 
 def check_model(model: FrictionModel, samples: DriveState | None = None) -> None:
-    """See that a friction model keeps the contract of `FrictionModel`; the model itself is left as it was.
+    """Check that a friction model keeps the contract of `FrictionModel`, without changing the model.
 
-    The clauses, in order: it is registered under its own name; its dimensions have units; its inputs are signals of
-    `DriveState`; its values are within bounds;
-    `terms` gives terms of the right kind and shape, is pure, deterministic and reads `values` only, also under
-    `jax.jit`, and keeps the floating-point type; torch and JAX agree in value and gradient; gradients are finite, at
-    standstill too; a law with a memory keeps its shape, agrees in torch and JAX over a step, has finite gradients, and
-    its memory settles; a saved state is complete; a law that declares `dissipative` gives no energy to the drive, with
-    its own values and with others between their bounds: all its terms together oppose the motion, at standstill its
-    torque is within its frictionloss, and no damping is negative; it slides as each law that it says it contains, with
-    the values at which it is that law; a law that says what it `sees` sees just that. A law that exists only in torch
-    keeps the same contract in torch alone; it has no memory, and its terms in one state do not depend on the others of
-    a batch.
+    The clauses, in this order:
+
+    1. The model is registered under its name, its dimensions have units, its inputs are signals of `DriveState`, and
+       its values are within bounds.
+    2. `terms` returns terms of the right type and shape. It is pure, deterministic, reads `values` only, works under
+       `jax.jit`, and keeps the floating-point type.
+    3. Torch and JAX agree in value and gradient. Gradients are finite, also at standstill.
+    4. A model with memory keeps the memory's shape, agrees in torch and JAX over a step, has finite gradients, and its
+       memory settles.
+    5. A saved state is complete.
+    6. A `dissipative` model adds no energy to the drive, with its values and with others between their bounds: the sum
+       of its terms opposes the motion, at standstill its torque is within its frictionloss, and no damping is negative.
+    7. Its sliding friction equals each nested model's, with the values in `contains`.
+    8. If `sees` is not empty, it is complete and correct.
+
+    A torch-only model keeps the same contract in torch. It has no memory, and its terms in one state do not depend on
+    the other states of a batch.
 
     Args:
         model: An instance of the model.
-        samples: States to check it on, numpy arrays of shape (samples, nv); by default drawn with a fixed seed, of
-            order 1 with some at standstill. They also stand for training data in `prepare`.
+        samples: States to check, numpy arrays of shape (samples, nv); by default drawn with a fixed seed, of order 1
+            with some at standstill. They also are the training data for `prepare`.
 
     Raises:
         ModelError: A clause is broken; the message names it.
@@ -79,7 +85,7 @@ def check_model(model: FrictionModel, samples: DriveState | None = None) -> None
 
 
 def _fail(model: FrictionModel, clause: str, message: str, cause: Exception | None = None) -> NoReturn:
-    """Raise with the model, the broken clause, and what to do about it."""
+    """Raise an error with the model, the broken clause, and how to repair it."""
     raise ModelError(f"{getattr(type(model), 'name', type(model).__name__)}: {clause}: {message}") from cause
 
 
@@ -98,7 +104,7 @@ def _check_units(model: FrictionModel) -> None:
 
 
 def _check_inputs(model: FrictionModel) -> None:
-    """What the law looks at besides the state is a signal that recordings can have, with a value where they lack it."""
+    """Check that each input is a signal that recordings can have, with a finite default."""
     recorded = tuple(DriveState._field_defaults)
     for name, value in model.inputs.items():
         if name not in recorded:
@@ -108,7 +114,7 @@ def _check_inputs(model: FrictionModel) -> None:
 
 
 def _check_bounds(model: FrictionModel) -> None:
-    """Physical values lie within bounds, and every number is finite."""
+    """Check that physical values are within bounds, and all numbers finite."""
     for name, tensor in model.state_dict().items():
         if not torch.isfinite(tensor).all():
             _fail(model, "values", f"{name} is NaN or infinite; give finite values in the constructor and in prepare")
@@ -129,7 +135,7 @@ def _check_bounds(model: FrictionModel) -> None:
 
 
 def _check_terms(model: FrictionModel, samples: DriveState) -> None:
-    """The right terms, arrays of the namespace asked for, of the state's shape, whatever the batch dimensions."""
+    """Check the terms' set, array type and shape, for any batch dimensions."""
     for batch in ((), (3,), (2, 3), samples.qvel.shape[:-1]):
         state = samples.map(lambda signal, shape=(*batch, model.nv): np.resize(signal, shape))
         terms = _torch_terms(model, state)
@@ -167,7 +173,7 @@ def _check_shape(model: FrictionModel, what: str, shape: tuple[int, ...], expect
 
 
 def _check_purity(model: FrictionModel, samples: DriveState) -> None:
-    """Same inputs, same bits; nothing is written; the numbers come from `values`; no branch on a number."""
+    """Check that equal inputs give equal bits, nothing is written, and numbers come from `values`."""
     values, state = torch_values(model), torch_state(samples)
     before, kept_values, kept_state = torch_values(model), copy.deepcopy(values), copy.deepcopy(state)
     first = model.terms(torch, values, state).given()
@@ -181,7 +187,7 @@ def _check_purity(model: FrictionModel, samples: DriveState) -> None:
 
 
 def _check_types(model: FrictionModel, samples: DriveState) -> None:
-    """float32 in, float32 out: a constant of another type would break a compiled rollout."""
+    """Check float32 out for float32 in: a constant of another type would break a compiled rollout."""
     answers = {"torch": model.terms(torch, torch_values(model, torch.float32), torch_state(samples, torch.float32))}
     if not isinstance(model, TorchFriction):
         answers["jax.numpy"] = _jax_terms(model, samples, jnp.float32)
@@ -192,18 +198,18 @@ def _check_types(model: FrictionModel, samples: DriveState) -> None:
 
 
 def _check_agreement(model: FrictionModel, samples: DriveState) -> None:
-    """Torch equals JAX in value and gradient, and the gradient is finite, on the samples and at standstill."""
+    """Check that torch equals JAX in value and gradient, and gradients are finite, also at standstill."""
 
     def terms(xp: Any, values: Values, drive: DriveState) -> dict[str, Any]:
         return model.terms(xp, values, drive).given()
 
     for where, ours, theirs in _check_formula(model, samples, terms, "value", ("gradient", "")):
-        if theirs and where != NOWHERE:  # there |x| has one slope in torch and another in JAX
+        if theirs and where != NOWHERE:  # torch and JAX differ in the slope of |x| there
             _compare(model, f"gradient {where}", ours, theirs)
 
 
 def _check_memory(model: FrictionModel, samples: DriveState) -> None:
-    """A step of a law with a memory, from its settled memory on; one that has settled in motion stays there."""
+    """Check a step of a model with memory from the settled memory; settled in motion, it must not change."""
     if not model.memory:
         return
     if isinstance(model, TorchFriction):
@@ -229,9 +235,9 @@ def _check_memory(model: FrictionModel, samples: DriveState) -> None:
 def _check_formula(
     model: FrictionModel, samples: DriveState, formula: Formula, what: str, gradient: tuple[str, str]
 ) -> list[tuple[str, dict[str, np.ndarray], dict[str, np.ndarray]]]:
-    """A formula's values agree and its gradients are finite; the gradients of torch and of JAX, which may lack it.
+    """Check that values agree and gradients are finite; return the gradients of torch and JAX.
 
-    JAX compiles the formula once, for all states.
+    The gradients of JAX are empty for a torch-only model. JAX compiles the formula once for all states.
     """
     standstill = samples._replace(qvel=np.zeros_like(samples.qvel))
     places = {"on the samples": samples, "at qvel = 0": standstill, NOWHERE: samples.map(np.zeros_like)}
@@ -256,7 +262,7 @@ def _check_formula(
 
 
 def _check_rows(model: FrictionModel, samples: DriveState) -> None:
-    """A law in torch is given all segments at once and answers for each alone; in JAX, `vmap` sees to that."""
+    """Check that a torch model, called with all segments at once, treats each alone; in JAX `vmap` does."""
     if not isinstance(model, TorchFriction):
         return
     whole = as_numpy(_torch_terms(model, samples).given())
@@ -269,7 +275,7 @@ def _check_rows(model: FrictionModel, samples: DriveState) -> None:
 
 
 def _check_saved_state(fresh: FrictionModel, prepared: FrictionModel, samples: DriveState) -> None:
-    """A new instance that loads the saved state is the same law: nothing that counts lies outside the state."""
+    """Check that a new instance with the loaded state gives the same terms."""
     loaded = _changed(fresh)
     try:
         state = safetensors.torch.load(safetensors.torch.save(prepared.state_dict()))
@@ -295,7 +301,7 @@ def _check_dissipation(model: FrictionModel, samples: DriveState) -> None:
 
 
 def _check_power(model: FrictionModel, values: dict[str, torch.Tensor], samples: DriveState) -> None:
-    """With these values the law takes energy from the drive, or none."""
+    """Check that with these values the model adds no energy to the drive."""
     terms = FrictionTerms(**as_numpy(model.terms(torch, values, torch_state(samples)).given()))
     power = sliding_torque(np, terms, samples.qvel) * samples.qvel
     if (power < 0).any():
@@ -310,7 +316,7 @@ def _check_power(model: FrictionModel, values: dict[str, torch.Tensor], samples:
 
 
 def _check_sees(model: FrictionModel, samples: DriveState) -> None:
-    """What a law says that its friction changes with is what it does change with; it may say nothing."""
+    """Check that `sees`, if not empty, lists exactly the quantities on which the friction depends."""
     said = {*model.sees}
     for name in said - {*SEES}:
         _fail(model, "sees", f"{name} is nothing that friction changes with; {closest(name, SEES)}")
@@ -323,7 +329,7 @@ def _check_sees(model: FrictionModel, samples: DriveState) -> None:
 
 
 def _draw_samples(model: FrictionModel) -> DriveState:
-    """States of order 1, of both signs and many magnitudes, some at standstill; what else it looks at varies widely."""
+    """Draw states of order 1, of both signs and many magnitudes, some at standstill; other inputs vary widely."""
     random, shape = np.random.default_rng(0), (SAMPLES, model.nv)
     count = len(DriveState._fields) - len(DriveState._field_defaults)
     signals = random.standard_normal((count, *shape)) * random.choice([1e-3, 0.1, 1.0], SAMPLES)[:, None]
@@ -338,7 +344,7 @@ def _equal(ours: Mapping[str, torch.Tensor], theirs: Mapping[str, torch.Tensor])
 
 
 def _changed(model: FrictionModel) -> FrictionModel:
-    """A copy whose every number differs."""
+    """Return a copy in which every number differs."""
     changed = copy.deepcopy(model)
     for tensor in changed.state_dict().values():
         tensor.copy_(tensor * 2 + 1)
@@ -350,7 +356,7 @@ def _torch_terms(model: FrictionModel, state: DriveState) -> Any:
 
 
 def _jax_terms(model: FrictionModel, state: DriveState, dtype: Any = jnp.float64) -> Any:
-    """Shape and type of the terms as a compiled rollout sees them; nothing is compiled."""
+    """Return shape and type of the terms in a compiled rollout, without compiling."""
 
     def traced(array: np.ndarray) -> jax.ShapeDtypeStruct:
         return jax.ShapeDtypeStruct(array.shape, dtype if np.issubdtype(array.dtype, np.floating) else array.dtype)
@@ -360,7 +366,7 @@ def _jax_terms(model: FrictionModel, state: DriveState, dtype: Any = jnp.float64
 
 
 def _called(model: FrictionModel, namespace: str, call: Callable[[], Any]) -> Any:
-    """The terms, or whatever a broken law gives instead."""
+    """Return the result of a call, or fail with advice if the model raises."""
     try:
         return call()
     except jax.errors.ConcretizationTypeError as error:

@@ -8,20 +8,22 @@ from frictionzoo.models import FrictionModel, Values, register_model
 
 @register_model("coulomb_smooth")
 class CoulombSmooth(FrictionModel):
-    """Coulomb friction whose sign is smoothed around standstill, and viscous friction.
+    """Coulomb friction with a sign that is smooth around standstill, and viscous friction.
+
+    Use it where sticking does not matter; `mujoco_default` also sticks.
+
+    Cannot represent: sticking (the torque is 0 at v = 0, so a loaded joint creeps), a breakaway torque above the
+    sliding torque, friction that depends on direction, load or position.
 
     torque = tanh(10 g v) |f_s| + d v
 
         v    joint velocity [rad/s or m/s]
         f_s  static_torque [N m or N]
-        g    smoothing [s/rad or s/m]: the sign is complete from about |v| = 1 / (5 g)
+        g    smoothing [s/rad or s/m]: the sign saturates at about |v| = 1 / (5 g)
         d    viscous_coefficient [N m s/rad or N s/m]
 
-    The torque is explicit: near standstill a step of `timestep` chatters unless
+    The torque is explicit: near standstill the simulation chatters unless
     (10 g f_s + d) timestep / inertia < 2.
-
-    Cannot represent: sticking (the torque is 0 at v = 0, so a loaded joint creeps), a breakaway torque above the
-    sliding one, friction that depends on direction, load or position.
 
     Source: V. Kovalev et al., Proc. MIPT 18(2), 2026, Table 1, "Coulomb-Smooth".
     """
@@ -31,7 +33,7 @@ class CoulombSmooth(FrictionModel):
     sees = ("speed",)
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
-        """The explicit torque."""
+        """Return the explicit torque."""
         direction = xp.tanh(10 * values["smoothing"] * state.qvel)
         dry = direction * xp.abs(values["static_torque"])
         return FrictionTerms(torque=dry + values["viscous_coefficient"] * state.qvel)

@@ -8,26 +8,28 @@ from frictionzoo.models import FrictionModel, Values, register_model
 
 @register_model("coulomb_stribeck")
 class CoulombStribeck(FrictionModel):
-    """Coulomb friction with the Stribeck effect, a smooth sign, and viscous friction.
+    """Coulomb friction with the Stribeck effect and a smooth sign, and viscous friction.
+
+    Use it for friction that falls with speed where sticking does not matter; `stribeck` also sticks.
+
+    Cannot represent: sticking (the torque is 0 at v = 0, so a loaded joint creeps), friction that lags the velocity or
+    depends on direction, load or position.
 
     torque = (f_k + (f_s - f_k) exp(-(v / v_s)^2)) tanh(v / v_0) + d v
 
         v    joint velocity [rad/s or m/s]
         f_s  static_torque [N m or N], at the onset of motion
         f_k  kinetic_torque [N m or N], well above v_s
-        v_s  stribeck_velocity [rad/s or m/s], over which the one falls to the other
-        v_0  smoothing_velocity [rad/s or m/s], over which the sign changes; it belongs to the simulation rather than to
-             the drive, hence known by default, and v_0 << v_s or f_s is never reached
+        v_s  stribeck_velocity [rad/s or m/s], over which friction falls from f_s to f_k
+        v_0  smoothing_velocity [rad/s or m/s], over which the sign changes; a setting of the simulation, so it is known
+             by default. v_0 << v_s, otherwise friction never reaches f_s
         d    viscous_coefficient [N m s/rad or N s/m]
 
-    The formula printed by Kovalev et al., f_s + d v + (f_k - f_s) exp(...), swaps static and kinetic against its own
-    legend; this is the one of the literature, with the exponent delta = 2.
+    The formula printed by Kovalev et al., f_s + d v + (f_k - f_s) exp(...), swaps static and kinetic torque relative to
+    its legend. This model uses the formula of the literature, with the exponent delta = 2.
 
-    The torque is explicit: near standstill a step of `timestep` chatters unless
+    The torque is explicit: near standstill the simulation chatters unless
     (f_s / v_0 + d) timestep / inertia < 2.
-
-    Cannot represent: sticking (the torque is 0 at v = 0, so a loaded joint creeps), friction that lags the velocity or
-    depends on direction, load or position.
 
     Source: B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, "A survey of models, analysis tools and compensation
     methods for the control of machines with friction", Automatica 30(7), 1994; V. Kovalev et al., Proc. MIPT 18(2),
@@ -53,7 +55,7 @@ class CoulombStribeck(FrictionModel):
     sees = ("speed", "slow")
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
-        """The explicit torque."""
+        """Return the explicit torque."""
         kinetic, velocity = values["kinetic_torque"], state.qvel
         excess = (values["static_torque"] - kinetic) * xp.exp(-xp.square(velocity / values["stribeck_velocity"]))
         dry = (kinetic + excess) * xp.tanh(velocity / values["smoothing_velocity"])

@@ -9,46 +9,49 @@ from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models import Params, Values, register_model
 from frictionzoo.models.network import GearNetwork
 
-START = -3.0  # bias of both outputs at the start: softplus(-3) = 0.05
+START = -3.0  # initial bias of both outputs: softplus(-3) = 0.05
 
 
 @register_model("dissipative_network")
 class DissipativeNetwork(GearNetwork):
-    """A neural network for the size of friction only; its direction is against the motion by construction.
+    """Neural network for the magnitude of friction, which opposes the motion by construction.
+
+    Use it instead of `neural_friction` if friction must never add energy to the drive.
+
+    Cannot represent: sticking (the torque is 0 at v = 0, so a loaded joint creeps), friction with a memory, coupling
+    between joints. It absorbs any other loss of the drive that grows with its inputs, such as back-EMF.
 
     torque = s softplus(N_1(x)) tanh(v / v_0) + (s / n_v) softplus(N_2(x)) v,  x = (q, v, tau_m, tau_e)
 
         q      joint position [rad or m]
         v      joint velocity [rad/s or m/s]
-        tau_m  torque of the actuator [N m or N]
-        tau_e  external torque [N m or N]: of everything but actuator and friction, counted as tau_m is
-        N      multilayer perceptron of two outputs, of the inputs less their mean, over their standard deviation in the
-               training data, and held within 5 of them, and of sines and cosines of the first, as
-               `frictionzoo.models.network.GearNetwork` says; the joints share it, and each is seen alone
+        tau_m  actuator torque [N m or N]
+        tau_e  external torque [N m or N]: all torques except actuator and friction, same sign convention as tau_m
+        N      multilayer perceptron with two outputs. Its inputs are x, minus its mean, divided by its standard
+               deviation in the training data, clipped at 5, and sines and cosines of the position, see
+               `frictionzoo.models.network.GearNetwork`; the joints share it, and each is evaluated alone
         n_v    standard deviation of the velocity in the training data [rad/s or m/s]
-        s      torque_scale [N m or N], standard deviation of the actuator's torque in the training data
-        v_0    smoothing_velocity [rad/s or m/s], over which the sign changes; it belongs to the simulation rather than
-               to the drive, hence known by default
+        s      torque_scale [N m or N], standard deviation of the actuator torque in the training data
+        v_0    smoothing_velocity [rad/s or m/s], over which the sign changes; a setting of the simulation, so it is
+               known by default
 
-    Guarantees, whatever finite weights a fit finds and wherever the drive is:
+    Guarantees, for any finite weights and any state of the drive:
 
         torque v >= 0. s, n_v and v_0 are positive, softplus(x) = log(1 + exp(x)) is not negative, and tanh(v / v_0) and
-            v have the sign of v. In floating point too: products, quotients and sums of numbers of one sign keep it or
-            round to 0.
+            v have the sign of v. This includes floating point: products, quotients and sums of numbers of one sign keep
+            it or round to 0.
         torque = 0 at v = 0.
-        Beyond 5 standard deviations from the training data's mean, torque is constant but for the last factor v: dry
-            friction stays bounded and viscous friction grows no faster than the velocity.
+        Beyond 5 standard deviations from the mean of the training data, torque is constant except for the last factor
+            v: dry friction stays bounded and viscous friction grows no faster than the velocity.
 
-    Friction starts small, 0.05 of s and of s / n_v; from much less, softplus is slow to learn. The torque is explicit,
-    and near standstill a step chatters unless (s softplus(N_1) / v_0 + (s / n_v) softplus(N_2)) timestep / inertia < 2.
+    Friction starts small, at 0.05 of s and of s / n_v; from much smaller values softplus learns slowly. The torque is
+    explicit: near standstill the simulation chatters unless
+    (s softplus(N_1) / v_0 + (s / n_v) softplus(N_2)) timestep / inertia < 2.
 
-    Cannot represent: sticking (the torque is 0 at v = 0, so a loaded joint creeps), friction with a memory, coupling
-    between joints. It takes up any other loss of the drive that grows with what it sees, such as back-EMF.
-
-    Source: equation of this package, in the manner of Y. D. Zhong, B. Dey, A. Chakraborty, "Dissipative SymODEN:
-    Encoding Hamiltonian dynamics with dissipation and control into deep learning", 2020, whose learned dissipation is
-    positive by construction; softplus: C. Dugas et al., "Incorporating second-order functional knowledge for better
-    option pricing", NIPS 2000.
+    Source: equation of this package, after Y. D. Zhong, B. Dey, A. Chakraborty, "Dissipative SymODEN: Encoding
+    Hamiltonian dynamics with dissipation and control into deep learning", 2020, whose learned dissipation is positive
+    by construction; softplus: C. Dugas et al., "Incorporating second-order functional knowledge for better option
+    pricing", NIPS 2000.
     """
 
     dimensions = {"smoothing_velocity": "velocity"}
@@ -59,7 +62,7 @@ class DissipativeNetwork(GearNetwork):
         torch.nn.init.constant_(self.layers[-1].get_parameter("bias"), START)
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
-        """The explicit torque."""
+        """Return the explicit torque."""
         size = softplus(xp, self.network(xp, values, self.bounded(xp, values, state)))
         dry = size[..., 0] * xp.tanh(state.qvel / values["smoothing_velocity"])
         viscous = size[..., 1] * (state.qvel / values["input_std"][1])
@@ -67,6 +70,6 @@ class DissipativeNetwork(GearNetwork):
 
 
 def softplus(xp: Any, x: Any) -> Any:
-    """A smooth max(x, 0), log(1 + exp(x)), that neither overflows nor falls below 0; torch and jax.numpy share none."""
-    # (x + |x|) / 2 for the maximum, so that its gradient at 0 is 1/2 in both.
+    """Return log(1 + exp(x)) without overflow and never below 0; torch and jax.numpy share no such function."""
+    # (x + |x|) / 2 for the maximum, because its gradient at 0 is 1/2 in both.
     return 0.5 * (x + xp.abs(x)) + xp.log1p(xp.exp(-xp.abs(x)))

@@ -1,4 +1,4 @@
-"""A law's formula evaluated in torch and in JAX alike: its values, and the gradient with respect to all it takes."""
+"""Evaluation of a model's formula in torch and in JAX: values, and gradients by all arguments."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -15,35 +15,35 @@ Formula = Callable[[Any, Values, DriveState], dict[str, Any]]
 
 
 def as_numpy(arrays: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """Tensors and arrays as numpy's."""
+    """Convert tensors and arrays to numpy arrays."""
     return {name: a.detach().numpy() if isinstance(a, torch.Tensor) else np.asarray(a) for name, a in arrays.items()}
 
 
 def torch_values(model: FrictionModel, dtype: torch.dtype = torch.float64) -> dict[str, torch.Tensor]:
-    """A copy of a law's parameters and buffers, floating-point numbers as this type."""
+    """Return a copy of a model's parameters and buffers, with floating-point numbers as `dtype`."""
     state = {name: tensor.detach().clone() for name, tensor in model.state_dict().items()}
     return {name: tensor.to(dtype) if tensor.is_floating_point() else tensor for name, tensor in state.items()}
 
 
 def torch_state(state: DriveState, dtype: torch.dtype = torch.float64) -> DriveState:
-    """The state as tensors of this type."""
+    """Return the state as tensors of this type."""
     return state.map(lambda signal: torch.tensor(signal, dtype=dtype))
 
 
 def _weighted(terms: Mapping[str, Any], weights: Mapping[str, Any]) -> Any:
-    """One number that depends on every entry of every term."""
+    """Return one number that depends on every entry of every term."""
     return sum((weights[name] * term).sum() for name, term in terms.items())
 
 
 def _moving(model: FrictionModel, values: Values, state: DriveState) -> dict[str, Any]:
-    """What a gradient is taken with respect to: all parameters, and the state."""
+    """Return the arguments of a gradient: all parameters, and the state."""
     return {name: values[name] for name, _ in model.named_parameters()} | state.given()
 
 
 def torch_slopes(
     model: FrictionModel, state: DriveState, formula: Formula, weights: Mapping[str, np.ndarray]
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """A formula's values in torch, and the gradient of their weighted sum."""
+    """Return a formula's values in torch, and the gradient of their weighted sum."""
     values, drive = torch_values(model), torch_state(state)
     moving = _moving(model, values, drive)
     for tensor in moving.values():
@@ -59,7 +59,7 @@ def torch_slopes(
 def jax_slopes(
     model: FrictionModel, states: list[DriveState], formula: Formula, weights: Mapping[str, np.ndarray]
 ) -> list[dict[str, np.ndarray]]:
-    """The same in JAX, in each of several states: with a first dimension."""
+    """Return the same as `torch_slopes` in JAX, with a first dimension for the states."""
 
     def slopes(values: Values, weights: Values, drive: DriveState) -> tuple[Any, Any]:
         def total(moving: dict[str, jax.Array]) -> tuple[jax.Array, dict[str, jax.Array]]:

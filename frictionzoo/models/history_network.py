@@ -1,4 +1,4 @@
-"""Friction as a neural network that remembers."""
+"""Friction as a neural network with memory."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,7 +13,13 @@ from frictionzoo.models.network import MOST_WIDTH, NetworkModel
 
 @register_model("history_network")
 class HistoryNetwork(NetworkModel):
-    """A gated recurrent unit of what the drive is doing, in continuous time: friction may depend on what was before.
+    """Gated recurrent unit in continuous time: friction may depend on the past motion.
+
+    Use it if friction depends on the past and no formula is known.
+
+    Cannot represent: sticking, coupling between joints, a memory whose rate depends on the memory itself, such as
+    elements that slip at a limit of their force. It does not extrapolate outside the training data, may add energy to
+    the drive, and absorbs any other error of the simulation, including lags of motor and sensors.
 
     torque = s (N_0(x) + h_1 + ... + h_n),  dh_i/dt = (N_i(x) - h_i) / t_i(x),  x = (q, v, a, tau_e)
     t_i(x) = t_long (t_short / t_long)^sigmoid(N_(n+i)(x))
@@ -22,38 +28,34 @@ class HistoryNetwork(NetworkModel):
         v       joint velocity [rad/s or m/s]
         a       command of the joint's actuator, in the actuator's unit
         tau_e   external torque [N m or N]
-        N       multilayer perceptron of 1 + 2 n outputs, of the inputs less their mean, over their standard deviation
-                in the training data, and held within 5 of them; the joints share it, and each is seen alone
-        h_i     the law's memory, n = memory numbers a joint
+        N       multilayer perceptron with 1 + 2 n outputs. Its inputs are x, minus its mean, divided by its standard
+                deviation in the training data, clipped at 5; the joints share it, and each is evaluated alone
+        h_i     the model's memory, n = memory values per joint
         t_i     time constant of h_i [s], between t_short and t_long, which are known
-        s       torque_scale [N m or N], standard deviation of the actuator's torque in the training data
+        s       torque_scale [N m or N], standard deviation of the actuator torque in the training data
 
-    In a step dt, h_i moves by the share 1 - exp(-dt / t_i) towards N_i: the exact solution for an x that is constant in
-    the step, and a gated recurrent unit whose update gate is this share. The memory is hence one of time and not of
-    steps: fitted at one time step it is the same law at another, but for an error of the first order in the step.
-    N_i and t_i see x and not h, so that what a long constant state leads to, with which a rollout begins, is N_i(x)
-    itself. There the law is s (N_0 + N_1 + ... + N_n), a network without memory.
+    In a step dt, h_i approaches N_i by the fraction 1 - exp(-dt / t_i). This is the exact solution for constant x, and
+    a gated recurrent unit with this fraction as its update gate. The memory therefore refers to time, not to steps:
+    with another time step the model stays the same, except for an error of first order in the step. N_i and t_i depend
+    on x and not on h, so N_i(x) is also the steady state for constant x, with which a rollout starts. There the
+    friction is s (N_0 + N_1 + ... + N_n), a network without memory.
 
     Dahl's spring that yields is a special case, t_1 = f_c / (stiffness |v|) and N_1 = f_c sign(v) / s.
 
-    The law starts near zero, and the time constants of the units start evenly on a logarithmic scale. A memory is
-    learned from what lies within a segment: one of 5 ms teaches nothing about a time constant of 1 s.
-
-    Cannot represent: sticking, coupling between joints, a memory whose rate depends on the memory itself, such as
-    elements that slip at a limit of their own force. It extrapolates without sense outside the training data, may give
-    energy to the drive, and takes up any other error of the simulation, lags of motor and sensors among them.
+    Torque starts near zero, and the initial time constants are evenly spaced on a logarithmic scale. The memory is
+    learned within segments: segments of 5 ms contain no information about a time constant of 1 s.
 
     Source: L. Feng, F. Tung, M. O. Ahmed, Y. Bengio, H. Hajimirsadeghi, "Were RNNs All We Needed?", 2024, minGRU: a
-    gated recurrent unit whose gate and candidate see the inputs alone; time constants that depend on the inputs: R.
-    Hasani, M. Lechner, A. Amini, D. Rus, R. Grosu, "Liquid Time-constant Networks", AAAI 2021. V. Kovalev et al., Proc.
-    MIPT 18(2), 2026, leave a short history of states open; this form of it is this package's.
+    gated recurrent unit whose gate and candidate depend on the inputs alone; time constants that depend on the inputs:
+    R. Hasani, M. Lechner, A. Amini, D. Rus, R. Grosu, "Liquid Time-constant Networks", AAAI 2021. V. Kovalev et al.,
+    Proc. MIPT 18(2), 2026, leave a short history of states open; this form is this package's.
 
     Args:
-        memory: How many numbers it remembers of each joint.
+        memory: Number of memory values per joint.
         time_constants: t_short and t_long [s].
 
     Raises:
-        ConfigError: A width is below 1, there is no memory, or the time constants are not two positive ones, the
+        ConfigError: A width is below 1, there is no memory, or the time constants are not two positive numbers, the
             shorter first.
     """
 
@@ -73,33 +75,33 @@ class HistoryNetwork(NetworkModel):
         if len(time_constants) != 2 or not 0 < time_constants[0] < time_constants[1] < float("inf"):
             raise ConfigError(f"model.time_constants={list(time_constants)}; expected two above 0 s, the shorter first")
         self.memory = memory
-        # With the values, since the bounds are part of the law.
+        # Saved with the values, because the bounds are part of the model.
         self.register_buffer("time_constants", torch.tensor(list(time_constants), dtype=torch.float64))
         shares = (torch.arange(memory, dtype=torch.float64) + 0.5) / memory
         with torch.no_grad():
             self.layers[-1].get_parameter("bias")[1 + memory :] = torch.logit(shares)
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
-        """The explicit torque once the memory has settled."""
+        """Return the explicit torque with settled memory."""
         return self._torque(xp, values, *self._answer(xp, values, state)[:2])
 
     def settle(self, xp: Any, values: Values, state: DriveState) -> Any:
-        """The candidates, which a constant state leads to."""
+        """Return the candidates, the steady state of the memory for a constant state."""
         return self._answer(xp, values, state)[1]
 
     def advance(
         self, xp: Any, values: Values, state: DriveState, memory: Any, timestep: float
     ) -> tuple[FrictionTerms, Any]:
-        """The explicit torque with the memory in this state."""
+        """Return the explicit torque with the memory in this state, and that memory."""
         present, candidate, gate = self._answer(xp, values, state)
         short, long = values["time_constants"][0], values["time_constants"][1]
-        # sigmoid(x) = (1 + tanh(x / 2)) / 2: torch and jax.numpy share tanh alone.
+        # sigmoid(x) = (1 + tanh(x / 2)) / 2: torch and jax.numpy share only tanh.
         time = long * xp.exp(0.5 * (1 + xp.tanh(0.5 * gate)) * xp.log(short / long))
         memory = memory - xp.expm1(-timestep / time) * (candidate - memory)
         return self._torque(xp, values, present, memory), memory
 
     def _answer(self, xp: Any, values: Values, state: DriveState) -> tuple[Any, Any, Any]:
-        """What acts at once, and of each unit the candidate and the gate."""
+        """Return the instantaneous part, and the candidate and gate of each unit."""
         answer, split = self.network(xp, values, self.bounded(xp, values, state)), 1 + self.memory
         return answer[..., 0], answer[..., 1:split], answer[..., split:]
 

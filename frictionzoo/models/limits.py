@@ -1,30 +1,30 @@
-"""What state-dependent limits of dry friction are added up from."""
+"""Terms of state-dependent limits of dry friction."""
 
 from typing import Any
 
 from frictionzoo.core.state import DriveState
 from frictionzoo.models.base import Values
 
-_AT_REST = 1e-12  # keeps the logarithm and the slope finite at v = 0; the share there is 1 - 1e-6 with an exponent of 1
-_GONE = 5.0  # exp(-exp(5)) = 4e-65; further on float32 overflows
+_AT_REST = 1e-12  # keeps logarithm and slope finite at v = 0; the factor there is 1 - 1e-6 for an exponent of 1
+_GONE = 5.0  # exp(-exp(5)) = 4e-65; larger values overflow in float32
 
 
 def stribeck_share(xp: Any, qvel: Any, velocity: Any, exponent: Any) -> Any:
-    """Share of what is added to friction at rest, 1 at rest and 0 at speed: exp(-|v / v_s|^alpha).
+    """Return the Stribeck factor exp(-|v / v_s|^alpha) [1], 1 at rest and 0 at high speed.
 
-    Of the joint's velocity v and the Stribeck velocity v_s [rad/s or m/s], and the exponent alpha [1].
+    v is the joint velocity, v_s the Stribeck velocity [rad/s or m/s], and alpha the exponent [1].
     """
     power = exponent / 2 * xp.log(xp.square(qvel / velocity) + _AT_REST)
     return xp.exp(-xp.exp(xp.where(power < _GONE, power, _GONE)))
 
 
 def ripple_share(xp: Any, values: Values, qpos: Any) -> Any:
-    """What meshing gears change in friction over the position, as a share of its mean: two harmonics.
+    """Return the ripple of friction over the position relative to its mean, as in meshing gears: two harmonics.
 
     s_1 sin(n q) + c_1 cos(n q) + s_2 sin(2 n q) + c_2 cos(2 n q)
 
-    Sine and cosine rather than amplitude and phase: the limit is linear in them, so that a fit finds no local minimum
-    and no phase that jumps. Of periods n [1/rad or 1/m], the shares s_i and c_i [1] and the position q [rad or m].
+    n are the periods [1/rad or 1/m], s_i and c_i the amplitudes [1], and q is the position [rad or m]. Sine and cosine
+    instead of amplitude and phase keep the limit linear in the parameters: no local minima, no phase jumps.
     """
     phase = values["periods"] * qpos
     first = values["sine_1"] * xp.sin(phase) + values["cosine_1"] * xp.cos(phase)
@@ -32,20 +32,20 @@ def ripple_share(xp: Any, values: Values, qpos: Any) -> Any:
 
 
 def gear_load(xp: Any, state: DriveState, motor: Any, external: Any) -> Any:
-    """Friction torque of a loaded gear, |k_m tau_m - k_e tau_e| [N m or N].
+    """Return the friction torque of a loaded gear, |k_m tau_m - k_e tau_e| [N m or N].
 
-    Both torques act on the joint and count in its direction. A motor that holds a weight has tau_m = -tau_e: the load
-    on the gear is then their difference, not their sum, which is 0. Between a motor of inertia J_m and a load of
-    inertia J_l, the gear passes on (J_l tau_m - J_m tau_e) / (J_m + J_l): half the difference where both are equal,
-    tau_m at rest. Friction per torque of the motor is k_m, per external torque k_e [1].
+    Both torques act on the joint, with the same sign convention. A motor that holds a weight has tau_m = -tau_e: the
+    gear load is their difference, while their sum is 0. Between a motor of inertia J_m and a load of inertia J_l, the
+    gear transmits (J_l tau_m - J_m tau_e) / (J_m + J_l): half the difference if both inertias are equal, tau_m at rest.
+    k_m is the friction per motor torque and k_e the friction per external torque [1].
     """
     return xp.abs(motor * state.motor_torque - external * state.external_torque)
 
 
 def directional_limit(xp: Any, values: Values, state: DriveState) -> Any:
-    """What load and standstill add to the limit of dry friction [N m or N].
+    """Return the terms that load and standstill add to the limit of dry friction [N m or N].
 
-    |k_m tau_m - k_e tau_e| + (s + |l_m tau_m - l_e tau_e|) exp(-|v / v_s|^alpha), of values as `Directional` has them
+    |k_m tau_m - k_e tau_e| + (s + |l_m tau_m - l_e tau_e|) exp(-|v / v_s|^alpha), with the values of `Directional`
     """
     share = stribeck_share(xp, state.qvel, values["stribeck_velocity"], values["stribeck_exponent"])
     load = gear_load(xp, state, values["load_friction_motor"], values["load_friction_external"])
@@ -54,10 +54,10 @@ def directional_limit(xp: Any, values: Values, state: DriveState) -> Any:
 
 
 def quadratic_gear_load(xp: Any, state: DriveState, motor: Any, external: Any) -> Any:
-    """Friction torque of a gear whose two sides oppose each other, by the square of the weaker one [N m or N].
+    """Return the friction torque of a gear with opposing torques, quadratic in the weaker one [N m or N].
 
-    q_e tau_e^2 where the motor is the stronger, q_m tau_m^2 where it is driven, 0 where both push the same way; q_m
-    and q_e [1/(N m) or 1/N].
+    q_e tau_e^2 if the motor torque is larger, q_m tau_m^2 if it is smaller, 0 if both have the same sign; q_m and q_e
+    in [1/(N m) or 1/N].
     """
     driving = xp.abs(state.external_torque) < xp.abs(state.motor_torque)
     weaker = xp.where(driving, external * xp.square(state.external_torque), motor * xp.square(state.motor_torque))

@@ -1,4 +1,4 @@
-"""Dry friction that grows with the load on the gear, as a constraint that can stop the joint."""
+"""Dry friction that grows with the gear load, as a constraint that can stop the joint."""
 
 from typing import Any
 
@@ -9,25 +9,28 @@ from frictionzoo.models.limits import gear_load
 
 @register_model("load_dependent")
 class LoadDependent(FrictionModel):
-    """Dry friction that grows with the load on the gear, as a constraint, and viscous damping.
+    """Dry friction that grows with the gear load, as a constraint, and viscous damping.
+
+    Use it for gears that lose a fraction of the torque that they transmit, equal in both directions of the power flow.
+
+    Cannot represent: a breakaway torque above the sliding torque, a gear that loses more in one direction than in the
+    other, friction that depends on position.
 
     limit = f + k |tau_m - tau_e|
 
-    The constraint's force makes the joint stick while it is below the limit and is the limit against the motion
-    otherwise; d v adds to it.
+    The constraint force makes the joint stick while it is below the limit; otherwise it equals the limit and opposes
+    the motion. d v adds to it.
 
         v      joint velocity [rad/s or m/s]
-        tau_m  torque of the actuator [N m or N]
-        tau_e  external torque [N m or N]: of everything but actuator and friction, counted as tau_m is
+        tau_m  actuator torque [N m or N]
+        tau_e  external torque [N m or N]: all torques except actuator and friction, same sign convention as tau_m
         f      frictionloss [N m or N], without load; strictly positive: at 0 MuJoCo locks the joint
-        k      load_friction [1]: from 1 on no torque moves the joint
+        k      load_friction [1]: at 1 or above, no torque moves the joint
         d      damping [N m s/rad or N s/m]
 
-    A motor that holds a weight has tau_m = -tau_e: the sum that moves the joint is 0, and the difference is twice the
-    torque that the gear passes on. A weight that falls as the motor pushes it loads the gear less, or not at all.
-
-    Cannot represent: a breakaway torque above the sliding one, a gear that loses more in one direction than in the
-    other, friction that depends on position.
+    A motor that holds a weight has tau_m = -tau_e: the sum, which moves the joint, is 0, and the difference is twice
+    the torque that the gear transmits. A weight that falls in the direction of the motor torque loads the gear less, or
+    not at all.
 
     Source: M. Duclusaud, G. Passault, V. Padois, O. Ly, "Extended friction models for the physics simulation of servo
     actuators", 2024, model M3.
@@ -40,6 +43,6 @@ class LoadDependent(FrictionModel):
     sees = ("speed", "load")
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
-        """The constraint's limit in this state, and the damping."""
+        """Return the constraint's limit in this state, and the damping."""
         load = gear_load(xp, state, values["load_friction"], values["load_friction"])
         return FrictionTerms(frictionloss=values["frictionloss"] + load, damping=values["damping"])

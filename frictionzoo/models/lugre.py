@@ -9,28 +9,31 @@ from frictionzoo.models.bristles import bend, settled_bend, slip, stribeck_force
 
 @register_model("lugre")
 class LuGre(FrictionModel):
-    """Bristles that bend before they slip: presliding, breakaway, Stribeck effect and lag in one law.
+    """Elastic bristles that deflect before they slip: presliding, breakaway, Stribeck effect and friction lag.
+
+    Use it for drives with presliding and a breakaway torque above the sliding torque; without the latter, `dahl`
+    suffices.
+
+    Cannot represent: friction that depends on direction, load or position. An oscillating load below f_s makes the
+    joint drift, and a loop of presliding does not close.
 
     dz/dt = v - s |v| z / g(v),  g(v) = f_k + (f_s - f_k) exp(-(v / v_s)^2)
     torque = s z + c dz/dt + d v
 
         v    joint velocity [rad/s or m/s]
-        z    mean bend of the bristles, the law's memory [rad or m]
+        z    mean deflection of the bristles, the model's memory [rad or m]
         s    stiffness [N m/rad or N/m] of the bristles
-        c    micro_damping [N m s/rad or N s/m], of their bending
+        c    micro_damping [N m s/rad or N s/m] of their deflection
         f_s  static_torque [N m or N], at the onset of motion
         f_k  kinetic_torque [N m or N], well above v_s
-        v_s  stribeck_velocity [rad/s or m/s], over which the one falls to the other
+        v_s  stribeck_velocity [rad/s or m/s], over which friction falls from f_s to f_k
         d    viscous_coefficient [N m s/rad or N s/m]
-        v_0  rest_velocity [rad/s or m/s], up to about which a joint may stand still where a rollout begins; known
+        v_0  rest_velocity [rad/s or m/s], below about which a joint counts as at rest when a rollout starts; known
 
-    A rollout begins with the bend that holds the drive's load if the joint rests, and with the slipping one if it
-    moves. The bend is advanced exactly for a velocity that is constant in a step, and the torque taken at the step's
-    end, by way of MuJoCo's implicit damping: no stiffness makes the step unstable. At constant velocity the law is
-    g(v) sign(v) + d v.
-
-    Cannot represent: friction that depends on direction, load or position. A load that swings below f_s lets the joint
-    drift, and a loop of presliding does not close.
+    A rollout starts with the deflection that balances the load if the joint rests, and with the deflection of slipping
+    bristles if it moves. Each step integrates the deflection exactly for constant velocity and evaluates the torque at
+    the end of the step through MuJoCo's implicit damping, so it is stable at any stiffness. At constant velocity the
+    friction is g(v) sign(v) + d v.
 
     Source: C. Canudas de Wit, H. Olsson, K. J. Astrom, P. Lischinsky, "A new model for control of systems with
     friction", IEEE Transactions on Automatic Control 40(3), 1995.
@@ -54,16 +57,16 @@ class LuGre(FrictionModel):
     memory = 1
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
-        """The slipping bristles."""
+        """Return the friction of slipping bristles."""
         return slip(xp, values, state, stribeck_force(xp, values, state.qvel))
 
     def settle(self, xp: Any, values: Values, state: DriveState) -> Any:
-        """The bend of a joint at rest or in steady motion."""
+        """Return the deflection at rest or in steady motion."""
         return settled_bend(xp, values, state, stribeck_force(xp, values, state.qvel))
 
     def advance(
         self, xp: Any, values: Values, state: DriveState, memory: Any, timestep: float
     ) -> tuple[FrictionTerms, Any]:
-        """The bristles' torque at the end of the step."""
+        """Return the bristle torque at the end of the step, and the deflection."""
         limit = stribeck_force(xp, values, state.qvel)
         return bend(xp, values, state, memory, timestep, limit, values["micro_damping"])

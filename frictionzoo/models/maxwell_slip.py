@@ -12,7 +12,12 @@ MOST_ELEMENTS = 1000
 
 @register_model("maxwell_slip")
 class MaxwellSlip(FrictionModel):
-    """The generalised Maxwell-slip law: elements side by side that stick as springs and slip at a share of the limit.
+    """Generalised Maxwell-slip model: parallel elements that stick as springs and each slip at a fraction of the limit.
+
+    Use it for presliding with closed loops, as in rolling bearings.
+
+    Cannot represent: friction that depends on direction, load or position; a distribution of the elements other than
+    equal limits and evenly spaced yield points.
 
     An element of force F_i, i = 1 ... N, that sticks:  dF_i/dt = k_i v,  k_i = f_k / (i x)
     that slips, from |F_i| = g(v) / N on:               dF_i/dt = (sign(v) g(v) / N - F_i) / t
@@ -20,31 +25,28 @@ class MaxwellSlip(FrictionModel):
     torque = sum of F_i + d v
 
         v    joint velocity [rad/s or m/s]
-        F_i  forces of the elements, the law's memory [N m or N]
-        x    presliding [rad or m], after which at f_k all have slipped: element i yields after i x / N
+        F_i  forces of the elements, the model's memory [N m or N]
+        x    presliding [rad or m], displacement after which all elements slip at f_k: element i yields after i x / N
         f_s  static_torque [N m or N], at the onset of motion
         f_k  kinetic_torque [N m or N], well above v_s
-        v_s  stribeck_velocity [rad/s or m/s], over which the one falls to the other
-        t    lag [s], by which slipping elements follow g(v) down
+        v_s  stribeck_velocity [rad/s or m/s], over which friction falls from f_s to f_k
+        t    lag [s], time constant with which slipping elements follow a falling g(v)
         d    viscous_coefficient [N m s/rad or N s/m]
-        v_0  rest_velocity [rad/s or m/s], up to about which a joint may stand still where a rollout begins; known
+        v_0  rest_velocity [rad/s or m/s], below about which a joint counts as at rest when a rollout starts; known
 
-    Loops of presliding close, as those of rolling bearings do. An element below its limit sticks: where g rises it
-    follows as a spring, not with the lag. A rollout begins with the forces that hold the drive's load if the joint
-    rests, and with slipping elements if it moves. What sticks is taken at the step's end, by way of MuJoCo's implicit
-    damping: no stiffness makes the step unstable. At constant velocity the law is g(v) sign(v) + d v.
-
-    Cannot represent: friction that depends on direction, load or position; a distribution of the elements other than
-    equal limits and evenly spaced yields.
+    An element below its limit sticks: if g rises, its force follows as a spring, not with the lag. A rollout starts
+    with forces that balance the load if the joint rests, and with slipping elements if it moves. Sticking elements are
+    evaluated at the end of the step through MuJoCo's implicit damping, so the step is stable at any stiffness. At
+    constant velocity the friction is g(v) sign(v) + d v.
 
     Source: F. Al-Bender, V. Lampaert, J. Swevers, "The generalized Maxwell-slip model: a novel model for friction
     simulation and compensation", IEEE Transactions on Automatic Control 50(11), 2005.
 
     Args:
-        elements: How many elements.
+        elements: Number of elements.
 
     Raises:
-        ConfigError: There is no element, and as `FrictionModel` has it.
+        ConfigError: There is no element; see also `FrictionModel`.
     """
 
     dimensions = {
@@ -66,18 +68,18 @@ class MaxwellSlip(FrictionModel):
         self.memory = elements
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
-        """All elements slipping."""
+        """Return the friction with all elements slipping."""
         return slip(xp, values, state, stribeck_force(xp, values, state.qvel))
 
     def settle(self, xp: Any, values: Values, state: DriveState) -> Any:
-        """The same force in all elements."""
+        """Return equal forces for all elements."""
         force = settled_force(xp, state, stribeck_force(xp, values, state.qvel), values["rest_velocity"])
         return xp.stack([force / self.memory] * self.memory, -1)
 
     def advance(
         self, xp: Any, values: Values, state: DriveState, memory: Any, timestep: float
     ) -> tuple[FrictionTerms, Any]:
-        """The torque of those that slip, and of those that stick at the end of the step."""
+        """Return the torque of slipping elements and of sticking ones at the end of the step, and all forces."""
         limit = stribeck_force(xp, values, state.qvel) / self.memory
         follows = xp.exp(-timestep / values["lag"])
         softest = values["kinetic_torque"] / values["presliding"]
@@ -93,7 +95,7 @@ class MaxwellSlip(FrictionModel):
 
 
 def _move(xp: Any, force: Any, pull: Any, limit: Any, follows: Any) -> tuple[Any, Any]:
-    """An element's force after a step in which its spring is pulled by so much force, and whether it slips."""
+    """Return an element's force after its spring force changes by `pull` in a step, and whether it slips."""
     pulled = force + pull
     slips = (xp.abs(pulled) > limit) & (pulled * pull > 0)
     above = xp.maximum(xp.abs(force), limit) - limit

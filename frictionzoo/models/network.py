@@ -1,4 +1,4 @@
-"""What the laws with a neural network share: the network, its inputs and their normalisation."""
+"""Base classes of models with a neural network: the network, its inputs and their normalisation."""
 
 import itertools
 from collections.abc import Sequence
@@ -13,33 +13,32 @@ from frictionzoo.core.state import DriveState
 from frictionzoo.models.base import FrictionModel, Params, Values
 
 INPUTS = 4
-OCTAVES = (1, 2, 4, 8)  # radians of phase per standard deviation of the position
-MOST_WIDTH, MOST_LAYERS = 4096, 32  # of hidden layers; a law's are a hundred times smaller
-SPAN = 5.0  # standard deviations of the training data, beyond which a bounded input counts as at the edge
+OCTAVES = (1, 2, 4, 8)  # rad of phase per standard deviation of the position
+MOST_WIDTH, MOST_LAYERS = 4096, 32  # largest hidden layers; those of the models are a hundred times smaller
+SPAN = 5.0  # standard deviations of the training data at which inputs are clipped
 
 
 class NetworkModel(FrictionModel):
-    """A law with a multilayer perceptron of four signals of the drive, ReLU between its linear layers.
+    """Model with a multilayer perceptron of four signals of the drive, with ReLU between its linear layers.
 
-    The joints share the weights, and each is seen alone. The normalisation is kept with the weights, so that a saved
-    model is complete.
+    The joints share the weights, and each joint is evaluated alone. The normalisation is saved with the weights, so a
+    saved model is complete.
 
     Attributes:
-        columns: How many numbers the network sees of a joint.
-        input_mean: Mean of each input in the training data.
-        input_std: Standard deviation of each; 1 where it is constant.
-        torque_scale: Standard deviation of the actuator's torque in the training data [N m or N]; 1 where it is
-            constant.
+        columns: Number of network inputs per joint.
+        input_mean: Mean of each signal in the training data.
+        input_std: Standard deviation of each signal in the training data; 1 for a constant signal.
+        torque_scale: Standard deviation of the actuator torque in the training data [N m or N]; 1 if it is constant.
 
     Args:
         nv: Number of joints.
         hidden: Width of each hidden layer.
-        outputs: How many numbers the network answers with.
-        seed: Of the initial weights; torch's global generator is not touched.
-        params: As `FrictionModel` has it.
+        outputs: Number of network outputs.
+        seed: Seed of the initial weights; torch's global generator stays unchanged.
+        params: See `FrictionModel`.
 
     Raises:
-        ConfigError: A width or the number of layers is out of bounds, and as `FrictionModel` has it.
+        ConfigError: A width or the number of layers is out of bounds; see also `FrictionModel`.
     """
 
     sees = ("speed", "slow", "fast", "direction", "load", "position")
@@ -61,18 +60,18 @@ class NetworkModel(FrictionModel):
         self.layers: torch.nn.ModuleList = torch.nn.ModuleList(layers)
         with torch.no_grad():
             for weights in self.layers[-1].parameters():
-                # The network starts near zero, yet not at zero, where the other layers have no gradient.
+                # Start near zero, but not at zero, where the other layers have no gradient.
                 weights.copy_(0.01 * weights)
         self.register_buffer("input_mean", torch.zeros(INPUTS, dtype=torch.float64))
         self.register_buffer("input_std", torch.ones(INPUTS, dtype=torch.float64))
         self.register_buffer("torque_scale", torch.ones((), dtype=torch.float64))
 
     def signals(self, state: DriveState) -> list[Any]:
-        """What the network sees of the drive, in the order of `input_mean`."""
+        """Return the signals for the network, in the order of `input_mean`."""
         return [state.qpos, state.qvel, state.ctrl, state.external_torque]
 
     def prepare(self, samples: DriveState) -> None:
-        """Take the normalisation from the training data, once: weights mean nothing with another."""
+        """Take the normalisation from the training data, once: weights are valid for one normalisation only."""
         if (self.input_mean == 0).all() and (self.input_std == 1).all() and self.torque_scale == 1:
             mean, std = zip(*self.normalise(samples), strict=True)
             self.input_mean.copy_(torch.tensor(mean))
@@ -80,31 +79,31 @@ class NetworkModel(FrictionModel):
             self.torque_scale.fill_(_mean_and_std(samples.motor_torque)[1])
 
     def normalise(self, samples: DriveState) -> list[tuple[float, float]]:
-        """Mean and standard deviation of each input in the training data, arrays of shape (samples, nv)."""
+        """Return mean and standard deviation of each signal; training data have shape (samples, nv)."""
         return [_mean_and_std(signal) for signal in self.signals(samples)]
 
     def normalised(self, xp: Any, values: Values, state: DriveState) -> Any:
-        """The inputs as multiples of their standard deviation from their mean, of shape (..., nv, inputs)."""
+        """Return the signals minus their mean, over their standard deviation, of shape (..., nv, inputs)."""
         return (xp.stack(self.signals(state), -1) - values["input_mean"]) / values["input_std"]
 
     def bounded(self, xp: Any, values: Values, state: DriveState) -> Any:
-        """The normalised inputs, held within `SPAN`: far outside the training data the network is constant."""
+        """Return normalised signals clipped at `SPAN`: far outside the training data the network is constant."""
         return xp.clip(self.normalised(xp, values, state), -SPAN, SPAN)
 
     def network(self, xp: Any, values: Values, x: Any) -> Any:
-        """The network's answer, of shape (..., outputs), to normalised inputs of shape (..., inputs)."""
+        """Return the network's output, of shape (..., outputs), for inputs of shape (..., inputs)."""
         for layer in range(len(self.layers)):
-            if layer:  # not maximum(x, 0), whose gradient at a tie is 1/2; this one is 0 there and lets NaN through
+            if layer:  # not maximum(x, 0), whose gradient at 0 is 1/2; here it is 0, and NaN propagates
                 x = xp.where(x <= 0, 0.0, x)
             x = xp.matmul(x, values[f"layers.{layer}.weight"].T) + values[f"layers.{layer}.bias"]
         return x
 
 
 class GearNetwork(NetworkModel):
-    """A law with a network that sees what a gear's friction depends on.
+    """Model with a network of the signals that affect gear friction.
 
-    Instead of the command it sees the actuator's torque, and beside the position sines and cosines of it. A network of
-    the bare position learns what meshing gears change in friction last, or never: it sees slow changes first.
+    Its inputs are the actuator torque instead of the command, and sines and cosines of the position in addition to the
+    position. A network of the position alone learns slow changes first, and the effect of meshing gears last or never.
 
     Source: M. Tancik et al., "Fourier Features Let Networks Learn High Frequency Functions in Low Dimensional Domains",
     NeurIPS 2020.
@@ -117,15 +116,15 @@ class GearNetwork(NetworkModel):
         return [state.qpos, state.qvel, state.motor_torque, state.external_torque]
 
     def bounded(self, xp: Any, values: Values, state: DriveState) -> Any:
-        """See `NetworkModel.bounded`; then sines, then cosines of the position."""
+        """See `NetworkModel.bounded`; appends sines, then cosines of the position."""
         x = xp.clip(self.normalised(xp, values, state), -SPAN, SPAN)
         phases = [octave * x[..., :1] for octave in OCTAVES]
         return xp.concatenate([x, *map(xp.sin, phases), *map(xp.cos, phases)], -1)
 
 
 def _linear(inputs: int, outputs: int, generator: torch.Generator) -> torch.nn.Linear:
-    """A linear layer with PyTorch's usual initial distribution, drawn from this generator."""
-    # On the meta device, because the constructor would draw from the global generator.
+    """Return a linear layer with PyTorch's usual initial distribution, drawn from this generator."""
+    # On the meta device, because the constructor would use the global generator.
     layer = torch.nn.Linear(inputs, outputs, device="meta", dtype=torch.float64).to_empty(device="cpu")
     for weights in layer.parameters():
         torch.nn.init.uniform_(weights, -(inputs**-0.5), inputs**-0.5, generator=generator)
@@ -133,7 +132,7 @@ def _linear(inputs: int, outputs: int, generator: torch.Generator) -> torch.nn.L
 
 
 def _mean_and_std(signal: Float[np.ndarray, "samples nv"]) -> tuple[float, float]:
-    """Mean and standard deviation; 1 instead of the deviation where the signal is constant but for rounding."""
+    """Return mean and standard deviation; 1 as deviation if the signal is constant except for rounding."""
     mean, std = float(np.mean(signal)), float(np.std(signal))
     constant = std <= 1e-9 * float(np.max(np.abs(signal)))
     return mean, 1.0 if constant else std

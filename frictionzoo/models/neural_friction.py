@@ -10,7 +10,12 @@ from frictionzoo.models.network import NetworkModel
 
 @register_model("neural_friction")
 class NeuralFriction(NetworkModel):
-    """A multilayer perceptron of what the drive is doing.
+    """Multilayer perceptron of position, velocity, command and external torque.
+
+    Use it if no formula is known; `dissipative_network`, `odd_network` and `residual_network` have guarantees.
+
+    Cannot represent: friction with a memory, sticking, coupling between joints. It does not extrapolate outside the
+    training data, may add energy to the drive, and absorbs any other error of the simulation.
 
     torque = s MLP((x - m) / n),  x = (q, v, a, tau_e)
 
@@ -19,13 +24,10 @@ class NeuralFriction(NetworkModel):
         a      command of the joint's actuator, in the actuator's unit
         tau_e  external torque [N m or N]
         m, n   input_mean and input_std, mean and standard deviation of each input in the training data
-        s      torque_scale [N m or N], standard deviation of the actuator's torque in the training data
+        s      torque_scale [N m or N], standard deviation of the actuator torque in the training data
 
-    Between linear layers stands ReLU. The joints share the weights, and each is seen alone. m, n and s are kept with
-    the weights, so that a saved model is complete.
-
-    Cannot represent: friction with a memory, sticking, coupling between joints. It extrapolates without sense outside
-    the training data, may give energy to the drive, and takes up any other error of the simulation.
+    The activation is ReLU. The joints share the weights, and each joint is evaluated alone. m, n and s are saved with
+    the weights, so a saved model is complete.
 
     Source: V. Kovalev et al., Proc. MIPT 18(2), 2026, Table 1, "NeuralFriction".
     """
@@ -34,6 +36,6 @@ class NeuralFriction(NetworkModel):
         super().__init__(nv, hidden, 1, seed)
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
-        """The explicit torque."""
+        """Return the explicit torque."""
         answer = self.network(xp, values, self.normalised(xp, values, state))
         return FrictionTerms(torque=values["torque_scale"] * answer[..., 0])

@@ -1,4 +1,4 @@
-"""Dry friction with a part that grows with the square of the load, as a constraint."""
+"""Dry friction with a term that is quadratic in the load, as a constraint."""
 
 from typing import Any
 
@@ -10,30 +10,32 @@ from frictionzoo.models.limits import directional_limit, quadratic_gear_load, st
 
 @register_model("quadratic")
 class Quadratic(FrictionModel):
-    """Dry friction that grows with the load on the gear and with its square, with the Stribeck effect.
+    """Dry friction that grows with the gear load and with its square, with the Stribeck effect.
+
+    Use it for gears whose loss near standstill grows faster than the load: `directional` with a term at rest that is
+    quadratic in the weaker torque, the external torque if the motor drives and the motor torque if it is driven.
+
+    Cannot represent: friction that lags the velocity or depends on position.
 
     limit = f + |k_m tau_m - k_e tau_e| + (s + |l_m tau_m - l_e tau_e| + Q) exp(-|v / v_s|^alpha)
     Q = q_e tau_e^2 where |tau_e| < |tau_m|, else q_m tau_m^2, while both oppose each other; else 0
 
-    `directional`, and at rest the square of the weaker side: of the external torque where the motor is the stronger, of
-    the motor's where it is driven. The constraint's force makes the joint stick while it is below the limit and is the
-    limit against the motion otherwise; d v adds to it.
+    The constraint force makes the joint stick while it is below the limit; otherwise it equals the limit and opposes
+    the motion. d v adds to it.
 
         v         joint velocity [rad/s or m/s]
-        tau_m     torque of the actuator [N m or N]
-        tau_e     external torque [N m or N]: of everything but actuator and friction, counted as tau_m is
-        f         frictionloss [N m or N], without load and well above v_s; strictly positive, at 0 MuJoCo locks
+        tau_m     actuator torque [N m or N]
+        tau_e     external torque [N m or N]: all torques except actuator and friction, same sign convention as tau_m
+        f         frictionloss [N m or N], without load, well above v_s; strictly positive: at 0 MuJoCo locks the joint
         k_m, k_e  load_friction_motor, load_friction_external [1]
-        s         stribeck_torque [N m or N], by which the limit is larger at rest
-        l_m, l_e  stribeck_load_friction_motor, stribeck_load_friction_external [1], which count at rest besides
+        s         stribeck_torque [N m or N], additional limit at rest
+        l_m, l_e  stribeck_load_friction_motor, stribeck_load_friction_external [1], additional load friction at rest
         q_m, q_e  quadratic_load_friction_motor, quadratic_load_friction_external [1/(N m) or 1/N]
-        v_s       stribeck_velocity [rad/s or m/s], over which s, l_m, l_e, q_m and q_e are lost
-        alpha     stribeck_exponent [1]: 2 is a bell, a large one a step at v_s
+        v_s       stribeck_velocity [rad/s or m/s], over which s, l_m, l_e, q_m and q_e decay
+        alpha     stribeck_exponent [1]: 2 is a bell, a large value a step at v_s
         d         damping [N m s/rad or N s/m]
 
-    The limit leaps where tau_m = -tau_e unless q_m = q_e.
-
-    Cannot represent: friction that lags the velocity or depends on position.
+    Unless q_m = q_e, the limit jumps at tau_m = -tau_e.
 
     Source: M. Duclusaud, G. Passault, V. Padois, O. Ly, "Extended friction models for the physics simulation of servo
     actuators", 2024, model M6.
@@ -53,7 +55,7 @@ class Quadratic(FrictionModel):
     sees = ("speed", "slow", "load")
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
-        """The constraint's limit in this state, and the damping."""
+        """Return the constraint's limit in this state, and the damping."""
         share = stribeck_share(xp, state.qvel, values["stribeck_velocity"], values["stribeck_exponent"])
         sides = values["quadratic_load_friction_motor"], values["quadratic_load_friction_external"]
         squared = quadratic_gear_load(xp, state, *sides)

@@ -1,4 +1,4 @@
-"""Friction models by name: those of this package, and those that other packages bring."""
+"""Friction models by name, from this package and from other packages."""
 
 from collections.abc import Callable
 
@@ -9,10 +9,10 @@ from frictionzoo.models.base import FrictionModel
 REGISTRY = Registry(KINDS["models"], FrictionModel, "terms", ModelError, UnknownModelError)
 
 register_model = REGISTRY.register
-"""Class decorator that makes a friction law available under its name in the literature, as `Registry.register`."""
+"""Class decorator that registers a friction model under its name in the literature; see `Registry.register`."""
 
 get_model: Callable[[str], type[FrictionModel]] = REGISTRY.get
-"""The friction law of that name, as `Registry.get`."""
+"""Return the friction model with this name; see `Registry.get`."""
 
 model_names: Callable[[], list[str]] = REGISTRY.names
-"""Names of all friction laws, sorted."""
+"""Return the names of all friction models, sorted."""

@@ -1,4 +1,4 @@
-"""Dry friction that changes with the position, as of meshing gears, and viscous friction."""
+"""Dry friction that changes with the position, as in meshing gears, and viscous friction."""
 
 from typing import Any
 
@@ -11,32 +11,33 @@ from frictionzoo.models.limits import ripple_share
 class Ripple(FrictionModel):
     """Dry friction as MuJoCo's constraint whose limit has two harmonics over the position, and viscous friction.
 
+    Use it for gears whose friction changes periodically with the position.
+
+    Cannot represent: ripple of the motor torque (cogging), which does not change sign with the direction; ripple whose
+    amplitude depends on speed or load; more harmonics; a breakaway torque above the sliding torque; true sticking
+    (MuJoCo's constraint creeps).
+
     torque = f + damping v,  |f| <= frictionloss (1 + s_1 sin(n q) + c_1 cos(n q) + s_2 sin(2 n q) + c_2 cos(2 n q))
 
         q             joint position [rad or m]
         v             joint velocity [rad/s or m/s]
         f             force of MuJoCo's dry-friction constraint [N m or N]
-        frictionloss  mean of its limit over the position [N m or N], strictly positive
+        frictionloss  limit of f, mean over the position [N m or N], strictly positive
         damping       viscous coefficient [N m s/rad or N s/m]
-        n             periods [1/rad or 1/m]: on a hinge the periods in one turn, of teeth or of a harmonic drive's
-                      wave; on a slide 2 pi / pitch of the screw. It follows from the gear, hence known by default
-        s_1, c_1      sine_1, cosine_1 [1], shares of frictionloss
-        s_2, c_2      sine_2, cosine_2 [1], of twice the periods
+        n             periods [1/rad or 1/m]: for a hinge the periods per turn, of teeth or of a harmonic drive's wave;
+                      for a slide 2 pi / screw pitch. A property of the gear, so it is known by default
+        s_1, c_1      sine_1, cosine_1 [1], relative to frictionloss
+        s_2, c_2      sine_2, cosine_2 [1], at twice the periods
 
-    Bounds of 0.2 each keep the limit above 1 - 2 sqrt(2) 0.2 = 0.43 of frictionloss; wider ones have to keep it
-    positive.
+    Bounds of 0.2 keep the limit above 1 - 2 sqrt(2) 0.2 = 0.43 of frictionloss; wider bounds must keep it positive.
 
-    Where n is identified it has to start close to the gear's: the loss over n has a local minimum about every
-    2 pi / (range of q). Where the joint moves more than pi / (2 n) between two samples, the second harmonic looks like
-    a slower ripple (aliasing).
-
-    Cannot represent: ripple of the motor's torque (cogging), which does not change its sign with the direction; ripple
-    whose amplitude depends on speed or load; more harmonics; a breakaway torque above the sliding one; true sticking
-    (MuJoCo's constraint creeps).
+    If n is identified, it must start close to the gear's value: the loss over n has a local minimum about every
+    2 pi / (range of q). If the joint moves more than pi / (2 n) between two samples, the second harmonic looks like a
+    slower ripple (aliasing).
 
     Source: E. Garcia, P. Gonzalez de Santos, C. Canudas de Wit, "Velocity Dependence in the Cyclic Friction Arising
-    with Gears", International Journal of Robotics Research 21(9), 2002, on meshing friction over the position; its
-    dependence on the speed is left out here.
+    with Gears", International Journal of Robotics Research 21(9), 2002, on meshing friction over the position; this
+    model omits its dependence on the speed.
     """
 
     dimensions = {
@@ -54,6 +55,6 @@ class Ripple(FrictionModel):
     sees = ("speed", "position")
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
-        """The constraint's limit at this position, and the damping."""
+        """Return the constraint's limit at this position, and the damping."""
         limit = values["frictionloss"] * (1 + ripple_share(xp, values, state.qpos))
         return FrictionTerms(frictionloss=limit, damping=values["damping"])

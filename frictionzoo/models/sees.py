@@ -1,4 +1,4 @@
-"""What the friction of a law changes with: by what its class says, and seen in its answers."""
+"""Quantities on which a model's friction depends: those it declares, and those found in its terms."""
 
 from collections.abc import Iterator
 
@@ -14,22 +14,22 @@ from frictionzoo.models.registry import REGISTRY
 from frictionzoo.models.torch_friction import TorchFriction
 
 SEES = ("speed", "slow", "fast", "direction", "load", "position", "temperature", "reversal")
-"""What friction may change with, as `FrictionModel.sees` has it."""
+"""Quantities on which friction may depend; see `FrictionModel.sees`."""
 DRAWS = 5  # of values between their bounds
-FEW = 8  # states that are looked at
-FAR = 1e3  # order of the speeds at which only friction that grows faster than the speed is curved
-CHANGED = 1e-9  # share of the torque by which it differs where it differs
+FEW = 8  # states that are checked
+FAR = 1e3  # order of speeds at which only friction that grows faster than the speed is curved
+CHANGED = 1e-9  # smallest relative change of the torque that counts
 
 
 def observe(model: FrictionModel, samples: DriveState) -> set[str]:
-    """What the friction of a law changes with in some of its joints, at constant velocity, with any values in bounds.
+    """Return the quantities on which the friction of any joint depends, at constant velocity, for any values in bounds.
 
-    It is seen in the torque of all its terms while the joint slides: with another size of the velocity, with a smaller
-    size at a larger speed (`slow`), with a size that bends up (`fast`), in the reversed motion under the reversed load,
-    with other torques of actuator and load, with another position and temperature. What remembers sees reversals.
+    They are found from the sum of all terms while the joint slides: another magnitude of the velocity, a smaller torque
+    at a higher speed (`slow`), a torque curve that bends up (`fast`), reversed motion with reversed load, other torques
+    of actuator and load, another position and temperature. A model with memory depends on reversals.
 
     Args:
-        model: The law, its constants prepared.
+        model: Model with its constants prepared.
         samples: States, numpy arrays of shape (samples, nv).
     """
     found, state = {"reversal"} if model.memory else set(), _moving(samples)
@@ -39,10 +39,10 @@ def observe(model: FrictionModel, samples: DriveState) -> set[str]:
 
 
 def is_curved(model: FrictionModel, samples: DriveState) -> bool:
-    """Whether a law's friction bends up with the speed anywhere, which a Stribeck effect does too.
+    """Return whether the friction over speed bends up anywhere, which also happens with the Stribeck effect.
 
     Args:
-        model: The law.
+        model: The model.
         samples: As in `observe`.
     """
     state = _moving(samples)
@@ -50,19 +50,20 @@ def is_curved(model: FrictionModel, samples: DriveState) -> bool:
 
 
 def suggest_law(model: FrictionModel, seen: set[str], missing: str) -> tuple[str | None, bool]:
-    """The law of the zoo that sees something that a law does not, or sees it with more parameters.
+    """Return a model that has a missing dependency, or has it with more parameters.
 
-    Of those that see all that the law sees besides, one without a network comes first, then the one that sees the least
-    more, sticks as the present law does, and has the fewest parameters. Where no law sees all of it, it is the one that
-    sees what is missing and most of the rest.
+    Candidates have all other dependencies of the present model. The order prefers models without a network, then the
+    fewest additional dependencies, the same sticking as the present model, and the fewest parameters. Without such a
+    candidate, return the model that has the missing dependency and most of the others.
 
     Args:
-        model: The present law.
-        seen: What it sees.
-        missing: What is to be seen.
+        model: The present model.
+        seen: Its dependencies.
+        missing: The missing dependency.
 
     Returns:
-        Its name, None where no law sees what is missing; and whether it sees all that the present one does.
+        Name of the model, None if no model has the missing dependency; and whether it has all dependencies of the
+        present one.
     """
     more = len(model.dimensions) if missing in seen else -1
     laws = {
@@ -81,7 +82,7 @@ def suggest_law(model: FrictionModel, seen: set[str], missing: str) -> tuple[str
 
 
 def simpler_law(model: FrictionModel, seen: set[str]) -> str | None:
-    """The law that sees less than a law does, and the most of that; None where none does."""
+    """Return the model with most, but not all, of these dependencies and no other; None if there is none."""
     laws = {name: cls for name, cls in _known_laws() if {*cls.sees} < seen and cls.sees}
 
     def cost(name: str) -> tuple[int, bool, int, str]:
@@ -92,18 +93,18 @@ def simpler_law(model: FrictionModel, seen: set[str]) -> str | None:
 
 
 def _known_laws() -> Iterator[tuple[str, type[FrictionModel]]]:
-    """Laws that say what they see, and that a run can be asked for by name alone."""
+    """Yield models with declared dependencies that a run can select by name alone."""
     for name in REGISTRY.names():
         try:
             cls = REGISTRY.get(name)
-        except ModelError:  # another package's, which is not what was asked for
+        except ModelError:  # from another package, and not requested
             continue
         if cls.sees and not issubclass(cls, TorchFriction):
             yield name, cls
 
 
 def _draw(model: FrictionModel) -> Iterator[Values]:
-    """A law's own values, and others between their bounds."""
+    """Yield a model's values, and others between their bounds."""
     random, drawn = np.random.default_rng(0), {n: v.detach().double() for n, v in model.state_dict().items()}
     weights = [name for name, tensor in model.named_parameters() if name not in model.params]
     for _ in range(1 + DRAWS):
@@ -116,7 +117,7 @@ def _draw(model: FrictionModel) -> Iterator[Values]:
 
 
 def _looks(model: FrictionModel, values: Values, state: DriveState) -> Iterator[tuple[str, bool]]:
-    """What the law sees with these values."""
+    """Yield each quantity and whether the friction depends on it with these values."""
 
     def torque(**changed: np.ndarray) -> np.ndarray:
         return _torque(model, values, state._replace(**changed))
@@ -135,7 +136,7 @@ def _looks(model: FrictionModel, values: Values, state: DriveState) -> Iterator[
 
 
 def _moving(samples: DriveState) -> DriveState:
-    """A few of the states, spread over all, none at standstill."""
+    """Return a few of the states, spread over all, none at standstill."""
     few = samples.map(lambda signal: signal[:: max(1, len(signal) // FEW)])
     return few._replace(qvel=np.where(few.qvel == 0, 1.0, few.qvel))
 
@@ -143,7 +144,7 @@ def _moving(samples: DriveState) -> DriveState:
 def _speeds(
     model: FrictionModel, values: Values, state: DriveState, speeds: Float[np.ndarray, "speeds"]
 ) -> Float[np.ndarray, "speeds samples nv"]:
-    """Size of the friction in each state at each of these speeds, in the direction in which it moves there."""
+    """Return the friction's magnitude in each state at each of these speeds, in the state's direction."""
     shape, direction = (len(speeds), *state.qvel.shape), np.where(state.qvel < 0, -1.0, 1.0)
     whole = state.map(lambda signal: np.broadcast_to(signal, shape).copy())
     return direction * _torque(model, values, whole._replace(qvel=direction * speeds[:, None, None]))
@@ -160,5 +161,5 @@ def _differs(change: np.ndarray, of: np.ndarray) -> bool:
 
 
 def _bends(sizes: Float[np.ndarray, "speeds samples nv"]) -> bool:
-    """Whether sizes at evenly spaced speeds have a second difference above 0."""
+    """Return whether values at evenly spaced speeds have a second difference above 0."""
     return bool((np.diff(sizes, 2, axis=0) > CHANGED * np.abs(sizes).max()).any())

@@ -11,19 +11,21 @@ from frictionzoo.models.limits import stribeck_share
 class Stribeck(FrictionModel):
     """Dry friction with the Stribeck effect as a constraint that can stop the joint, and viscous damping.
 
+    Use it for joints that stick and whose breakaway torque is above the sliding torque.
+
+    Cannot represent: friction that lags the velocity or depends on direction, load or position.
+
     limit = f + s exp(-|v / v_s|^alpha)
 
-    The constraint's force makes the joint stick while it is below the limit and is the limit against the motion
-    otherwise; d v adds to it.
+    The constraint force makes the joint stick while it is below the limit; otherwise it equals the limit and opposes
+    the motion. d v adds to it.
 
         v      joint velocity [rad/s or m/s]
         f      frictionloss [N m or N], well above v_s; strictly positive: at 0 MuJoCo locks the joint
-        s      stribeck_torque [N m or N], by which the limit is larger at rest
-        v_s    stribeck_velocity [rad/s or m/s], over which that is lost
-        alpha  stribeck_exponent [1]: 2 is a bell, a large one a step at v_s
+        s      stribeck_torque [N m or N], additional limit at rest
+        v_s    stribeck_velocity [rad/s or m/s], over which s decays
+        alpha  stribeck_exponent [1]: 2 is a bell, a large value a step at v_s
         d      damping [N m s/rad or N s/m]
-
-    Cannot represent: friction that lags the velocity or depends on direction, load or position.
 
     Source: M. Duclusaud, G. Passault, V. Padois, O. Ly, "Extended friction models for the physics simulation of servo
     actuators", 2024, model M2; for the exponent B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, "A survey of
@@ -44,7 +46,7 @@ class Stribeck(FrictionModel):
     sees = ("speed", "slow")
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
-        """The constraint's limit in this state, and the damping."""
+        """Return the constraint's limit in this state, and the damping."""
         share = stribeck_share(xp, state.qvel, values["stribeck_velocity"], values["stribeck_exponent"])
         limit = values["frictionloss"] + share * values["stribeck_torque"]
         return FrictionTerms(frictionloss=limit, damping=values["damping"])

@@ -1,4 +1,4 @@
-"""What laws whose friction depends on the temperature share."""
+"""Base class of models whose friction depends on the temperature."""
 
 from abc import abstractmethod
 from collections.abc import Mapping
@@ -12,16 +12,16 @@ ABSOLUTE_ZERO = -273.15  # degC
 
 
 class TemperatureModel(FrictionModel):
-    """Dry friction as MuJoCo's constraint and viscous friction, each a coefficient times a share of the temperature.
+    """Dry friction as MuJoCo's constraint and viscous friction, each a coefficient times a factor of the temperature.
 
-    A law says what the two shares are; they are positive, and 1 at the reference temperature.
+    A subclass defines the two factors. They are positive, and 1 at the reference temperature.
 
     Attributes:
-        reference: Temperature at which the coefficients hold [degC]; a drive whose recordings lack the temperature acts
-            as there.
+        reference: Temperature to which the coefficients refer [degC]; also the temperature of drives whose recordings
+            have none.
 
     Raises:
-        ConfigError: The reference is not above absolute zero, and as `FrictionModel` has it.
+        ConfigError: The reference is not above absolute zero; see also `FrictionModel`.
     """
 
     constraint = True
@@ -37,9 +37,9 @@ class TemperatureModel(FrictionModel):
 
     @abstractmethod
     def shares(self, xp: Any, values: Values, temperature: Any) -> tuple[Any, Any]:
-        """What frictionloss and damping are multiplied by at a temperature [degC], of shape (..., nv)."""
+        """Return the factors of frictionloss and damping at a temperature [degC], of shape (..., nv)."""
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
-        """The constraint's limit and the damping at this temperature."""
+        """Return the constraint's limit and the damping at this temperature."""
         dry, viscous = self.shares(xp, values, state.temperature)
         return FrictionTerms(frictionloss=values["frictionloss"] * dry, damping=values["damping"] * viscous)

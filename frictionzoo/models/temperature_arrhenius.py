@@ -1,4 +1,4 @@
-"""Dry and viscous friction that follow the temperature as the viscosity of a lubricant does."""
+"""Dry and viscous friction with the temperature dependence of a lubricant's viscosity."""
 
 from typing import Any
 
@@ -8,7 +8,13 @@ from frictionzoo.models.temperature import ABSOLUTE_ZERO, TemperatureModel
 
 @register_model("temperature_arrhenius")
 class TemperatureArrhenius(TemperatureModel):
-    """Dry friction as MuJoCo's constraint and viscous friction, both by an Arrhenius factor of the temperature.
+    """Dry friction as MuJoCo's constraint and viscous friction, each with an Arrhenius factor of the temperature.
+
+    Use it if the recorded temperature varies, also over tens of kelvins.
+
+    Cannot represent: friction with a minimum over the temperature; a lubricant whose temperature differs from the
+    recorded one, for example because it lags the motor's; a breakaway torque above the sliding torque; friction that
+    depends on direction, load or position; true sticking (MuJoCo's constraint creeps).
 
     torque = f + damping A(D) v,  |f| <= frictionloss A(F),  A(E) = exp(E (1/T - 1/T_0))
 
@@ -18,15 +24,11 @@ class TemperatureArrhenius(TemperatureModel):
         T_0           reference, known; without a recorded temperature T = T_0
         frictionloss  limit of the dry friction at T_0 [N m or N], strictly positive
         damping       viscous coefficient at T_0 [N m s/rad or N s/m]
-        F             frictionloss_activation [K], activation temperature: the activation energy over the gas constant
-        D             damping_activation [K], the same of damping; 1000 K are 8.314 kJ/mol
+        F             frictionloss_activation [K], activation temperature: activation energy over gas constant
+        D             damping_activation [K], the same for damping; 1000 K are 8.314 kJ/mol
 
-    A positive activation temperature is friction that falls when the drive warms up. Both coefficients are positive at
-    any temperature.
-
-    Cannot represent: friction with a minimum over the temperature; a temperature of the lubricant that is not the
-    recorded one, say because it lags the motor's; a breakaway torque above the sliding one, friction that depends on
-    direction, load or position; true sticking (MuJoCo's constraint creeps).
+    With a positive activation temperature, friction falls as the drive warms up. Both coefficients are positive at any
+    temperature.
 
     Source: E. N. da C. Andrade, "The Viscosity of Liquids", Nature 125, 1930, A exp(b / T) for the viscosity; A.
     Carvalho Bittencourt, S. Gunnarsson, "Static Friction in a Robot Joint - Modeling and Identification of Load and
@@ -44,7 +46,7 @@ class TemperatureArrhenius(TemperatureModel):
 
     def shares(self, xp: Any, values: Values, temperature: Any) -> tuple[Any, Any]:
         """See `TemperatureModel.shares`."""
-        # 1/T - 1/T_0 written so that float32 does not cancel.
+        # 1/T - 1/T_0 without cancellation in float32.
         absolute, reference = temperature - ABSOLUTE_ZERO, self.reference - ABSOLUTE_ZERO
         colder = (self.reference - temperature) / (absolute * reference)
         return xp.exp(values["frictionloss_activation"] * colder), xp.exp(values["damping_activation"] * colder)

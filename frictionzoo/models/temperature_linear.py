@@ -1,16 +1,23 @@
-"""Dry and viscous friction that change in proportion to the temperature."""
+"""Dry and viscous friction that change linearly with the temperature."""
 
 from typing import Any
 
 from frictionzoo.models import Values, register_model
 from frictionzoo.models.temperature import TemperatureModel
 
-_LEAST = 0.05  # share at which a falling line ends: at a limit of 0 MuJoCo locks the joint
+_LEAST = 0.05  # smallest factor: at a limit of 0 MuJoCo locks the joint
 
 
 @register_model("temperature_linear")
 class TemperatureLinear(TemperatureModel):
     """Dry friction as MuJoCo's constraint and viscous friction, both linear in the temperature.
+
+    Use it if the recorded temperature varies little; over tens of kelvins use `temperature_arrhenius`.
+
+    Cannot represent: a coefficient that is nonlinear in the temperature, as viscosity over tens of kelvins; a lubricant
+    whose temperature differs from the recorded one, for example because it lags the motor's; a breakaway torque above
+    the sliding torque; friction that depends on direction, load or position; true sticking (MuJoCo's constraint
+    creeps).
 
     torque = f + damping (1 + b (T - T_0)) v,  |f| <= frictionloss (1 + a (T - T_0))
 
@@ -20,19 +27,15 @@ class TemperatureLinear(TemperatureModel):
         T_0           reference [degC], known; without a recorded temperature T = T_0
         frictionloss  limit of the dry friction at T_0 [N m or N], strictly positive
         damping       viscous coefficient at T_0 [N m s/rad or N s/m]
-        a             frictionloss_slope [1/K], share of frictionloss by which it grows with each kelvin
-        b             damping_slope [1/K], the same of damping
+        a             frictionloss_slope [1/K], relative change of frictionloss per kelvin
+        b             damping_slope [1/K], relative change of damping per kelvin
 
-    A falling line ends at 0.05 of its coefficient, so that both stay strictly positive; with bounds of 0.05/K that is
-    19 K from T_0 at the earliest.
-
-    Cannot represent: a coefficient that bends with the temperature, as viscosity does over tens of kelvins; a
-    temperature of the lubricant that is not the recorded one, say because it lags the motor's; a breakaway torque above
-    the sliding one, friction that depends on direction, load or position; true sticking (MuJoCo's constraint creeps).
+    The factors are at least 0.05, which keeps both coefficients strictly positive; with bounds of 0.05/K a factor
+    reaches 0.05 at 19 K from T_0 at the earliest.
 
     Source: A. Carvalho Bittencourt, S. Gunnarsson, "Static Friction in a Robot Joint - Modeling and Identification of
     Load and Temperature Effects", Journal of Dynamic Systems, Measurement, and Control 134(5), 2012, on friction terms
-    that grow or fall with the temperature; their Stribeck and load terms are left out here.
+    that grow or fall with the temperature; this model omits their Stribeck and load terms.
     """
 
     dimensions = {

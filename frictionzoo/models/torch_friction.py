@@ -1,4 +1,4 @@
-"""The plug-in interface of a friction model that exists only in torch."""
+"""The plug-in interface of a torch-only friction model."""
 
 from abc import abstractmethod
 from typing import Any
@@ -11,35 +11,36 @@ from frictionzoo.models.base import FrictionModel, Values
 
 
 class TorchFriction(FrictionModel):
-    """A friction law of which there is no formula over `xp`: any torch module, of `torch.nn` parts say.
+    """Friction model without a formula over `xp`: any torch module, for example of `torch.nn` parts.
 
-    Its author writes `forward` in plain torch and registers the class like any other law. Physical parameters are
-    declared in `dimensions` and read as attributes; any other parameter of the module is a weight. All parameters and
-    buffers are made float64, and float32 ones stand in for them where a job computes so: take every number from them,
-    from the state, or from Python.
+    Write `forward` in plain torch and register the class like any other model. `dimensions` declares physical
+    parameters, which `forward` reads as attributes; any other parameter of the module is a weight. All parameters and
+    buffers are float64, and float32 in a job that computes in float32: take every number from them, from the state, or
+    from Python.
 
-    Each step of a rollout leaves JAX for this law. That is exact and slower than a formula: write one where you can.
+    Each step of a rollout leaves JAX for this model. This is exact, but slower than a formula: write a formula if you
+    can.
 
-    Cannot represent: a memory; a law of the whole batch, such as batch normalisation.
+    Cannot represent: a memory; a function of the whole batch, such as batch normalisation.
     """
 
     @abstractmethod
     def forward(self, state: DriveState) -> FrictionTerms:
-        """The law itself, pure and deterministic, with this module's own values.
+        """Compute the friction terms; pure and deterministic, with this module's values.
 
         Args:
             state: Torch tensors of shape (..., nv).
 
         Returns:
-            Terms of shape (..., nv), or that broadcast to it; `frictionloss` above 0. Their gradient is finite at
-            qvel = 0 too.
+            Terms of shape (..., nv), or broadcastable to it; `frictionloss` above 0. Their gradient is finite, also at
+            qvel = 0.
         """
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
-        """What `forward` answers with these values in place of the module's own; see `FrictionModel.terms`.
+        """Return the terms of `forward` with these values in place of the module's; see `FrictionModel.terms`.
 
         Raises:
-            ModelError: `xp` is another namespace than torch.
+            ModelError: `xp` is not torch.
         """
         if xp is not torch:
             label = getattr(type(self), "name", type(self).__name__)

@@ -1,4 +1,4 @@
-"""Friction in proportion to the motor's torque that builds up over a displacement."""
+"""Friction proportional to the motor torque that builds up over a displacement."""
 
 from typing import Any
 
@@ -6,42 +6,44 @@ from frictionzoo.core.state import DriveState, FrictionTerms
 from frictionzoo.models import FrictionModel, Values, register_model
 from frictionzoo.models.bristles import remaining, settled
 
-_ROUNDING = 1e-12  # share of a square below which it is rounding, for a finite gradient of its root
-_LEAST = 1e-12  # N m or N, so that a joint without any friction or torque begins with no memory
+_ROUNDING = 1e-12  # relative size below which a square is rounding, for a finite gradient of its root
+_LEAST = 1e-12  # N m or N, gives zero memory to a joint without friction and torque
 
 
 @register_model("torque_proportional")
 class TorqueProportional(FrictionModel):
-    """A gear that loses a share of the motor's torque, another if driven backwards, with a memory in place of the sign.
+    """Friction proportional to motor torque, separately for driving and braking, that builds up over a displacement.
+
+    Use it for gears that lose a fraction of the motor torque, and another fraction if they are driven backwards.
+
+    Cannot represent: loss by an external torque while the motor is off, a breakaway torque above the sliding torque,
+    friction that depends on position. An oscillating load below the limit makes the joint drift.
 
     dz/dt = (v - |v| z) / h
     torque = (f_c + (k_d + k_b) / 2 |tau_m|) z + (k_d - k_b) / 2 tau_m z^2 + d v
 
         v      joint velocity [rad/s or m/s]
-        z      what sign the friction has, between -1 and 1, the law's memory [1]
-        tau_m  torque of the actuator [N m or N]
+        z      smooth sign of the friction, between -1 and 1, the model's memory [1]
+        tau_m  actuator torque [N m or N]
         h      presliding [rad or m], over which the sign changes
         f_c    coulomb_torque [N m or N], without load
-        k_d    load_friction_driving [1], per torque of a motor that drives the motion: from 1 on it does not move
-        k_b    load_friction_braking [1], per torque of a motor that brakes it: the gear is driven backwards
+        k_d    load_friction_driving [1], per torque of a motor that drives the motion: at 1 or above it does not move
+        k_b    load_friction_braking [1], per torque of a motor that brakes the motion: the gear is driven backwards
         d      viscous_coefficient [N m s/rad or N s/m]
-        v_0    rest_velocity [rad/s or m/s], up to about which a joint may stand still where a rollout begins; known
+        v_0    rest_velocity [rad/s or m/s], below about which a joint counts as at rest when a rollout starts; known
 
-    The source's mu_avg is (k_d + k_b) / 2 and its mu_dif (k_d - k_b) / 2; any positive k_d and k_b dissipate. Its law
-    is this one with f_c = 0; with k_d = k_b = 0 this one is `dahl`, and h is f_c / s of that one's stiffness s. Under
-    load it is the stiffness that grows, not the displacement: `dahl_load_dependent` has it the other way round.
+    In the source, mu_avg is (k_d + k_b) / 2, mu_dif is (k_d - k_b) / 2, and f_c is 0. Any positive k_d and k_b
+    dissipate. With k_d = k_b = 0 the model equals `dahl` with the stiffness f_c / h. Under load its stiffness grows and
+    the displacement stays; in `dahl_load_dependent` the displacement grows and the stiffness stays.
 
-    At constant velocity the law is (f_c + k |tau_m|) sign(v) + d v with k = k_d where tau_m v > 0, else k_b. A rollout
-    begins with the memory that holds the drive's load if the joint rests, and with the sign of the velocity if it
-    moves. The memory is advanced exactly for a velocity that is constant in a step, and the torque taken at the step's
-    end, by way of MuJoCo's implicit damping: no presliding makes the step unstable.
+    At constant velocity the friction is (f_c + k |tau_m|) sign(v) + d v with k = k_d if tau_m v > 0, else k_b. A
+    rollout starts with the memory that balances the load if the joint rests, and with the sign of the velocity if it
+    moves. Each step integrates the memory exactly for constant velocity and evaluates the torque at the end of the step
+    through MuJoCo's implicit damping, so it is stable at any presliding.
 
-    While it slides without other torques the joint moves by (1 - k_d) tau_m or (1 + k_b) tau_m: no recording of that
-    tells a factor of both from inertia, f_c and d, which is then told by presliding alone. A load in proportion to a
-    known mass (gravity) tells it; a `torque_gain` that is identified along takes it away again.
-
-    Cannot represent: loss by an external torque while the motor is off, a breakaway torque above the sliding one,
-    friction that depends on position. A load that swings below the limit lets the joint drift.
+    Without other torques, tau_m acts on the sliding joint as (1 - k_d) tau_m or (1 + k_b) tau_m. A common factor of
+    both is then not separable from inertia, f_c and d; only presliding separates it. A load proportional to a known
+    mass (gravity) also does, unless `torque_gain` is identified too.
 
     Source: "Torque-proportional loss in dcmotor", github.com/google-deepmind/mujoco, issue 3528, 2026, the equations of
     the comment of 18 September; f_c is this package's.
@@ -68,18 +70,18 @@ class TorqueProportional(FrictionModel):
     memory = 1
 
     def terms(self, xp: Any, values: Values, state: DriveState) -> FrictionTerms:
-        """The memory at the sign of the velocity."""
+        """Return the friction with the memory at the sign of the velocity."""
         even, odd = self._sizes(xp, values, state)
         dry = (even + odd * xp.sign(state.qvel)) * xp.tanh(state.qvel / values["rest_velocity"])
         return FrictionTerms(torque=dry, damping=values["viscous_coefficient"])
 
     def settle(self, xp: Any, values: Values, state: DriveState) -> Any:
-        """The memory of a joint at rest or in steady motion."""
+        """Return the memory at rest or in steady motion."""
         even, odd = self._sizes(xp, values, state)
         even = even + _LEAST
         asked = state.motor_torque + state.external_torque
         held = xp.minimum(xp.maximum(asked, odd - even), odd + even)
-        # The root of even z + odd z^2 = held that is 0 with it; its square is below 0 by rounding at most.
+        # Root of even z + odd z^2 = held that is 0 if held is 0; its square is below 0 only by rounding.
         square = xp.maximum(xp.square(even) + 4 * odd * held, _ROUNDING * xp.square(even))
         sign = 2 * held / (even + xp.sqrt(square))
         return settled(xp, state.qvel, values["rest_velocity"], sign, 1.0)[..., None]
@@ -87,18 +89,18 @@ class TorqueProportional(FrictionModel):
     def advance(
         self, xp: Any, values: Values, state: DriveState, memory: Any, timestep: float
     ) -> tuple[FrictionTerms, Any]:
-        """The torque at the end of the step."""
+        """Return the torque at the end of the step, and the memory."""
         even, odd = self._sizes(xp, values, state)
         decay, reach = remaining(xp, xp.abs(state.qvel) / values["presliding"], timestep)
         slope = reach / values["presliding"]
         sign = decay * memory[..., 0] + slope * state.qvel
-        # One factor of the square is that of this velocity, so that the other one's torque never drives the joint.
+        # One factor of z^2 is evaluated at this velocity, so the torque of the other factor never drives the joint.
         size = even + odd * (decay * sign + slope * state.qvel)
         damping = size * slope + values["viscous_coefficient"]
         return FrictionTerms(torque=size * decay * sign, damping=damping), sign[..., None]
 
     def _sizes(self, xp: Any, values: Values, state: DriveState) -> tuple[Any, Any]:
-        """What z and z^2 are multiplied by [N m or N]."""
+        """Return the coefficients of z and z^2 [N m or N]."""
         driving, braking = values["load_friction_driving"], values["load_friction_braking"]
         even = values["coulomb_torque"] + (driving + braking) / 2 * xp.abs(state.motor_torque)
         return even, (driving - braking) / 2 * state.motor_torque

@@ -82,8 +82,7 @@ def draw_with_chains(
     covariance = _read_covariance(place, result, count)
     if fitted is None:
         raise RunError(
-            f"{place}: without the training data, which are in no folder and no copy, expected a drive that identify "
-            "returned; identify it again, or draw with sample"
+            f"{place}: no training data, expected a drive that identify returned; identify again, or draw with sample"
         )
     settings = result["settings"]
     with computing(*(settings[name] for name in ("dtype", "device", "compilation_cache"))):
@@ -101,8 +100,8 @@ def _read_covariance(place: str, result: Result, count: int) -> Covariance:
     if count < 1:
         raise ConfigError(f"count={count}: expected 1 or more drives to draw")
     if (row := result["covariance"]) is None:
-        why = result["no_intervals"] or "data determine none of its parameters"
-        raise RunError(f"{place}: {why}, expected intervals to draw from; look at what was identified, and fit again")
+        why = result["no_intervals"] or "the data determine none of its parameters"
+        raise RunError(f"{place}: {why}, expected intervals to draw from; check what was identified, and fit again")
     return Covariance(tuple(row["labels"]), np.array(row["centre"]), np.array(row["matrix"]), row["freedom"])
 
 

@@ -93,7 +93,7 @@ class Identified:
         if sampling.history != segments.history:
             raise RunError(
                 f"{folder / CURVES}: {segments.history} samples of ctrl before the rollouts, expected "
-                f"{sampling.history} as the delay's bounds have it; run it again"
+                f"{sampling.history} by the delay's bounds; run it again"
             )
         values = {"bench": read_bench(result, bench), "friction": friction}
         return cls(folder, result, bench, model, state, values, segments, sampling, curves)
@@ -302,8 +302,8 @@ class Identified:
         """
         if not self.segments.count:
             raise RunError(
-                f"{self.place}: a card, which has no recordings, expected segments or a run's folder; give "
-                "rollout(segments), or take the run"
+                f"{self.place}: a card without recordings, expected segments or a run's folder; give "
+                "rollout(segments), or use the run"
             )
         return self.segments
 
@@ -368,7 +368,7 @@ class Identified:
         if lost.any():
             raise RunError(
                 f"{self.place}: the fitted drive diverges in {lost.sum()} of {segments.count} rollouts of "
-                f"{segments.length * segments.timestep:g} s, expected none to follow it; fit it again"
+                f"{segments.length * segments.timestep:g} s, expected none; fit it again"
             )
         return replace(segments, qpos=qpos, qvel=qvel)
 

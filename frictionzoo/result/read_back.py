@@ -89,7 +89,7 @@ def read_bench(result: Result, bench: Bench) -> dict[str, Float[np.ndarray, "nv"
     found = {row["name"]: row["value"] for row in result["parameters"] if row["owner"] == "bench"}
     if set(found) != set(bench.params):
         came, expected = (", ".join(sorted(names)) for names in (found, bench.params))
-        line = f"parameters {came} of the bench, expected {expected} as its settings have it; run it again"
+        line = f"parameters {came} of the bench, expected {expected} as in its settings; run it again"
         raise RunError(f"{RESULT}: {line}")
     return {name: np.broadcast_to(np.asarray(found[name], np.float64), bench.nv).copy() for name in bench.params}
 
@@ -112,7 +112,7 @@ def read_segments(path: Path, curves: Curves, interval: float, bench: Bench) -> 
         )
     if {*signals.inputs, *signals.observed} != {*bench.inputs} or any(shape != (samples, joints) for shape in others):
         raise RunError(
-            f"{path}: besides the command {', '.join([*signals.inputs, *signals.observed]) or 'nothing'}, expected "
+            f"{path}: inputs {', '.join([*signals.inputs, *signals.observed]) or 'nothing'}, expected "
             f"{', '.join(bench.inputs) or 'nothing'}, {samples} samples each; run it again"
         )
     load = curves.load if curves.load.shape[1] else None

@@ -1,4 +1,4 @@
-"""What `result.json` holds of the torque that is left, and whether that is noise, as types."""
+"""Types of the residual analysis in `result.json`."""
 
 from typing import Annotated, Literal, TypedDict
 
@@ -6,7 +6,7 @@ from frictionzoo.result.kinds import Count, NotNegative, Positive, Text
 
 
 class PlaceRow(TypedDict):
-    """Something of the motion that goes with the torque that is left."""
+    """A residual factor: a quantity that explains part of the residual torque."""
 
     place: Literal[
         "constant",
@@ -24,61 +24,64 @@ class PlaceRow(TypedDict):
         "reversal",
         "gap",
     ]
-    """What it changes with: nothing, a `constant` torque; `scale`, the torque that the motion needs; `limit`, what the
-    commands ask for beyond a limit; `late`, the rate of the actuator's torque; the speed; `slow`, low speeds; `fast`,
-    high ones; the direction; the load on the gear; the position, against the motion; `pull`, the position, alike in
-    both directions, which is no friction; the temperature; `reversal`, the time since the motion last turned round;
-    `gap`, the time around changes of the motor's direction."""
+    """Name of the factor. `constant`: a constant torque; `scale`: the torque needed for the motion; `limit`: commanded
+    torque beyond a limit; `late`: rate of the actuator torque, as from a delay; `speed`: speed; `slow`: low speed;
+    `fast`: high speed; `direction`: direction of motion; `load`: load on the gear; `position`: position, against the
+    motion; `pull`: position, alike in both directions, which is not friction; `temperature`: temperature; `reversal`:
+    time since the last reversal of the motion; `gap`: time around sign changes of the motor torque, as from
+    backlash."""
     value: float | None
-    """What explains it: the constant torque or the limit [unit], the factor of the actuator's torque, or the delay [s];
-    null: no one number does."""
+    """Estimated value: the constant torque or the limit [unit], the factor of the actuator torque, or the delay [s];
+    null: no single value."""
     periods: Positive | None
-    """Of a ripple over the position, as the law `ripple` has them: on a hinge, periods in a turn. null: it is none."""
+    """Periods of a ripple over the position, as in the model `ripple`: per turn on a hinge, 2 pi / period [1/m] on a
+    slide; null: no ripple."""
     share: float
-    """Share of the variance that is left, in stretches of time that were held out, beyond the places before it and
-    beyond what it explains where nothing is wrong."""
+    """Share of the residual torque's variance explained in held-out stretches of time, beyond the factors found before
+    it and beyond its effect in the reference (`noise`). For `gap`, the share concentrated around the sign changes."""
     torque: NotNegative
-    """Root mean square of that part [unit]."""
+    """Root mean square of the explained part [unit]."""
     chance: float
-    """Probability that noise scores as high in any of the places of any joint, at most."""
+    """Upper bound of the probability that noise alone gives such a result for any factor in any joint."""
     known: bool
-    """The law has a term for it already, of another form or at a bound."""
+    """Whether the model already has a term for this factor, in another form or with a parameter at a bound."""
     law: Text | None
-    """The law of the zoo that has such a term; null: none has."""
+    """Friction model of the package with such a term; null: none."""
     whole: bool
-    """That law has all terms of the present one, too."""
+    """Whether that model also has all terms of the present model."""
 
 
 class JointResidualRow(TypedDict):
-    """What is left of the torque of a joint while it moves."""
+    """Residual torque of a joint in motion."""
 
     joint: Text
-    """Its name."""
+    """Name of the joint."""
     rows: Count
-    """How many torques count."""
+    """Number of compared torques."""
     residual: NotNegative
-    """Root mean square of what is left [unit]."""
+    """Root mean square residual torque [unit]."""
     noise: NotNegative
-    """The same where nothing is wrong [unit]: of the identified drive, simulated under the same commands and measured
-    by an encoder with the same step and noise; where that moves otherwise, what such noise makes of the recording."""
+    """Root mean square residual torque of a reference without model error [unit]: the identified drive, simulated under
+    the same commands and measured with the same encoder step and noise. If its motion differs too much from the
+    recording, the effect of encoder noise on the recording."""
     friction: NotNegative
-    """The same of the friction: the law's, and what is left [unit]."""
+    """Root mean square friction: the model's friction plus the residual torque [unit]."""
     correlation: float
-    """Correlation of neighbours in time of what is left."""
+    """Correlation of the residual torque between consecutive samples."""
     noise_correlation: float
-    """The same of the noise."""
+    """The same for the reference (`noise`)."""
     kurtosis: float
-    """Excess kurtosis of what is left; 0 of normal noise."""
+    """Excess kurtosis of the residual torque; 0 for normal noise."""
     places: Annotated[list[PlaceRow], ("maxItems", 3)]
-    """What it goes with by more than chance, the largest share first; empty: nothing that was looked for."""
+    """Significant residual factors, largest share first; empty: no tested factor explains the residual torque."""
 
 
 class ResidualRow(TypedDict):
-    """What is left of the torque that the actuators give under the training commands."""
+    """Residual torque under the training commands."""
 
     unit: Literal["N m", "N"]
-    """Of all torques or forces here."""
+    """Unit of all torques or forces in this section."""
     bandwidth: Positive
-    """Frequency up to which they are compared [Hz]: that of `torque`, or lower where noise drowns the rest."""
+    """Bandwidth of the analysis [Hz]: as in `torque`, or lower if encoder noise dominates."""
     by_joint: list[JointResidualRow]
-    """Of each joint that moves enough."""
+    """Residual analysis of each joint that moves enough."""

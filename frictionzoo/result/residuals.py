@@ -160,10 +160,10 @@ def find_left(
             return None
         left = _narrow(Recordings(bench, model, logs), space, vector, filtering)
     except FrictionzooError as error:
-        _log.info("what is left of the torque is not looked at: %s", error)
+        _log.info("no residual analysis: %s", error)
         return None
     if not np.isfinite(left.torque).all():
-        _log.info("what is left of the torque is not looked at: it is not finite with these values")
+        _log.info("no residual analysis: the residual torque is not finite with these values")
         return None
     return left
 
@@ -182,7 +182,7 @@ def describe_residual(left: Left, space: Space, vector: Float[np.ndarray, "coord
     bench = left.recordings.bench
     slopes = [_slopes(each, space, vector) for each in (left, left.nothing) if each is not None]
     if not all(np.isfinite(part).all() for part in slopes):
-        _log.info("what is left of the torque is not looked at: it has no derivative with these values")
+        _log.info("no residual analysis: the residual torque has no derivative with these values")
         return None
     rows = [_describe(left, joint, slopes) for joint in range(bench.nv)]
     found = {"unit": UNITS[bench.joint_type]["torque"], "bandwidth": left.bandwidth}

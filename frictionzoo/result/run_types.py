@@ -1,4 +1,4 @@
-"""What `result.json` holds of how a run went, as types."""
+"""Types of the parts of `result.json` that describe the run."""
 
 from typing import Annotated, Literal, TypedDict
 
@@ -6,118 +6,121 @@ from frictionzoo.result.kinds import Count, Natural, NotNegative, Positive, Text
 
 
 class FitRow(TypedDict):
-    """How the parameters were found."""
+    """The fit."""
 
     method: str
-    """The optimiser: adam, lm or grid."""
+    """Fit method: adam, grid, inverse_dynamics, known, lm, several, or a registered one."""
     iterations: Natural
-    """Iterations that were made; for a grid, its points."""
+    """Number of iterations; for a grid, of its points."""
     best_iteration: Natural
-    """The iteration whose values are reported: that of the lowest loss on the whole training set."""
+    """Iteration with the lowest loss on the whole training set, counted from 0; the reported values are from this
+    iteration."""
     loss: float | None
-    """Loss of that iteration, weighted as configured."""
+    """Loss of the best iteration, weighted as configured."""
     stopped: Text
-    """Why the fit ended: converged, finished (all iterations made), patience, or diverged."""
+    """Reason why the fit ended: converged, finished (all iterations made), patience, or diverged."""
     falling: NotNegative
-    """Share of the lowest loss that the last tenth of the iterations took off; 0 where it converged by itself."""
+    """Relative decrease of the lowest loss in the last tenth of the iterations; 0 for a grid, and for a fit that
+    stopped early."""
     moving: list[str]
-    """Parameters, as `owner.name`, of several joints `owner.name/JOINT`, that still moved in the last tenth of the
-    iterations: by more than a third of half their interval, or 1 % of their value where they have none."""
+    """Parameters that still moved in the last tenth of the iterations: by more than a third of half their interval, or
+    by 1 % of their value if they have none. Names are `owner.name`, with several joints `owner.name/JOINT`."""
 
 
 class ChoiceRow(TypedDict):
-    """An option that was left open."""
+    """An option set automatically."""
 
     option: Text
-    """Its dotted name."""
+    """Dotted name of the option."""
     value: float | bool | str | list[float] | None
-    """What was chosen."""
+    """Chosen value."""
     reason: Text
-    """Why."""
+    """Reason for the choice."""
 
 
 class PairedRow(TypedDict):
-    """One joint's columns."""
+    """Columns of one joint."""
 
     joint: Text
-    """Its name."""
+    """Name of the joint."""
     columns: dict[str, str]
-    """Header of its column of each signal: `qpos`, `ctrl`, and others that were recorded. A column that serves all
-    joints stands with each of them."""
+    """Column header for each signal: `qpos`, `ctrl` and other recorded signals. A column that serves all joints is
+    listed for each of them."""
 
 
 class ColumnsRow(TypedDict):
-    """Logs with the same headers, and which column each joint got."""
+    """Logs with the same headers, and the columns of each joint."""
 
     logs: Annotated[list[str], ("minItems", 1)]
-    """Their names, as in `data.logs`."""
+    """Names of the logs, as in `data.logs`."""
     by: dict[str, Literal["name", "listed", "place"]]
-    """How the columns of each signal were matched. `name`: the headers name the joints. `listed`: the order of
-    `data.columns` counts. `place`: the headers have no names, and their order counts."""
+    """Matching of the columns of each signal. `name`: the headers name the joints. `listed`: the order of
+    `data.columns` counts. `place`: the headers do not name the joints, and the order of the columns counts."""
     joints: Annotated[list[PairedRow], ("minItems", 1)]
-    """Each joint, in the order of `joints`."""
+    """Columns of each joint, in the order of `joints`."""
 
 
 class TimingRow(TypedDict):
-    """Wall-clock seconds."""
+    """Wall-clock times [s]."""
 
     setup: NotNegative
-    """Reading or making data, building bench and model, and finding what was left open of the settings."""
+    """Time to read or simulate the data, build bench and model, run the diagnostics, choose automatic settings and
+    verify the engine [s]."""
     compile: NotNegative
-    """Compiling the fit's rollouts."""
+    """Compilation time of the fit's rollouts [s]."""
     fit: NotNegative
-    """The fit without compiling."""
+    """Time of the fit without compilation [s]."""
     uncertainty: NotNegative
-    """The intervals of the parameters, with compiling."""
+    """Time to estimate the intervals, with compilation [s]."""
     evaluate: NotNegative
-    """The rollouts of the evaluation."""
+    """Time of the evaluation rollouts, the fit without friction and the residual analysis [s]."""
     total: NotNegative
-    """From the start of the run to this file."""
+    """Time from the start of the run to this file [s]."""
 
 
 class ProofRow(TypedDict):
-    """How far the engine is from MuJoCo C."""
+    """Difference between the engine and MuJoCo C."""
 
     step: NotNegative
-    """Largest difference of a position or velocity after one step [rad or m, rad/s or m/s], relative where they are
-    above 1."""
+    """Largest difference of a position or velocity after one step [rad or m, rad/s or m/s]; relative for values above
+    1."""
     rollout: NotNegative
     """The same after all steps."""
     cases: Count
-    """Rollouts."""
+    """Number of rollouts."""
     steps: Count
-    """Steps in each."""
+    """Steps in each rollout."""
 
 
 class WrittenRow(TypedDict):
-    """A model file that the run left behind, played in MuJoCo C beside the identified drive.
+    """A model file written by the run, and its difference from the identified drive in MuJoCo C.
 
-    It is loaded as it is: its time step, integrator, actuators and their delay are those of the file, and `ctrl` is the
-    recorded command. A robot's own file is played on the bench's stand: base and other joints stand still, contacts and
-    limits act where the bench has them.
+    The file is loaded unchanged: with its timestep, integrator, actuators and actuator delay, and with the recorded
+    command as `ctrl`. A robot's own file is simulated under the conditions of the bench: base and other joints are
+    fixed, and it has the contacts and limits of the bench.
     """
 
     file: Text
-    """Its name in the run's folder."""
+    """File name in the run's folder."""
     timestep: Positive
-    """Its time step [s]."""
+    """Timestep of the file [s]."""
     mean: NotNegative | None
-    """Mean absolute difference of positions from the identified drive's in the long test rollouts [unit]; null where it
-    was not played, and `limits` say why."""
+    """Mean absolute position difference from the identified drive in the long test rollouts [unit]; null: not compared,
+    for the reason in `limits`."""
     largest: NotNegative | None
-    """Largest absolute difference of positions [unit]."""
+    """Largest absolute position difference [unit]."""
     unit: Literal["rad", "m"]
     """Unit of the differences."""
     share: NotNegative | None
-    """`mean` as a share of the drive's own error, `metrics.test.position_mae`."""
+    """`mean` relative to the identified drive's test error, `metrics.test.position_mae`."""
     exact: bool
-    """Whether the largest difference is rounding: at most 1e-9."""
+    """Whether the largest difference is rounding error, at most 1e-9."""
     over: str
-    """The rollouts, in words; empty where there were none."""
+    """Description of the compared rollouts; empty: none."""
     reason: str
-    """In a few words, why it moves differently; empty where it should not."""
+    """Short reason for the difference; empty: no difference is expected."""
     limits: list[Text]
-    """What the file cannot hold and what its user has to know, a sentence each."""
+    """Limits of the file and instructions for its user, one sentence each."""
 
 
 Versions = TypedDict(

@@ -36,7 +36,7 @@ def put_into_simulator(drive: "Identified", timestep: float | None, integrator: 
     settings, values, continuous = drive.result["settings"]["bench"], drive.values, drive.bench.second_order
     if integrator == RK4 and not continuous:
         raise ConfigError(
-            f"integrator={RK4}: the parameters are those for steps of {drive.timestep:g} s, expected a drive in "
+            f"integrator={RK4}: the parameters hold for steps of {drive.timestep:g} s, expected a drive in "
             "continuous time; identify it with bench.second_order=true"
         )
     if timestep is None:

@@ -70,7 +70,7 @@ def measure_torque(
         equation = TorqueEquation(space, recordings, *filtering, measured=measured)
         left, driving = equation.lack(vector), equation.driving(vector)
     except FrictionzooError as error:
-        _log.info("what torque is left is not measured: %s", error)
+        _log.info("residual torque not computed: %s", error)
         return None
     seen = int(np.cumsum(equation.rows)[train - 1])
     halves = [np.split(torque, [seen]) for torque in (left, driving)]
@@ -84,13 +84,13 @@ def _find_torque(recordings: Recordings) -> Literal["torque", "ctrl"] | None:
     """What of the recordings is torque: `torque`, `ctrl` or nothing."""
     bench, model, logs = recordings
     if isinstance(model, TorchFriction):
-        _log.info("what torque is left is not measured: %s exists only in torch", model.name)
+        _log.info("residual torque not computed: %s exists only in torch", model.name)
         return None
     recorded = [log.extras.get("torque") for log in logs]
     if all(torque is not None and torque.shape == log.qpos.shape for torque, log in zip(recorded, logs, strict=True)):
         return "torque"
     if any(torque is not None for torque in recorded):
-        _log.warning("torque is not recorded of every joint in every log, so that it is not compared")
+        _log.warning("recorded torque is not compared: not every log has it for every joint")
     return "ctrl" if isinstance(bench.actuator, Force) else None
 
 

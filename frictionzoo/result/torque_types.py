@@ -1,4 +1,4 @@
-"""What `result.json` holds of recorded torque and of link inertia that is found by it, as types."""
+"""Types of recorded torque and of link inertias estimated from it in `result.json`."""
 
 from typing import Annotated, Literal, TypedDict
 
@@ -6,117 +6,118 @@ from frictionzoo.result.kinds import Moments, Natural, NotNegative, Positive, Te
 
 
 class TorqueErrorsRow(TypedDict):
-    """Root mean squares over all compared samples of one part, of one joint, or their mean over the joints [unit].
+    """Root mean squares over all compared samples of one part, for one joint or as the mean over the joints [unit].
 
-    null: it is not finite.
+    null: not finite.
     """
 
     residual: NotNegative | None
-    """Of the torque that is left: the drive's less what armature, friction and the links need for the motion."""
+    """Residual torque: the drive's torque minus the torque that armature, friction and links need for the motion."""
     torque: NotNegative | None
-    """Of the drive's torque itself."""
+    """The drive's torque."""
 
 
 class TorquePartsRow(TypedDict):
-    """The mean over the joints on each part of the data."""
+    """Mean over the joints on each part of the data."""
 
     train: TorqueErrorsRow
-    """On the logs that the fit saw."""
+    """Torques on the training logs."""
     test: TorqueErrorsRow
-    """On the logs that it did not see."""
+    """Torques on the test logs."""
 
 
 class JointTorqueRow(TypedDict):
-    """One joint on each part of the data."""
+    """Torques of one joint on each part of the data."""
 
     joint: Text
-    """Its name."""
+    """Name of the joint."""
     train: TorqueErrorsRow
-    """On the logs that the fit saw."""
+    """Torques on the training logs."""
     test: TorqueErrorsRow
-    """On the logs that it did not see."""
+    """Torques on the test logs."""
 
 
 class TorqueRow(TypedDict):
-    """What is left of recorded torque, joint by joint."""
+    """Residual torque of each joint."""
 
     compared: Literal["torque", "ctrl"]
-    """What is the drive's torque. torque: that recorded beside the command, at its instant and as it is; the actuator
-    law and its offsets have no part in it. ctrl: the command of a torque drive by its actuator law, with the final
-    gain, offset, limits and delay."""
+    """Source of the drive's torque. torque: the recorded torque at its instant, unchanged by actuator model and
+    offsets. ctrl: the command of a torque drive through its actuator model, with the final gain, offset, limits and
+    delay."""
     unit: Literal["N m", "N"]
     """Unit of the torques."""
     bandwidth: Positive
-    """Frequency up to which torques are compared [Hz]; see `evaluation.torque`."""
+    """Bandwidth of the comparison [Hz]; see `evaluation.torque`."""
     held: bool
-    """Whether the command acts until the next sample; if not, at its instant alone, as measured torque does."""
+    """Whether the command is held until the next sample; false: it acts at its instant only, like measured torque."""
     mean: TorquePartsRow
     """Mean over the joints."""
     by_joint: Annotated[list[JointTorqueRow], ("minItems", 1)]
-    """The same joint by joint, in the order of `joints`."""
+    """The same for each joint, in the order of `joints`."""
 
 
 class InertiaRow(TypedDict):
-    """A body's inertia."""
+    """Inertia of a body."""
 
     mass: Positive
-    """[kg]"""
+    """Mass [kg]."""
     centre: Vector
     """Centre of mass x, y, z in the body's frame [m]."""
     inertia: Moments
-    """About the centre, along the axes of the frame: ixx, iyy, izz, ixy, ixz, iyz [kg m^2]."""
+    """Inertia about the centre of mass, along the axes of the body's frame: ixx, iyy, izz, ixy, ixz, iyz [kg m^2]."""
 
 
 class LinkRow(TypedDict):
-    """A link whose inertia was identified along."""
+    """A link with estimated inertia."""
 
     body: Text
-    """Its name."""
+    """Name of the body."""
     found: InertiaRow
-    """As identified: pulled towards the maker's, and that of a body of matter."""
+    """Estimated inertia; physically consistent, with the model file's inertia as the prior."""
     maker: InertiaRow
-    """As the model file has it."""
+    """Inertia in the model file."""
     prior_only: list[str]
-    """Which of its parameters m, mx, my, mz [kg, kg m], Ixx, Iyy, Izz, Ixy, Ixz, Iyz [kg m^2, about the frame's origin]
-    the data say nothing of, or only in combinations that they do not determine: those are the prior's."""
+    """Parameters of the link that the data do not determine, alone or in combination; their values come from the prior.
+    Symbols: m [kg], mx, my, mz [kg m], Ixx, Iyy, Izz, Ixy, Ixz, Iyz [kg m^2, about the frame's origin]."""
 
 
 class BaseRow(TypedDict):
-    """A base parameter: a combination of parameters of links, armatures and whatever else acts on torque."""
+    """A base parameter: a combination of parameters of links, armatures and other torque terms."""
 
     combination: Text
-    """Its parameters; the first is the one it is named after."""
+    """The combination in words; its first parameter gives it its name."""
     value: float
-    """In SI units."""
+    """Value in SI units."""
     error: NotNegative | None
-    """Standard error by the data alone; null: infinite."""
+    """Standard error from the data alone, without the prior; null: infinite."""
     determined: bool
-    """Whether the data give it its value, and not the prior: the error is below a third of the prior's deviation, or of
-    the value where that has no prior."""
+    """Whether the data, not the prior, determine the value: the standard error is below a third of the prior's standard
+    deviation, or of the value if it has no prior."""
 
 
 class GravityRow(TypedDict):
-    """Gravity in the frame of the base, as strong as the model file has it."""
+    """Gravity in the frame of the base, with the magnitude of the model file."""
 
     found: Vector
-    """As identified [m/s^2]."""
+    """Estimated gravity [m/s^2]."""
     maker: Vector
-    """As the model file has it [m/s^2]."""
+    """Gravity in the model file [m/s^2]."""
     angle: NotNegative
-    """Between the two: how far the base stands askew [rad]."""
+    """Angle between the two, the tilt of the base [rad]."""
     error: NotNegative | None
-    """Standard error of the angle, with the links' prior, the larger of two directions' [rad]; null: infinite."""
+    """Standard error of the angle, with the prior of the links: the larger value of two directions [rad]; null:
+    infinite."""
 
 
 class LinksRow(TypedDict):
-    """Inertias of links, and gravity, that were identified along, before all else."""
+    """Link inertias and gravity, estimated before the fit."""
 
     links: list[LinkRow]
-    """What was found of each; all that follows in the run takes it for known."""
+    """Estimated inertia of each link; the rest of the run treats it as known."""
     gravity: GravityRow | None
-    """Gravity that was found along (`fit.tilt`), known from then on likewise; null: it is the model file's."""
+    """Estimated gravity (`fit.tilt`); the rest of the run treats it as known. null: gravity of the model file."""
     determined: Natural
-    """How many base parameters the data determine."""
+    """Number of base parameters determined by the data."""
     base: list[BaseRow]
-    """All that torque can tell of the links and of what was identified with them; parameters in none of them have no
-    effect."""
+    """All base parameters that torque can determine, of the links and of the parameters estimated with them; parameters
+    in none of them have no effect."""

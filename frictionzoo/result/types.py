@@ -1,7 +1,7 @@
-"""What `result.json` holds, as types.
+"""Types of `result.json`.
 
-`make docs` makes `result.schema.json` from them: the text below a key describes it, and what stands beside a type in
-`Annotated` are keywords of JSON schema.
+`make docs` generates `result.schema.json` from them: the text below a key becomes its description, and the entries of
+`Annotated` after a type become JSON schema keywords.
 """
 
 from typing import Annotated, Any, Literal, TypedDict
@@ -31,136 +31,139 @@ from frictionzoo.result.verdict_types import VerdictRow
 
 
 class LogRow(TypedDict):
-    """One recording, or a block of one."""
+    """One recording or one block of a recording."""
 
     name: str
-    """Its source; `NAME[part]` for a block of time of a recording."""
+    """Source of the log; `NAME[part]` for a block of time of a recording."""
     part: Literal["train", "test"]
-    """Whether the fit saw it."""
+    """Use of the log: `train` in the fit, `test` held out."""
     samples: Samples
-    """Its samples."""
+    """Number of samples."""
     sha256: Sha256
-    """Hash of the whole source that it came from."""
+    """SHA-256 of the log's whole source."""
     payload: Carried | None
-    """What the drive carried: mass [kg], centre x, y, z [m], inertia ixx, iyy, izz [kg m^2]."""
+    """Payload of the drive: mass [kg], centre of mass x, y, z [m], inertia ixx, iyy, izz [kg m^2]."""
 
 
 class DataRow(TypedDict):
-    """What was read, or made by a simulator."""
+    """The data set, recorded or simulated."""
 
     name: str
-    """The data set."""
+    """Name of the data set."""
     sha256: Sha256
-    """Hash of what was read: the source's where there is one; for several sources, the hash of their distinct hashes
-    in the order of `logs`, joined by line feeds."""
+    """SHA-256 of the source; for several sources, SHA-256 of their distinct hashes in the order of `logs`, joined by
+    line feeds."""
     origin: Origin | None
-    """What `data.origin` states: recorded on hardware, or made by a simulator, if only in part; null: not stated."""
+    """Origin stated by `data.origin`: hardware recordings, or data that are simulated at least in part; null: not
+    stated."""
     timestep: Positive
     """Sample interval [s]."""
     samples: Samples
-    """Samples in all logs, train and test."""
+    """Number of samples in all logs, training and test."""
     logs: Annotated[list[LogRow], ("minItems", 2)]
-    """Every recording or block of one."""
+    """All recordings or blocks of recordings."""
 
 
 class ValueRow(TypedDict):
-    """A parameter's value of one joint, or of joints that share it."""
+    """Value of a parameter for one joint, or for joints that share a value."""
 
     name: Text
-    """The joint, or the group of joints: its name in `tie`, or `all joints`. Of known values, joints of a group that do
-    not have the same one are told apart."""
+    """Joint or group of joints: the group's name in `tie`, or `all joints`. Joints of a group with different known
+    values have separate entries."""
     joints: Joints
-    """Names of the joints that have the value."""
+    """Names of the joints with this value."""
     value: float
-    """In the parameter's unit."""
+    """Value in the parameter's unit."""
     low: float
     """Lower bound of the fit."""
     high: float
     """Upper bound of the fit."""
     identified: bool
-    """True: the fit chose the value. False: it was given."""
+    """Whether the fit chose the value; false: known value."""
     at_bound: bool
-    """The fit ended at a bound; false for a known value."""
+    """Whether the fit ended at a bound; false for a known value."""
     interval: Interval | None
-    """Lower and upper end of the 95 % interval; null: none."""
+    """95 % confidence interval [lower end, upper end]; null: none."""
     identifiable: bool | None
-    """Whether the data determine it; null: known, or nobody asked."""
+    """Whether the data determine the value; null: known value, or no intervals estimated."""
 
 
 class ReferenceRow(TypedDict):
-    """One parameter of the bench without friction."""
+    """One parameter of the frictionless reference."""
 
     name: str
-    """As in `parameters`."""
+    """Name of the parameter, as in `parameters`."""
     owner: Literal["bench"]
-    """It has no friction law."""
+    """Owner of the parameter; always the bench, because the reference has no friction."""
     value: float | PerJoint
-    """A number for one joint, a list in the order of the joints for several."""
+    """Value; with several joints, a list in their order."""
     unit: str
-    """SI unit; 1 for a pure number."""
+    """SI unit; 1 for a dimensionless number."""
     low: float | PerJoint
-    """Lower bound of the fit; a list in the order of the joints where they differ."""
+    """Lower bound of the fit; a list in the order of the joints if it differs between them."""
     high: float | PerJoint
-    """Upper bound of the fit, likewise."""
+    """Upper bound of the fit; a list in the order of the joints if it differs between them."""
     identified: bool
-    """True: the fit chose the value, of several joints that of one at least. False: it was given."""
+    """Whether the fit chose the value, in at least one joint; false: known value."""
     at_bound: bool
-    """It ended at a bound, in one joint at least: then errors without friction are those of no drive, and a change
-    against them says little."""
+    """Whether the fit ended at a bound, in at least one joint. If true, the reference is not a realistic drive, and
+    changes relative to its errors mean little."""
     by_joint: Annotated[list[ValueRow], ("minItems", 1)]
-    """The same joint by joint, in their order; joints that share a value are one entry."""
+    """The same for each joint, in their order; joints that share a value have one entry."""
 
 
 class ParameterRow(TypedDict):
-    """One physical parameter of bench or friction law."""
+    """One physical parameter of the bench or the friction model."""
 
     name: str
-    """MuJoCo's or the literature's word."""
+    """Name of the parameter in MuJoCo or the literature."""
     owner: Literal["bench", "friction"]
-    """What it belongs to."""
+    """Owner of the parameter: bench or friction model."""
     value: float | WhereThere
-    """A number for one joint, a list in the order of the joints for several; null where a joint's law has no such
+    """Value; with several joints, a list in their order, with null for joints whose friction model lacks the
     parameter."""
     unit: str
-    """SI unit; 1 for a pure number."""
+    """SI unit; 1 for a dimensionless number."""
     low: float | WhereThere
-    """Lower bound of the fit; a list in the order of the joints where they differ."""
+    """Lower bound of the fit; a list in the order of the joints if it differs between them."""
     high: float | WhereThere
-    """Upper bound of the fit, likewise."""
+    """Upper bound of the fit; a list in the order of the joints if it differs between them."""
     identified: bool
-    """True: the fit chose the value, of several joints that of one at least. False: it was given."""
+    """Whether the fit chose the value, in at least one joint; false: known value."""
     at_bound: bool
-    """The fit ended at a bound, in one joint at least, so that the data may ask for more than the bounds allow; false
-    for known parameters."""
+    """Whether the fit ended at a bound, in at least one joint; false for a known value. At a bound, the best value may
+    lie outside the bounds."""
     interval: Interval | Intervals | None
-    """Lower and upper end of the 95 % interval, by the spread between stretches of the training data, or between
-    recordings, and with `discretisation` from the value to where shorter steps would have it, within the bounds; for
-    several joints a list of them in their order. null: none, for a known parameter, at a bound, and where
-    the data show no effect of it, or one in combination with others only; see also `no_intervals`."""
+    """95 % confidence interval [lower end, upper end], limited to the bounds; with several joints, a list in their
+    order. It follows from the curvature of the loss and the variation of its gradient between stretches of the training
+    data, or between recordings. With `discretisation`, it extends to the value extrapolated to a timestep of 0. null:
+    known value, value at a bound, no effect on the data, or an effect only in combination with other parameters; see
+    also `no_intervals`."""
     identifiable: bool | None
-    """Whether the data determine it. False: it has no interval, or one that reaches a bound or is too wide, in any
-    joint. null: known, or there are no intervals."""
+    """Whether the data determine the value. false: in at least one joint, the interval is missing, reaches a bound or
+    is too wide. null: known value, or no intervals estimated."""
     by_joint: Annotated[list[ValueRow], ("minItems", 1)]
-    """The same joint by joint, in their order; joints that share a value are one entry."""
+    """The same for each joint, in their order; joints that share a value have one entry."""
 
 
 class NetworkRow(TypedDict):
-    """A law's trained network."""
+    """Trained network of a friction model."""
 
     weights: Count
-    """Number of its weights and biases."""
+    """Number of weights and biases."""
 
 
 class MetricsRow(TypedDict):
     """Errors of open-loop rollouts from measured states under recorded commands.
 
-    Diverged rollouts are left out of the errors.
+    The errors exclude diverged rollouts.
     """
 
     position_mae: NotNegative | None
-    """Mean over rollouts of each one's absolute position error, averaged over time and joints [unit]."""
+    """Mean absolute position error: average over time and joints in each rollout, then mean over the rollouts
+    [unit]."""
     position_mae_std: NotNegative | None
-    """Population standard deviation of that error over the rollouts [unit]; 0 for one rollout."""
+    """Population standard deviation of the rollouts' mean absolute position errors [unit]; 0 for one rollout."""
     position_rmse: NotNegative | None
     """Root mean square position error over all samples [unit]."""
     velocity_rmse: NotNegative | None
@@ -172,24 +175,24 @@ class MetricsRow(TypedDict):
     horizon: Positive
     """Length of each rollout [s]."""
     rollouts: Count
-    """How many were simulated."""
+    """Number of simulated rollouts."""
     diverged: Natural
-    """How many of them left the finite numbers."""
+    """Number of diverged rollouts, with a value that is not finite."""
 
 
 class PartsRow(TypedDict):
     """Errors on each part of the data."""
 
     train: MetricsRow
-    """On the logs that the fit saw."""
+    """Errors on the training logs."""
     test: MetricsRow
-    """On the logs that it did not see."""
+    """Errors on the test logs."""
     baseline: MetricsRow
-    """The same bench identified without friction on the same segments, judged on the rollouts of `test`."""
+    """Errors of the frictionless reference on the rollouts of `test`."""
 
 
 class JointErrorsRow(TypedDict):
-    """Errors of one joint in the rollouts of one part, those that diverged left out."""
+    """Errors of one joint in the rollouts of one part, without diverged rollouts."""
 
     position_mae: NotNegative | None
     """Mean absolute position error [unit]; its mean over the joints is `metrics.PART.position_mae`."""
@@ -203,13 +206,13 @@ class JointRow(TypedDict):
     """Errors of one joint on each part of the data, in the rollouts and units of `metrics`."""
 
     joint: Text
-    """Its name."""
+    """Name of the joint."""
     train: JointErrorsRow
-    """On the logs that the fit saw."""
+    """Errors on the training logs."""
     test: JointErrorsRow
-    """On the logs that it did not see."""
+    """Errors on the test logs."""
     baseline: JointErrorsRow
-    """The same bench identified without friction on the same segments, judged on the rollouts of `test`."""
+    """Errors of the frictionless reference on the rollouts of `test`."""
 
 
 class HorizonRow(TypedDict):
@@ -218,55 +221,57 @@ class HorizonRow(TypedDict):
     horizon: Positive
     """Length of each rollout [s]."""
     train: MetricsRow
-    """On the logs that the fit saw."""
+    """Errors on the training logs."""
     test: MetricsRow
-    """On the logs that it did not see."""
+    """Errors on the test logs."""
     baseline: MetricsRow
-    """The same bench identified without friction on the same segments, judged on the rollouts of `test`."""
+    """Errors of the frictionless reference on the rollouts of `test`."""
 
 
 class ContrastRow(TypedDict):
-    """One simulated drive beside another."""
+    """Errors with and without friction."""
 
     model: MetricsRow
-    """The identified drive."""
+    """Errors of the identified drive."""
     baseline: MetricsRow
-    """The same bench identified without friction on the same segments, judged on the same rollouts."""
+    """Errors of the frictionless reference on the same rollouts."""
 
 
 class PaperRow(TypedDict):
     """The two evaluations of Kovalev et al. (2026), on test data."""
 
     a: ContrastRow
-    """One long rollout, which figures 4 and 5 show."""
+    """One long rollout, as in figures 4 and 5."""
     b: ContrastRow
     """Rollouts of the main horizon at random places."""
 
 
 class EvaluationRow(TypedDict):
-    """The rollouts on which the drive was judged."""
+    """The evaluation rollouts."""
 
     sha256: Sha256
-    """Hash of all measured windows; runs with the same one were judged on the same rollouts and can be compared."""
+    """SHA-256 of all measured windows and payloads. Runs with the same hash have the same evaluation rollouts and can
+    be compared."""
     window: Positive
-    """Length of the moving mean over the error of the long rollout, in figures [s]."""
+    """Width of the moving mean of the long rollout's error in figures [s]."""
 
 
 class CovarianceRow(TypedDict):
-    """How sure parameters are together: a multivariate Student's t distribution of all that have an interval.
+    """Joint uncertainty of all parameters with an interval: a multivariate Student's t distribution.
 
-    It is one of the optimiser's coordinates, logarithms or values over a scale; its marginals are the intervals.
+    It describes the optimiser's coordinates: logarithms, or values divided by a scale. Its marginals are the intervals.
     """
 
     labels: Annotated[list[Text], ("minItems", 1)]
-    """Their full names OWNER.NAME, of several joints OWNER.NAME/JOINT with the name of the joint, or of the joints that
-    share the value."""
+    """Full names of the parameters: OWNER.NAME; with several joints OWNER.NAME/JOINT, where JOINT is the joint or the
+    group that shares the value."""
     scale: list[Literal["log"] | float]
-    """What makes a coordinate of a value: `log`, or the number that it is divided by."""
+    """Conversion from value to coordinate: `log`, or the divisor."""
     centre: list[float]
-    """Middle of each interval; the identified value, unless the fit ended away from its minimum."""
+    """Middle of each interval, as coordinates; the identified value, unless the fit ended away from its minimum."""
     matrix: list[list[float]]
-    """Its shape: half an interval is the 97.5 % quantile of Student's t times the root of the diagonal."""
+    """Shape matrix: half an interval is the 97.5 % quantile of Student's t times the square root of the diagonal
+    entry."""
     freedom: Positive
     """Degrees of freedom of the t distribution."""
 
@@ -274,88 +279,90 @@ class CovarianceRow(TypedDict):
 class Result(TypedDict):
     """The record of one identification run.
 
-    Numbers are SI, angles radians; null stands for a number that does not exist (all rollouts diverged, or nothing was
-    fitted). A run writes this file last: where it exists, the run's other files do too.
+    Numbers are in SI units, angles in radians. null stands for a number that does not exist, for example if all
+    rollouts diverged or nothing was fitted. A run writes this file last: if it exists, so do the run's other files.
     """
 
     schema_version: Literal[8]
-    """Raised by every change that a reader of this file could notice."""
+    """Schema version, increased by every change that affects readers of the file."""
     model: Text
-    """The chosen model, a file of conf/model."""
+    """Name of the friction model, a file of conf/model."""
     joints: Joints
-    """Names of the identified joints, in the order of lists."""
+    """Names of the identified joints; lists with one entry for each joint have this order."""
     data: DataRow
     columns: list[ColumnsRow]
-    """Which columns of the recordings belong to which joint; empty for recordings that came from no table."""
+    """Columns of each joint in the recordings; empty if the recordings are not tables."""
     parameters: list[ParameterRow]
-    """Physical parameters of bench and friction law. A network's weights are in friction.safetensors."""
+    """Physical parameters of bench and friction model. Network weights are in friction.safetensors."""
     indistinct: list[Annotated[list[str], ("minItems", 2)]]
-    """Groups of parameters that the data cannot tell apart, by their full names OWNER.NAME, of several joints
-    OWNER.NAME/JOINT with the name of the joint, or of the joints that share the value. Only a combination of a group is
-    determined, so make all but one of it known."""
+    """Groups of parameters that the data cannot tell apart, by full name: OWNER.NAME; with several joints
+    OWNER.NAME/JOINT, where JOINT is the joint or the group that shares the value. The data determine only a combination
+    of each group: set all but one of its parameters to known values."""
     no_intervals: str | None
-    """Why no parameter has an interval; null where the data were asked for them."""
+    """Reason why no parameter has an interval; null: intervals estimated."""
     covariance: CovarianceRow | None
-    """How sure parameters are together; null where none has an interval."""
+    """Joint uncertainty of the parameters; null: no parameter has an interval."""
     network: NetworkRow | None
-    """The law's trained network; null for a law without one."""
+    """Trained network of the friction model; null: the model has none."""
     metrics: PartsRow
-    """Open-loop rollouts at the main horizon, the first of `by_horizon`."""
+    """Errors of open-loop rollouts at the main horizon, the first of `by_horizon`."""
     by_joint: Annotated[list[JointRow], ("minItems", 1)]
     """Errors of each joint in the rollouts of `metrics`, in the order of `joints`."""
     torque: TorqueRow | None
-    """What is left of recorded torque with the final values, without a simulation: the drive's torque less armature
-    times acceleration, friction while sliding, and MuJoCo's inverse dynamics of the links, at the recorded positions,
-    low-passed forwards and backwards, with velocities and accelerations from these alone. All of it passes the low-pass
-    of inverse_dynamics, forwards and backwards, and is decimated to two and a half samples a period of the bandwidth.
-    The ends of each log, one such period, are left out; all other samples count, slow ones too. A law with a memory
-    counts by what it comes down to at constant velocity. null where the recordings have no torque, for a law that
-    exists only in torch, and where the logs are too short."""
+    """Residual torque against recorded torque, with the final values and without a simulation: the drive's torque minus
+    armature times acceleration, sliding friction, and the links' torque from MuJoCo's inverse dynamics. Positions are
+    the recorded ones after a zero-phase low-pass; velocities and accelerations are their derivatives. All torques pass
+    the zero-phase low-pass of inverse_dynamics and are decimated to 2.5 samples per period of the bandwidth. One such
+    period at each end of each log is excluded; all other samples count, slow ones too. A model with memory contributes
+    its steady torque at constant velocity. null: no recorded torque, a model that exists only in torch, or logs that
+    are too short."""
     residual: ResidualRow | None
-    """Whether the drive leaves only noise of the training recordings' torque, without a simulation: the torque of the
-    actuators by their law, less armature times acceleration, friction, and MuJoCo's inverse dynamics of the links, at
-    the recorded positions, filtered as in `torque`. Samples near a joint's rest are left out; a law with a memory
-    carries it along. null where the training recordings are too short."""
+    """Residual analysis of the training recordings, without a simulation: whether the residual torque is noise, and
+    otherwise which factors explain it. The residual torque is the actuator model's torque minus armature times
+    acceleration, friction, and the links' torque from MuJoCo's inverse dynamics, filtered as in `torque`. Samples near
+    rest are excluded. The memory of a friction model follows the recorded motion. null: the training recordings are too
+    short, or the residual torque or its derivative is not finite."""
     links: LinksRow | None
-    """Inertias of links that `fit.links` names, and gravity with `fit.tilt`, and how far the data determine them; null
-    where there are none."""
+    """Link inertias (`fit.links`) and gravity (`fit.tilt`) estimated before the fit, with their uncertainty; null:
+    neither was estimated."""
     reference: list[ReferenceRow]
-    """Parameters of the bench without friction, whose errors `metrics.baseline` holds."""
+    """Parameters of the frictionless reference: the same bench, fitted without friction to the same segments. Its
+    errors are in `metrics.baseline`."""
     by_horizon: Annotated[list[HorizonRow], ("minItems", 1)]
-    """The same metrics at every horizon of the evaluation."""
+    """The errors of `metrics` at every horizon of the evaluation."""
     paper: PaperRow
     evaluation: EvaluationRow
     fit: FitRow
     timing: TimingRow
     recipe: list[ChoiceRow]
-    """With `recipe=auto`, what was left open and found on the training recordings, in the order in which it was found;
-    empty where all options were given."""
+    """Automatic settings (`recipe=auto`): the options chosen on the training recordings, in the order of choice; empty:
+    no option was chosen."""
     seed: int
-    """Seed of everything random in the run."""
+    """Seed of all random numbers in the run."""
     dtype: Number
-    """Number type of the simulation."""
+    """Floating-point type of the simulation."""
     engine: Simulator
-    """What simulated."""
+    """Simulation engine."""
     proof: ProofRow
-    """How far the engine is from MuJoCo C with the MJCF that would be exported, in float64, on short rollouts from
-    states within the recorded range and beyond, before the fit. A run in which they differ by more than 1e-9 does not
-    begin."""
+    """Verification: largest difference between the engine and MuJoCo C with the MJCF that would be exported, in
+    float64, on short rollouts from states within and beyond the recorded range. A run with a difference above 1e-9
+    stops before the fit."""
     warnings: list[Text]
-    """What in the recordings, in the recorded motion of the model, or in the size of what was identified makes the
-    result doubtful, a sentence each with what mends it."""
+    """Reasons to doubt the result, one sentence each with the remedy, from the diagnostics of recordings and bench and
+    from the automatic settings."""
     notes: list[Text]
-    """What a robot's file has that was left out or changed, a sentence each."""
+    """Parts of a robot's model file that were left out or changed, one sentence each."""
     written: list[WrittenRow]
-    """The model files that the run left behind; empty for a drive that was not saved."""
+    """Model files written by the run; empty for a drive that was not saved."""
     not_identified: list[Text] | None
-    """Null, or that the fit did not identify the drive: why that is said, and the likely reasons, the likeliest
-    first."""
+    """Reason why the fit did not identify the drive, followed by the likely causes, likeliest first; null: no sign of
+    failure."""
     verdict: VerdictRow
-    """What a good reviewer would say of it, and what to do next."""
+    """Overall assessment of the result, with next steps."""
     device: Text
-    """Where it ran, for example cpu."""
+    """Device of the computation, for example cpu."""
     versions: Versions
-    """Versions of what the numbers depend on."""
+    """Versions of the packages that affect the numbers."""
     settings: dict[str, Any]
-    """Every option of the run, as `.hydra/config.yaml` has them, with all values computed; of a distilled drive also
-    `teacher`, the folder of the run that it follows."""
+    """All options of the run, as in `.hydra/config.yaml`, with computed values. For a distilled drive also `teacher`,
+    the folder of the teacher's run."""

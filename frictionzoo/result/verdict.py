@@ -21,9 +21,9 @@ from frictionzoo.result.verdict_types import CommandRow, FindingRow, VerdictRow
 DO_NOT_USE = "do not use it"
 """Grade of a result of which no value is to be used."""
 PURPOSES = {
-    "repair": "the repair",
-    "inspect": "the recordings to look at",
-    "law": "the law to try",
+    "repair": "the corrected run",
+    "inspect": "the recordings to inspect",
+    "law": "the model to try",
     "recording": "the recording to make",
     "export": "the export",
 }
@@ -44,19 +44,19 @@ DOUBTED = 0.2  # share of recorded torque that may be left without being told
 ALIKE = 0.5  # correlation of neighbours from which on what is left is no noise
 PLACES = {
     "constant": "a constant torque",
-    "scale": "a factor of the torque that the links need",
-    "limit": "what the commands ask for beyond a torque limit",
-    "late": "a delay of the actuator's torque",
-    "speed": "the speed",
-    "slow": "low speed, as where friction falls while the drive sets out,",
-    "fast": "high speed, as where friction grows faster than the speed,",
-    "direction": "the direction",
-    "load": "the load on the gear",
-    "position": "the position",
-    "pull": "the position, alike in both directions,",
-    "temperature": "the temperature",
-    "reversal": "the time since the motion turned round, as where friction builds up over a displacement,",
-    "gap": "the time around changes of the motor's direction, as where a gear has backlash,",
+    "scale": "a scale error of the torque",
+    "limit": "commanded torque beyond a limit",
+    "late": "a delay of the torque",
+    "speed": "speed",
+    "slow": "low speed (as with the Stribeck effect)",
+    "fast": "high speed (as with friction that grows faster than speed)",
+    "direction": "direction",
+    "load": "load on the gear",
+    "position": "position",
+    "pull": "a position-dependent torque equal in both directions",
+    "temperature": "temperature",
+    "reversal": "time since the last reversal (as with presliding friction)",
+    "gap": "time around motor reversals (as with backlash)",
 }
 """What explains residual torque, in words."""
 CAUSES = ("identification", "recordings", "residual", "torque")
@@ -109,7 +109,9 @@ def find_doubts(result: Result) -> Iterator[FindingRow]:
     """All that speaks against a result, in the order in which it is looked at."""
     if result["not_identified"]:
         why, *reasons = result["not_identified"]
-        yield _find("identification", f"this did not identify the drive: {why}", f"likely: {'; '.join(reasons)}", True)
+        yield _find(
+            "identification", f"the drive was not identified: {why}", f"likely reasons: {'; '.join(reasons)}", True
+        )
     for sentence in result["warnings"]:
         yield _find("recordings", sentence)
     if result["residual"]:
@@ -127,7 +129,7 @@ def find_doubts(result: Result) -> Iterator[FindingRow]:
         if p["at_bound"]:
             unit = "" if p["unit"] == "1" else f" {p['unit']}"
             ended = f"{name_where(p, at_bound=True)} ended at a bound of {say_bounds(p)}{unit}"
-            yield _find("bounds", ended, "widen the bounds or doubt the model", severe=_is_cut_off(p))
+            yield _find("bounds", ended, "widen the bounds or try another model", severe=_is_cut_off(p))
     yield from _doubt_parameters(result)
     yield from _doubt_stability(result)
 
@@ -139,7 +141,7 @@ def _find(kind: str, text: str, mend: str | None = None, severe: bool = False, l
 def _doubt_errors(result: Result) -> Iterator[FindingRow]:
     test, baseline = (result["metrics"][part]["position_mae"] for part in ("test", "baseline"))
     if test is None:
-        yield _find("gain", "there is no test error: every test rollout diverged", severe=True)
+        yield _find("gain", "no test error: every test rollout diverged", severe=True)
     elif result["model"] != "baseline" and baseline and test >= baseline:
         text = "on test data the model is no better than a drive without friction"
         yield _find("gain", text, "do not use its friction", severe=True)
@@ -152,36 +154,36 @@ def _doubt_train(result: Result) -> Iterator[FindingRow]:
     if train is None or test is None or train == 0:
         yield _find("train", "test and training error cannot be compared: one is missing")
     elif test > OVERFIT * train:
-        text = f"the test error is {test / train:.2g} times that on the training data"
+        text = f"the test error is {test / train:.2g} times the training error"
         free = sum(row["identified"] for parameter in result["parameters"] for row in parameter["by_joint"])
         free += result["network"]["weights"] if result["network"] else 0
         seen = sum(log["samples"] for log in result["data"]["logs"] if log["part"] == "train")
-        other = "the test data hold motion that the training data lack: compare their speeds, loads and times"
+        other = "the test data contain motion that the training data lack: compare speeds, loads and times"
         yield _find("train", text, f"the fit may be overfitted, or {other}" if ENOUGH * free > seen else other)
 
 
 def _doubt_fit(fit: FitRow) -> Iterator[FindingRow]:
     if fit["stopped"] == "diverged":
         text = f"the fit diverged after {fit['iterations']} iterations"
-        yield _find("fit", text, "lower its step or start from other values", severe=True)
+        yield _find("fit", text, "lower the step size or start from other values", severe=True)
     if fit["stopped"] == "finished" and fit["method"] == "lm":
-        yield _find("fit", f"the fit made all of its {fit['iterations']} iterations without converging", _MORE)
+        yield _find("fit", f"the fit did not converge within {fit['iterations']} iterations", _MORE)
     if fit["falling"] > FALLING:
         yield _find(
-            "fit", f"the last tenth of the iterations still took {100 * fit['falling']:.2g} % off the loss", _MORE
+            "fit", f"the loss still fell by {100 * fit['falling']:.2g} % in the last tenth of the iterations", _MORE
         )
     if fit["moving"]:
-        yield _find("fit", f"still moving when the fit ended: {', '.join(fit['moving'])}", _MORE)
+        yield _find("fit", f"still moving at the end of the fit: {', '.join(fit['moving'])}", _MORE)
 
 
 def _doubt_parameters(result: Result) -> Iterator[FindingRow]:
     """What the data do not determine."""
     if doubtful := name_unidentifiable(result["parameters"]):
-        text = f"not identifiable on these data: {', '.join(doubtful)}"
-        yield _find("identifiability", text, "do not read a property of the drive into such values")
+        text = f"not identifiable from these data: {', '.join(doubtful)}"
+        yield _find("identifiability", text, "do not interpret these values")
     for group in result["indistinct"]:
-        text = f"the data cannot tell apart {' and '.join(group)}"
-        yield _find("identifiability", text, "make all but one of them known, or record others")
+        text = f"the data do not distinguish {' and '.join(group)}"
+        yield _find("identifiability", text, "fix all but one of them, or record other motion")
     if result["no_intervals"] is not None and any(p["identified"] for p in result["parameters"]):
         yield _find("identifiability", f"no parameter has an interval: {result['no_intervals']}")
 
@@ -198,7 +200,7 @@ def _doubt_stability(result: Result) -> Iterator[FindingRow]:
     if lost:
         counts = [f"{m['diverged']} of {m['rollouts']} {name} rollouts of {m['horizon']:g} s" for name, m in lost]
         severe = any(not name.startswith("frictionless") for name, _ in lost)
-        yield _find("stability", f"diverged, and left out of the errors: {'; '.join(counts)}", severe=severe)
+        yield _find("stability", f"diverged and excluded from the errors: {'; '.join(counts)}", severe=severe)
 
 
 def _doubt_residual(residual: ResidualRow) -> Iterator[FindingRow]:
@@ -219,9 +221,9 @@ def _doubt_residual(residual: ResidualRow) -> Iterator[FindingRow]:
             of = f" of {row['joint']}" if len(rows) > 1 else ""
             yield _find(
                 "residual",
-                f"the residual torque{of} is {say_percent(share)} of the friction beyond noise (neighbours in time "
-                f"correlate by {row['correlation']:.2f}), and no cause that was looked for explains it",
-                "look at what is taken as known: gains, inertia, delay, elasticity between motor and joint",
+                f"the residual torque{of} exceeds noise by {say_percent(share)} of the friction (neighbours in time "
+                f"correlate by {row['correlation']:.2f}), and no residual factor explains it",
+                "check the known values (gains, inertia, delay) and elasticity between motor and joint",
                 severe=share > CONTRADICTED,
             )
 
@@ -248,9 +250,9 @@ def _doubt_torque(torque: TorqueRow) -> Iterator[FindingRow]:
         of = f" of {name_some([*doubtful])}" if len(shares) > 1 else ""
         yield _find(
             "torque",
-            f"recorded torque{of} contradicts the result: the motion needs another one, "
-            f"{say_percent(shares[worst])} of it apart on test data",
-            "look at the actuator's gains, signs and units (data.units.torque), and the links' masses",
+            f"recorded torque{of} contradicts the result: on test data it differs from the torque that the motion "
+            f"needs by {say_percent(shares[worst])}",
+            "check the actuator's gains, signs and units (data.units.torque), and the links' masses",
             severe=shares[worst] > CONTRADICTED,
         )
 
@@ -264,7 +266,7 @@ def _say_place(place: str, found: Sequence[tuple[JointResidualRow, PlaceRow]], u
     """What goes with a place, of the joint in which it is most."""
     row, most = max(found, key=lambda pair: pair[1]["torque"] / pair[0]["friction"])
     of = f" of {name_some([*dict.fromkeys(row['joint'] for row, _ in found)])}" if joints > 1 else ""
-    ripple = "" if most["periods"] is None else f", {_say_periods(most['periods'], unit)}"
+    ripple = "" if most["periods"] is None else f" ({_say_periods(most['periods'], unit)})"
     size = f"{most['torque']:.2g} {unit}, {say_percent(most['torque'] / row['friction'])} of the friction"
     upto = "up to " if len(found) > 1 else ""
     return (
@@ -275,7 +277,7 @@ def _say_place(place: str, found: Sequence[tuple[JointResidualRow, PlaceRow]], u
 
 def _say_periods(periods: float, unit: str) -> str:
     """Those of a ripple, of a hinge or a slide by the unit of its torque."""
-    return f"{periods:.4g} periods in a turn" if unit == "N m" else f"with a period of {2 * np.pi / periods:.3g} m"
+    return f"{periods:.4g} periods per turn" if unit == "N m" else f"period {2 * np.pi / periods:.3g} m"
 
 
 def _say_law(place: PlaceRow) -> str:
@@ -291,19 +293,21 @@ def _say_law(place: PlaceRow) -> str:
             f"'+bench.actuator.params.torque_limit={{init: {value:.3g}, scale: log, identify: true}}'"
         )
     if place["place"] == "scale":
-        times = "" if value is None else f", as with {value:.3g} times the actuator's torque"
+        times = "" if value is None else f"; {value:.3g} times the actuator's torque would fit"
         return (
-            f"look at the actuator's gains (bench.actuator.params.kp and kd), a gear's ratio, and the mass of link and "
-            f"payload{times}; a recording tells them apart by nothing"
+            f"check the actuator's gains (bench.actuator.params.kp and kd), the gear ratio, and the mass of link and "
+            f"payload{times}; the data do not distinguish these causes"
         )
     if place["place"] == "gap":
-        return f"{place['law']} has that" if place["law"] else "look at the law's gap, and at where the fit began"
+        return f"{place['law']} has that term" if place["law"] else "check the model's gap and its initial value"
     if place["place"] == "pull":
-        return "no friction does that: look at gravity, payload and springs of the bench, or a motor that cogs"
+        return "this is not friction: check gravity, payload and springs of the bench, or motor cogging"
     if place["law"] is None:
-        return "the law has a term for it; its form, or its bounds, do not fit" if place["known"] else "no law has that"
+        return (
+            "the model has that term; its form or its bounds do not fit" if place["known"] else "no model has that term"
+        )
     other = "another form of that term" if place["known"] else "that term"
-    return f"{place['law']} has {other}" + ("" if place["whole"] else ", but not all of this law's")
+    return f"{place['law']} has {other}" + ("" if place["whole"] else ", but lacks other terms of this model")
 
 
 def explain_failure(result: Result) -> list[str] | None:
@@ -318,13 +322,17 @@ def explain_failure(result: Result) -> list[str] | None:
     gained_little = error is None or (without is not None and error > LITTLE * without)
     if len(ended) < BOUNDS or not gained_little:
         return None
-    share = "cannot be told" if error is None or not without else f"is {100 * error / without:.0f} % of no friction's"
+    share = (
+        "is unknown"
+        if error is None or not without
+        else f"is {100 * error / without:.0f} % of the error without friction"
+    )
     return [
         f"{' and '.join(ended)} ended at their bounds, and the test error {share}",
         *result["warnings"],
-        "what is taken as known is not so: the actuator's gains, the MJCF's inertia and gravity, the recordings' units",
-        "commands act late, which bench.params.delay would find",
-        "the recordings do not excite the drive, or the bounds are not those of this drive",
+        "known values are wrong: the actuator's gains, inertia and gravity in the MJCF, or the recordings' units",
+        "commands act with a delay: identify bench.params.delay",
+        "the recordings do not excite the drive, or the bounds do not suit it",
     ]
 
 
@@ -358,8 +366,8 @@ def doubt_gain(result: Result) -> str | None:
     if result["model"] == "baseline" or error is None or not without or error <= NOTHING * without:
         return None
     return (
-        f"on test data the position error is {100 * error / without:.0f} % of that without friction: the law explains "
-        "next to nothing, or the recordings or the bench are not what they are taken for"
+        f"on test data the position error is {100 * error / without:.0f} % of the error without friction: the model "
+        "explains almost nothing, or recordings or bench are wrong"
     )
 
 
@@ -421,4 +429,4 @@ def doubt_reference(parameters: Sequence[ParameterRow | ReferenceRow]) -> str | 
     ]
     if not ended:
         return None
-    return f"the drive without friction ended with {' and '.join(ended)}: a change against its error says little"
+    return f"the drive without friction ended with {' and '.join(ended)}: the change against its error is unreliable"

@@ -1,4 +1,4 @@
-"""What `result.json` holds of its verdict, as types."""
+"""Types of the verdict in `result.json`."""
 
 from typing import Literal, TypedDict
 
@@ -8,7 +8,7 @@ Grade = Literal["nothing speaks against it", "use it with care", "do not use it"
 
 
 class FindingRow(TypedDict):
-    """Something that speaks against the result."""
+    """A problem of the result."""
 
     kind: Literal[
         "identification",
@@ -24,34 +24,35 @@ class FindingRow(TypedDict):
         "stability",
         "residual",
     ]
-    """What was looked at."""
+    """Subject of the check."""
     severe: bool
-    """The result is of no use as long as this is so."""
+    """Whether the problem makes the result useless."""
     text: Text
-    """What was found."""
+    """Description of the problem."""
     mend: Text | None
-    """What mends it; null: `text` says so."""
+    """Remedy; null: none, or `text` has it."""
     law: Text | None
-    """The law of the zoo that has what this one lacks; null: it is no matter of the law, or there is none."""
+    """Friction model of the package with the missing term; null: the problem is not a missing term, or no model has
+    it."""
 
 
 class CommandRow(TypedDict):
     """A command to copy."""
 
     kind: Literal["repair", "inspect", "law", "recording", "export"]
-    """What it does: mend what a finding says, look at the recordings, try another law, design the next recording, or
-    export the drive."""
+    """Purpose: fix a finding, inspect the recordings, try another friction model, design the next recording, or export
+    the drive."""
     command: Text
-    """For a shell; of a run from Python, a call with the names bench, logs and drive, which stands for the result."""
+    """Shell command; for a run from Python, a call with the variables bench, logs and drive, the result."""
 
 
 class VerdictRow(TypedDict):
-    """What speaks against a result, and what to do next."""
+    """Problems of a result, and next steps."""
 
     grade: Grade
-    """In plain words."""
+    """Overall grade."""
     findings: list[FindingRow]
-    """The worst first; empty: nothing speaks against it."""
+    """Problems, causes first and then severe ones; empty: no problem found."""
     commands: list[CommandRow]
-    """To copy, in this order. A result that is not to be used suggests neither a recording nor an export; neither does
-    a result with a repair suggest a recording."""
+    """Commands to copy, in this order. A result that must not be used gets no recording and no export; a result with a
+    repair gets no recording."""

@@ -1,1 +1,1 @@
-"""What a person sees: figures, pages and the terminal's text."""
+"""Output for people: figures, HTML pages and terminal text."""

@@ -1,17 +1,17 @@
-"""The colours of curves, the same on every figure and page."""
+"""Colours of curves, the same in every figure and page."""
 
 MEASURED, TEXT, SOFT, GRID = "#000000", "#3d4450", "#7d8794", "#dfe3e8"
-PAPER = "#ffffff"  # behind text that lies over curves
+PAPER = "#ffffff"  # background of text over curves
 MODEL, BASELINE, BEST, TRAIN = "#0072B2", "#E69F00", "#D00000", "#009E73"
-TEACHER = "#CC79A7"  # of a drive that another one follows
-# Okabe and Ito (2008), legible to the colour-blind: without black, which is measured, and yellow, faint on paper.
+TEACHER = "#CC79A7"  # the model that a distilled student imitates
+# Okabe and Ito (2008), legible for colour-blind readers; without black (measured curves) and yellow (faint on paper).
 RUNS = (MODEL, "#D55E00", TRAIN, "#CC79A7", "#56B4E9", BASELINE)
 JOINTS = (MODEL, TRAIN, "#CC79A7", "#56B4E9", BASELINE, MEASURED, "#F0E442")
 BAND = 0.2  # opacity of a band around a curve
 
 
 def fade(color: str) -> str:
-    """The colour of a band around a curve of this one."""
+    """Return the transparent colour of a band around a curve of this colour."""
     red, green, blue = (int(color[i : i + 2], 16) for i in (1, 3, 5))
     return f"rgba({red},{green},{blue},{BAND})"
 
@@ -25,5 +25,5 @@ _PALE = {
     GRID: "#323945",
     PAPER: "#181c23",
 }
-# What each colour becomes on a dark page; all others are legible on both.
+# Replacement of each colour on a dark page; the other colours are legible on both.
 DARK = _PALE | {fade(color): fade(pale) for color, pale in _PALE.items()}

@@ -1,4 +1,4 @@
-"""The figures of a comparison as files, PNG and PDF."""
+"""Figures of a comparison as PNG and PDF files."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,16 +13,16 @@ from frictionzoo.show.text import say_origin
 from frictionzoo.show.with_matplotlib import LINE, draw, save_figure
 
 FORMATS = ("png", "pdf")
-PIXELS = 75.0  # of a page for an inch of paper, where a figure's height is that of its rows
+PIXELS = 75.0  # page pixels per inch of paper, for figures whose height depends on the number of rows
 
 
 def write_figures(folder: Path, comparison: Comparison, runs: Sequence[Run]) -> None:
-    """All figures of a comparison, each as PNG and as PDF.
+    """Write all figures of a comparison, each as PNG and PDF.
 
-    A figure with nothing to show, such as parameters where no run has any, is not written, and an older one removed.
+    An empty figure, such as parameters when no run has any, is not written, and an older file of it is removed.
 
     Raises:
-        OutputError: They cannot be written.
+        OutputError: A file cannot be written.
     """
     for name, sheet in arrange(comparison, runs).items():
         figure = draw(sheet) if sheet.figures else None
@@ -31,18 +31,18 @@ def write_figures(folder: Path, comparison: Comparison, runs: Sequence[Run]) -> 
 
 
 def arrange(comparison: Comparison, runs: Sequence[Run]) -> dict[str, Sheet]:
-    """What is drawn on which file; a sheet without figures has nothing to show."""
+    """Return the sheet of each file; an empty figure has a sheet without figures."""
     drawn, evaluation, joints = plot_comparison(comparison, runs), comparison["evaluation"], len(comparison["joints"])
     data = f"{comparison['data']['name']} ({say_origin(comparison['data']['origin'])})"
-    fits = f"Fits to the training part of {data}\nred: the best iteration and what it identified; from the lower "
-    fits += "bound of each parameter to the upper one, in decades where both are positive"
+    fits = f"Fits to the training part of {data}\nred: the reported iteration and its values; axis from the lower "
+    fits += "to the upper bound of each parameter, logarithmic if both are positive"
     one = f"One rollout of the test part of {data}"
     window = f"moving mean and standard deviation over {runs[0].result['evaluation']['window']:g} s"
     short = f"{evaluation['rollouts']} rollouts of {evaluation['horizon']:g} s, {data}"
     long = f"Mean over {evaluation['long_rollouts']} rollouts of the test part of {data}"
     windows = sum(comparison["by_speed"]["windows"])
-    local = f"{windows} short rollouts over the test part of {data}, in bins of equal number"
-    friction = f"Friction identified from {data}\nband: 10 % to 90 % of recorded states, where friction depends on more"
+    local = f"{windows} short rollouts over the test part of {data}, in bins of equal count"
+    friction = f"Friction identified from {data}\nband: 10 % to 90 % of recorded states, if friction depends on more"
     names = max((len(figure.panels[0].marks) // 2 for figure in drawn["parameters"]), default=0)
     rows = (drawn["mae"][0].height or 0) / PIXELS
     columns = min(joints, COLUMNS)

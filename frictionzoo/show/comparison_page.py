@@ -1,4 +1,4 @@
-"""`comparison.html`: runs side by side on one page, from the one to take down to the curves of each."""
+"""`comparison.html`: one page that compares runs, from the recommendation to the curves of each run."""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -33,38 +33,38 @@ from frictionzoo.show.run_page import (
 )
 from frictionzoo.show.run_plots import plot_history
 
-POINTS = 2000  # of a curve; a comparison has many of them
-LONG = 4  # differing options above which they are folded away
-FITTED = ("fit", "segments", "loss", "bench")  # options that make fits unlike each other
-FILES = {"comparison.json": "every number of this page, for programs", "table.tex": "the ranking as a LaTeX table"}
+POINTS = 2000  # largest number of points per curve; a comparison has many curves
+LONG = 4  # number of differing options above which the list is folded
+FITTED = ("fit", "segments", "loss", "bench")  # sections whose options change the fit
+FILES = {"comparison.json": "all numbers of this page, for programs", "table.tex": "the ranking as a LaTeX table"}
 LINKS = {
-    "verdict": "Which to take",
-    "ranking": "How good is each",
-    "trust": "What speaks for it",
-    "runs": "Run by run",
-    "errors": "How large, how sure",
-    "rollout": "A rollout",
-    "where": "Where the error is",
-    "friction": "The laws",
+    "verdict": "Recommendation",
+    "ranking": "Ranking",
+    "trust": "Checks passed",
+    "runs": "Runs",
+    "errors": "Errors",
+    "rollout": "Rollout",
+    "where": "Error analysis",
+    "friction": "Friction curves",
     "parameters": "Parameters",
     "data": "Data",
     "files": "Files",
 }
-"""Sections by their id."""
+"""Section titles by id."""
 STOPPED = {
     "converged": "converged",
-    "finished": "all iterations made",
-    "patience": "the loss fell no more",
+    "finished": "all iterations completed",
+    "patience": "the loss stopped falling",
     "diverged": "diverged",
 }
 VERDICTS = {"better": "better", "noise": "within noise", "worse": "worse"}
 
 
 def write_page(path: Path, comparison: Comparison, runs: Sequence[Run]) -> None:
-    """Write the page of a comparison into this file; it links to what lies beside it and to the runs' reports.
+    """Write the page of a comparison, with links to files in the same folder and to the runs' reports.
 
     Raises:
-        OutputError: It cannot be written.
+        OutputError: The file cannot be written.
     """
     comparison, ranked, places, commands = _anonymise(comparison, runs)
     looks = choose_looks((run.label for run in ranked), comparison["reference"])
@@ -73,7 +73,7 @@ def write_page(path: Path, comparison: Comparison, runs: Sequence[Run]) -> None:
         row["command"] = command
     best = next((row for row in rows if row["recommended"]), None)
     order, *checks = check_comparison(comparison, ranked)
-    # In the order of the page; the parameters of each run by themselves, under its place in the ranking.
+    # In page order; the parameters of each run under its index in the ranking.
     sections = {
         str(i): list(plot_history(run.result, run.curves, looks[run.label]["color"])) for i, run in enumerate(ranked)
     }
@@ -105,9 +105,9 @@ def write_page(path: Path, comparison: Comparison, runs: Sequence[Run]) -> None:
 def _anonymise(
     comparison: Comparison, runs: Sequence[Run]
 ) -> tuple[Comparison, list[Run], list[str], list[str | None]]:
-    """The same without absolute paths, the runs best first, their folders as somebody here may type them, and commands.
+    """Return comparison and runs (best first) without absolute paths, the runs' folders for a shell, and commands.
 
-    A page that is handed on tells nobody where somebody's home is.
+    A shared page must not reveal anyone's home directory.
     """
     named = {run.label: run for run in runs}
     ranked = [named[entry["label"]] for entry in comparison["runs"]]
@@ -122,7 +122,7 @@ def _anonymise(
 
 
 def _advise(comparison: Comparison, chosen: Run, place: str) -> dict[str, Any]:
-    """How the run to take is used, and what to do next."""
+    """Return how to use the recommended run, and next steps."""
     return {
         "place": place if (chosen.folder / RESULT).exists() else None,
         "usable": is_usable(chosen.result),
@@ -132,7 +132,7 @@ def _advise(comparison: Comparison, chosen: Run, place: str) -> dict[str, Any]:
 
 
 def _describe(index: int, run: Run, comparison: Comparison, look: Look, folder: Path) -> dict[str, Any]:
-    """What the page says about one run: its row in the ranking and its panel."""
+    """Return the content of one run's row in the ranking and of its panel."""
     entry = comparison["runs"][index]
     recommendation = comparison["recommendation"]
     pairs = {(pair["run"], pair["other"]): pair for pair in comparison["pairs"]}
@@ -152,13 +152,13 @@ def _describe(index: int, run: Run, comparison: Comparison, look: Look, folder: 
         "verdict": "" if recommendation is None else VERDICTS[pair["verdict"]] if pair else "best",
         "pair": pair,
         "errors": list(_list_errors(entry)),
-        "correlations": correlate(run.result, run.result["joints"][0]),  # said where there is but one
+        "correlations": correlate(run.result, run.result["joints"][0]),  # shown for a single joint only
         "method": str(METHODS.get(entry["fit"]["method"], entry["fit"]["method"])).removeprefix("The "),
         "stopped": STOPPED.get(entry["fit"]["stopped"], entry["fit"]["stopped"]),
         "timing": list_timing(entry["timing"]),
         "doubts": _doubt(run),
         "grade": judge(run.result)["grade"],
-        # Quoted, so that no name of a folder is read as a scheme, a query or a fragment.
+        # Quoted: a browser could read a folder name as a scheme, a query or a fragment.
         "report": quote(Path(os.path.relpath(report, folder.resolve())).as_posix()) if report.exists() else None,
     }
 
@@ -168,16 +168,16 @@ def _doubt(run: Run) -> list[Check]:
 
 
 def _list_errors(entry: RunRow) -> Iterator[dict[str, Any]]:
-    """Every metric of a run: the rollouts of each horizon on train and test, and the long one."""
+    """Yield all metrics of a run: each horizon on test and training data, then the paper's two evaluations."""
     for horizon in entry["by_horizon"]:
         yield {"on": "test", **horizon["test"]}
         yield {"on": "train", **horizon["train"]}
-    yield {"on": "one long test", **entry["paper"]["a"]}
-    yield {"on": "random places", **entry["paper"]["b"]}
+    yield {"on": "test, one long rollout", **entry["paper"]["a"]}
+    yield {"on": "test, random places", **entry["paper"]["b"]}
 
 
 def _list_parameters(entries: Sequence[RunRow]) -> Iterator[dict[str, Any]]:
-    """Rows of the table of all parameters, those of most runs first."""
+    """Yield rows of the table of all parameters; parameters shared by most runs come first."""
     held = [{(p["owner"], p["name"], p["unit"]): p for p in entry["parameters"]} for entry in entries]
     keys = [key for parameters in held for key in parameters]
     for key in sorted(dict.fromkeys(keys), key=lambda key: -keys.count(key)):
@@ -191,7 +191,7 @@ def _list_parameters(entries: Sequence[RunRow]) -> Iterator[dict[str, Any]]:
 
 
 def list_errors_by_joint(comparison: Comparison) -> list[dict[str, Any]]:
-    """Each joint with its position error on test data in all runs, and the place of the lowest; None where none has."""
+    """Return the test position errors of every joint in all runs, and the index of the lowest; None if all diverged."""
     found = []
     for rows in zip(*(entry["by_joint"] for entry in comparison["runs"]), strict=True):
         errors = [row["test"]["position_mae"] for row in rows]
@@ -202,22 +202,22 @@ def list_errors_by_joint(comparison: Comparison) -> list[dict[str, Any]]:
 
 
 def _find_worst(entry: RunRow) -> int:
-    """Place of the joint with the largest error on test data."""
+    """Return the index of the joint with the largest test error."""
     return int(np.argmax([row["test"]["position_mae"] or 0.0 for row in entry["by_joint"]]))
 
 
 def _list_files(folder: Path) -> dict[str, str]:
-    """What lies beside the page, with what it is; `comparison.json` is written last."""
+    """Return files in the page's folder with a description; `comparison.json` is written after the page."""
     found = {name: text for name, text in FILES.items() if name == "comparison.json" or (folder / name).exists()}
     drawings = sorted((folder / "figures").glob("*.pdf"))
     return found | {f"figures/{drawing.name}": "for print" for drawing in drawings}
 
 
 def check_comparison(comparison: Comparison, runs: Sequence[Run]) -> Iterator[Check]:
-    """How sure the order is, and what else speaks for it and against; `runs` are the same, best first."""
+    """Yield the checks of a comparison, certainty of the ranking first; `runs` are ordered best first."""
     yield check_order(comparison)
     if failed := len(comparison["failures"]):
-        text = f"{failed} of {failed + len(comparison['runs'])} jobs left no result; their reasons are named."
+        text = f"{failed} of {failed + len(comparison['runs'])} jobs failed; the reasons are under Ranking."
         yield Check("bad", "Failed jobs", text)
     yield _check_rollouts(comparison["evaluation"])
     yield check_held_out(comparison["data"])
@@ -231,9 +231,9 @@ def check_comparison(comparison: Comparison, runs: Sequence[Run]) -> Iterator[Ch
 
 
 def _check_rollouts(evaluation: RolloutsRow) -> Check:
-    text = f"All runs were judged on the same {evaluation['rollouts']} test rollouts of {evaluation['horizon']:g} s"
+    text = f"All runs were evaluated on the same {evaluation['rollouts']} test rollouts of {evaluation['horizon']:g} s"
     if evaluation["rollouts"] < FEW:
-        return Check("caution", "Few rollouts", f"{text}: too few for a sure order. Raise evaluation.rollouts.")
+        return Check("caution", "Few rollouts", f"{text}: too few for a reliable ranking. Raise evaluation.rollouts.")
     return Check("good", "Same rollouts", f"{text}.")
 
 
@@ -244,9 +244,9 @@ def _check_divergence(comparison: Comparison) -> Check:
         if entry["test"]["diverged"] or entry["train"]["diverged"]:
             lost[entry["label"]] = f"{entry['label']} ({', '.join(counts)})"
     if not lost:
-        return Check("good", "Stability", "All train and test rollouts of all runs stayed finite and count.")
+        return Check("good", "Stability", "All training and test rollouts of all runs stayed finite.")
     chosen = (comparison["recommendation"] or {}).get("run")
-    text = f"Rollouts diverged, and are left out of the errors, of {name_runs([*lost.values()])}."
+    text = f"Diverged rollouts, excluded from the errors: {name_runs([*lost.values()])}."
     return Check("bad" if chosen is None or chosen in lost else "caution", "Stability", text)
 
 
@@ -257,7 +257,7 @@ def _check_bounds(entries: Sequence[RunRow]) -> Check:
         if (names := [parameter["name"] for parameter in entry["parameters"] if parameter["at_bound"]])
     ]
     if ended:
-        text = f"Parameters ended at a bound in {name_runs(ended)}. Widen it or doubt the model."
+        text = f"Parameters ended at a bound: {name_runs(ended)}. Widen the bounds or try another model."
         return Check("caution", "Bounds", text)
     return Check("good", "Bounds", "No identified parameter of any run ended at a bound.")
 
@@ -265,9 +265,9 @@ def _check_bounds(entries: Sequence[RunRow]) -> Check:
 def _check_fits(runs: Sequence[Run]) -> Check:
     doubtful = [run.label for run in runs if any(check.title == "Fit" for check in _doubt(run))]
     if doubtful:
-        text = f"The fit of {name_runs(doubtful)} may not have reached its optimum: select the run to read why."
+        text = f"Fits that may not have reached their optimum: {name_runs(doubtful)}. Select a run for details."
         return Check("caution", "Fits", text)
-    return Check("good", "Fits", "Every fit came to rest or tried all of its combinations.")
+    return Check("good", "Fits", "No problems found in the fits.")
 
 
 def _check_differences(differences: Sequence[DifferenceRow]) -> Check:
@@ -275,8 +275,8 @@ def _check_differences(differences: Sequence[DifferenceRow]) -> Check:
     sections = list(dict.fromkeys(option.partition(".")[0] for option in options))
     unlike = [section for section in sections if section in FITTED]
     if unlike:
-        text = f"Runs differ in more than their law: in options of {name_runs(unlike)}, listed on this page"
-        return Check("caution", "Fitted alike?", f"{text}. Part of a difference may come from there.")
+        text = f"Apart from the model, runs differ in options of {name_runs(unlike)}, listed on this page"
+        return Check("caution", "Different fit options", f"{text}. These may explain part of the differences.")
     if options:
-        return Check("note", "Fitted alike", f"Besides the law, runs differ in {name_runs(options)} alone.")
-    return Check("good", "Fitted alike", "Runs differ in their law alone; all other options are the same.")
+        return Check("note", "Same fit options", f"Apart from the model, runs differ only in {name_runs(options)}.")
+    return Check("good", "Same fit options", "Runs differ only in the model.")

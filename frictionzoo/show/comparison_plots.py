@@ -1,6 +1,6 @@
-"""What is drawn of several runs: the paper's figures 3 to 6, and what else tells them apart.
+"""Figures of several runs: the paper's figures 3 to 6, and further comparisons.
 
-Every run has its own colour and line, the same in all figures.
+Each run has one colour and dash pattern in all figures.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -34,22 +34,22 @@ from frictionzoo.show.rollouts import RUNAWAY, Drive, draw_errors, draw_motion, 
 from frictionzoo.show.run_plots import REPORTED
 from frictionzoo.show.text import format_digits, format_number, format_unit, wrap
 
-# Seven lines for six colours: each pair of both occurs once in 42 runs, and neighbours differ in both.
+# Seven dash patterns and six colours: each combination occurs once in 42 runs, and neighbours differ in both.
 _BROKEN: tuple[Dash, ...] = ((6.0, 2.0, 1.2, 2.0), (3.5, 1.3, 1.2, 1.3, 1.2, 1.3), (9.0, 3.0), (2.4, 3.5))
 DASHES: tuple[Dash, ...] = ((), (5.0, 2.0), (1.2, 1.6), *_BROKEN)
-# Of parameters in a grid search.
+# Markers of parameters in a grid search.
 MARKERS = ("circle", "x", "triangle-up", "cross", "square", "triangle-down", "diamond")
-FRAME = 4.0  # times the middle one of the differences is what a frame shows; one beyond is named at its edge
-ROW, LINE = 28, 17  # px for each run of a figure with a row a run, and for each line of its label
+FRAME = 4.0  # largest difference on the axis, relative to the median one; larger ones are labelled at the edge
+ROW, LINE = 28, 17  # px for each run in figures with one row per run, and for each line of its label
 
 Look = Mapping[str, Any]
-"""What the marks of one run have in common: its name, its place, its colour and its dash."""
+"""Attributes shared by the marks of one run: name, index, colour and dash."""
 
 
 def choose_looks(labels: Iterable[str], reference: str | None = None) -> dict[str, Look]:
-    """How each run is drawn, by label; the best comes first.
+    """Return the look of each run by label; labels are ordered best first.
 
-    The reference, which has no friction, has the colour that no friction has on the page of a run, and alone has it.
+    The reference (no friction) has the colour of "no friction" on a run's page; no other run has that colour.
     """
     labels = list(labels)
     colors = [color for color in RUNS if color != BASELINE] if reference in labels else RUNS
@@ -63,7 +63,7 @@ def choose_looks(labels: Iterable[str], reference: str | None = None) -> dict[st
 
 
 def plot_comparison(comparison: Comparison, runs: Sequence[Run]) -> dict[str, list[Figure]]:
-    """All that is drawn of several runs, by name; nothing under one where there is nothing to show."""
+    """Return all figures of several runs by name; an empty list if there is nothing to show."""
     named = {run.label: run for run in runs}
     ranked = [named[entry["label"]] for entry in comparison["runs"]]
     speed = Axis("mean absolute speed", comparison["velocity_unit"])
@@ -75,8 +75,8 @@ def plot_comparison(comparison: Comparison, runs: Sequence[Run]) -> dict[str, li
         "trajectories": list(_plot_trajectories(comparison, ranked)),
         "error": [_plot_error(comparison, ranked)],
         "by_horizon": [_plot_by_horizon(comparison)],
-        "by_speed": [_plot_by_bin(comparison, "by_speed", "Against the speed", speed)],
-        "by_load": [_plot_by_bin(comparison, "by_load", "Against the load", load)],
+        "by_speed": [_plot_by_bin(comparison, "by_speed", "Error by speed", speed)],
+        "by_load": [_plot_by_bin(comparison, "by_load", "Error by load", load)],
         "autocorrelation": [_plot_autocorrelation(comparison)],
         "friction": list(_plot_friction(comparison)),
         "loss": [_plot_loss(comparison, ranked)],
@@ -88,15 +88,15 @@ def _looks(comparison: Comparison) -> dict[str, Look]:
 
 
 def _numbers(values: Iterable[float | None]) -> Float[np.ndarray, "values"]:
-    """What JSON holds, NaN for null."""
+    """Return values from JSON as an array, NaN for null."""
     return np.array(list(values), dtype=np.float64)
 
 
 def _plot_parameters(comparison: Comparison, runs: Sequence[Run]) -> Iterator[Figure]:
-    """Figure 3, a figure for each run with parameters and each joint: these over the iterations of the fit.
+    """Yield figure 3 for each run with parameters and each joint: parameters over the iterations of the fit.
 
-    As parameters have different units, they are drawn by where they are between the bounds of the fit.
-    Of a grid search, the combinations that were better than all before are drawn as points.
+    Parameters have different units, so the axis is the position between the bounds of the fit.
+    For a grid search, points show each combination that was better than all before it.
     """
     joints, looks = comparison["joints"], _looks(comparison)
     for run in (run for run in runs if _identified(run)):
@@ -112,7 +112,7 @@ def _plot_parameters(comparison: Comparison, runs: Sequence[Run]) -> Iterator[Fi
 
 
 def _draw_parameters(run: Run, name: str, joint: int, color: str) -> list[Mark]:
-    """The parameters of one joint, a line each, and what the fit reports."""
+    """Return one line per parameter of a joint, and marks at the reported values."""
     history, fit = run.curves.history, run.result["fit"]
     grid, best = fit["method"] == "grid", float(fit["best_iteration"])
     loss = np.where(np.isnan(history["loss"]), np.inf, history["loss"])
@@ -134,20 +134,20 @@ def _draw_parameters(run: Run, name: str, joint: int, color: str) -> list[Mark]:
 
 
 def _identified(run: Run) -> dict[str, ParameterRow]:
-    """The parameters that the fit chose and whose course it kept, by their names in the history."""
+    """Return the identified parameters that have a history, by their names in it."""
     parameters = {f"{parameter['owner']}.{parameter['name']}": parameter for parameter in run.result["parameters"]}
     return {key: value for key, value in parameters.items() if value["identified"] and key in run.curves.history}
 
 
 def _plot_trajectories(comparison: Comparison, runs: Sequence[Run]) -> Iterator[Figure]:
-    """Figure 4, a figure a joint: measured and simulated position above velocity in the first long test rollout."""
+    """Yield figure 4 for each joint: measured and simulated position and velocity in the first long test rollout."""
     drives, timestep = _list_drives(comparison, runs), comparison["data"]["timestep"]
     duration = timestep * (runs[0].curves.measured_qpos.shape[1] - 1)
     for joint, name in enumerate(comparison["joints"]):
         panels = draw_motion(drives, joint, timestep, (comparison["unit"], comparison["velocity_unit"]))
         place = say_where(comparison["data"], runs[0].curves, 0) or "test data"
-        text = f"Measured and simulated position and velocity of joint {name} over {duration:g} s of {place}, all "
-        text += f"{len(runs)} runs under the same command."
+        text = f"Measured and simulated position and velocity of joint {name} over {duration:g} s of {place}. "
+        text += "The command is the same for all runs."
         yield Figure(f"Trajectory of {name}", text, panels, time=True)
 
 
@@ -157,17 +157,17 @@ def _list_drives(comparison: Comparison, runs: Sequence[Run]) -> list[Drive]:
 
 
 def _plot_error(comparison: Comparison, runs: Sequence[Run]) -> Figure:
-    """Figure 5: absolute position error in the first long test rollout, moving mean and +- one standard deviation."""
+    """Return figure 5: moving mean +- one standard deviation of the position error in the first long test rollout."""
     window = runs[0].result["evaluation"]["window"]
-    text = f"Moving mean over {window:g} s of the absolute position error in the same rollout; for the selected run "
-    text += "the band of one standard deviation around it."
+    text = f"Moving mean over {window:g} s of the absolute position error in the same rollout. "
+    text += "Band: one standard deviation, for the selected run."
     drives, timestep = _list_drives(comparison, runs), comparison["data"]["timestep"]
     (panel,) = draw_errors([drives], timestep, window, comparison["unit"])
     return Figure("Error over time", text, (panel,), time=True)
 
 
 def _plot_errors(comparison: Comparison) -> Figure:
-    """Figure 6: MAE with sigma on test data and on training data, two bars a run."""
+    """Return figure 6: MAE and sigma on test and training data, two bars per run."""
     entries, unit, looks = comparison["runs"], comparison["unit"], _looks(comparison)
     key, ends = {"at": np.zeros(1), "length": np.full(1, np.nan), "notes": ("",)}, [0.0]
     marks: list[Mark] = []
@@ -182,9 +182,9 @@ def _plot_errors(comparison: Comparison) -> Figure:
             ends.append(float((mean + spread)[0]))
     labels, x = [*looks], Axis("position MAE", unit, limits=(0.0, 1.05 * _limit(np.array(ends), FLATTENED)))
     text = (
-        f"Bars: mean absolute position error on test data [{unit}], whiskers its sigma; pale: on training data. "
-        f"From {format_number(entries[0]['test']['position_mae'])} of {labels[0]} to "
-        f"{format_number(entries[-1]['test']['position_mae'])} of {labels[-1]}."
+        f"Bars: position MAE on test data [{unit}]; whiskers: its sigma; pale: training data. "
+        f"From {format_number(entries[0]['test']['position_mae'])} ({labels[0]}) to "
+        f"{format_number(entries[-1]['test']['position_mae'])} ({labels[-1]})."
     )
     return _arrange_rows("Error of each run", text, marks, x, labels)
 
@@ -198,20 +198,20 @@ def _say_error(metrics: MetricsRow) -> str:
 
 
 def _limit(sizes: Float[np.ndarray, "rows"], widest: float) -> float:
-    """The largest size that is no more than so many times the middle one, and does not flatten most of the others."""
+    """Return the largest size that is at most `widest` times the median: larger ones would flatten the others."""
     sizes = np.sort(sizes[np.isfinite(sizes) & (sizes > 0)])
     return float(sizes[sizes <= widest * sizes[(len(sizes) - 1) // 2]][-1]) if len(sizes) else 1.0
 
 
 def _arrange_rows(title: str, text: str, marks: Sequence[Mark], x: Axis, labels: Sequence[str]) -> Figure:
-    """A row a run, the best at the top."""
+    """Return a figure with one row per run, the best at the top."""
     y = Axis(ticks=tuple(labels), limits=(len(labels) - 0.4, -0.6))
     row = max(ROW, LINE * max(len(wrap(label, 28)) for label in labels))
     return Figure(title, text, (Panel(marks, x, y),), height=110 + row * max(3, len(labels)))
 
 
 def _plot_differences(comparison: Comparison) -> Figure:
-    """How much larger each run's test error is than the best one's, with its interval from the paired bootstrap."""
+    """Return the difference of each run's test error to the best run's, with its interval from the paired bootstrap."""
     looks, unit = _looks(comparison), comparison["unit"]
     labels = [*looks]
     pairs = {pair["run"]: pair for pair in comparison["pairs"] if pair["other"] == labels[0]}
@@ -225,14 +225,14 @@ def _plot_differences(comparison: Comparison) -> Figure:
         marks.append(Curve(x=x, y=np.array([float(i)]), ends=np.array(ends), **looks[label], **point))
     text = (
         f"Difference to {labels[0]} with its 95 % interval, from a paired bootstrap over "
-        f"{comparison['evaluation']['rollouts']} test rollouts. Open circles are noise: the interval holds 0, or the "
+        f"{comparison['evaluation']['rollouts']} test rollouts. Open circles: noise, the interval contains 0 or the "
         f"difference is below {100 * MATTERS:g} % of the error."
     )
     low, high = (np.array([0.0, *_numbers(pair[end] for pair in pairs.values())]) for end in ("low", "high"))
     limit = _limit(np.maximum(-low, high), FRAME)
     limits = 1.1 * max(-limit, min(np.nanmin(low), -0.1 * limit)), 1.1 * limit
     above = Axis("MAE above the best", unit, limits=limits)
-    return _arrange_rows("How sure is the order?", text, marks, above, labels)
+    return _arrange_rows("Differences to the best run", text, marks, above, labels)
 
 
 def _say_difference(pair: PairRow) -> str:
@@ -242,18 +242,18 @@ def _say_difference(pair: PairRow) -> str:
 
 
 def _plot_by_horizon(comparison: Comparison) -> Figure:
-    """How the error grows over the first seconds of the long test rollouts."""
+    """Return the error over the first seconds of the long test rollouts."""
     rollouts, horizon = comparison["evaluation"]["long_rollouts"], comparison["evaluation"]["long_horizon"]
     text = f"Mean position error over the first seconds of {rollouts} test rollouts of {horizon:g} s."
     panel = _draw_errors_over(comparison, "by_horizon", Axis("horizon", "s"))
-    return Figure("Against the horizon", text, (panel,))
+    return Figure("Error by horizon", text, (panel,))
 
 
 def _plot_by_bin(comparison: Comparison, section: Literal["by_speed", "by_load"], title: str, axis: Axis) -> Figure:
-    """The error of short test rollouts against the speed or the load that was measured in them."""
+    """Return the error of short test rollouts over their measured speed or load."""
     windows = comparison[section]["windows"]
-    text = f"Position error of {sum(windows)} short test rollouts in {len(windows)} bins of the {axis.label}, each with"
-    return Figure(title, f"{text} as many.", (_draw_errors_over(comparison, section, axis, "circle"),))
+    text = f"Position error of {sum(windows)} short test rollouts in {len(windows)} bins of the {axis.label} with"
+    return Figure(title, f"{text} equal counts.", (_draw_errors_over(comparison, section, axis, "circle"),))
 
 
 def _draw_errors_over(
@@ -269,7 +269,7 @@ def _draw_errors_over(
 
 
 def _plot_friction(comparison: Comparison) -> Iterator[Figure]:
-    """Friction torque over velocity, a figure a joint; a band where it depends on more than the velocity."""
+    """Yield the friction curve of each joint; with a band if friction depends on more than the velocity."""
     for joint, name in enumerate(comparison["joints"]):
         marks: list[Mark] = [Stripe(low=0.0, high=0.0, level=True, color=GRID)]
         for label, look in _looks(comparison).items():
@@ -280,27 +280,27 @@ def _plot_friction(comparison: Comparison) -> Iterator[Figure]:
                 marks.append(Band(x=velocity, low=low, high=high, **look))
             marks.append(Curve(x=velocity, y=torque, **look))
         x, y = Axis("velocity", comparison["velocity_unit"]), Axis("friction", comparison["torque_unit"])
-        text = f"Torque of each run's friction law at joint {name}, opposing the velocity. Where it depends on more "
-        text += "than the velocity, the curve is the median over recorded states and the band holds 80 % of them."
+        text = f"Friction torque of each run at joint {name}, opposing the velocity. If it depends on more than the "
+        text += "velocity, the curve is the median over recorded states and the band contains 80 % of them."
         yield Figure(f"Friction of {name}", text, (Panel(marks, x, y),))
 
 
 def _plot_autocorrelation(comparison: Comparison) -> Figure:
-    """What structure is left in the errors, and the band in which white noise would lie."""
+    """Return the autocorrelation of the errors, with the band in which white noise lies."""
     section = comparison["autocorrelation"]
     lag, band = _numbers(section["lag"]), section["band"]
     noise = {"level": True, "name": "white noise, 95 %", "color": SOFT, "opacity": 0.3}
     left = ((look, section["coefficient"][label]) for label, look in _looks(comparison).items())
     curves = [Curve(x=lag, y=_numbers(coefficient), **look) for look, coefficient in left]
-    text = "What one error tells about the next: a law that explains everything leaves white noise, within the grey "
+    text = "Autocorrelation of the position error: a complete model leaves white noise, within the grey "
     text += f"band (±{band:.2g}). Mean over {comparison['evaluation']['long_rollouts']} long test rollouts."
     marks = [Stripe(low=-band, high=band, **noise), *curves]
     panel = Panel(marks, Axis("lag", "s"), Axis("autocorrelation of the error", "1"))
-    return Figure("Structure left in the error", text, (panel,))
+    return Figure("Autocorrelation of the error", text, (panel,))
 
 
 def _plot_loss(comparison: Comparison, runs: Sequence[Run]) -> Figure:
-    """The training loss of every fit, its reported iteration marked."""
+    """Return the training loss of every fit, with the reported iteration marked."""
     marks: list[Curve] = []
     looks = _looks(comparison)
     for run in runs:
@@ -310,8 +310,8 @@ def _plot_loss(comparison: Comparison, runs: Sequence[Run]) -> Figure:
         at = iteration == fit["best_iteration"]
         marks.append(Curve(x=iteration, y=loss, **look))
         marks.append(Curve(x=iteration[at], y=loss[at], **{**REPORTED, **look, "name": ""}))
-    text = "Training loss over the iterations, the reported one marked; of a grid search the lowest so far."
+    text = "Training loss over the iterations; the reported iteration is marked. Grid search: lowest loss so far."
     if any(entry["option"].startswith(("loss.", "segments.")) for entry in comparison["differences"]):
-        text += " Runs with other segments or another loss cannot be compared here."
+        text += " Runs with different segments or losses are not comparable here."
     y = scale_values("training loss", "", np.concatenate([mark.y for mark in marks]), apart=10.0)
-    return Figure("Loss of all fits", text, (Panel(marks, Axis("iteration"), y),))
+    return Figure("Training loss", text, (Panel(marks, Axis("iteration"), y),))

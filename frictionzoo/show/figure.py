@@ -1,4 +1,4 @@
-"""What is drawn, described once: `with_matplotlib` makes a file of it, `with_plotly` what a page shows."""
+"""Description of figures, independent of the library: `with_matplotlib` draws files, `with_plotly` draws pages."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -8,26 +8,26 @@ from jaxtyping import Float
 
 from frictionzoo.show.colors import MEASURED
 
-FLATTENED = 20.0  # ratio of two curves' largest values from which a linear axis hides the smaller one
+FLATTENED = 20.0  # ratio of two curves' maxima above which a linear axis hides the smaller one
 FEW = 100.0  # ratio of the ends of a logarithmic axis below which it has ticks at 1, 2 and 5
-_BAND = 1.5  # times the largest of an error's moving mean is as high as a band around it is shown
+_BAND = 1.5  # limit of the axis for a band around an error's moving mean, relative to the largest mean
 
 Dash = tuple[float, ...]
-"""Lengths of strokes and gaps in widths of the line; empty for a solid one."""
+"""Lengths of strokes and gaps in line widths; empty for a solid line."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mark:
-    """What all marks have.
+    """Mark in a panel; base class of all marks.
 
     Attributes:
-        name: What it is called in a legend and under the pointer, which passes over a mark without one.
-        color: On paper and on a light page.
-        dash: Of its line.
-        opacity: From 0 to 1.
-        run: Place of the run that it belongs to, which a page may bring to the front; None for none.
-        legend: Whether a legend names it.
-        notes: What is said of each of its values.
+        name: Name in the legend and under the pointer; a mark without a name has no hover text.
+        color: Colour on paper and on a light page.
+        dash: Dash pattern of the line.
+        opacity: Opacity from 0 to 1.
+        run: Index of its run, which a page may bring to the front; None for none.
+        legend: Whether the legend names it.
+        notes: Text for each value.
     """
 
     name: str = ""
@@ -41,16 +41,16 @@ class Mark:
 
 @dataclass(frozen=True, kw_only=True)
 class Curve(Mark):
-    """A line, or points, with or without intervals.
+    """Line or points, with or without intervals.
 
     Attributes:
-        x: Where on the horizontal axis.
-        y: Values, NaN where there is none.
-        width: Of the line [px of a page]; 0 for points alone.
-        marker: Of the points, as plotly names it; empty for none.
-        size: Of the points [px of a page].
-        ends: Lower and upper ends of intervals along the horizontal axis.
-        reach: Lower and upper ends of whiskers along the vertical axis.
+        x: Values on the horizontal axis.
+        y: Values on the vertical axis; NaN for a missing value.
+        width: Line width [px of a page]; 0 for points only.
+        marker: Marker of the points, with plotly's name; empty for none.
+        size: Size of the points [px of a page].
+        ends: Lower and upper ends of horizontal intervals.
+        reach: Lower and upper ends of vertical whiskers.
     """
 
     x: Float[np.ndarray, "points"]
@@ -64,7 +64,7 @@ class Curve(Mark):
 
 @dataclass(frozen=True, kw_only=True)
 class Band(Mark):
-    """The pale area between two curves, which no legend names; `selected` where a page's front run alone has it."""
+    """Pale area between two curves, not in the legend; if `selected`, a page shows it only for the selected run."""
 
     x: Float[np.ndarray, "points"]
     low: Float[np.ndarray, "points"]
@@ -74,7 +74,7 @@ class Band(Mark):
 
 @dataclass(frozen=True, kw_only=True)
 class Stripe(Mark):
-    """All between two values of an axis, the vertical one where `level`; a line across where they are the same."""
+    """Area between two values of an axis, vertical axis if `level`; a line if the values are equal."""
 
     low: float
     high: float
@@ -83,15 +83,15 @@ class Stripe(Mark):
 
 @dataclass(frozen=True, kw_only=True)
 class Bars(Mark):
-    """Bars from 0, along the horizontal axis unless they stand upright.
+    """Bars from 0, horizontal unless `upright`.
 
     Attributes:
-        at: Their places on the other axis.
-        length: Their lengths, NaN where there is none.
-        width: On the other axis.
-        spread: Half the length of the whisker at the end of each.
-        upright: Whether they stand.
-        pale: Whether they are pale, and hatched on paper.
+        at: Position of each bar on the other axis.
+        length: Length of each bar; NaN for a missing value.
+        width: Width on the other axis.
+        spread: Half the length of the whisker at the end of each bar.
+        upright: Whether the bars are vertical.
+        pale: Whether the bars are pale, and hatched on paper.
     """
 
     at: Float[np.ndarray, "bars"]
@@ -104,14 +104,14 @@ class Bars(Mark):
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis of a panel.
+    """Axis of a panel.
 
     Attributes:
-        label: What it shows.
-        unit: In which unit.
+        label: Name of the quantity.
+        unit: Unit of the quantity.
         log: Whether it is logarithmic.
-        limits: Its first and its last value; None for those of the marks.
-        ticks: Names of the values 0, 1, 2 and so on, in place of numbers.
+        limits: First and last value; None to fit the marks.
+        ticks: Names of the values 0, 1, 2 and so on, instead of numbers.
     """
 
     label: str = ""
@@ -122,7 +122,7 @@ class Axis:
 
     @property
     def title(self) -> str:
-        """Label and unit."""
+        """Axis title: label and unit."""
         return f"{self.label} [{self.unit}]" if self.label and self.unit else self.label or self.unit
 
     @property
@@ -136,12 +136,12 @@ class Panel:
     """Marks on a pair of axes.
 
     Attributes:
-        marks: From the one at the back to the one in front; of several runs, the first is in front on paper.
-        x: The horizontal axis.
-        y: The vertical axis.
-        note: A few words above it.
-        share: Of the height of its figure, relative to the other panels.
-        magnified: Limits of both axes of a stretch that is magnified on paper, where one cannot zoom.
+        marks: Marks from back to front; of several runs, the first is in front on paper.
+        x: Horizontal axis.
+        y: Vertical axis.
+        note: Short text above the panel.
+        share: Height relative to the other panels of the figure.
+        magnified: Limits of both axes of a stretch that is magnified on paper, where nobody can zoom.
     """
 
     marks: Sequence[Mark]
@@ -154,16 +154,16 @@ class Panel:
 
 @dataclass(frozen=True)
 class Figure:
-    """One figure: a panel, or several above each other with the same horizontal axis.
+    """Figure of one or more panels, stacked on one horizontal axis.
 
     Attributes:
-        title: Its heading.
-        text: Its content in a few sentences, also for those who do not see it.
-        panels: From the top down.
-        time: Whether the horizontal axis is the time of a rollout, which all such figures of a page share.
-        rollout: Which of the run's long test rollouts it is over; None for none of them alone.
-        height: On a page [px], where it is not that of the others.
-        small: Whether it is one of many small ones on a page.
+        title: Heading.
+        text: Content in a few sentences, also for readers who cannot see the figure.
+        panels: Panels from top to bottom.
+        time: Whether the horizontal axis is the time of a rollout; all such figures of a page zoom together.
+        rollout: Index of the long test rollout that it shows; None if it does not show a single one.
+        height: Height on a page [px]; None for the default.
+        small: Whether it is one of many small figures on a page.
     """
 
     title: str
@@ -177,15 +177,15 @@ class Figure:
 
 @dataclass(frozen=True)
 class Sheet:
-    """Figures that are printed together.
+    """Figures on one printed sheet.
 
     Attributes:
-        title: Above all of them.
-        figures: With as many panels each.
-        height: Of a row of figures [inch].
-        columns: Figures beside each other.
+        title: Title above all figures.
+        figures: Figures with the same number of panels.
+        height: Height of a row of figures [inch].
+        columns: Number of figures in a row.
         headings: Whether the figures' titles are printed.
-        apart: Whether each figure has its own legend above it instead of one below for all.
+        apart: Whether each figure has a legend above it, instead of one legend below all figures.
     """
 
     title: str
@@ -197,14 +197,14 @@ class Sheet:
 
 
 def list_named(panel: Panel) -> Iterator[Mark]:
-    """Marks that a legend may name: not bands, nor runs that a row names already."""
+    """Yield marks for the legend: no bands, and no runs that a row names already."""
     for mark in panel.marks:
         if mark.legend and mark.name and not isinstance(mark, Band) and (mark.run is None or not panel.y.ticks):
             yield mark
 
 
 def list_rows(panel: Panel) -> Iterator[tuple[float, float, str]]:
-    """Of a panel with rows: place of each value, the value, and what is said of it."""
+    """Yield position, value and note of each value in a panel with rows."""
     for mark in panel.marks if panel.y.ticks else ():
         if isinstance(mark, Curve | Bars):
             rows, values = (mark.y, mark.x) if isinstance(mark, Curve) else (mark.at, mark.length)
@@ -214,11 +214,11 @@ def list_rows(panel: Panel) -> Iterator[tuple[float, float, str]]:
 def frame(
     shown: Sequence[Float[np.ndarray, "points"]], others: Sequence[Float[np.ndarray, "points"]] = ()
 ) -> tuple[float, float]:
-    """Limits of a vertical axis: a drive without friction may run away, and leave the frame.
+    """Return limits of a vertical axis; a drive without friction may run away and leave the frame.
 
     Args:
-        shown: Curves that are seen whole, NaN where they have ended.
-        others: Curves that may take half as much room again above and below.
+        shown: Curves that are shown completely; NaN after they have ended.
+        others: Curves that may extend the axis by at most half the range of `shown` above and below.
     """
     lowest, highest = float(np.nanmin(shown)), float(np.nanmax(shown))
     room = highest - lowest or 1.0
@@ -234,14 +234,14 @@ def scale_errors(
     tops: Sequence[Float[np.ndarray, "..."]] = (),
     widest: float = np.inf,
 ) -> Axis:
-    """An axis for errors: from 0 upwards, logarithmic where one curve would flatten another.
+    """Return an axis for errors: from 0 upwards, or logarithmic if one curve would flatten another.
 
     Args:
-        label: What they are.
-        unit: Their unit.
-        curves: The errors.
-        tops: Upper ends of bands around them, which may leave the frame.
-        widest: How many times larger a curve may grow than the smallest one does; one beyond that leaves the frame.
+        label: Name of the error.
+        unit: Unit of the error.
+        curves: Error curves.
+        tops: Upper ends of bands around the curves; they may leave the frame.
+        widest: Largest ratio of a curve's maximum to the smallest maximum; curves beyond it leave the frame.
     """
     positive = [curve[curve > 0] for curve in curves if (curve > 0).any()]
     lowest = min((curve.max() for curve in positive), default=1.0)
@@ -255,9 +255,9 @@ def scale_errors(
 
 
 def scale_values(label: str, unit: str, values: Float[np.ndarray, "values"], apart: float) -> Axis:
-    """An axis for values: logarithmic where they are positive and the largest is `apart` times the smallest.
+    """Return an axis for values: logarithmic if all are positive and the largest is `apart` times the smallest.
 
-    NaN and infinities do not count.
+    NaN and infinite values are ignored.
     """
     finite = values[np.isfinite(values)]
     low, high = finite.min(initial=np.inf), finite.max(initial=0.0)

@@ -1,4 +1,4 @@
-"""What is drawn of a run's friction: the law beside what recordings imply, and what it leaves of their torque."""
+"""Figures of a run's friction: friction curves with the friction implied by recordings, and the residual torque."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -18,8 +18,8 @@ from frictionzoo.show.colors import MODEL, TEACHER
 from frictionzoo.show.figure import Axis, Band, Curve, Figure, Mark, Panel, Sheet, Stripe
 from frictionzoo.show.text import format_number
 
-COLUMNS = 4  # joints beside each other in a picture
-_OVER = {  # names of axes, and their units or what UNITS has them by
+COLUMNS = 4  # joints in a row of a picture
+_OVER = {  # name of each axis, and its unit or its dimension in UNITS
     "velocity": ("velocity", "velocity"),
     "load": ("load on the gear", "torque"),
     "position": ("position", "position"),
@@ -28,17 +28,20 @@ _OVER = {  # names of axes, and their units or what UNITS has them by
 
 
 def plot_portraits(result: Result, curves: Curves, teacher: Run | None = None) -> Iterator[Figure]:
-    """Of each joint, the law with its band, its teacher's, and what recordings imply, over all that the law sees."""
+    """Yield the friction curves of each joint over all inputs of the model.
+
+    A figure shows the model with its band, the teacher's curve if there is one, and the friction implied by recordings.
+    """
     for joint in range(len(result["joints"])):
         for over in curves.portraits:
             yield _plot_portrait(result, curves, joint, over, teacher)
 
 
 def save_portraits(path: Path, title: str, result: Result, curves: Curves) -> None:
-    """A picture of the law over the velocity, a panel a joint.
+    """Save a picture of friction over velocity, one panel per joint.
 
     Raises:
-        OutputError: It cannot be written.
+        OutputError: The file cannot be written.
     """
     joints = result["joints"]
     figures = [replace(_plot_portrait(result, curves, at, "velocity"), title=name) for at, name in enumerate(joints)]
@@ -51,12 +54,12 @@ def _plot_portrait(result: Result, curves: Curves, joint: int, over: str, teache
     before = teacher.curves.portraits if teacher else {}
     alone, taught = _pick(curves.portraits[over], joint), _pick(before[over], joint) if over in before else None
     x = Axis(label, units.get(unit, unit))
-    y = Axis("friction" if over == "velocity" else "friction against the motion", units["torque"])
-    text = f"Friction of {name} over the {label}: {_say_portrait(alone, units['torque'])}"
+    y = Axis("friction" if over == "velocity" else "friction opposing the motion", units["torque"])
+    text = f"Friction of {name} over {label}: {_say_portrait(alone, units['torque'])}"
     if taught:
-        text += f" Its teacher's is {_say_apart(alone, taught, units['torque'])}"
+        text += f" The teacher's curve differs by at most {_say_apart(alone, taught, units['torque'])}"
     panel = Panel(list(_draw_portrait(alone, taught, over == "velocity")), x, y)
-    return Figure(f"Friction of {name} over the {label}", text, (panel,))
+    return Figure(f"Friction of {name} over {label}", text, (panel,))
 
 
 def _pick(portrait: Portrait, joint: int) -> Portrait:
@@ -69,7 +72,7 @@ def _draw_portrait(portrait: Portrait, taught: Portrait | None, crosses: bool) -
         yield Stripe(low=0.0, high=0.0)
     if taught:
         yield from _draw_law(taught, "teacher", {"color": TEACHER, "dash": (5.0, 2.0)})
-    yield from _draw_law(portrait, "student" if taught else "law", {"color": MODEL})
+    yield from _draw_law(portrait, "student" if taught else "model", {"color": MODEL})
     if (seen := np.isfinite(portrait.where)).any():
         where, implied, *ends = (part[seen] for part in portrait[4:])
         look: Mapping[str, Any] = {"width": 0.0, "marker": "circle", "reach": np.stack(ends)}
@@ -77,9 +80,9 @@ def _draw_portrait(portrait: Portrait, taught: Portrait | None, crosses: bool) -
 
 
 def _draw_law(portrait: Portrait, name: str, look: Mapping[str, Any]) -> Iterator[Mark]:
-    """A law's curve over its band, where it has one."""
+    """Yield a model's curve, in front of its band if it has one."""
     if (sure := np.isfinite(portrait.low)).any():
-        name = f"{name}, with its 95 % interval"
+        name = f"{name}, 95 % interval"
         at, low, high = (part[sure] for part in (portrait.at, portrait.low, portrait.high))
         yield Band(x=at, low=low, high=high, name=name, color=look["color"])
     yield Curve(x=portrait.at, y=portrait.law, width=2.2, name=name, **look)
@@ -88,38 +91,39 @@ def _draw_law(portrait: Portrait, name: str, look: Mapping[str, Any]) -> Iterato
 def _say_portrait(portrait: Portrait, unit: str) -> str:
     seen = np.isfinite(portrait.where)
     if not seen.any():
-        return "the law; the recordings do not tell what friction they imply."
+        return "the model; the recordings determine no implied friction."
     off = portrait.implied[seen] - np.interp(portrait.where[seen], portrait.at, portrait.law)
     size = float(np.abs(portrait.implied[seen]).mean()) or 1.0
     return (
-        "the law, and what the recorded torque implies in motion, its median and the 10 to 90 % range in each of "
-        f"{seen.sum()} bins. The medians are {format_number(float(np.abs(off).mean()))} {unit} from the curve on "
-        f"average, {say_percent(np.abs(off).mean() / size)} of the friction."
+        "the model, and the friction implied by the recorded torque in motion: its median and 10 to 90 % range in "
+        f"{seen.sum()} bin{'s' * bool(seen.sum() > 1)}. The medians differ from the curve by "
+        f"{format_number(float(np.abs(off).mean()))} {unit} on average, {say_percent(np.abs(off).mean() / size)} of "
+        "the friction."
     )
 
 
 def _say_apart(portrait: Portrait, taught: Portrait, unit: str) -> str:
-    """How far two laws are from each other, where both are drawn."""
+    """Return the largest difference between two friction curves, with unit."""
     kept = np.isfinite(portrait.at) & np.isfinite(portrait.law)
     apart = np.abs(np.interp(portrait.at[kept], taught.at, taught.law) - portrait.law[kept])
-    return f"{format_number(float(apart.max()))} {unit} from it at the most."
+    return f"{format_number(float(apart.max()))} {unit}."
 
 
 def plot_left(result: Result, curves: Curves) -> Iterator[Figure]:
-    """Of each joint, the torque that is left over the time of the training recordings."""
+    """Yield the residual torque of each joint over the time of the training recordings."""
     unit = find_units(result)["torque"]
     rows = {row["joint"]: row for row in (result["residual"] or {"by_joint": []})["by_joint"]}
     for joint, name in enumerate(result["joints"] if curves.left.size else ()):
         look: Mapping[str, Any] = {"width": 0.0, "marker": "circle", "size": 2.5, "opacity": 0.7}
-        left = Curve(x=curves.left_time, y=curves.left[:, joint], name="left of the torque", color=MODEL, **look)
+        left = Curve(x=curves.left_time, y=curves.left[:, joint], name="residual torque", color=MODEL, **look)
         size = rows[name]["residual"] if name in rows else None
         marks = [Stripe(low=0.0, high=0.0, level=True), left]
         x = Axis("time in the training data", "s")
-        text = f"What the identified drive leaves of the torque of {name} while it moves"
-        text += "." if size is None else f": {format_number(size)} {unit} in root mean square."
-        yield Figure(f"Torque that is left of {name}", text, (Panel(marks, x, Axis("torque", unit)),))
+        text = f"Residual torque of {name} in motion"
+        text += "." if size is None else f": root mean square {format_number(size)} {unit}."
+        yield Figure(f"Residual torque of {name}", text, (Panel(marks, x, Axis("torque", unit)),))
 
 
 def find_units(result: Result) -> Mapping[str, str]:
-    """Units of the run's joints, by dimension."""
+    """Return the units of the run's joints by dimension."""
     return UNITS["hinge" if result["metrics"]["test"]["unit"] == UNITS["hinge"]["position"] else "slide"]

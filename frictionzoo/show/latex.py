@@ -1,4 +1,4 @@
-"""The paper's Table 2 of a comparison, as LaTeX."""
+"""Comparison as a LaTeX table, like Table 2 of the paper."""
 
 import math
 
@@ -18,16 +18,16 @@ SPECIAL = str.maketrans(
         "`": r"\textasciigrave{}",
         **{character: f"\\{character}" for character in "{}$&#%"},
         "_": r"\_\allowbreak{}",
-        **{character: f"{{{character}}}" for character in "[]*-"},  # else arguments of \\, and dashes
+        **{character: f"{{{character}}}" for character in "[]*-"},  # LaTeX reads them as arguments of \\, or as dashes
     }
 )
-WIDEST = 1e5  # a number that would need more columns is written with a power of ten
+WIDEST = 1e5  # from here on, numbers are written with a power of ten
 RECOMMENDED, NOISE, NONE = r"$^{\ast}$", r"$^{\dagger}$", "--"
 
 
 def tabulate_latex(comparison: Comparison) -> str:
-    r"""Table of the runs' errors: a `table` to be read by `\input`, for a document that loads `booktabs`."""
-    # A power of ten, a multiple of 3, that leaves the lowest test error between 1 and 1000.
+    r"""Return a `table` of the runs' errors for `\input` in a document that loads `booktabs`."""
+    # The exponent is a multiple of 3 that scales the lowest test error to between 1 and 1000.
     lowest = min((error for run in comparison["runs"] if (error := run["test"]["position_mae"])), default=1.0)
     exponent = 3 * math.floor(math.log10(lowest) / 3)
     rows = [_tabulate_run(run, exponent, comparison) for run in comparison["runs"]]
@@ -54,7 +54,7 @@ def tabulate_latex(comparison: Comparison) -> str:
 
 
 def escape(text: str) -> str:
-    """A user's text as LaTeX sets it: no character has another meaning, and all is on one line."""
+    """Escape a user's text for LaTeX and put it on one line."""
     line = " ".join(text.split())
     return "".join(filter(str.isprintable, line)).translate(SPECIAL)
 
@@ -76,7 +76,7 @@ def _tabulate_run(run: RunRow, exponent: int, comparison: Comparison) -> str:
 
 
 def _mark(label: str, comparison: Comparison) -> str:
-    """What stands behind a run's name."""
+    """Return the footnote signs after a run's name."""
     chosen = comparison["recommendation"]
     if chosen is None:
         return ""
@@ -95,22 +95,21 @@ def _scale(error: float | None, exponent: int) -> str:
 
 
 def _describe(comparison: Comparison) -> str:
-    """The caption: what was measured on what, and what the signs mean."""
+    """Return the caption: data, metric and the meaning of the signs."""
     data, evaluation, reference = comparison["data"], comparison["evaluation"], comparison["reference"]
     against = escape(reference) if reference else "the same drive identified without friction"
     return (
         f"Friction models identified from {escape(data['name'])} ({say_origin(data['origin'])}): mean absolute error "
-        f"(MAE) of the position in open-loop rollouts of {evaluation['horizon']:g}~s from measured states, "
-        rf"{evaluation['rollouts']} of them on test data; $\sigma$: its standard deviation over them. Change: of the "
-        "test error against "
-        rf"{against}. Fit: without compiling. Bold: the lowest test error; {NOISE}: within noise of it, as the 95~\% "
-        rf"interval of the paired difference holds~0 or the difference is below {100 * MATTERS:g}~\% of the error; "
-        rf"{RECOMMENDED}: recommended, the fewest values within noise."
+        f"(MAE) of the position in open-loop rollouts of {evaluation['horizon']:g}~s from measured states "
+        rf"({evaluation['rollouts']} on test data); $\sigma$: standard deviation over the rollouts. Change: test error "
+        rf"against {against}. Fit: time without compilation. Bold: lowest test error; {NOISE}: within noise of it (the "
+        rf"95~\% interval of the paired difference contains~0, or the difference is below {100 * MATTERS:g}~\% of the "
+        rf"error); {RECOMMENDED}: recommended (fewest values within noise)."
     )
 
 
 def _notes(comparison: Comparison) -> list[str]:
-    """Lines below the table: what diverged, and what has no result."""
+    """Return lines below the table: diverged rollouts, failed jobs, and doubts about the reference."""
     lost = [
         f"{escape(run['label'])}, {run[part]['diverged']} of {run[part]['rollouts']} on {part} data"
         for run in comparison["runs"]
@@ -122,5 +121,5 @@ def _notes(comparison: Comparison) -> list[str]:
         law = f" ({escape(failure['model'])})" if failure["model"] else ""
         failed.append(f"{escape(failure['run'])}{law}: {escape(failure['reason'])}")
     doubted = [escape(comparison["reference_doubt"])] if comparison["reference_doubt"] else []
-    notes = {"Rollouts that diverged, and are left out": lost, "No result": failed, "Change": doubted}
+    notes = {"Diverged rollouts, excluded": lost, "No result": failed, "Change": doubted}
     return [f"{title}: {'; '.join(entries)}." for title, entries in notes.items() if entries]

@@ -1,4 +1,4 @@
-"""What the pages for a browser share: templates, and how they print numbers."""
+"""Rendering of HTML pages: templates, packed libraries, and filters that print numbers."""
 
 import base64
 import gzip
@@ -23,13 +23,13 @@ from frictionzoo.show.text import format_change, format_number, format_share, fo
 
 @dataclass(frozen=True)
 class Check:
-    """One reason to trust the result, or to doubt it.
+    """Outcome of one check of a result or of data.
 
     Attributes:
         state: `good`, `note`, `caution` or `bad`.
-        title: What was looked at.
-        text: What was seen, in plain sentences.
-        option: What to add to the command line; None where nothing is to be added.
+        title: Subject of the check.
+        text: Outcome in plain sentences.
+        option: Option to add to the command line; None for none.
     """
 
     state: str
@@ -39,7 +39,7 @@ class Check:
 
     @property
     def doubtful(self) -> bool:
-        """Whether it is a reason to doubt."""
+        """Whether the check found a problem."""
         return self.state in ("caution", "bad")
 
 
@@ -51,15 +51,15 @@ def render_page(
     state: Mapping[str, Any] | None = None,
     **content: Any,
 ) -> bytes:
-    """One self-contained page.
+    """Render one self-contained page.
 
     Args:
-        template: Its file, relative to the package; it extends `show/page.html.jinja`.
-        sections: Figures by the name that the template has for them.
-        checks: Why to trust it, and why not.
-        points: At most so many of each curve.
-        state: What the page's script is handed besides.
-        content: What else the template names, as the program's `version`.
+        template: Template file relative to the package; it extends `show/page.html.jinja`.
+        sections: Figures by the template's name for them.
+        checks: Checks that the page lists.
+        points: Largest number of points per curve.
+        state: Further data for the page's script.
+        content: Further variables of the template, such as the program's `version`.
     """
     drawn = {name: [with_plotly.draw(figure, points) for figure in figures] for name, figures in sections.items()}
     names, figures = list(sections), [figure for figures in drawn.values() for figure in figures]
@@ -68,7 +68,7 @@ def render_page(
         open_template(template, _FILTERS, html=True)
         .render(
             sections=sections,
-            # Number of the first figure of each section.
+            # Index of the first figure of each section.
             first={name: sum(len(drawn[before]) for before in names[:i]) for i, name in enumerate(names)},
             data=pack(json.dumps(data, separators=(",", ":"))),
             plotly=pack_library("plotly/plotly-basic.min.js"),
@@ -82,18 +82,18 @@ def render_page(
 
 
 def pack(text: str) -> str:
-    """A text for a page's script to unpack, of less than half its size: base64 of gzip, without a date."""
+    """Compress a text for the page's script to less than half its size: base64 of gzip, without a date."""
     return base64.b64encode(gzip.compress(text.encode(), mtime=0)).decode()
 
 
 @cache
 def pack_library(path: str) -> str:
-    """A library that pages carry, by its path beside this file, packed."""
+    """Return a packed JavaScript library that pages embed, by its path relative to this folder."""
     return pack(resources.files("frictionzoo.show").joinpath(*path.split("/")).read_text(encoding="utf-8"))
 
 
 def _overview(parameter: ParameterRow) -> dict[str, Any]:
-    """A parameter of several joints in one line: the mean or the range, and what is doubtful."""
+    """Summarise a parameter of several joints in one line: mean or range, and doubtful values."""
     rows, first = [row for row in parameter["by_joint"] if row["identified"]], parameter["by_joint"][0]
     values = read_values(parameter)
     values = values[~np.isnan(values)]
@@ -114,12 +114,12 @@ def _say_whose(row: ValueRow) -> str:
 
 
 def _place(row: ValueRow, value: float) -> float:
-    """Where a value lies between the bounds of a row, from 0 to 100, as `place_between_bounds` has it."""
+    """Return the position of a value between the bounds of its row [%], see `place_between_bounds`."""
     return round(100 * place_between_bounds(row, np.array([float(value)])).item(), 1)
 
 
 def _say_certainty(parameters: Sequence[ParameterRow]) -> str:
-    """Which identifiable values have the widest and the narrowest interval for their size; empty where none has one."""
+    """Return a sentence with the identifiable values of the widest and narrowest relative interval; empty for none."""
     rows = {label: row for p in parameters for label, row in label_values(p).items() if row["identified"]}
     width = {
         label: (row["interval"][1] - row["interval"][0]) / abs(2 * row["value"])
@@ -129,9 +129,9 @@ def _say_certainty(parameters: Sequence[ParameterRow]) -> str:
     if not width:
         return ""
     least, most = max(width, key=width.__getitem__), min(width, key=width.__getitem__)
-    whose = " of what is identifiable" if any(row["identifiable"] is False for row in rows.values()) else ""
+    whose = " of the identifiable values" if any(row["identifiable"] is False for row in rows.values()) else ""
     said = f"Least certain{whose}: {least}, ± {say_percent(width[least])}"
-    return f"{said}; most: {most}, ± {say_percent(width[most])}." if most != least else f"{said}."
+    return f"{said}; most certain: {most}, ± {say_percent(width[most])}." if most != least else f"{said}."
 
 
 _FILTERS = {

@@ -1,4 +1,4 @@
-"""The long test rollouts of a run as motion in space: bodies, what is drawn of them, and joint positions over time."""
+"""Replay of a run's long test rollouts in 3D: bodies, their shapes, and joint positions over time."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -16,19 +16,19 @@ from frictionzoo.show.colors import BASELINE, MEASURED, MODEL, SOFT
 from frictionzoo.show.run_plots import choose_rollouts
 from frictionzoo.show.text import format_number
 
-FRAMES = 30.0  # at most so many a second; the page draws straight lines between them
-POSITIONS = 150_000  # of joints in all frames, about 0.5 MB of a page
-FINEST = {"hinge": 1e-4, "slide": 1e-5}  # rad or m to which positions are rounded: less than a pixel
-FARTHEST = 1e4  # rad or m from where a motion counts as diverged
-FACES = 20_000  # triangles of all meshes together
-CELLS = 256  # of a mesh along its longest side, at first
+FRAMES = 30.0  # largest frame rate [1/s]; the page interpolates linearly between frames
+POSITIONS = 150_000  # largest number of joint positions in all frames, about 0.5 MB of a page
+FINEST = {"hinge": 1e-4, "slide": 1e-5}  # resolution of positions [rad or m]: less than a pixel
+FARTHEST = 1e4  # position from which a motion counts as diverged [rad or m]
+FACES = 20_000  # largest number of triangles of all meshes together
+CELLS = 256  # initial number of grid cells along the longest side of a mesh
 MOTIONS = (
     {"name": "this model", "color": MODEL, "opacity": 1.0},
     {"name": "measured", "color": MEASURED, "opacity": 0.3},
     {"name": "no friction", "color": BASELINE, "opacity": 0.6},
 )
-_THIN, _LIGHT = 0.012, 1e-6  # share of the size of all; kg, below which a body only fills MuJoCo's want of a mass
-_HIDDEN = 3  # the first of the groups of geoms that MuJoCo's viewer does not show
+_THIN, _LIGHT = 0.012, 1e-6  # line thickness relative to the model; mass below which a body is a placeholder [kg]
+_HIDDEN = 3  # first geom group that MuJoCo's viewer does not show
 _SHAPES = {
     int(mujoco.mjtGeom.mjGEOM_SPHERE): "sphere",
     int(mujoco.mjtGeom.mjGEOM_CAPSULE): "capsule",
@@ -39,25 +39,26 @@ _SHAPES = {
     int(mujoco.mjtGeom.mjGEOM_MESH): "mesh",
 }
 Shape = dict[str, Any]
-"""What is drawn of a body: `body`, `shape`, `size` as MuJoCo has it, `pos` and `quat` in the body's frame."""
+"""Shape of a body: `body`, `shape`, `size` as in MuJoCo, `pos` and `quat` in the body's frame."""
 
 
 def record_replay(bench: Bench, values: Mapping[str, np.ndarray], curves: Curves, timestep: float) -> dict[str, Any]:
-    """All that a page needs to show a run's long test rollouts in space; without names.
+    """Return the data from which a page shows a run's long test rollouts in 3D, without names of bodies or joints.
 
     Quaternions are (x, y, z, w), lengths in m, angles in rad.
 
     Args:
-        bench: As it was simulated.
-        values: Its identified parameters: an encoder's offset moves what is drawn.
-        curves: Of the run.
-        timestep: Between the samples of the curves [s].
+        bench: Bench as it was simulated.
+        values: Identified parameters of the bench; an encoder offset shifts the drawn positions.
+        curves: Curves of the run.
+        timestep: Time between the samples of the curves [s].
 
     Returns:
-        `bodies`, each with its `parent`, its place in it and its joints; `shapes`, and `meshes` of them; `rollouts`,
-        those that the page speaks of first, each with `positions` of every motion, by joint and frame in units of
-        `finest`; `step` between frames and `duration` [s]; `motions` with their looks; `view`, from where one looks at
-        first; and `inertia`, whether shapes are boxes of inertia because the model has no others.
+        `bodies`, each with `parent`, pose in the parent's frame, and joints; `shapes` and their `meshes`; `scenery`,
+        the look of fixed shapes; `rollouts`, best, median and worst first, each with the `positions` of every motion
+        by joint and frame in units of `finest`; `count`, the number of long test rollouts; `step` between frames and
+        `duration` [s]; `motions` with their looks; `view`, the initial direction of view; `inertia`, whether shapes
+        are inertia boxes because the model has no geoms.
     """
     model = _open(bench)
     joints = [model.joint(name).id for name in bench.joints]
@@ -89,21 +90,21 @@ def record_replay(bench: Bench, values: Mapping[str, np.ndarray], curves: Curves
 
 
 def _open(bench: Bench) -> mujoco.MjModel:
-    """The model to be drawn: a robot's own file with all that it shows, or else what was simulated."""
+    """Return the model to draw: the robot's file with all its geoms, otherwise the simulated model."""
     simulated = bench.compile(constraint=False)
     if not isinstance(bench, Robot):
         return simulated
     try:
         model = look_at(bench.source)
         joints = [model.joint(name).id for name in bench.joints]
-    except (BenchError, KeyError):  # it has changed, or gone, since the run began
+    except (BenchError, KeyError):  # the file was changed or removed after the run began
         return simulated
     moving = _find_moving(model, joints)
     return model if any(moving[shape["body"]] for shape in _list_geoms(model)) else simulated
 
 
 def _find_moving(model: mujoco.MjModel, joints: Sequence[int]) -> Bool[np.ndarray, "nbody"]:
-    """Which bodies these joints move."""
+    """Return a mask of the bodies that these joints move."""
     moving = np.zeros(model.nbody, bool)
     moving[model.jnt_bodyid[list(joints)]] = True
     for body in range(1, model.nbody):
@@ -112,13 +113,13 @@ def _find_moving(model: mujoco.MjModel, joints: Sequence[int]) -> Bool[np.ndarra
 
 
 def _list_bodies(model: mujoco.MjModel, joints: Sequence[int], offset: Float[np.ndarray, "nv"]) -> list[dict[str, Any]]:
-    """The kinematic tree, the world first; joints that are not among these stand at their reference position."""
+    """Return the kinematic tree, world first; all other joints stay at their reference position."""
     bodies = []
     for body in range(model.nbody):
         place = {"pos": model.body_pos[body].tolist(), "quat": _turn(model.body_quat[body])}
         bodies.append({"parent": int(model.body_parentid[body]), **place, "joints": []})
     for at, joint in enumerate(joints):
-        # MuJoCo's joint is at its reference where `qpos` is `qpos0`; what the encoder lacks comes on top.
+        # MuJoCo's reference position is `qpos0`; the encoder's offset is subtracted from it.
         reference = float(model.qpos0[model.jnt_qposadr[joint]] - offset[at])
         place = {"pos": model.jnt_pos[joint].tolist(), "axis": model.jnt_axis[joint].tolist()}
         slide = bool(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE)
@@ -127,7 +128,7 @@ def _list_bodies(model: mujoco.MjModel, joints: Sequence[int], offset: Float[np.
 
 
 def _list_geoms(model: mujoco.MjModel) -> Iterator[Shape]:
-    """What MuJoCo's viewer would show of each body; of one that it hides all of, all."""
+    """Yield the geoms that MuJoCo's viewer shows; for a body without visible geoms, all of its geoms."""
     kinds, bodies, clear = model.geom_type, model.geom_bodyid, model.geom_rgba[:, 3] > 0
     drawn = np.isin(kinds, list(_SHAPES)) & clear
     for body in np.unique(bodies[drawn]):
@@ -135,7 +136,7 @@ def _list_geoms(model: mujoco.MjModel) -> Iterator[Shape]:
         visible = own[model.geom_group[own] < _HIDDEN]
         for geom in visible if len(visible) else own:
             size = model.geom_size[geom].copy()
-            if kinds[geom] == mujoco.mjtGeom.mjGEOM_PLANE:  # 0 is without an end
+            if kinds[geom] == mujoco.mjtGeom.mjGEOM_PLANE:  # size 0 means infinite
                 size[:2] = np.where(size[:2] > 0, size[:2], 2 * model.stat.extent)
                 size[2] = _THIN * model.stat.extent / 4
             shape = _shape(int(body), _SHAPES[int(kinds[geom])], size, model.geom_pos[geom], model.geom_quat[geom])
@@ -144,7 +145,7 @@ def _list_geoms(model: mujoco.MjModel) -> Iterator[Shape]:
 
 
 def _list_inertia(model: mujoco.MjModel, joints: Sequence[int], curves: Curves) -> list[Shape]:
-    """A box of each moving body's inertia, and lines by which they hang together."""
+    """Return an inertia box for each moving body, and lines that connect them."""
     moving = _find_moving(model, joints)
     boxes = [box for body in np.flatnonzero(moving) for box in _box_inertia(model, int(body))]
     largest = max((max(box["size"]) for box in boxes), default=float(model.stat.meansize))
@@ -153,7 +154,7 @@ def _list_inertia(model: mujoco.MjModel, joints: Sequence[int], curves: Curves) 
 
 
 def _box_inertia(model: mujoco.MjModel, body: int) -> list[Shape]:
-    """The box of uniform density with a body's mass and inertia, as MuJoCo's viewer draws it.
+    """Return the box of uniform density with a body's mass and inertia, as MuJoCo's viewer draws it.
 
     Source: MuJoCo, `src/engine/engine_vis_visualize.c`, mjVIS_INERTIA.
     """
@@ -165,8 +166,8 @@ def _box_inertia(model: mujoco.MjModel, body: int) -> list[Shape]:
 
 
 def _list_links(model: mujoco.MjModel, joints: Sequence[int], curves: Curves, largest: float) -> Iterator[Shape]:
-    """Lines from a joint's anchor to those of the next joints, from the last to its link's centre, and a rail."""
-    # Places at the reference position; between joints of one body and the next they stay as they are.
+    """Yield lines between anchors of successive joints and to the links' centres, rails of slides, shafts of hinges."""
+    # Computed at the reference position; each line is fixed to one body.
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     owner = {int(model.jnt_bodyid[joint]): joint for joint in joints}
@@ -189,7 +190,7 @@ def _list_links(model: mujoco.MjModel, joints: Sequence[int], curves: Curves, la
     thickness = _THIN / 2 * max([largest, *reach])
     for body, start, end in lines:
         yield from _line(data, body, start, end, thickness)
-    for joint in joints:  # the shaft of a hinge, on the side that holds it
+    for joint in joints:  # shaft of a hinge, fixed to the parent body
         if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE:
             above, shaft = int(model.body_parentid[model.jnt_bodyid[joint]]), 12 * thickness * data.xaxis[joint]
             anchor = data.xanchor[joint]
@@ -197,7 +198,7 @@ def _list_links(model: mujoco.MjModel, joints: Sequence[int], curves: Curves, la
 
 
 def _line(data: mujoco.MjData, body: int, start: np.ndarray, end: np.ndarray, thickness: float) -> Iterator[Shape]:
-    """A thin capsule between two places in the world, which a body carries."""
+    """Yield a thin capsule between two points in world coordinates, fixed to a body."""
     axes, quaternion = data.xmat[body].reshape(3, 3), np.zeros(4)
     first, last = ((place - data.xpos[body]) @ axes for place in (start, end))
     length = float(np.linalg.norm(last - first))
@@ -212,7 +213,7 @@ def _shape(body: int, shape: str, size: np.ndarray, pos: np.ndarray, quat: np.nd
 
 
 def _list_meshes(model: mujoco.MjModel, shapes: Sequence[Shape]) -> list[dict[str, Any]]:
-    """The meshes of shapes, which are numbered anew; coarser, until all together are small enough."""
+    """Return the meshes of the shapes, coarse enough for the size limit; renumber them in the shapes."""
     used = sorted({shape["mesh"] for shape in shapes if "mesh" in shape})
     for shape in shapes:
         if "mesh" in shape:
@@ -223,7 +224,7 @@ def _list_meshes(model: mujoco.MjModel, shapes: Sequence[Shape]) -> list[dict[st
         excess = sum(len(mesh["faces"]) for mesh in meshes) / (3 * FACES)
         if excess <= 1 or cells <= 2:
             return meshes
-        cells = max(2, int(cells / max(1.1, excess**0.5)))  # triangles fall at most by the square of it
+        cells = max(2, int(cells / max(1.1, excess**0.5)))  # the number of triangles falls at most with the square
 
 
 def _read_mesh(model: mujoco.MjModel, mesh: int) -> tuple[Float[np.ndarray, "vertices 3"], Int[np.ndarray, "faces 3"]]:
@@ -237,7 +238,7 @@ def _read_mesh(model: mujoco.MjModel, mesh: int) -> tuple[Float[np.ndarray, "ver
 def _coarsen(
     vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"], cells: int
 ) -> dict[str, Any]:
-    """A mesh whose vertices lie on a grid of so many cells along its longest side; those of one cell become one.
+    """Coarsen a mesh: merge vertices on a grid with this number of cells along the longest side.
 
     Source: J. Rossignac, P. Borrel, "Multi-resolution 3D approximations for rendering complex scenes", 1993.
     """
@@ -246,28 +247,28 @@ def _coarsen(
     grid, kept = _unite(np.rint((vertices - low) / cell).astype(np.int64))
     merged = kept[faces]
     flat = (merged == np.roll(merged, 1, axis=1)).any(axis=1)
-    # One of several triangles that fell together, whichever corner each begins with.
+    # Keep one of several coinciding triangles; they may begin with different corners.
     first = np.argmin(merged, axis=1)[:, None]
     turned, _ = _unite(np.take_along_axis(merged, (first + np.arange(3)) % 3, axis=1)[~flat])
     return {"low": _round(low), "cell": cell, "vertices": grid.ravel().tolist(), "faces": turned.ravel().tolist()}
 
 
 def _unite(rows: Int[np.ndarray, "rows 3"]) -> tuple[Int[np.ndarray, "different 3"], Int[np.ndarray, "rows"]]:
-    """The rows that differ, of numbers from 0, and which of them each row is."""
+    """Return the distinct rows of non-negative integers, and the index of each row among them."""
     base = int(rows.max(initial=0)) + 1
-    keys, kept = np.unique(rows @ [base * base, base, 1], return_inverse=True)  # as one number a row, ten times as fast
+    keys, kept = np.unique(rows @ [base * base, base, 1], return_inverse=True)  # one number per row: ten times as fast
     return np.stack([keys // base**2, keys // base % base, keys % base], axis=1), kept
 
 
 def _space_frames(curves: Curves, timestep: float) -> int:
-    """Samples from frame to frame: no more frames than are seen, and than a page has room for."""
+    """Return the number of samples per frame, from the frame rate and the size limit of the page."""
     samples, joints = curves.measured_qpos.shape[1:]
     room = max(2, POSITIONS // (len(MOTIONS) * joints * len(choose_rollouts(curves))))
     return max(1, int(np.ceil(1 / (FRAMES * timestep) - 1e-9)), -(-samples // room))
 
 
 def _list_rollouts(bench: Bench, curves: Curves, every: int, inertia: bool) -> Iterator[dict[str, Any]]:
-    """The rollouts that the page speaks of, and of the others as many as there is room for."""
+    """Yield best, median and worst rollout, then as many others as the size limit allows."""
     ranks = choose_rollouts(curves)
     names = {rollout: f"{rank}, " if len(curves.qpos) > 1 else "" for rank, rollout in ranks.items()}
     order = [*names, *(rollout for rollout in range(len(curves.qpos)) if rollout not in names)]
@@ -285,7 +286,7 @@ def _list_rollouts(bench: Bench, curves: Curves, every: int, inertia: bool) -> I
 
 
 def _list_carried(bench: Bench, curves: Curves, rollout: int) -> list[Shape]:
-    """Inertia with the payload of a rollout, of a bench that carries any."""
+    """Return inertia boxes with the payload of a rollout; empty for a bench without payload."""
     if bench.payload is None:
         return []
     model = bench.compile(constraint=False)
@@ -294,13 +295,13 @@ def _list_carried(bench: Bench, curves: Curves, rollout: int) -> list[Shape]:
 
 
 def _round_positions(qpos: Float[np.ndarray, "frames nv"], bench: Bench) -> list[list[int]]:
-    """By joint, as far as the motion has not diverged."""
+    """Return rounded positions by joint, up to where the motion diverges."""
     near = np.logical_and.accumulate((np.abs(qpos) < FARTHEST).all(axis=1))
     return np.rint(qpos[near] / FINEST[bench.joint_type]).astype(np.int64).T.tolist()
 
 
 def _choose_view(model: mujoco.MjModel, joints: Sequence[int]) -> list[float]:
-    """Azimuth and elevation of the eye [rad]: along hinges and across slides, and askew so that depth is seen."""
+    """Return azimuth and elevation of the camera [rad]: along hinges, across slides, and oblique to show depth."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     axes = np.abs(data.xaxis[list(joints)])
@@ -311,7 +312,7 @@ def _choose_view(model: mujoco.MjModel, joints: Sequence[int]) -> list[float]:
 
 
 def _turn(quaternion: np.ndarray) -> list[float]:
-    """From MuJoCo's order to that of three.js."""
+    """Convert a quaternion from MuJoCo's order to the order of three.js."""
     return [float(quaternion[at]) for at in (1, 2, 3, 0)]
 
 

@@ -1,4 +1,4 @@
-"""Drives over one long test rollout: what they do, and how far that is from what was measured."""
+"""Motion and errors of simulated drives in one long test rollout."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,24 +12,24 @@ from frictionzoo.result.evaluate import moving_mean_and_std
 from frictionzoo.result.types import DataRow
 from frictionzoo.show.figure import Axis, Band, Curve, Mark, Panel, frame, scale_errors
 
-LARGEST = 1e100  # rad or m, of what is drawn
-RUNAWAY = 1000.0  # ratio of two drives' largest errors from which a logarithmic axis hides how others differ
-INSET = 0.08  # share of the rollout that is magnified
-MAGNIFIED = 6.0  # times the largest difference of the curves is what the measured one may move in the inset
-NARROWEST = 0.01  # share of the rollout in the inset
+LARGEST = 1e100  # limit of drawn positions [rad or m] and velocities
+RUNAWAY = 1000.0  # ratio of two drives' largest errors above which a logarithmic axis hides how the others differ
+INSET = 0.08  # initial share of the rollout in the inset
+MAGNIFIED = 6.0  # range of the measured curve in the inset, at most, relative to the largest difference of the curves
+NARROWEST = 0.01  # smallest share of the rollout in the inset
 _SIGNALS = (("qpos", "position", 3.0), ("qvel", "velocity", 2.0))
 
 
 @dataclass(frozen=True)
 class Drive:
-    """One simulated drive.
+    """Simulated drive in one long test rollout.
 
     Attributes:
-        curves: Of its run.
-        look: What its marks have in common.
+        curves: Curves of its run.
+        look: Attributes shared by its marks.
         part: `baseline_` for the run's drive without friction.
-        reference: Whether it has no friction, so that it may run away.
-        rollout: Which of the long test rollouts.
+        reference: Whether it has no friction and may run away.
+        rollout: Index of the long test rollout.
     """
 
     curves: Curves
@@ -39,23 +39,23 @@ class Drive:
     rollout: int = 0
 
     def measured(self, signal: str) -> Float[np.ndarray, "states nv"]:
-        """`qpos` or `qvel`, as it was recorded."""
+        """Return recorded `qpos` or `qvel`."""
         return getattr(self.curves, f"measured_{signal}")[self.rollout].astype(np.float64)
 
     def follow(self, signal: str) -> Float[np.ndarray, "states nv"]:
-        """`qpos` or `qvel` with the measured state that it starts from, NaN from where it is too large to be drawn."""
+        """Return simulated `qpos` or `qvel`, from the measured initial state on; NaN once it is too large to draw."""
         simulated = getattr(self.curves, f"{self.part}{signal}")[self.rollout].astype(np.float64)
         curve = np.concatenate([self.measured(signal)[:1], simulated])
         kept = np.logical_and.accumulate((np.abs(curve) < LARGEST).all(axis=1))
         return np.where(kept[:, None], curve, np.nan)
 
     def errors(self) -> Float[np.ndarray, "states"]:
-        """Absolute position error, mean over joints; NaN from where it has diverged."""
+        """Return the absolute position error, mean over joints; NaN after divergence."""
         return np.abs(self.follow("qpos") - self.measured("qpos")).mean(axis=1)
 
 
 def say_where(data: DataRow, curves: Curves, rollout: int) -> str:
-    """Which recording a long test rollout is of, and when it begins there; empty where the run did not keep that."""
+    """Return recording and start time of a long test rollout; empty if the run did not store them."""
     if not len(curves.begins):
         return ""
     names = [log["name"] for log in data["logs"] if log["part"] == "test"]
@@ -63,10 +63,10 @@ def say_where(data: DataRow, curves: Curves, rollout: int) -> str:
 
 
 def draw_motion(drives: Sequence[Drive], joint: int, timestep: float, units: Sequence[str]) -> tuple[Panel, Panel]:
-    """Measured and simulated position of one joint above its velocity, in these units.
+    """Return panels of measured and simulated position and velocity of one joint, in these units.
 
-    Paper magnifies the stretch where the drives are furthest apart, those without friction not counted. The drives
-    are under the same command, in samples of `timestep` [s]; the first is to be seen whole.
+    On paper, an inset magnifies the stretch where the drives with friction differ most. All drives follow the same
+    command, sampled every `timestep` [s]; the axes show the first drive completely.
     """
     panels: list[Panel] = []
     for (signal, quantity, share), unit in zip(_SIGNALS, units, strict=True):
@@ -83,13 +83,13 @@ def draw_motion(drives: Sequence[Drive], joint: int, timestep: float, units: Seq
 
 
 def draw_errors(shown: Sequence[Sequence[Drive]], timestep: float, window: float, unit: str) -> Iterator[Panel]:
-    """Mean over a moving window [s] and +- one standard deviation of the absolute position error, on one scale.
+    """Yield panels with moving mean +- one standard deviation of the absolute position error, on one scale.
 
     Args:
-        shown: A panel each: drives under the same command.
-        timestep: Between samples [s].
-        window: Of the mean [s].
-        unit: Of the position.
+        shown: Drives of each panel, under the same command.
+        timestep: Time between samples [s].
+        window: Length of the moving window [s].
+        unit: Unit of the position.
     """
     drawn = [_draw_errors(drives, timestep, window) for drives in shown]
     means = [mean for _, own, _ in drawn for mean in own]
@@ -103,7 +103,7 @@ def draw_errors(shown: Sequence[Sequence[Drive]], timestep: float, window: float
 def _draw_errors(
     drives: Sequence[Drive], timestep: float, window: float
 ) -> tuple[list[Mark], list[np.ndarray], list[np.ndarray]]:
-    """What is drawn of a rollout's errors, their means, and upper ends of the bands around these."""
+    """Return marks of a rollout's errors, the moving means, and the upper ends of their bands."""
     marks: list[Mark] = []
     means, tops = [], []
     for drive in drives:
@@ -121,7 +121,7 @@ def _draw_errors(
 
 
 def say_above(marks: Sequence[Mark], y: Axis) -> str:
-    """Which curves lie above the frame."""
+    """Return a note that names curves above the frame; empty for none."""
     top = y.limits[1] if y.limits else np.inf
     curves = {mark.name: mark.y[np.isfinite(mark.y)] for mark in marks if isinstance(mark, Curve)}
     above = [name for name, curve in curves.items() if len(curve) and curve.min() > top]
@@ -135,7 +135,7 @@ def _over(duration: float) -> Axis:
 def _magnify(
     time: np.ndarray, measured: np.ndarray, curves: Sequence[np.ndarray]
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Limits of both axes of the stretch where curves that stay in sight to the end are furthest apart."""
+    """Return limits of both axes of the stretch where curves that stay near the measured one differ most."""
     sight = np.ptp(measured) or 1.0
     whole = [curve for curve in curves if np.isfinite(curve).all()]
     close = [curve for curve in whole if np.abs(curve - measured).max() <= sight] or whole
@@ -145,7 +145,7 @@ def _magnify(
         half = max(2, round(share * len(time) / 2))
         start = min(max(0, centre - half), max(0, len(time) - 2 * half - 1))
         part = slice(start, start + 2 * half + 1)
-        # Narrow enough for the curves' difference to be seen.
+        # Narrow enough to show the difference of the curves.
         if share <= NARROWEST or np.ptp(measured[part]) <= MAGNIFIED * spread[centre]:
             break
         share /= 2

@@ -1,4 +1,4 @@
-"""`report.html`: one run on one page that opens without a network, from the answer down to the curves behind it."""
+"""`report.html`: one run on one page that works offline, from the verdict to the curves."""
 
 import re
 import shlex
@@ -25,70 +25,70 @@ TITLES = {
     "identification": "Not identified",
     "recordings": "Recordings",
     "torque": "Recorded torque",
-    "gain": "Gain",
-    "joints": "Joint by joint",
+    "gain": "Improvement",
+    "joints": "Joints",
     "reference": "Reference",
-    "train": "Test against train",
+    "train": "Training and test error",
     "fit": "Fit",
     "bounds": "Bounds",
     "identifiability": "Identifiability",
     "stability": "Stability",
-    "residual": "What is left",
+    "residual": "Residual",
 }
-"""Of findings, by their kind."""
+"""Titles of findings by kind."""
 LINKS = {
     "verdict": "Verdict",
     "rollout": "Rollouts",
     "replay": "Replay",
     "friction": "Friction",
-    "left": "What is left",
+    "left": "Residual",
     "parameters": "Parameters",
-    "trust": "What speaks for it",
-    "errors": "Errors",
-    "joints": "Joint by joint",
-    "history": "The fit",
+    "trust": "Checks passed",
+    "errors": "Accuracy",
+    "joints": "Joints",
+    "history": "Optimisation",
     "horizons": "Horizons",
     "files": "Files",
 }
-"""Sections by their id."""
+"""Section titles by id."""
 _OF_ONE, _OF_SEVERAL = ("friction", "left"), ("joints",)
-_NEAR, _NAMED = 0.8, 3  # size of a correlation from which it is named, and how many are
-MOST, LEAST = 1500, 500  # points of a curve, of one joint and of however many: three stand beside each other
+_NEAR, _NAMED = 0.8, 3  # correlation from which a pair is named; largest number of named pairs
+MOST, LEAST = 1500, 500  # points per curve for one joint, and at least for several; three figures share a row
 PORTRAYED = (
-    "Points: the law's friction at the recorded instants and what is left of the recorded torque, in motion; they lie "
-    "on the curve where only noise is left. Bars reach from 10 to 90 % of a bin. The band is what the intervals of "
-    "identifiable parameters allow, without any there is none; it says nothing of what the law lacks."
+    "Points: friction implied by the recorded torque in motion, the median of each bin; they lie on the curve if the "
+    "residual is noise. Bars: 10 to 90 % of a bin. Band: 95 % intervals of the identifiable parameters; it does not "
+    "include missing terms."
 )
 METHODS = {"adam": "Adam", "lm": "Levenberg-Marquardt", "grid": "The grid search", "known": "Known values"}
-FILES = {  # what else a run leaves behind, by path beside the page
-    "result.json": "every number of this page, for programs",
-    "identified.xml": "the test stand, or the robot's own file, with the identified drive, for MuJoCo",
-    "identified.urdf": "the robot's own file with the identified drive",
-    "bench.xml": "what was simulated of the robot, for MuJoCo",
-    "friction.safetensors": "the friction law's values or weights",
+FILES = {  # other files of a run, by path relative to the page
+    "result.json": "all numbers of this page, for programs",
+    "identified.xml": "the test stand or robot with the identified drive, for MuJoCo",
+    "identified.urdf": "the robot with the identified drive",
+    "bench.xml": "the simulated part of the robot, for MuJoCo",
+    "friction.safetensors": "values or weights of the friction model",
     "figures/figure3_parameters.png": "parameters over iterations, as an image",
     "figures/figure4_trajectory.png": "the trajectory, as an image",
-    "figures/figure5_error.png": "its error, as an image",
-    "tensorboard/": "the course of the fit and its result, for TensorBoard",
-    "csv/": "the course of the fit and its result, as tables and text",
-    "wandb/": "the course of the fit and its result, for Weights & Biases",
-    "mlflow/": "the course of the fit and its result, for MLflow",
-    "checkpoints/": "what an interrupted run goes on from",
+    "figures/figure5_error.png": "its position error, as an image",
+    "tensorboard/": "iterations and result, for TensorBoard",
+    "csv/": "iterations and result, as tables and text",
+    "wandb/": "iterations and result, for Weights & Biases",
+    "mlflow/": "iterations and result, for MLflow",
+    "checkpoints/": "checkpoints for resuming an interrupted run",
     ".hydra/config.yaml": "the configuration of the run",
 }
 
 
 def write_report(path: Path, result: Result, curves: Curves, replay: Mapping[str, Any] | None = None) -> None:
-    """Write the page of a run into this file in the run's folder, to whose other files the page links.
+    """Write the page of a run into the run's folder; the page links to the other files there.
 
     Args:
-        path: Of the page.
-        result: What `result.json` holds.
-        curves: What figures are drawn from.
-        replay: What `frictionzoo.show.replay.record_replay` gives; None for a page without a view in space.
+        path: Path of the page.
+        result: Content of `result.json`.
+        curves: Curves for the figures.
+        replay: Result of `frictionzoo.show.replay.record_replay`; None for a page without a 3D view.
 
     Raises:
-        OutputError: It cannot be written.
+        OutputError: The file cannot be written.
     """
     write_atomically(path, render_run(path.parent, result, curves, replay))
 
@@ -103,19 +103,19 @@ def render_run(
     links: Mapping[str, str] = LINKS,
     **content: Any,
 ) -> bytes:
-    """The page of a run.
+    """Render the page of a run.
 
     Args:
-        folder: The run's.
-        result: What `result.json` holds.
-        curves: What figures are drawn from.
-        replay: As `write_report` takes it.
-        teacher: The run whose drive this one follows, shown beside it; None for none.
-        template: The page's, which extends that of a run.
-        links: Sections by their id.
-        content: What else the template names, in place of a run's where both have it.
+        folder: Folder of the run.
+        result: Content of `result.json`.
+        curves: Curves for the figures.
+        replay: As in `write_report`.
+        teacher: Run whose drive the student imitates, shown for comparison; None for none.
+        template: Template of the page; extends the template of a run.
+        links: Section titles by id.
+        content: Further variables of the template; they override those of a run.
     """
-    # A page that is handed on tells nobody where somebody's home is; what lies in this folder, its commands reach.
+    # A shared page must not reveal anyone's home directory; paths below the working directory become relative.
     place, command = str(folder.absolute()), None if teacher else say_command(folder)
     known = {place, *list_paths_of(result, command)}
     place, command, result = without_paths([place, command, result], known, result["joints"], Path.cwd())
@@ -157,11 +157,11 @@ def render_run(
 
 
 def list_uses(place: str, usable: bool = True) -> list[str]:
-    """Return how the result in this folder is used: in a shell, and line by line in Python.
+    """Return lines that use the result in this folder, in a shell and in Python.
 
     Args:
-        place: The folder.
-        usable: Whether the verdict allows an export; else the result is read only.
+        place: Folder of the run.
+        usable: Whether the verdict allows an export; otherwise the lines only read the result.
     """
     export = [f"python -m frictionzoo.export {shlex.quote(place)} target=mjcf"] if usable else []
     read = ["import frictionzoo as fz", f"drive = fz.load({place!r})"]
@@ -173,7 +173,7 @@ def list_uses(place: str, usable: bool = True) -> list[str]:
 
 
 def say_command(folder: Path) -> str | None:
-    """What the run in a folder began with, for a shell, less where it went; None where it kept none."""
+    """Return the shell command of the run in a folder, without `resume` and `hydra` options; None if not stored."""
     overrides = read_begun(folder, "overrides")
     if not isinstance(overrides, list):
         return None
@@ -182,11 +182,11 @@ def say_command(folder: Path) -> str | None:
 
 
 def _say_step(timestep: Any) -> str:
-    return f"{timestep:g} s" if isinstance(timestep, int | float) else "those of the model file"
+    return f"{timestep:g} s" if isinstance(timestep, int | float) else "from the model file"
 
 
 def _add_starts(parameters: list[ParameterRow], result: Result, curves: Curves) -> list[ParameterRow]:
-    """The same, of each identified value with where the fit began."""
+    """Add the initial value of the fit to each identified value."""
     found: Any = parameters
     for parameter in found:
         course = curves.history.get(f"{parameter['owner']}.{parameter['name']}")
@@ -198,11 +198,11 @@ def _add_starts(parameters: list[ParameterRow], result: Result, curves: Curves) 
 
 def _say_ranks(curves: Curves) -> str:
     *before, last = choose_rollouts(curves)
-    return f"{', '.join(before)} and {last} rollout".capitalize() if before else f"The {last} rollout"
+    return f"{', '.join(before)} and {last} test rollout".capitalize() if before else f"The {last} test rollout"
 
 
 def _say_shown(result: Result, curves: Curves) -> str:
-    """Which rollouts are drawn, and how their errors compare with what the headline has."""
+    """Return a text on the drawn rollouts, with their errors and the error in the headline."""
     test, said = result["metrics"]["test"], []
     for name, rollout in choose_rollouts(curves).items():
         measured = curves.measured_qpos[rollout, 1:]
@@ -210,19 +210,20 @@ def _say_shown(result: Result, curves: Curves) -> str:
         own, without = (each if np.isfinite(each) else None for each in of)
         change = format_change(own, without)
         about = "; ".join(
-            filter(None, (change and f"{change} to no friction", say_where(result["data"], curves, rollout)))
+            filter(None, (change and f"{change} against no friction", say_where(result["data"], curves, rollout)))
         )
         said.append(f"{name} {format_number(own)} {test['unit']}" + (f" ({about})" if about else ""))
-    duration = result["data"]["timestep"] * curves.qpos.shape[1]
+    count, duration = len(curves.qpos), result["data"]["timestep"] * curves.qpos.shape[1]
+    over = " over joints" if len(result["joints"]) > 1 else ""
     return (
-        f"Of {len(curves.qpos)} rollouts of {duration:g} s at places of the test recordings, mean position error over "
-        f"joints: {', '.join(said)}. The headline's error is the mean over {test['rollouts']} rollouts of "
-        f"{test['horizon']:g} s."
+        f"{count} rollout{'s' * (count > 1)} of {duration:g} s from the test recordings. Mean position error{over}: "
+        f"{', '.join(said)}. The error in the headline is the mean over {test['rollouts']} "
+        f"rollout{'s' * (test['rollouts'] > 1)} of {test['horizon']:g} s."
     )
 
 
 def correlate(result: Result, joint: str) -> dict[str, Any] | None:
-    """Correlation of what was identified of a joint, and the strongest ones; None of fewer than two parameters."""
+    """Return the correlations of a joint's identified parameters, and the strongest; None below two parameters."""
     if (covariance := result["covariance"]) is None:
         return None
     labels = covariance["labels"]
@@ -247,7 +248,7 @@ def correlate(result: Result, joint: str) -> dict[str, Any] | None:
 
 
 def check_result(result: Result) -> Iterator[Check]:
-    """What speaks against the result, the worst first, and then what speaks for it."""
+    """Yield the checks of a result: findings first, worst first, then passed checks."""
     doubts = judge(result)["findings"]
     for doubt in doubts:
         text = say_finding(doubt)
@@ -259,25 +260,25 @@ def check_result(result: Result) -> Iterator[Check]:
 
 
 def _list_checks(result: Result) -> Iterator[tuple[str, Check]]:
-    """What speaks for the result where nothing of that kind speaks against it."""
+    """Yield kind and text of passed checks; the caller drops kinds that have a finding."""
     yield "gain", _check_gain(result)
     if len(result["joints"]) > 1 and result["model"] != "baseline":
-        text = "On test data the model's position error is smaller than without friction in each of the"
-        yield "joints", Check("good", TITLES["joints"], f"{text} {len(result['joints'])} joints.")
+        text = f"In each of the {len(result['joints'])} joints, the test error is smaller than without friction."
+        yield "joints", Check("good", TITLES["joints"], text)
     yield "held out", check_held_out(result["data"])
     yield "train", _check_train(result["metrics"])
     yield "fit", _check_fit(result["fit"])
     identified = [parameter for parameter in result["parameters"] if parameter["identified"]]
-    text = f"No identified parameter, of {len(identified)}, ended at a bound."
+    text = f"No parameter ended at a bound ({len(identified)} identified)."
     yield "bounds", Check("good", TITLES["bounds"], text)
     if result["no_intervals"] is not None:
         text = f"No parameter has an interval: {result['no_intervals']}."
         yield "identifiability", Check("note", TITLES["identifiability"], text)
     else:
-        text = f"The data determine each of the {len(identified)} identified parameters."
+        text = f"The data determine every identified parameter ({len(identified)})."
         yield "identifiability", Check("good", TITLES["identifiability"], text)
     total = sum(metrics["rollouts"] for _, metrics in list_rollouts(result))
-    text = f"All {total} rollouts stayed finite and count in the errors."
+    text = f"All {total} rollouts stayed finite."
     yield "stability", Check("good", TITLES["stability"], text)
     yield "residual", _check_residual(result)
     yield "origin", check_origin(result["data"])
@@ -286,80 +287,77 @@ def _list_checks(result: Result) -> Iterator[tuple[str, Check]]:
 def _check_gain(result: Result) -> Check:
     test, baseline = (result["metrics"][part]["position_mae"] for part in ("test", "baseline"))
     if result["model"] == "baseline":
-        return Check("note", "Gain", "This model is the drive without friction: it is compared with itself.")
+        return Check("note", TITLES["gain"], "This model has no friction: it is compared with itself.")
     if test is None or not baseline:
-        return Check("note", "Gain", "The drive without friction has no test error to compare with.")
-    text = f"On test data the model's position error is {baseline / test:.3g} times smaller than without friction"
+        return Check("note", TITLES["gain"], "The drive without friction has no test error to compare with.")
+    text = f"The test error is {baseline / test:.3g} times smaller than without friction"
     if doubt_reference(result["reference"]):
-        return Check("note", "Gain", f"{text}, of which little is to be made: see the reference.")
-    return Check("good", "Gain", f"{text}.")
+        return Check("note", TITLES["gain"], f"{text}; this comparison is unreliable, see the reference.")
+    return Check("good", TITLES["gain"], f"{text}.")
 
 
 def _check_residual(result: Result) -> Check:
     residual = result["residual"]
     rows = residual["by_joint"] if residual else []
     if not rows:
-        text = "The recordings are too short, or the joints move too little, to see whether the error is noise."
+        text = "The recordings are too short, or the joints move too little, to test whether the residual is noise."
         return Check("note", TITLES["residual"], text)
     row = max(rows, key=lambda row: row["residual"] / row["friction"])
     share = format_share(row["residual"], row["friction"])
     of = f" of {row['joint']}" if len(result["joints"]) > 1 else ""
-    text = (
-        f"The residual torque, {share} of the friction{of}, is what encoders and filters make of the identified drive"
-    )
-    return Check("good", TITLES["residual"], f"{text}; no cause that was looked for explains more of it.")
+    text = f"The residual torque, {share} of the friction{of}, is as large as noise from encoders and filters"
+    return Check("good", TITLES["residual"], f"{text}; no tested factor explains more of it.")
 
 
 def check_held_out(data: DataRow) -> Check:
-    """How much was tested that the fit did not see; `data` as in `result.json`."""
+    """Check how much held-out data was tested; `data` as in `result.json`."""
     logs = [[log for log in data["logs"] if log["part"] == part] for part in ("train", "test")]
     fitted, tested = (data["timestep"] * sum(log["samples"] for log in part) for part in logs)
     shared = {log["sha256"] for log in logs[0]} & {log["sha256"] for log in logs[1]}
-    where = "another stretch of time of the same recording" if shared else "from other recordings"
-    text = f"The fit saw {fitted:.3g} s of data and was tested on {tested:.3g} s that it did not see, {where}."
+    where = "from another part of the same recording" if shared else "from other recordings"
+    text = f"Fitted to {fitted:.3g} s of data and tested on {tested:.3g} s {where}."
     return Check("good", "Held-out data", text)
 
 
 def _check_train(metrics: PartsRow) -> Check:
     train, test = (metrics[part]["position_mae"] for part in ("train", "test"))
     ratio = f"{test / train:.2g}" if test is not None and train else "none"
-    text = (
-        f"The test error, {format_number(test)} {metrics['test']['unit']}, is {ratio} times that on the training data"
-    )
+    text = f"The test error, {format_number(test)} {metrics['test']['unit']}, is {ratio} times the training error"
     return Check("good", TITLES["train"], f"{text}: no sign of overfitting.")
 
 
 def _check_fit(fit: FitRow) -> Check:
     method, count = METHODS.get(fit["method"], fit["method"]), fit["iterations"]
-    kept = f"iteration {fit['best_iteration']}, that of the lowest training loss, is reported"
+    iterations = f"{count} iteration{'s' * (count != 1)}"
+    kept = f"iteration {fit['best_iteration']}, with the lowest training loss, is reported"
     said = {
-        "converged": ("good", f"{method} converged after {count} iterations; {kept}."),
-        "patience": ("good", f"{method} stopped after {count} iterations, as the loss fell no more; {kept}."),
-        "known": ("note", "Nothing was identified: the given values are judged as they are."),
-        "grid": ("good", f"The grid search tried all of its {count} combinations; the best is reported."),
+        "converged": ("good", f"{method} converged after {iterations}; {kept}."),
+        "patience": ("good", f"{method} stopped after {iterations}, when the loss stopped falling; {kept}."),
+        "known": ("note", "Nothing was identified: the known values were evaluated."),
+        "grid": ("good", f"The grid search tried all {count} combinations; the best is reported."),
     }
     ended = fit["method"] if fit["stopped"] == "finished" else fit["stopped"]
     return (
         Check(said[ended][0], "Fit", said[ended][1])
         if ended in said
-        else Check("good", "Fit", f"{method} made all of its {count} iterations; {kept}.")
+        else Check("good", "Fit", f"{method} completed {iterations}; {kept}.")
     )
 
 
 def _capitalise(text: str) -> str:
-    """A sentence's beginning, unless that is a name."""
+    """Capitalise a sentence, unless its first word is a name."""
     first = text.split(maxsplit=1)[0]
     return text if set("._/") & set(first) else text[0].upper() + text[1:]
 
 
 def check_origin(data: DataRow) -> Check:
-    """Return whether the numbers say anything about hardware; `data` as in `result.json`."""
+    """Check whether the data come from hardware; `data` as in `result.json`."""
     if data["origin"] == "simulated":
-        text = "A simulator made these data. The numbers say how well the law imitates it, and nothing about hardware."
+        text = "A simulator made the data: the results show how well the model imitates it, and nothing about hardware."
         return Check("note", "Simulated data", text)
     if data["origin"] == "hardware":
-        return Check("good", "Hardware data", "The data are stated to be recorded on hardware.")
-    return Check("note", "Origin", "Your recordings. data.origin does not state whether they are of hardware.")
+        return Check("good", "Hardware data", "Recorded on hardware, according to data.origin.")
+    return Check("note", "Origin", "Your recordings. data.origin does not state whether they come from hardware.")
 
 
 def _say_headline(result: Result) -> str:
@@ -373,12 +371,12 @@ def _say_headline(result: Result) -> str:
     change = format_change(test["position_mae"], baseline["position_mae"])
     without = f"{text}; {format_number(baseline['position_mae'])} {test['unit']} without friction"
     if doubt_reference(result["reference"]):
-        return f"{without}, where a parameter ended at a bound, so that {change} says little."
+        return f"{without} ({change}, unreliable: a parameter of that fit ended at a bound)."
     return f"{without} ({change})."
 
 
 def list_errors(result: Result, teacher: Run | None = None) -> Iterator[dict[str, Any]]:
-    """Rows of the main table: each error of the model beside its teacher's, where it has one, and without friction."""
+    """Return rows of the main table: errors of the model, of its teacher if it has one, and without friction."""
     test, baseline = result["metrics"]["test"], result["metrics"]["baseline"]
     taught = teacher.result["metrics"]["test"] if teacher else None
     return _compare_errors(test, baseline, taught, test)
@@ -394,7 +392,7 @@ def _compare_errors(
 
 
 def list_joints(result: Result, teacher: Run | None = None) -> list[dict[str, Any]]:
-    """Each of several joints: its errors beside those without friction, its parameters, and what is doubtful."""
+    """Return for each joint its errors with and without friction, its parameters, and doubtful values."""
     test = result["metrics"]["test"]
     largest = max(result["by_joint"], key=lambda row: row["test"]["position_mae"] or 0.0)
     found = []
@@ -403,7 +401,7 @@ def list_joints(result: Result, teacher: Run | None = None) -> list[dict[str, An
         values = [
             (p, value) for p in result["parameters"] for value in p["by_joint"] if row["joint"] in value["joints"]
         ]
-        # What all joints share is no matter of this one.
+        # Values shared by all joints are not a doubt about this joint.
         doubts = [_doubt_value(p, value) for p, value in values if len(value["joints"]) < len(result["joints"])]
         left = (result["residual"] or {"by_joint": []})["by_joint"]
         residual = next((own for own in left if own["joint"] == row["joint"]), None)
@@ -425,7 +423,7 @@ def _doubt_value(parameter: ParameterRow, value: ValueRow) -> str:
 
 
 def _list_evaluations(result: Result) -> Iterator[dict[str, Any]]:
-    """Rows of the table of all evaluations: the metrics under a name of their rollouts and of the drive."""
+    """Yield rows of the table of all evaluations: metrics, named by rollouts and drive."""
     names = {"test": "test, this model", "train": "train, this model", "baseline": "test, no friction"}
     for entry in result["by_horizon"]:
         yield from ({"on": name, **entry[part]} for part, name in names.items())
@@ -435,6 +433,6 @@ def _list_evaluations(result: Result) -> Iterator[dict[str, Any]]:
 
 
 def list_timing(timing: TimingRow) -> dict[str, float]:
-    """Seconds of every part, the rest of the total last."""
+    """Return the seconds of each part; the rest of the total comes last."""
     parts: dict[str, Any] = {name: seconds for name, seconds in timing.items() if name != "total"}
     return parts | {"figures and files": max(0.0, timing["total"] - sum(parts.values()))}

@@ -1,4 +1,4 @@
-"""What is drawn of one run: its friction, rollouts, what they leave, the fit's course, errors at each horizon."""
+"""Figures of one run: friction curves, rollouts, errors, residual torque, optimisation, errors by horizon."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -18,22 +18,22 @@ from frictionzoo.show.friction_plots import find_units, plot_left, plot_portrait
 from frictionzoo.show.rollouts import Drive, draw_errors, draw_motion, say_where
 from frictionzoo.show.text import format_number, format_unit, say_origin
 
-COLUMNS = 4  # joints beside each other on a sheet
-PHASE = 5.0  # s of a rollout; of more, curves hide each other
-_FIRST = {"": 0}  # of the long test rollouts, that of the paper's evaluation (a)
+COLUMNS = 4  # joints in a row of a sheet
+PHASE = 5.0  # duration in a phase plot [s]; beyond it, curves hide each other
+_FIRST = {"": 0}  # first long test rollout, from the paper's evaluation (a)
 TAUGHT: Mapping[str, Any] = {"name": "teacher", "color": TEACHER, "dash": (5.0, 2.0)}
-REPORTED: Mapping[str, Any] = {"width": 0.0, "marker": "diamond", "size": 8.0, "color": BEST}  # what a fit reports
+REPORTED: Mapping[str, Any] = {"width": 0.0, "marker": "diamond", "size": 8.0, "color": BEST}  # reported iteration
 
 
 def plot_run(result: Result, curves: Curves, teacher: Run | None = None) -> dict[str, list[Figure]]:
-    """All that is drawn of one run, by name; nothing under one where there is nothing to show.
+    """Return all figures of one run by name; an empty list if there is nothing to show.
 
-    Under `portraits`, `phase`, `left` and `trajectories` each joint has as many, those of the first joint first.
+    In `portraits`, `phase`, `left` and `trajectories`, each joint has the same number of figures, in joint order.
 
     Args:
-        result: What `result.json` holds.
-        curves: What figures are drawn from.
-        teacher: The run whose drive this one follows, drawn beside it; None for none.
+        result: Content of `result.json`.
+        curves: Curves for the figures.
+        teacher: Run whose drive the student imitates, drawn for comparison; None for none.
     """
     shown = choose_rollouts(curves)
     return {
@@ -48,7 +48,7 @@ def plot_run(result: Result, curves: Curves, teacher: Run | None = None) -> dict
 
 
 def choose_rollouts(curves: Curves) -> dict[str, int]:
-    """Those of the long test rollouts that are drawn, by what they are: best, median and worst, diverged ones last."""
+    """Return the indices of best, median and worst long test rollout by rank; a diverged rollout counts as worst."""
     error = np.abs(curves.qpos - curves.measured_qpos[:, 1:]).mean(axis=(1, 2))
     order = np.argsort(np.where(np.isfinite(error), error, np.inf), kind="stable").tolist()
     if len(order) == 1:
@@ -58,10 +58,10 @@ def choose_rollouts(curves: Curves) -> dict[str, int]:
 
 
 def write_figures(folder: Path, result: Result, curves: Curves) -> None:
-    """Figures 3, 4 and 5 of a run as PNG files in this folder.
+    """Write figures 3, 4 and 5 of a run as PNG files into this folder.
 
     Raises:
-        OutputError: They cannot be written.
+        OutputError: A file cannot be written.
     """
     fitted = f"{_describe(result, 'fit to the training part')}\nmarked: iteration {result['fit']['best_iteration']}, "
     window = f"moving mean and standard deviation over {result['evaluation']['window']:g} s"
@@ -72,14 +72,14 @@ def write_figures(folder: Path, result: Result, curves: Curves) -> None:
         "figure4_trajectory": _arrange(result, curves),
         "figure5_error": Sheet(f"{tested}\n{window}", error, 3.6),
     }
-    if len(curves.history["iteration"]) == 1:  # known values have no course
+    if len(curves.history["iteration"]) == 1:  # nothing was optimised
         del sheets["figure3_parameters"]
     for name, sheet in sheets.items():
         with_matplotlib.save_figure(with_matplotlib.draw(sheet), folder / f"{name}.png")
 
 
 def draw_rollout(result: Result, curves: Curves) -> Drawing:
-    """Figure 4, for matplotlib."""
+    """Return figure 4 as a matplotlib figure."""
     return with_matplotlib.draw(_arrange(result, curves))
 
 
@@ -94,10 +94,10 @@ def _describe(result: Result, what: str) -> str:
 
 
 def plot_history(result: Result, curves: Curves, color: str = MODEL) -> Iterator[Figure]:
-    """Figure 3: loss and identified parameters over the iterations, a figure each, the reported iteration marked.
+    """Yield figure 3: loss and each identified parameter over the iterations, with the reported iteration marked.
 
-    A law without parameters of its own to show (a network) has its gradient norm shown instead. `color` is that of a
-    line which is alone; of several joints each has its own.
+    For a model without friction parameters (a network), the gradient norm is shown instead. `color` applies to a
+    single line; several joints have separate colours.
     """
     history = curves.history
     units = {f"{p['owner']}.{p['name']}": format_unit(p["unit"]) for p in result["parameters"] if p["identified"]}
@@ -114,12 +114,13 @@ def plot_history(result: Result, curves: Curves, color: str = MODEL) -> Iterator
         y = Axis(unit=unit) if name in units else scale_values("", "", columns.ravel(), apart=10.0)
         marks = list(_draw_courses(iteration, dict(zip(lines, columns, strict=True)), at, result, color))
         panel = Panel(marks, Axis("iteration"), y, note=reached if len(columns) == 1 else "")
-        text = f"{label} over {len(iteration)} iterations; {reached} {unit}".rstrip()
-        yield Figure(label, f"{text} at iteration {best}, which is reported and marked.", (panel,), small=True)
+        each = ", one line per joint" if len(columns) > len(JOINTS) else ""
+        text = f"{label} over {len(iteration)} iterations{each}. Reported: {reached} {unit}".rstrip()
+        yield Figure(label, f"{text} at iteration {best} (marked).", (panel,), small=True)
 
 
 def _name_lines(result: Result, name: str) -> dict[str, int]:
-    """The columns of a history by what they are of: the joints, or one of those that share an identified value."""
+    """Return the history columns by joint name; joints that share a value have one column."""
     rows = [row for p in result["parameters"] if f"{p['owner']}.{p['name']}" == name for row in p["by_joint"]]
     joints = {row["name"]: result["joints"].index(row["joints"][0]) for row in rows if row["identified"]}
     return joints if len(joints) > 1 else {"value": next(iter(joints.values()), 0)}
@@ -128,13 +129,13 @@ def _name_lines(result: Result, name: str) -> dict[str, int]:
 def _say_reached(values: np.ndarray) -> str:
     if len(values) <= len(JOINTS):
         return ", ".join(format_number(value) for value in values)
-    return f"{format_number(values.min())} to {format_number(values.max())}, a line a joint,"
+    return f"{format_number(values.min())} to {format_number(values.max())}"
 
 
 def _draw_courses(
     iteration: np.ndarray, columns: Mapping[str, np.ndarray], at: int, result: Result, color: str
 ) -> Iterator[Mark]:
-    """A line a joint, or joints that share a value; points of a grid search; and the reported values."""
+    """Yield one line per identified value (points for a grid search), and the reported values."""
     best, several = float(iteration[at]), 1 < len(columns) <= len(JOINTS)
     points: dict[str, Any] = {"width": 0.0, "marker": "circle", "size": 4.0}
     look = points if result["fit"]["method"] == "grid" else {}
@@ -149,7 +150,7 @@ def _draw_courses(
 def _plot_trajectories(
     result: Result, curves: Curves, shown: Mapping[str, int], teacher: Run | None = None
 ) -> Iterator[Figure]:
-    """Figure 4, of each joint a figure a rollout: measured and simulated position above velocity."""
+    """Yield figure 4 for each joint and rollout: measured and simulated position and velocity."""
     test, timestep = result["metrics"]["test"], result["data"]["timestep"]
     duration = timestep * (curves.measured_qpos.shape[1] - 1)
     for joint, name in enumerate(result["joints"]):
@@ -172,7 +173,7 @@ def _say_rank(rank: str, curves: Curves) -> str:
 
 
 def _plot_phases(result: Result, curves: Curves, shown: Mapping[str, int], teacher: Run | None) -> Iterator[Figure]:
-    """Of each joint, velocity over position in the middle one of the rollouts."""
+    """Yield velocity over position of each joint in the median rollout."""
     rank, rollout = list(shown.items())[(len(shown) - 1) // 2]
     model, *_ = _list_drives(curves, rollout, teacher)
     units, kept = find_units(result), slice(1 + round(PHASE / result["data"]["timestep"]))
@@ -184,15 +185,13 @@ def _plot_phases(result: Result, curves: Curves, shown: Mapping[str, int], teach
         across, up = frame([x, at]), frame([y, speed])
         axes = Axis("position", units["position"], limits=across), Axis("velocity", units["velocity"], limits=up)
         panel = Panel(marks, *axes)
-        text = (
-            f"Velocity over position of {name} in the {rank} rollout, at most {PHASE:g} s of it: where the curves part "
-        )
-        text += "at zero velocity, the drive sets out or stops elsewhere than measured."
+        text = f"Velocity over position of {name} in the {rank} rollout, at most {PHASE:g} s. Where the curves "
+        text += "separate at zero velocity, the simulated drive starts or stops elsewhere than measured."
         yield Figure(f"Phase plot of {name}", text, (panel,))
 
 
 def _list_drives(curves: Curves, rollout: int, teacher: Run | None) -> list[Drive]:
-    """The model, its teacher where it has one, and the drive without friction."""
+    """Return the model, its teacher if it has one, and the drive without friction."""
     own = Drive(curves, {"name": "student" if teacher else "this model", "color": MODEL}, rollout=rollout)
     baseline = {"name": "no friction", "color": BASELINE}
     return [
@@ -203,7 +202,7 @@ def _list_drives(curves: Curves, rollout: int, teacher: Run | None) -> list[Driv
 
 
 def _say_each(drives: Sequence[Drive], values: Sequence[str]) -> str:
-    """A value of each drive in a sentence."""
+    """Return the values of all drives as part of a sentence."""
     with_whom = {"this model": "with the model", "no friction": "without friction"}
     said = [
         f"{value} {with_whom.get(name := drive.look['name'], f'with the {name}')}"
@@ -213,15 +212,15 @@ def _say_each(drives: Sequence[Drive], values: Sequence[str]) -> str:
 
 
 def _say_error(error: Float[np.ndarray, "samples"], unit: str) -> str:
-    """The mean absolute error of a rollout's steps, or that it has none."""
+    """Return the mean absolute error of a rollout with unit, or that it is undefined."""
     steps = np.abs(error[1:])
-    return f"{steps.mean():.4g} {unit}" if np.isfinite(steps).all() else "without a value (the rollout diverged)"
+    return f"{steps.mean():.4g} {unit}" if np.isfinite(steps).all() else "undefined (diverged)"
 
 
 def _plot_errors(
     result: Result, curves: Curves, shown: Mapping[str, int], teacher: Run | None = None
 ) -> Iterator[Figure]:
-    """Figure 5, a figure a rollout: absolute position error, mean over joints: moving mean +- standard deviation."""
+    """Yield figure 5 for each rollout: moving mean +- standard deviation of the position error, mean over joints."""
     window, unit = result["evaluation"]["window"], result["metrics"]["test"]["unit"]
     each = [_list_drives(curves, rollout, teacher) for rollout in shown.values()]
     panels = draw_errors(each, result["data"]["timestep"], window, unit)
@@ -232,12 +231,12 @@ def _plot_errors(
             f"{f', {place}' if (place := say_where(result['data'], curves, rollout)) else ''}; the largest error "
         )
         text += f"is {_say_each(drives, largest)}."
-        title = f"Error of the {rank} rollout" if rank else "Its error"
+        title = f"Error of the {rank} rollout" if rank else "Position error"
         yield Figure(title, text, (panel,), time=True, rollout=rollout)
 
 
 def _plot_horizons(result: Result, teacher: Run | None) -> Figure:
-    """Position error at every horizon: train, test, the teacher's and without friction."""
+    """Return the position error at each horizon: test, training, teacher, and without friction."""
     entries = _sort_horizons(result)
     unit, places = entries[0]["test"]["unit"], np.arange(len(entries), dtype=np.float64)
     parts: list[tuple[Any, str, str, Any]] = [("test", "test", MODEL, entries), ("train", "train", TRAIN, entries)]
@@ -253,8 +252,8 @@ def _plot_horizons(result: Result, teacher: Run | None) -> Figure:
     said = []
     for length, entry in zip(lengths, entries, strict=True):
         test, baseline = (format_number(entry[part]["position_mae"]) for part in ("test", "baseline"))
-        said.append(f"at {length} {test} {unit} on test data, {baseline} {unit} without friction")
-    panel = Panel(marks, Axis("length of the rollouts", ticks=lengths), Axis("position MAE", unit))
+        said.append(f"at {length}: {test} {unit} on test data, {baseline} {unit} without friction")
+    panel = Panel(marks, Axis("rollout length", ticks=lengths), Axis("position MAE", unit))
     return Figure("Position error by horizon", f"Mean position error {'; '.join(said)}.", (panel,))
 
 

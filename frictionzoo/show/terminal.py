@@ -1,4 +1,4 @@
-"""The summary of a run, or of several, in plain text, legible on a terminal and in a log file alike."""
+"""Summary of one run or a comparison in plain text, for terminals and log files."""
 
 import html
 import re
@@ -21,7 +21,7 @@ Rows = Sequence[Sequence[str]]
 _format_value = partial(format_number, between=" ")
 
 COLUMNS = {"qpos": "position", "qvel": "velocity", "ctrl": "command", "torque": "torque"}
-ERRORS = {  # row of the table: key of the metrics, key of its unit
+ERRORS = {  # row of the table: key of the metric, key of its unit
     "position MAE": ("position_mae", "unit"),
     "sigma of the MAE": ("position_mae_std", "unit"),
     "position RMSE": ("position_rmse", "unit"),
@@ -30,27 +30,27 @@ ERRORS = {  # row of the table: key of the metrics, key of its unit
 
 
 def summarise(result: Result, folder: Path | None) -> str:
-    """Parameters, test errors beside those without friction, warnings, and where the files are, if any."""
+    """Summarise a run: parameters, test errors with and without friction, verdict, and the folder of its files."""
     return _arrange(result, folder, align)
 
 
 def summarise_in_markdown(result: Result, folder: Path) -> str:
-    """The same as a page of Markdown, for loggers that show one."""
+    """Return the same summary in Markdown, for loggers."""
     return _arrange(result, folder, _tabulate_in_markdown)
 
 
 def summarise_in_html(result: Result, folder: Path | None) -> str:
-    """The same with tables of HTML, for notebooks."""
+    """Return the same summary in HTML, for notebooks."""
     return _arrange(result, folder, _tabulate_in_html, _say_in_html, _tell_in_html)
 
 
 def tabulate_values(result: Result) -> str:
-    """Parameters alone, in Markdown."""
+    """Return the table of parameters in Markdown."""
     return _tabulate_in_markdown(_list_parameters(result))
 
 
 def tabulate_errors(result: Result) -> str:
-    """Test errors beside those without friction, of several joints each one's too, in Markdown."""
+    """Return test errors with and without friction in Markdown; for several joints also by joint."""
     metrics = result["metrics"]
     tables = [_list_errors(metrics["test"], metrics["baseline"], ("this drive", "no friction"))]
     tables += [_list_joints(result)] if len(result["joints"]) > 1 else []
@@ -94,13 +94,13 @@ def _arrange(
 
 
 def summarise_distillation(student: Result, teacher: Result, note: Mapping[str, Any], folder: Path) -> str:
-    """The student's parameters, its errors beside its teacher's, how far the two are apart, and where its files are.
+    """Summarise a distillation: parameters, errors of student and teacher, their differences, folder and verdict.
 
-    `note` is what `distillation.json` holds.
+    `note` is the content of `distillation.json`.
     """
     student, teacher, note = (escape_all(each) for each in (student, teacher, note))
     test, expected = (run["metrics"]["test"] for run in (student, teacher))
-    rows = [("student and teacher differ by, RMS", "", "unit")]
+    rows = [("RMS difference, student to teacher", "", "unit")]
     rows += [(f"{d['quantity']}, {d['over']}", _format_value(d["rms"]), d["unit"]) for d in note["differences"]]
     blocks = [
         f"{student['model']} in place of {teacher['model']} on {_say_data(student['data'])}",
@@ -116,12 +116,12 @@ def summarise_distillation(student: Result, teacher: Result, note: Mapping[str, 
 
 
 def summarise_comparison(comparison: Comparison, folder: Path | None) -> str:
-    """The runs best first, what failed, the recommendation, and where the files are, if any."""
+    """Summarise a comparison: runs best first, failed jobs, recommendation, and the folder of its files."""
     return "\n\n".join(_arrange_comparison(comparison, folder, align))
 
 
 def summarise_comparison_in_html(comparison: Comparison, folder: Path | None) -> str:
-    """The same with a table of HTML, for notebooks."""
+    """Return the same summary in HTML, for notebooks."""
     origin, table, *more = _arrange_comparison(comparison, folder, _tabulate_in_html)
     return "".join([_say_in_html(origin), table, *map(_say_in_html, more)])
 
@@ -130,7 +130,7 @@ def _arrange_comparison(comparison: Comparison, folder: Path | None, tabulate: C
     comparison = escape_all(comparison)
     count, doubt, recommendation = len(comparison["runs"]), comparison["reference_doubt"], comparison["recommendation"]
     failed = "\n".join(f"failed: {failure['run']}: {failure['reason']}" for failure in comparison["failures"])
-    advice = "No run has a test error: all test rollouts diverged. None can be recommended."
+    advice = "No recommendation: all test rollouts of all runs diverged."
     if recommendation:
         advice = f"recommended: {recommendation['run']}. {recommendation['reason']}"
     more = (failed, f"warning: {doubt}" if doubt else "", advice, f"files: {folder}" if folder else "")
@@ -163,12 +163,12 @@ def _list_runs(comparison: Comparison) -> Rows:
 
 
 def _say_data(data: DataRow) -> str:
-    kinds = {"simulated": "The data are simulated.", "hardware": "The data are stated to be recorded on hardware."}
+    kinds = {"simulated": "The data are simulated.", "hardware": "Recorded on hardware, according to data.origin."}
     return f"{data['name']}. {kinds.get(data['origin'] or '', 'Your recordings.')}"
 
 
 def _list_parameters(result: Result) -> Rows:
-    """A row a parameter; of several joints a row for each, or for those that share the value."""
+    """Return one row per parameter; for several joints, one row per joint or group of joints that share the value."""
     several = len(result["joints"]) > 1
     rows = [("parameter", *(["joint"] if several else []), "value", "95 % interval", "unit", "")]
     for parameter in result["parameters"]:
@@ -178,15 +178,15 @@ def _list_parameters(result: Result) -> Rows:
             status = "at a bound" if several and row["at_bound"] else status
             found = _format_value(row["value"]), format_interval(row["interval"])
             rows.append((name, *joint, *found, parameter["unit"], status))
-            name = ""  # once for all its joints
+            name = ""  # only in the first row of a parameter
     if result["network"]:
-        joint = [""] if several else []  # whose it is, the law says
+        joint = [""] if several else []  # the model determines which joints it covers
         rows.append(("friction network", *joint, str(result["network"]["weights"]), "", "weights", "identified"))
     return rows
 
 
 def _list_joints(result: Result) -> Rows:
-    """A row a joint with its error beside that without friction."""
+    """Return one row per joint: error with and without friction."""
     unit = result["metrics"]["test"]["unit"]
     rows = [("position MAE by joint", "this model", "no friction", "unit", "change")]
     for row in result["by_joint"]:
@@ -197,15 +197,15 @@ def _list_joints(result: Result) -> Rows:
 
 
 def list_columns(columns: Mapping[str, Any]) -> Rows:
-    """Return a table of which column each joint got, from an entry of `columns` of `result.json` or `inspect.json`."""
+    """Return a table of the column assigned to each joint, from `columns` of `result.json` or `inspect.json`."""
     signals = sorted(columns["by"], key=[*COLUMNS, *columns["by"]].index)
     rows = [("joint <-", *(str(COLUMNS.get(signal, signal)) for signal in signals))]
     return [*rows, *((row["joint"], *(row["columns"][signal] for signal in signals)) for row in columns["joints"])]
 
 
 def _list_torque(torque: TorqueRow) -> Rows:
-    """A row a joint with the torque that is left of it on test data, beside its torque, and their mean."""
-    rows = [("torque that is left, test, RMS", "left", "of", "unit", "share")]
+    """Return one row per joint: residual torque and torque on test data; for several joints also their mean."""
+    rows = [("residual torque, test, RMS", "residual", "torque", "unit", "share")]
     several = [{"joint": "mean", **torque["mean"]}] if len(torque["by_joint"]) > 1 else []
     for row in (*torque["by_joint"], *several):
         left, whole = (row["test"][key] for key in ("residual", "torque"))
@@ -216,7 +216,7 @@ def _list_torque(torque: TorqueRow) -> Rows:
 
 
 def _list_written(result: Result) -> Rows:
-    """A row a model file with its distance from the identified drive, as it moves where it is loaded."""
+    """Return one row per model file: difference between its motion in MuJoCo and the identified drive."""
     rows = [("loaded in MuJoCo, differs by", "mean", "largest", "unit", "of the test error")]
     for row in result["written"]:
         share = "" if row["share"] is None else f"{100 * row['share']:.2g} %"
@@ -225,7 +225,7 @@ def _list_written(result: Result) -> Rows:
 
 
 def _list_limits(result: Result) -> list[str]:
-    """Why model files move differently, what they cannot hold and what their user has to know, a line each."""
+    """Return the limits of model files, one line each: why they differ and what their user has to know."""
     said = [(row["file"], limit) for row in result["written"] for limit in _list_reasons(row)]
     files: dict[str, list[str]] = {}
     for file, limit in said:
@@ -234,7 +234,7 @@ def _list_limits(result: Result) -> list[str]:
 
 
 def _list_reasons(row: WrittenRow) -> list[str]:
-    """Whether a model file is the drive, and its limits."""
+    """Return whether a model file represents the drive exactly, why not, and its limits."""
     if row["exact"]:
         return ["the identified drive, represented exactly", *row["limits"]]
     far = row["share"] is not None and row["share"] > FAR
@@ -243,7 +243,7 @@ def _list_reasons(row: WrittenRow) -> list[str]:
 
 
 def _list_errors(test: MetricsRow, reference: MetricsRow, names: tuple[str, str]) -> Rows:
-    """Errors of one drive beside those of another, and the change from that to it."""
+    """Return errors of a drive and of a reference, with the relative change."""
     rows = [(f"test, {test['rollouts']} x {test['horizon']:g} s", *names, "unit", "change")]
     for row, (key, unit) in ERRORS.items():
         change = _format_change(test[key], reference[key])
@@ -253,7 +253,7 @@ def _list_errors(test: MetricsRow, reference: MetricsRow, names: tuple[str, str]
 
 
 def _list_verdict(result: Result) -> list[str]:
-    """The verdict: in plain words, a line for each finding, and what to do next."""
+    """Return the verdict as lines: grade, findings, and next steps."""
     verdict = result["verdict"]
     count = len(verdict["findings"])
     lines = [f"verdict: {verdict['grade']}" + (f", {count} finding{'s' * (count > 1)}" if count else "")]
@@ -262,7 +262,7 @@ def _list_verdict(result: Result) -> list[str]:
             lines.append(f"warning: {say_finding(finding)}")
     if result["not_identified"]:
         why, *reasons = result["not_identified"]
-        lines.append(f"this did not identify the drive: {why}. Likely reasons, the likeliest first:")
+        lines.append(f"the drive was not identified: {why}. Likely reasons, the likeliest first:")
         lines += [f"  {number}. {reason}" for number, reason in enumerate(reasons, 1)]
     if verdict["commands"]:
         lines += [f"next: {say_purposes(verdict['commands'])}"]
@@ -271,24 +271,24 @@ def _list_verdict(result: Result) -> list[str]:
 
 
 def say_status(parameter: ParameterRow | ValueRow) -> str:
-    """Where the value of a parameter, as in `result.json`, comes from, and whether the data determine it."""
+    """Return the status of a value from `result.json`: known, identified or not identifiable."""
     if not parameter["identified"]:
         return "known"
     return "not identifiable" if parameter["identifiable"] is False else "identified"
 
 
 def format_interval(interval: Sequence[Any] | None) -> str:
-    """The interval of a value, as in `result.json`; empty where there is none."""
+    """Format the interval of a value from `result.json`; empty for none."""
     return "" if interval is None else f"{interval[0]:.4g} to {interval[1]:.4g}"
 
 
 def _format_change(value: float | None, reference: float | None) -> str:
-    """Relative change, where there is something to compare."""
+    """Format the relative change; empty if there is nothing to compare."""
     return f"{round(100 * (value / reference - 1)):+d} %" if value is not None and reference else ""
 
 
 def align(rows: Rows) -> str:
-    """Columns padded to their longest entry, the first flush left and numbers flush right."""
+    """Align a table: columns padded to their longest entry, numbers right-aligned, text left-aligned."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     flush = [str.rjust if all(map(_is_number, column[1:])) else str.ljust for column in zip(*rows, strict=True)]
     lines = ("  ".join(pad(cell, width) for pad, cell, width in zip(flush, row, widths, strict=True)) for row in rows)
@@ -296,7 +296,7 @@ def align(rows: Rows) -> str:
 
 
 def _tabulate_in_markdown(rows: Rows) -> str:
-    # An underscore within a word is no emphasis.
+    # An underscore within a word is not emphasis in Markdown and needs no escape.
     cells = ([re.sub(r"(?<=\w)\\_(?=\w)", "_", escape_markdown(cell)) for cell in row] for row in rows)
     head, *body = (f"| {' | '.join(row)} |" for row in cells)
     return "\n".join([head, "|---" * len(rows[0]) + "|", *body])

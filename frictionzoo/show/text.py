@@ -1,4 +1,4 @@
-"""How figures and pages print numbers, units and names."""
+"""Formatting of numbers, units and names for figures and pages."""
 
 import inspect
 import re
@@ -9,24 +9,24 @@ from frictionzoo.core.telling import escape_controls, say_percent
 
 
 def format_number(value: float | Sequence[float] | None, between: str = ", ") -> str:
-    """A value, or one for each joint, as it is printed."""
+    """Format a value, or one value per joint."""
     if value is None:
         return "none"
     return f"{value:.4g}" if isinstance(value, int | float) else between.join(f"{joint:.4g}" for joint in value)
 
 
 def say_origin(origin: str | None) -> str:
-    """Return where data come from, as `data.origin` of a result states it."""
+    """Return a phrase for the origin of data, from `data.origin` of a result."""
     return "your recordings" if origin is None else f"{origin} data"
 
 
 def format_unit(unit: str) -> str:
-    """A unit as it is printed; nothing for a pure number."""
+    """Format a unit; empty for a dimensionless number."""
     return "" if unit == "1" else unit.replace("^2", "²")
 
 
 def format_change(value: float | None, reference: float | None) -> str:
-    """Relative change, where there is something to compare."""
+    """Format the relative change; empty if there is nothing to compare."""
     if value is None or not reference:
         return ""
     percent = round(100 * (value / reference - 1))
@@ -34,31 +34,31 @@ def format_change(value: float | None, reference: float | None) -> str:
 
 
 def format_share(value: float | None, whole: float | None) -> str:
-    """What part of a whole a value is, where there is something to compare."""
+    """Format a value as a share of a whole; empty if there is nothing to compare."""
     return "" if value is None or not whole else say_percent(value / whole, digits=3)
 
 
 def format_digits(value: float, digits: int) -> str:
-    """A value with so many significant digits, also where the last ones are 0."""
+    """Format a value with this number of significant digits, including trailing zeros."""
     return f"{value:#.{digits}g}".rstrip(".")
 
 
 def wrap(text: str, width: int, lines: int | None = None) -> list[str]:
-    """A user's text on lines of this width, at most so many of them."""
+    """Wrap a user's text to lines of this width, and at most this number of lines."""
     return textwrap.wrap(text, width, max_lines=lines, placeholder=" …") or [" "]
 
 
 def escape_markdown(text: str) -> str:
-    """Write a user's text as Markdown that shows it unchanged, in a table too."""
+    """Escape a user's text so that Markdown shows it unchanged, also in tables."""
     return re.sub(r"([\\`*_{}\[\]<>#|!~&])", r"\\\1", escape_controls(text))
 
 
 def to_markdown(docstring: str, typeset: Callable[[str], str] | None = None) -> str:
-    """A docstring's paragraphs up to its arguments; equations and symbols become blocks of code.
+    """Convert a docstring up to its first section to Markdown; equations and symbols become code blocks.
 
     Args:
-        docstring: With an equation, if it has any, as a paragraph before the indented list of symbols.
-        typeset: Makes Markdown of equations; blocks of code without it.
+        docstring: Docstring; an equation is a paragraph before the indented list of symbols.
+        typeset: Function that converts an equation to Markdown; None for code blocks.
     """
     text = re.split(r"\n\n(?:Args|Raises|Attributes):\n", inspect.cleandoc(docstring))[0]
     blocks = text.split("\n\n")

@@ -1,4 +1,4 @@
-"""Figures as files, PNG and PDF, drawn by matplotlib."""
+"""PNG and PDF figures, drawn by matplotlib."""
 
 import io
 import logging
@@ -24,21 +24,21 @@ from frictionzoo.show.colors import BAND, TEXT
 from frictionzoo.show.figure import Axis, Band, Bars, Curve, Dash, Mark, Panel, Sheet, Stripe, list_named, list_rows
 from frictionzoo.show.text import wrap
 
-# Under PDF, it tells how it takes each glyph out of a font.
+# For PDF files, fontTools logs every glyph of a font.
 logging.getLogger("fontTools").setLevel(logging.WARNING)
 
 DPI = 150
-WIDTH = 8.0  # inch; 1200 px
-COLUMN = 3.5  # inches for each of several columns
-LINE = 0.17  # inches for each line of a legend
-TICK, PANEL, LEGEND = 30, 45, 100  # characters on one line: at an axis, over a small panel, in a legend
-_POINT = 0.8  # of a page's pixel
+WIDTH = 8.0  # [inch]; 1200 px
+COLUMN = 3.5  # width of each of several columns [inch]
+LINE = 0.17  # height of each line of a legend [inch]
+TICK, PANEL, LEGEND = 30, 45, 100  # characters per line: of a tick, above a small panel, in a legend
+_POINT = 0.8  # points per pixel of a page
 _MARKERS = {"": "None", "circle": "o", "diamond": "D", "x": "x", "cross": "+", "square": "s"}
 _MARKERS |= {"triangle-up": "^", "triangle-down": "v"}
 
 
 def draw(sheet: Sheet) -> Figure:
-    """All of a sheet on one figure of matplotlib."""
+    """Draw a sheet as one matplotlib figure."""
     columns, parts = min(sheet.columns, len(sheet.figures)), len(sheet.figures[0].panels)
     blocks = -(-len(sheet.figures) // columns)
     size = (max(WIDTH, COLUMN * columns), 0.6 + sheet.height * blocks)
@@ -59,10 +59,10 @@ def draw(sheet: Sheet) -> Figure:
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG, or as PDF with its fonts embedded and without a date, as the file's suffix tells.
+    """Write a figure as PNG or PDF according to the suffix; PDF with embedded fonts and without a date.
 
     Raises:
-        OutputError: It cannot be written.
+        OutputError: The file cannot be written.
     """
     buffer = io.BytesIO()
     metadata = {"CreationDate": None} if path.suffix == ".pdf" else None
@@ -91,7 +91,7 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
     _draw_marks(axes, panel)
     side = axes.get_yaxis_transform()
     for row, value, note in list_rows(panel):
-        # To the right of the frame, so that it can be read where a bar leaves it.
+        # Right of the frame: legible even if a bar leaves the frame.
         axes.text(1.02, row, note, transform=side, va="center", fontsize="x-small")
         if panel.x.limits and value > panel.x.limits[1]:
             axes.text(0.99, row, "→", transform=side, ha="right", va="center")
@@ -101,7 +101,7 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
 
 def _draw_marks(axes: Axes, panel: Panel) -> None:
     for mark in panel.marks:
-        # The first run is the best, and lies in front.
+        # The first run is the best and is drawn in front.
         _draw_mark(axes, mark, 2.0 if mark.run is None else 2.1 + 0.5 / (1 + mark.run))
     axes.margins(x=0.01)
     _scale(axes.xaxis, panel.x)
@@ -121,7 +121,7 @@ def _draw_mark(axes: Axes, mark: Mark, order: float) -> None:
             ends = np.abs(mark.reach - mark.y)
             axes.errorbar(mark.x, mark.y, yerr=ends, capsize=2.5, elinewidth=1.0, zorder=3, **_look(mark))
         case Curve():
-            # Points are whole at the edge too, and in front.
+            # Points are in front, and not clipped at the edge.
             axes.plot(mark.x, mark.y, zorder=order if mark.width else 3, clip_on=mark.width > 0, **_look(mark))
         case Band():
             axes.fill_between(mark.x, mark.low, mark.high, color=mark.color, alpha=BAND, linewidth=0)
@@ -138,11 +138,11 @@ def _draw_mark(axes: Axes, mark: Mark, order: float) -> None:
 
 
 def _look(mark: Curve) -> dict[str, Any]:
-    """How the line and the points of a curve look."""
+    """Return matplotlib properties of a curve's line and points."""
     hollow = mark.marker.endswith("-open")
     points: Mapping[str, Any] = {
         "marker": _MARKERS[mark.marker.removesuffix("-open")],
-        "markersize": _POINT * mark.size * (0.75 if "diamond" in mark.marker else 1),  # of its edge, not its width
+        "markersize": _POINT * mark.size * (0.75 if "diamond" in mark.marker else 1),  # size of its edge, not its width
         "markerfacecolor": "white" if hollow else mark.color,
     }
     line = {"linestyle": _line(mark.dash) if mark.width else "none", "linewidth": _POINT * mark.width}
@@ -159,7 +159,7 @@ def _fill(mark: Bars) -> dict[str, Any]:
 
 
 def _scale(ruler: Ruler, axis: Axis) -> None:
-    """Ticks of one axis."""
+    """Set scale and ticks of one axis."""
     if axis.ticks:
         ruler.set_ticks(range(len(axis.ticks)), [_name(tick, TICK) for tick in axis.ticks])
     if axis.log:
@@ -170,7 +170,7 @@ def _scale(ruler: Ruler, axis: Axis) -> None:
 
 
 def _magnify(axes: Axes, panel: Panel, x: tuple[float, float], y: tuple[float, float]) -> None:
-    """An inset, above the curves, of a stretch of them."""
+    """Draw an inset above the curves that magnifies a stretch."""
     low, high = axes.get_ylim()
     axes.set_ylim(low, high + 0.9 * (high - low))
     inset = axes.inset_axes((0.2, 0.56, 0.78, 0.41))
@@ -181,7 +181,7 @@ def _magnify(axes: Axes, panel: Panel, x: tuple[float, float], y: tuple[float, f
 
 
 def _list_keys(panels: Iterable[Panel]) -> dict[str, Artist]:
-    """What stands in a legend: the runs last, in their order."""
+    """Return legend entries by name; runs come last, in their order."""
     marks = [mark for panel in panels for mark in list_named(panel)]
     marks.sort(key=lambda mark: -1 if mark.run is None else mark.run)
     return {_name(mark.name, LEGEND): _make_key(mark) for mark in marks}
@@ -194,7 +194,7 @@ def _make_key(mark: Mark) -> Artist:
 
 
 def _add_legend(figure: Figure, keys: Mapping[str, Artist]) -> None:
-    """A legend below all panels; the figure grows by its height."""
+    """Add a legend below all panels and enlarge the figure by its height."""
     if not keys:
         return
     longest = max(len(line) for name in keys for line in name.splitlines())
@@ -206,6 +206,6 @@ def _add_legend(figure: Figure, keys: Mapping[str, Artist]) -> None:
 
 
 def _name(text: str, width: int) -> str:
-    """A text on lines of this width, and not as mathematics."""
+    """Wrap a text to lines of this width, and escape `$`, which matplotlib reads as mathematics."""
     wrapped = [part for line in text.split("\n") if line for part in wrap(escape_controls(line), width)]
     return "\n".join(wrapped).replace("$", r"\$")

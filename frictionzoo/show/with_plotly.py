@@ -1,4 +1,4 @@
-"""Figures for pages: `data` and `layout` of plotly.js."""
+"""Figures for HTML pages, as `data` and `layout` of plotly.js."""
 
 import html
 import math
@@ -13,16 +13,16 @@ from frictionzoo.show.colors import GRID, MODEL, PAPER, SOFT, TEXT, fade
 from frictionzoo.show.figure import Axis, Band, Bars, Curve, Figure, Mark, Panel, Stripe, list_named, list_rows
 from frictionzoo.show.text import wrap
 
-POINTS = 4000  # largest number of points of a curve; a screen has fewer columns of pixels
-DIGITS = 6  # significant digits of a point, about what float32 holds
-TICK = 28  # characters of a tick's name on one line
-GAP = 0.06  # share of the height between two panels
+POINTS = 4000  # largest number of points per curve; a screen has fewer pixel columns
+DIGITS = 6  # significant digits of a point, about the precision of float32
+TICK = 28  # characters per line of a tick label
+GAP = 0.06  # gap between two panels, as a share of the height
 
 
 def draw(figure: Figure, points: int = POINTS) -> dict[str, Any]:
-    """A figure as plotly.js takes it, with at most so many points of each curve.
+    """Convert a figure to plotly.js, with at most `points` points per curve.
 
-    The page's script swaps the colours on a dark page.
+    The page's script replaces the colours on a dark page.
     """
     data: list[dict[str, Any]] = []
     extra: dict[str, list[dict[str, Any]]] = {"shapes": [], "annotations": []}
@@ -90,7 +90,7 @@ def _draw_mark(mark: Mark, points: int, panel: Panel) -> dict[str, Any]:
         case Band():
             kept = decimate(mark.low, points)
             x = round_points(mark.x[kept])
-            # A logarithmic axis has no place for what reaches below 0.
+            # A logarithmic axis cannot show values of 0 or less.
             low = np.maximum(mark.low, panel.y.limits[0] / 10) if panel.y.log and panel.y.limits else mark.low
             outline = round_points(np.concatenate([mark.high[kept], low[kept][::-1]]))
             shape = {"mode": "lines", "x": x + x[::-1], "y": outline, "fill": "toself", "fillcolor": fade(mark.color)}
@@ -116,7 +116,7 @@ def _draw_curve(mark: Curve, points: int, panel: Panel) -> dict[str, Any]:
     if mark.reach is not None:
         trace["error_y"] = _draw_whiskers(mark.reach[:, finite], mark.y[finite], mark.color, 1.2)
     x, y = mark.x[finite], mark.y[finite]
-    # A path that turns round has no extremes by which it is known; its points are kept evenly.
+    # If x turns back, as in a phase plot, extremes of y do not describe the curve: keep evenly spaced points.
     kept = decimate(y, points) if (np.diff(x) >= 0).all() else np.arange(0, len(x), -(-len(x) // points))
     return trace | _point(mark, "%{y:.5g}", panel.y.unit) | {"x": round_points(x[kept]), "y": round_points(y[kept])}
 
@@ -141,7 +141,7 @@ def _draw_bars(mark: Bars, panel: Panel) -> dict[str, Any]:
 
 
 def _point(mark: Curve | Bars, value: str, unit: str) -> dict[str, Any]:
-    """What is said under the pointer."""
+    """Return the hover text."""
     if not mark.name:
         return {"hoverinfo": "skip"}
     if mark.notes:
@@ -171,7 +171,7 @@ def _annotate(panel: Panel, axis: str) -> list[dict[str, Any]]:
 
 
 def decimate(curve: Float[np.ndarray, "points"], points: int) -> Int[np.ndarray, "kept"]:
-    """Indices of at most `points` points that look like the whole curve: lowest and highest of each stretch."""
+    """Return indices of at most `points` points that look like the whole curve: the extremes of each stretch."""
     if len(curve) <= points:
         return np.arange(len(curve))
     edges = np.linspace(0, len(curve), points // 2).astype(int)
@@ -181,7 +181,7 @@ def decimate(curve: Float[np.ndarray, "points"], points: int) -> Int[np.ndarray,
 
 
 def round_points(values: Sequence[float] | Float[np.ndarray, "points"]) -> list[float | None]:
-    """Values as short as their precision allows, null for what is not finite."""
+    """Round values to `DIGITS` digits; None for a value that is not finite."""
     return [_round(value) if math.isfinite(value) else None for value in values]
 
 
@@ -190,5 +190,5 @@ def _round(value: float) -> float:
 
 
 def escape(text: str) -> str:
-    """A name as text: plotly.js reads a few HTML tags and entities."""
+    """Escape a name, because plotly.js interprets some HTML tags and entities."""
     return html.escape(text, quote=False)

@@ -1,4 +1,4 @@
-"""The simulation: engines step a bench with a law, rollouts take many steps, and a proof holds both to MuJoCo."""
+"""Simulation: engines step a bench with a friction model, rollouts take many steps, and MuJoCo C verifies both."""
 
 from frictionzoo.simulate.base import Engine, Friction, Values, friction_of, without_memory
 from frictionzoo.simulate.choose import make_engine

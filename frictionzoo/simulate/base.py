@@ -1,4 +1,4 @@
-"""What every engine offers: one simulation step of a bench with a friction law in it."""
+"""Interface of engines: one simulation step of a bench with a friction model."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -18,12 +18,12 @@ Values = Mapping[str, Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class Friction:
-    """A friction law as two functions over `jax.numpy`.
+    """Friction model as two functions over `jax.numpy`.
 
     Attributes:
-        settle: Called once, where a rollout begins. Gets the law's values and the first state; returns its memory,
-            of shape (nv, memory).
-        advance: Called in each step. Gets the law's values, the state, the memory and the time step [s]; returns the
+        settle: Called once at the start of a rollout, with the model's values and the first state; returns the model's
+            memory, of shape (nv, memory).
+        advance: Called in each step, with the model's values, the state, the memory and the time step [s]; returns the
             friction terms that act during the step, and the memory after it.
     """
 
@@ -32,36 +32,35 @@ class Friction:
 
 
 UNFUSED: dict[str, str | bool] = {"xla_disable_hlo_passes": "fusion", "xla_cpu_use_fusion_emitters": True}
-"""Compiler options that switch XLA's fusion off on CPUs.
+"""Compiler options that switch off XLA's fusion on CPUs.
 
-Fusion computes a term anew wherever it is used. The dynamics of many joints use each term many times, so that the
-compiled step becomes slow. The newer emitters are asked for too: without fusion, the older ones mixed up the arrays of
-two joints (jaxlib 0.10.2).
+Fusion recomputes a term wherever it is used. The dynamics of many joints use each term many times, so the compiled step
+becomes slow. The newer emitters are needed too: without fusion, the older ones mixed up the arrays of two joints
+(jaxlib 0.10.2).
 """
 
 FORWARD: dict[str, str | bool] = {"xla_cpu_use_fusion_emitters": False}
-"""Those of functions without a reverse sweep that are fused: XLA's older emitters of code for CPUs.
+"""Compiler options for fused functions without a reverse sweep: XLA's older code emitters for CPUs.
 
 They compile in two thirds of the time; rollouts and tangents run up to a third faster, reverse sweeps a fifth slower.
 """
 
 
 class Engine(ABC):
-    """Simulates a bench with a friction law, one step at a time; JAX differentiates the step in all values.
+    """Simulator of one step of a bench with a friction model; JAX differentiates it in all values.
 
     Attributes:
-        bench: What is simulated.
-        friction: The friction law.
-        name: What chooses it, `engine=NAME`, and what results call it.
+        bench: The simulated bench.
+        friction: The friction model.
+        name: Value of `engine=NAME` and name in results.
         note: One line that a run prints about it, or "".
-        compiler_options: Options for XLA where a step of this engine is compiled with a reverse sweep.
-        forward_options: The same where there is none.
-        forward_limit: Number of parameters up to which forward mode is the faster way to the derivative.
-        branches: Number of the branch of each joint, from 0: joints of different ones do not move each other.
-        reverse: Whether the step can be differentiated in reverse mode. It cannot where a solver iterates until it has
-            converged: JAX has no reverse mode for a loop of unknown length.
-        keeps_slopes: Whether the derivative of a step is made of few numbers, which a rollout can keep for tangents
-            that are taken afterwards.
+        compiler_options: XLA options for compiling a step with a reverse sweep.
+        forward_options: XLA options for compiling a step without one.
+        forward_limit: Largest number of parameters for which forward mode is faster than reverse mode.
+        branches: Number of each joint's branch, from 0; joints of different branches do not move each other.
+        reverse: Whether the step has a reverse mode. It has none if a solver iterates until convergence: JAX has no
+            reverse mode for a loop of unknown length.
+        keeps_slopes: Whether a step's derivative consists of few numbers, which a rollout can keep for later tangents.
     """
 
     name: ClassVar[str]
@@ -90,44 +89,44 @@ class Engine(ABC):
         """Simulate one time step.
 
         Args:
-            values: Values of the bench's parameters and of the friction law's.
+            values: Values of the bench's and the friction model's parameters.
             qpos: Position [rad or m].
             qvel: Velocity [rad/s or m/s].
-            signals: What was recorded besides the state, each of shape (nv,).
-            load: How the payload of the recording changes the model, from `Bench.load`.
-            memory: The friction law's, from `start` or from the step before.
-            rigid: Dry friction as `rigid_step` has it in place of MuJoCo's constraint, where nothing else is
+            signals: Recorded signals other than the state, each of shape (nv,).
+            load: Effect of the recording's payload on the bench's MuJoCo model, from `Bench.load`.
+            memory: The friction model's memory, from `start` or the previous step.
+            rigid: Whether dry friction follows `rigid_step` instead of MuJoCo's constraint, if nothing else is
                 constrained.
-            midway: Velocity expected in the middle of the step, for the links' Coriolis and centrifugal forces [rad/s
-                or m/s]; None for MuJoCo's, that before the step.
+            midway: Expected velocity in the middle of the step, for the links' Coriolis and centrifugal forces [rad/s
+                or m/s]; None: the velocity before the step, as in MuJoCo.
 
         Returns:
-            Position, velocity and the friction law's memory after the step.
+            Position, velocity and the friction model's memory after the step.
         """
 
     def start(
         self, values: Values, qpos: Array, qvel: Array, signals: Signals, load: Array
     ) -> Float[Array, "nv memory"]:
-        """The friction law's memory where a rollout begins; arguments as in `step`."""
+        """Return the friction model's memory at the start of a rollout; arguments as in `step`."""
         return self.friction.settle(values["friction"], self.drive_state(values, qpos, qvel, signals, load))
 
     @abstractmethod
     def drive_state(self, values: Values, qpos: Array, qvel: Array, signals: Signals, load: Array) -> DriveState:
-        """What the friction law sees in this state: velocity, torques and so on; arguments as in `step`."""
+        """Return the state that the friction model reads; arguments as in `step`."""
 
 
 def control(bench: Bench, values: Values, qpos: Array, qvel: Array, signals: Signals) -> Float[Array, "nv"]:
-    """What the controller makes of the commands; arguments as in `Engine.step`."""
+    """Compute MuJoCo's ctrl from the recorded commands; arguments as in `Engine.step`."""
     return bench.actuator.control(jnp, values["bench"], qpos, qvel, signals.ctrl, signals.inputs)
 
 
 def friction_of(module: Any) -> Friction:
-    """The two functions of a friction module, over `jax.numpy`."""
+    """Return the two functions of a friction module, over `jax.numpy`."""
     return Friction(partial(module.settle, jnp), partial(module.advance, jnp))
 
 
 def without_memory(terms: Callable[[Mapping[str, Any], DriveState], FrictionTerms]) -> Friction:
-    """A law that depends on the present state alone, from its one function of the law's values and the state."""
+    """Make a friction model without memory from one function of the model's values and the state."""
     return Friction(
         settle=lambda values, state: jnp.zeros((*state.qvel.shape, 0)),
         advance=lambda values, state, memory, timestep: (terms(values, state), memory),

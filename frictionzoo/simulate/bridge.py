@@ -1,4 +1,4 @@
-"""Between torch and JAX: values cross through DLPack, and a JAX function becomes a torch operation."""
+"""Bridge between torch and JAX: values cross through DLPack, and a JAX function becomes a torch operation."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from frictionzoo.core.errors import ConfigError, ModelError, closest
 
 
 def to_jax(source: torch.nn.Module | Mapping[str, torch.Tensor], dtype: Any) -> dict[str, jax.Array]:
-    """Copies of a module's state on JAX's default device.
+    """Copy a module's state to JAX's default device.
 
     The arrays are copies: an in-place step of a torch optimiser does not change them.
 
@@ -31,7 +31,7 @@ def to_jax(source: torch.nn.Module | Mapping[str, torch.Tensor], dtype: Any) -> 
 
 
 def load_from_jax(module: torch.nn.Module, arrays: Mapping[str, jax.Array]) -> None:
-    """Write arrays into the module's state in place; names not given, dtypes and devices stay as they are.
+    """Write arrays into the module's state in place; other entries, dtypes and devices do not change.
 
     Raises:
         ModelError: A name or a shape does not fit; then nothing is written.
@@ -51,9 +51,9 @@ def load_from_jax(module: torch.nn.Module, arrays: Mapping[str, jax.Array]) -> N
 
 
 def to_tensors(tree: Any) -> Any:
-    """Copies of a pytree's arrays, numpy or JAX, as torch tensors in the precision in which JAX computes.
+    """Copy a pytree's arrays, numpy or JAX, to torch tensors in JAX's precision.
 
-    They lie on the GPU if JAX computes there and torch has one, and in the processor's memory otherwise.
+    They lie on the GPU if JAX computes there and torch has one, else in main memory.
     """
     on_gpu = _default_device().platform == "gpu" and torch.cuda.is_available()
     device = torch.device("cuda" if on_gpu else "cpu")
@@ -61,7 +61,7 @@ def to_tensors(tree: Any) -> Any:
 
 
 def to_arrays(tree: Any) -> Any:
-    """Copies of a pytree's tensors on JAX's default device."""
+    """Copy a pytree's tensors to JAX's default device."""
     return jax.tree.map(_to_array, tree)
 
 
@@ -70,7 +70,7 @@ def as_torch_function(
 ) -> Callable[..., Any]:
     """Make a pure JAX function a torch operation with JAX's reverse-mode gradient.
 
-    It computes in x64 if one of the tensors is float64, and as JAX is configured otherwise. Second derivatives are not
+    It computes in x64 if one of the tensors is float64, else as JAX is configured. Second derivatives are not
     available.
 
     Returns:
@@ -89,7 +89,7 @@ def as_torch_function(
 
 
 class _Operation:
-    """A JAX function over leaves, compiled once for each structure of its arguments and choice of moving leaves."""
+    """JAX function over leaves, compiled once for each structure of its arguments and choice of moving leaves."""
 
     def __init__(self, function: Callable[..., Any], compiler_options: dict[str, Any]) -> None:
         self._function = function
@@ -97,7 +97,7 @@ class _Operation:
         self.pull_back = jax.jit(lambda pull, cotangents: pull(cotangents), compiler_options=compiler_options)
 
     def _linearise(self, structure: Any, moving: tuple[int, ...], leaves: list[Any]) -> tuple[Any, Any]:
-        """The outputs, and what pulls a cotangent of the floating-point ones back to the moving leaves."""
+        """Return the outputs, and a function that pulls cotangents of floating-point ones back to the moving leaves."""
 
         def of_moving(*moved: Any) -> tuple[list[Any], Any]:
             given = list(leaves)
@@ -112,7 +112,7 @@ class _Operation:
 
 @dataclass
 class _Call:
-    """One call: what autograd passes through untouched, and the structure of the outputs on the way back."""
+    """One call: the input that autograd passes through unchanged, and the structure of the outputs."""
 
     operation: _Operation
     leaves: list[Any]
@@ -128,7 +128,7 @@ class _Bridged(torch.autograd.Function):
         moving = tuple(index for index, is_tensor in enumerate(are_tensors) if is_tensor and next(needed))
         ctx.operation = call.operation
         ctx.devices = [tensor.device for tensor in tensors]
-        # Kept, because the setting is local to a thread and backward may run in another.
+        # Stored, because the setting is local to a thread and backward may run in another.
         ctx.x64 = _x64() or any(tensor.dtype == torch.float64 for tensor in tensors)
         with jax.enable_x64(ctx.x64):
             leaves = [_to_array(leaf) if isinstance(leaf, torch.Tensor) else leaf for leaf in call.leaves]
@@ -152,7 +152,7 @@ class _Bridged(torch.autograd.Function):
 
 
 def _x64() -> bool:
-    """Whether JAX computes in 64 bits here, globally or inside `jax.enable_x64`."""
+    """Return whether JAX computes in 64 bits here, globally or inside `jax.enable_x64`."""
     return jnp.result_type(float) == jnp.float64
 
 
@@ -161,10 +161,9 @@ def _is_floating(array: Any) -> bool:
 
 
 def _to_array(tensor: torch.Tensor, dtype: Any = None) -> jax.Array:
-    """A copy of a tensor on JAX's default device, floating-point values as `dtype` if given.
+    """Copy a tensor to JAX's default device, floating-point values as `dtype` if given.
 
-    The copy is torch's, in compact strides, and JAX alone has it then: `jnp.from_dlpack` shares memory, even asked to
-    copy.
+    Torch makes the copy, in compact strides, for JAX alone: `jnp.from_dlpack` shares memory, even if asked to copy.
     """
     array = jnp.from_dlpack(tensor.detach().clone(memory_format=torch.contiguous_format))
     own = dtype if dtype is not None and _is_floating(array) else jax.dtypes.canonicalize_dtype(array.dtype)
@@ -174,7 +173,7 @@ def _to_array(tensor: torch.Tensor, dtype: Any = None) -> jax.Array:
 
 
 def _to_tensor(array: jax.Array, device: torch.device) -> torch.Tensor:
-    """A copy of an array on this device: JAX's arrays must not change, torch's may."""
+    """Copy an array to this device: JAX's arrays must not change, torch's may."""
     if device.type == "cpu" and array.device.platform != "cpu":
         array = jax.device_put(array, jax.devices("cpu")[0])
     return torch.from_dlpack(array).to(device).clone()

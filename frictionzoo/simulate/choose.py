@@ -1,4 +1,4 @@
-"""Which engine simulates a bench."""
+"""Choice of the engine that simulates a bench."""
 
 import contextlib
 from collections.abc import Iterator, Sequence
@@ -12,22 +12,21 @@ from frictionzoo.simulate.specialised import SpecialisedEngine
 
 _CHOICES = ("auto", "mjx", "specialised")
 _MEASURED_JOINTS = 17
-"""Up to so many joints of a branch `specialised` was measured, and is faster."""
+"""Largest number of joints in a branch for which `specialised` was measured to be faster."""
 
 
 def make_engine(choice: str, bench: Bench, friction: Friction, constraint: bool | Sequence[bool]) -> Engine:
-    """The engine that was asked for.
+    """Return the engine of this name.
 
     Args:
-        choice: `mjx`, `specialised`, or `auto` for `specialised` where it applies and is known to be faster, and `mjx`
-            elsewhere.
-        bench: What is simulated.
-        friction: The friction law's formula over `jax.numpy`.
-        constraint: Whether the law answers with a `frictionloss`, or for which joints.
+        choice: `mjx`, `specialised`, or `auto`: `specialised` if it applies and is known to be faster, else `mjx`.
+        bench: The bench to simulate.
+        friction: The friction model's formula over `jax.numpy`.
+        constraint: Whether the model returns a `frictionloss`, or for which joints.
 
     Raises:
-        ConfigError: No such engine, or `specialised` does not apply.
-        BenchError: MJX lacks something that the bench has.
+        ConfigError: There is no such engine, or `specialised` does not apply.
+        BenchError: MJX does not support something in the bench.
     """
     if choice not in _CHOICES:
         raise ConfigError(f"engine={choice}: no such engine; {closest(choice, _CHOICES)}")
@@ -37,10 +36,10 @@ def make_engine(choice: str, bench: Bench, friction: Friction, constraint: bool 
 
 @contextlib.contextmanager
 def naming_what_mjx_lacks(bench: Bench) -> Iterator[None]:
-    """One line in place of what MJX raises where it takes a model over or steps it.
+    """Replace an error of MJX about an unsupported MJCF by one line.
 
     Raises:
-        BenchError: MJX has raised something.
+        BenchError: MJX raised NotImplementedError.
     """
     try:
         yield

@@ -1,4 +1,4 @@
-"""JAX as one identification wants it, and as it was before afterwards."""
+"""JAX configuration of one identification, restored afterwards."""
 
 import contextlib
 import os
@@ -13,7 +13,7 @@ from frictionzoo.core.errors import ConfigError
 from frictionzoo.logs.cache import cache_folder
 
 _forked_late: list[bool] = []
-"""Filled in a process that was forked after JAX had begun to compute: its threads are missing there."""
+"""Filled in a process that was forked after JAX had begun to compute: JAX's threads are missing there."""
 
 
 def _note_fork() -> None:
@@ -21,27 +21,28 @@ def _note_fork() -> None:
         _forked_late.append(True)
 
 
-os.register_at_fork(after_in_child=_note_fork)  # not called where another program is started
-_SHORTEST = 0.1  # s of compilation from which on its result is kept
+os.register_at_fork(after_in_child=_note_fork)  # not called when another program is started
+_SHORTEST = 0.1  # shortest compilation whose result is stored [s]
 
 
 @contextlib.contextmanager
 def computing(dtype: str, device: str = "auto", compilation_cache: str | None = "user") -> Iterator[str]:
-    """Compute in this precision, on this device, keeping compiled functions in this folder.
+    """Compute in this precision, on this device, and store compiled functions in this folder.
 
     Args:
         dtype: `float32` or `float64`.
         device: `auto`, `cpu` or `cuda`.
-        compilation_cache: As `cache_folder` takes it. JAX's own setting has the last word.
+        compilation_cache: As in `cache_folder`. JAX's own setting takes precedence.
 
     Yields:
         The device's name.
 
     Raises:
-        ConfigError: One of them is unknown, or JAX finds no such device.
+        ConfigError: An argument is unknown, JAX finds no such device, or the process was forked after JAX had begun to
+            compute.
     """
     refuse_late_fork()
-    # XLA would take most of a GPU's memory at once and leave torch none; it reads this when it first meets the GPU.
+    # XLA would reserve most of a GPU's memory and leave torch none; it reads this when it first uses the GPU.
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     refuse_precision(dtype)
     if device not in ("auto", "cpu", "cuda"):
@@ -58,7 +59,7 @@ def computing(dtype: str, device: str = "auto", compilation_cache: str | None = 
 
 
 def refuse_late_fork() -> None:
-    """ConfigError in a process that was forked after JAX had begun to compute, where it would wait for ever."""
+    """Refuse to compute in a process forked after JAX had begun, where it would hang: ConfigError."""
     if _forked_late:
         raise ConfigError(
             "this process was forked after JAX had begun to compute, where it would hang; expected one of its own: use "
@@ -67,14 +68,14 @@ def refuse_late_fork() -> None:
 
 
 def refuse_precision(dtype: str) -> None:
-    """ConfigError for a precision that is neither `float32` nor `float64`."""
+    """Refuse a precision that is neither `float32` nor `float64`: ConfigError."""
     if dtype not in ("float32", "float64"):
         raise ConfigError(f"dtype={dtype}; expected float32 or float64")
 
 
 @contextlib.contextmanager
 def _keeping(folder: Path | None) -> Iterator[None]:
-    """Compiled functions are kept below this folder."""
+    """Store compiled functions below this folder."""
     if folder is None or jax.config.jax_compilation_cache_dir is not None:
         yield
         return

@@ -1,4 +1,4 @@
-"""Rollouts for PyTorch: torch tensors in, MuJoCo's dynamics between, torch tensors out, with autograd all the way."""
+"""Differentiable rollouts for PyTorch: torch tensors in and out, with autograd through MuJoCo's dynamics."""
 
 import math
 import numbers
@@ -23,10 +23,10 @@ from frictionzoo.simulate.context import refuse_late_fork
 from frictionzoo.simulate.drive import Drive
 from frictionzoo.simulate.torch_rollout import TorchRollout
 
-_KEPT = 16  # compiled drives of this process
+_KEPT = 16  # compiled drives in this process
 
 Array = Tensor | np.ndarray
-"""What a rollout takes: a tensor, a NumPy array or another object that NumPy reads as one."""
+"""Input of a rollout: a tensor, a NumPy array, or another object that NumPy reads as an array."""
 
 
 def rollout(
@@ -42,41 +42,40 @@ def rollout(
     payload: Payload | None = None,
     engine: str = "auto",
 ) -> tuple[Float[Tensor, "batch time nv"], Float[Tensor, "batch time nv"]]:
-    """Open-loop rollouts of a drive, differentiable by torch.
+    """Simulate open-loop rollouts of a drive, differentiable by torch.
 
-    Autograd leads to the initial states, to the commands, to the law's parameters and to those of the bench that are
-    given as tensors. Second derivatives are not available. The drives used last stay compiled, each for the shapes it
-    has met.
+    Gradients reach the initial states, the commands, the friction model's parameters and the bench's parameters given
+    as tensors. Second derivatives are not available. Recently used drives stay compiled, each for the shapes it has
+    met.
 
     States, commands and signals are tensors or NumPy arrays of floating-point or whole numbers. If one of them is
-    float64, all are computed in float64, otherwise in float32, which half precision and whole numbers become. The
-    parameters follow. JAX's device computes; the results are in that precision on the device of `qpos`.
+    float64, all are computed in float64, otherwise in float32, also half precision and whole numbers. The parameters
+    follow. The computation runs on JAX's device; the results have that precision and lie on the device of `qpos`.
 
     Args:
         bench: The test stand.
-        law: The friction law, a `FrictionModel`; one with a memory begins as if the first state had lasted.
+        law: The friction model, a `FrictionModel`; a memory begins as if the first state had lasted.
         qpos: Initial position [rad or m], of shape (batch, nv).
         qvel: Initial velocity [rad/s or m/s], of shape (batch, nv).
         ctrl: Command of each joint's actuator, of shape (batch, time, nv); sample i acts from state i to state i + 1.
             Without samples, the rollouts have none either.
-        parameters: Values of the bench's parameters, of shape (nv,) or a single one, by name; the others are as the
-            bench has them.
-        signals: What the actuator law needs besides the command and what the friction law looks at (`bench.inputs`,
-            `law.inputs`), by name, each of shape (batch, time, nv). What the friction law looks at may be left out, and
-            what the actuator law can do without.
-        interval: Of the samples [s], a whole number of simulation steps; None for one step.
-        payload: What the bench carries; None for nothing.
+        parameters: Values of the bench's parameters, of shape (nv,) or a single one, by name; the others keep the
+            bench's values.
+        signals: Further signals for the actuator law and the friction model (`bench.inputs`, `law.inputs`), by name,
+            each of shape (batch, time, nv). The friction model's are optional, and some of the actuator law's.
+        interval: Sample interval [s], a whole number of simulation steps; None for one step.
+        payload: Payload of the bench; None for none.
         engine: `auto`, `specialised` or `mjx`.
 
     Returns:
-        qpos and qvel after each sample interval. A rollout that diverges holds values that are not finite.
+        qpos and qvel after each sample interval. A rollout that diverges contains non-finite values.
 
     Raises:
-        BenchError: Shapes, joints, signals or the interval do not fit the bench, or MJX lacks something that it has.
-        ConfigError: No such parameter or engine, an argument of another kind, a process that was forked after JAX had
-            begun to compute, or a gradient is asked of an engine that
-            has none for this bench.
-        ModelError: The law's answer in torch is none.
+        BenchError: Shapes, joints, signals or the interval do not fit the bench, or MJX does not support something in
+            it.
+        ConfigError: An unknown parameter or engine, an argument of another type, a process that was forked after JAX
+            had begun to compute, or a gradient of an engine that has none for this bench.
+        ModelError: The model does not return friction terms in torch.
     """
     refuse_late_fork()
     _refuse_others(bench, law, parameters, signals, payload, engine)
@@ -85,7 +84,7 @@ def rollout(
     tensors = _to_tensors(arrays)
     qpos, qvel, ctrl = (tensors.pop(name) for name in ("qpos", "qvel", "ctrl"))
     precision = qpos.dtype, bool(jax.config.read("jax_enable_x64"))
-    # First, because it may change the law's type.
+    # First, because it may change the model's dtype.
     bench, function, reverse, history = _compile(bench, law, engine, interval, precision)
     values = _values(bench, law, parameters or {}, qpos)
     given = {name.removeprefix("signals."): tensor for name, tensor in tensors.items()}
@@ -108,9 +107,9 @@ def rollout(
 def _compile(
     bench: Bench, law: FrictionModel, engine: str, interval: float, precision: tuple[torch.dtype, bool]
 ) -> tuple:
-    """The bench as the law sees it, the function, whether it has a gradient, and how many samples act before.
+    """Return the bench with the model's signals, the function, whether it has a gradient, and its history samples.
 
-    A drive is assembled for each precision: engines keep what they have traced.
+    Each precision has its own drive, because engines keep what they have traced.
     """
     bench = bench.observing(law.inputs)
     bench.check_interval(interval, "interval")
@@ -123,7 +122,7 @@ def _compile(
 
 
 def _refuse_others(bench: Any, law: Any, parameters: Any, signals: Any, payload: Any, engine: Any) -> None:
-    """Refuse arguments of another kind."""
+    """Refuse arguments of the wrong type."""
     refuse_unlike("bench", bench, Bench, "a Bench, as in Bench('stand.xml', actuator=PositionPD(kp=15, kd=0.5))")
     expected = "a FrictionModel, as fz.law('stribeck') is"
     if isinstance(law, torch.nn.Module):
@@ -143,7 +142,7 @@ def _to_interval(interval: Any) -> float:
 
 
 def _to_tensors(arrays: Mapping[str, Any]) -> dict[str, Tensor]:
-    """The arrays by name as tensors of one precision on the first one's device."""
+    """Convert arrays to tensors of one precision on the first one's device."""
     tensors = {name: _to_tensor(name, array) for name, array in arrays.items()}
     double = any(tensor.dtype == torch.float64 for tensor in tensors.values())
     device = next(iter(tensors.values())).device
@@ -151,7 +150,7 @@ def _to_tensors(arrays: Mapping[str, Any]) -> dict[str, Tensor]:
 
 
 def _to_tensor(name: str, value: Any) -> Tensor:
-    """A tensor, or a copy of an array as one; ConfigError where it is neither or holds no real numbers."""
+    """Return a tensor, or a copy of an array as one; ConfigError for anything else and for other than real numbers."""
     if not isinstance(value, Tensor):
         if not hasattr(value, "__array__"):
             raise ConfigError(f"{name}: {type(value).__name__}, expected a torch tensor or a NumPy array")
@@ -188,7 +187,7 @@ def _of_joints(bench: Bench, name: str, value: Any, like: Tensor) -> Tensor:
 def _name(
     bench: Bench, law: FrictionModel, qpos: Tensor, qvel: Tensor, ctrl: Tensor, signals: dict[str, Tensor]
 ) -> Signals:
-    """The command and the other signals, as a rollout takes them."""
+    """Collect the command and the other signals for a rollout."""
     if qpos.ndim != 2 or ctrl.ndim != 3:
         raise BenchError(
             f"qpos of shape {tuple(qpos.shape)} and ctrl of {tuple(ctrl.shape)}, expected (batch, {bench.nv}) and "

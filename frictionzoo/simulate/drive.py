@@ -1,4 +1,4 @@
-"""A bench with a friction law: what an identification simulates."""
+"""Drive of a bench and a friction model, ready for simulation."""
 
 from dataclasses import dataclass
 
@@ -17,11 +17,11 @@ from frictionzoo.simulate.torch_rollout import AS_GIVEN, make_torch_rollout
 
 @dataclass(frozen=True)
 class Drive:
-    """A bench with a friction law, ready to be simulated.
+    """Bench with a friction model, ready for simulation.
 
     Attributes:
-        model: The friction law.
-        engine: One step; of a law that exists only in torch, with friction terms in place of the law's values.
+        model: The friction model.
+        engine: Engine of one step; for a torch-only model it takes friction terms in place of the model's values.
         rollout: Many open-loop rollouts.
     """
 
@@ -31,12 +31,12 @@ class Drive:
 
     @classmethod
     def assemble(cls, bench: Bench, model: FrictionModel, engine: str, sampling: Sampling | None = None) -> "Drive":
-        """The drive of this bench and this law, simulated by the engine of this name.
+        """Assemble the drive of this bench and model with the engine of this name.
 
         Raises:
-            BenchError: The law has another number of joints.
-            ConfigError: No such engine, or it does not apply.
-            ModelError: The law exists only in torch and has a memory.
+            BenchError: The model has another number of joints.
+            ConfigError: There is no such engine, or it does not apply.
+            ModelError: A torch-only model has a memory.
         """
         refuse_other_joints(model, bench)
         if isinstance(model, TorchFriction):
@@ -49,13 +49,13 @@ class Drive:
 
 
 def refuse_other_joints(model: FrictionModel, bench: Bench) -> None:
-    """BenchError for a law of another number of joints than the bench has."""
+    """Refuse a model with another number of joints than the bench: BenchError."""
     if model.nv != bench.nv:
         raise BenchError(f"a law of {model.nv} joints on {bench.source} with {bench.nv}, expected as many; set its nv")
 
 
 def looks_at_one_joint(model: FrictionModel) -> bool:
-    """Whether the friction of a joint depends on that joint alone, seen in states that differ in some of them."""
+    """Return whether a joint's friction depends on that joint alone, tested on states that differ in some joints."""
     rng, values = np.random.default_rng(0), {n: v.detach().double() for n, v in model.state_dict().items()}
     one, other = (torch.from_numpy(rng.normal(size=(len(DriveState._fields), 64, model.nv))) for _ in range(2))
     mask = torch.from_numpy(rng.random((64, model.nv)) < 0.5)

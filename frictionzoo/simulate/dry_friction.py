@@ -8,15 +8,15 @@ from jaxtyping import Array, Float
 
 from frictionzoo.simulate.linear import Rows, add_diagonal, multiply, solve_rows
 
-_LEAPS = 8  # of Newton's whole steps, before each is shortened to the lowest point on its way
+_LEAPS = 8  # full Newton steps, before line searches
 _NEWTON_STEPS = 100  # three or four are usual
 _ROUNDING = 1e-12
-_RIGID = 1e6  # times its inertia, of what holds a joint
-_AT_REST = 1e-4  # share of a step in which friction alone stops a joint, that has stood still then
+_RIGID = 1e6  # stiffness that holds a joint, relative to its inertia
+_AT_REST = 1e-4  # velocity that counts as rest, relative to what friction alone removes in a step
 
 
 class _Search(NamedTuple):
-    """How far it is: steps, the accelerations, the piece of each joint that they come from, and whether it is over."""
+    """State of the search: steps, accelerations, the piece of each joint that they come from, and convergence."""
 
     count: Any
     acceleration: Any
@@ -31,20 +31,20 @@ def dry_friction(
     reference: Float[Array, "nv"],
     limit: Float[Array, "nv"],
 ) -> Float[Array, "nv"]:
-    """Force of MuJoCo's friction constraint on each joint.
+    """Return the force of MuJoCo's friction constraint on each joint.
 
     The accelerations a minimise the convex
 
         1/2 a' M a - a' force + sum_i s_i(a_i - reference_i)
 
     where s_i is quadratic, softness_i x^2 / 2, while the constraint's force stays within the limit, and linear beyond.
-    For one joint the answer is closed; for several it is found by Newton's method, of which only the last step is
-    differentiated (the implicit function theorem). Where the limit is 0, so are the force and its derivative.
+    One joint has a closed solution. For several, Newton's method finds it, and only its last step is differentiated
+    (implicit function theorem). Where the limit is 0, so are the force and its derivative.
 
     Source: MuJoCo documentation, "Computation", "Constraint model", primal problem and friction loss.
 
     Args:
-        inertia: Joint-space inertia M, by its rows [kg m^2 or kg].
+        inertia: Joint-space inertia M, by rows [kg m^2 or kg].
         force: All other forces [N m or N].
         softness: `efc_D` of each joint's row [kg m^2 or kg].
         reference: `efc_aref` of each joint's row [rad/s^2 or m/s^2].
@@ -66,24 +66,24 @@ def rigid_step(
     timestep: float,
     limit: Float[Array, "nv"],
 ) -> tuple[Float[Array, "nv"], Float[Array, "nv"]]:
-    """A step with friction that does not creep: Coulomb's.
+    """Compute a step with Coulomb friction, which does not creep.
 
-    A joint that friction can hold is at rest after the step. Of a joint that stops or turns round, friction acts
-    against the old motion until then, and holds it or acts against the new one from then on. Were it the same for the
-    whole step, as MuJoCo's constraint is however stiff, velocities after it would be of first order in the step, and
-    slopes others than the motion's.
+    A joint that friction can hold is at rest after the step. If a joint stops or reverses within the step, friction
+    opposes the old motion until the stop; then it holds the joint or opposes the new motion. A constant friction force
+    over the step, as in MuJoCo's constraint at any stiffness, would give velocities of first order in the step and
+    wrong derivatives.
 
     Source: J. J. Moreau, "Unilateral contact and dry friction in finite freedom dynamics", 1988, for the implicit step.
 
     Args:
-        inertia: Joint-space inertia and what the integrator adds, by rows [kg m^2 or kg].
+        inertia: Joint-space inertia and the integrator's addition, by rows [kg m^2 or kg].
         force: All other forces [N m or N].
         qvel: Velocity before the step [rad/s or m/s].
-        timestep: [s].
+        timestep: Time step [s].
         limit: `frictionloss` [N m or N]; 0 for a joint without dry friction.
 
     Returns:
-        Mean accelerations; and how much further joints come than with these all the time [rad or m].
+        Mean accelerations, and the displacement beyond that of constant accelerations [rad or m].
     """
     own = jnp.stack([jnp.asarray(row[-1]) for row in inertia])
     stiff, stop, before = _RIGID * own, -qvel / timestep, jnp.sign(qvel)
@@ -91,7 +91,7 @@ def rigid_step(
     after = _pieces(force - own * stop, limit) if len(force) == 1 else _find_sliding(*jax.lax.stop_gradient(problem))
     moves = jnp.abs(qvel) > _AT_REST * timestep * limit / own
     changes = moves & (before * after <= 0) & (limit > 0)
-    # What stops within the step goes on the other way if friction cannot hold it where it stands.
+    # A joint that stops within the step reverses if friction cannot hold it at rest.
     stands = stiff * _accelerations(inertia, force, stiff, jnp.where(changes, 0.0, stop), limit, after)
     after = jnp.where(changes & (after == 0), _pieces(stands, limit), after)
     slowing = _accelerations(*problem, jnp.where(changes, before, after))
@@ -107,9 +107,9 @@ def rigid_step(
 def _accelerations(
     inertia: Rows, force: Array, softness: Array, reference: Array, limit: Array, sliding: Array, mean: Any = None
 ) -> Float[Array, "nv"]:
-    """Minimum of `dry_friction`'s problem with each joint on one piece: -1 and 1 slide backwards and forwards, 0 holds.
+    """Minimise `dry_friction`'s problem with each joint on one piece: -1 and 1 slide backwards and forwards, 0 holds.
 
-    A joint that turns round within a step slides in a `mean` direction; None: as `sliding`.
+    A joint that reverses within the step slides in the direction `mean`; None: as `sliding`.
     """
     holds = sliding == 0
     stiff = jnp.where(holds, softness, 0.0)
@@ -122,16 +122,16 @@ def _force(acceleration: Array, softness: Array, reference: Array, limit: Array,
 
 
 def _pieces(pull: Array, limit: Array) -> Float[Array, "nv"]:
-    slides = (pull > limit) | (limit == 0)  # without dry friction nothing holds, not even a joint that nothing pulls
+    slides = (pull > limit) | (limit == 0)  # without dry friction nothing holds, not even a joint without load
     return jnp.where(slides, 1.0, jnp.where(pull < -limit, -1.0, 0.0)).astype(pull.dtype)
 
 
 def _find_sliding(inertia: Rows, force: Array, softness: Array, reference: Array, limit: Array) -> Float[Array, "nv"]:
-    """The piece of each joint at the minimum; NaN where the search does not end.
+    """Return the piece of each joint at the minimum; NaN if the search does not converge.
 
-    The cost is convex and quadratic within each combination of pieces. Newton's step for the present combination goes
-    to the minimum of that quadratic; if that lies in the same pieces, it is the answer. A few such steps are nearly
-    always enough. Where they go astray, the search goes on from the lowest point on the way, which is found exactly.
+    The cost is convex, and quadratic within each combination of pieces. Newton's step goes to the minimum of the
+    current quadratic; if that lies in the same pieces, it is the solution. A few full steps nearly always suffice.
+    Otherwise the search continues with exact line searches.
     """
     row = (softness, reference, limit)
 
@@ -143,33 +143,33 @@ def _find_sliding(inertia: Rows, force: Array, softness: Array, reference: Array
         return direction @ (multiply(inertia, acceleration) - force + soft)
 
     def lowest(start: Array, direction: Array) -> Array:
-        """How far the cost falls along a direction: its slope is a rising line with a kink at every border."""
+        """Return the step length of lowest cost: along a direction the slope rises linearly, with kinks at borders."""
         borders = jnp.concatenate([(reference + side * limit / softness - start) / direction for side in (-1, 1)])
         borders = jnp.where(jnp.isfinite(borders) & (borders > 0), borders, 0.0)
         slopes = jax.vmap(lambda share: slope(start + share * direction, direction))(borders)
         before = jnp.max(jnp.where(slopes < 0, borders, 0.0))
         after = jnp.min(jnp.where(slopes >= 0, jnp.where(borders > 0, borders, jnp.inf), jnp.inf))
-        after = jnp.where(jnp.isfinite(after), after, before + 1)  # behind the last border the line goes straight on
+        after = jnp.where(jnp.isfinite(after), after, before + 1)  # beyond the last border the slope is linear
         falling, rising = (slope(start + share * direction, direction) for share in (before, after))
         return before - falling * (after - before) / (rising - falling)
 
     def propose(sliding: Array) -> tuple[Array, Array]:
-        """Newton's step for these pieces, and the pieces where it leads."""
+        """Return Newton's step for these pieces, and the pieces at its end."""
         proposed = _accelerations(inertia, force, *row, sliding)
         return proposed, pieces(proposed)
 
     def leap(state: _Search) -> _Search:
-        """Whole steps; a joint that would turn round is tried at rest first, or it might turn for ever."""
+        """Take a full step; a joint that would reverse is tried at rest first, which prevents endless reversals."""
         proposed, sliding = propose(state.sliding)
         done = jnp.all(sliding == state.sliding)
         return _Search(state.count + 1, proposed, jnp.where(sliding * state.sliding < 0, 0.0, sliding), done)
 
     def descend(state: _Search) -> _Search:
-        """Steps to the lowest point on their way."""
+        """Take a step to the lowest point on its way."""
         here = pieces(state.acceleration)
         proposed, sliding = propose(here)
         direction = proposed - state.acceleration
-        # At a border, rounding may name either piece: both have the same answer.
+        # At a border, rounding may name either piece: both have the same solution.
         near = jnp.all(jnp.abs(direction) <= _ROUNDING * (jnp.abs(proposed) + jnp.abs(state.acceleration)))
         done = near | jnp.all(sliding == here)
         share = jnp.where(done, 0.0, lowest(state.acceleration, direction))

@@ -1,4 +1,4 @@
-"""A bench's dynamics as flat functions: branches that are alike share one of the numbers in which they differ."""
+"""Dynamics of a bench as flat functions; similar branches share one function of the properties that differ."""
 
 import operator
 from collections.abc import Callable, Mapping, Sequence
@@ -26,10 +26,10 @@ class Dynamics(NamedTuple):
     """One branch in one state, before friction.
 
     Attributes:
-        inertia: Joint-space inertia with the armature, by its rows.
-        implicit: The same with what the integrator adds, without the friction law's damping.
-        motor_torque: Of the actuators [N m or N].
-        external_torque: Of everything but actuators and friction [N m or N].
+        inertia: Joint-space inertia with the armature, by rows.
+        implicit: The same with the integrator's addition, without the friction model's damping.
+        motor_torque: Torque of the actuators [N m or N].
+        external_torque: Torque of everything except actuators and friction [N m or N].
         constraint_inertia: `efc_D` of the friction constraint's rows [kg m^2 or kg]; empty without constraint.
         constraint_reference: `efc_aref` of these rows [rad/s^2 or m/s^2].
     """
@@ -43,16 +43,15 @@ class Dynamics(NamedTuple):
 
 
 class Group(NamedTuple):
-    """Branches that are alike, whose dynamics are one function of their numbers.
+    """Similar branches, whose dynamics are one function of their properties.
 
     Attributes:
         joints: Index of each joint, a row a branch.
-        load: What makes a branch of the function, a row each, as `MjxEngine` takes it; None for the bench as a whole,
-            whose load is the recording's.
-        links: Numbers of links by which branches differ, a row each; None for those of a load.
-        inputs: From values and load to MJX's inputs.
-        acting: `MjxEngine.acting`, reduced.
-        rigid: What the links ask for: inertia and bias torque, of their numbers, displacement and velocity.
+        load: Load of each branch for `MjxEngine`, a row each; None for the bench as a whole, with the recording's load.
+        links: Link properties that differ between branches, a row each; None if they come from the load.
+        inputs: Function from values and load to MJX's inputs.
+        acting: `MjxEngine.acting`, specialised.
+        rigid: Inertia and bias torque of the links, from their properties, displacement and velocity.
     """
 
     joints: Int[np.ndarray, "branches joints"]
@@ -64,11 +63,11 @@ class Group(NamedTuple):
 
     @property
     def operations(self) -> int:
-        """Scalar operations of one branch."""
+        """Number of scalar operations for one branch."""
         return self.acting.operations + self.rigid.operations
 
     def dynamics(self, values: Values, load: Array, qpos: Array, qvel: Array, midway: Array, ctrl: Array) -> Dynamics:
-        """Of the branches, each entry with a first dimension of them; arguments as in `Engine.step`, of all joints."""
+        """Return the branches' dynamics, stacked, from `Engine.step`'s arguments and MuJoCo's ctrl, for all joints."""
         own = {name: value[self.joints] for name, value in values["bench"].items()}
         loads = load[None] if self.load is None else jnp.asarray(self.load, load.dtype)
         links = load[None, :INERTIAL] if self.links is None else jnp.asarray(self.links, load.dtype)
@@ -77,7 +76,7 @@ class Group(NamedTuple):
         )
 
     def each(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """A function of every branch, of arguments with a first dimension of branches."""
+        """Apply a function to every branch, for arguments with a first dimension of branches."""
         if len(self.joints) > 1:
             return jax.vmap(function)(*arguments)
         alone = function(*jax.tree.map(operator.itemgetter(0), arguments))
@@ -94,7 +93,7 @@ class Group(NamedTuple):
         ctrl: Array,
     ) -> Dynamics:
         here: Acting = self.acting(self.inputs({"bench": known}, load), qpos, qvel, ctrl)
-        # No derivative goes through the links' numbers, which no parameter moves.
+        # No parameter changes the links' properties, so they need no derivative.
         rows, bias = self.rigid(jax.lax.stop_gradient(links), here.displacement, midway)
         inertia = add_diagonal(rows, here.armature)
         more = [here.implicit[index] for index in range(len(rows))]
@@ -104,10 +103,10 @@ class Group(NamedTuple):
 
 
 def groups_of(bench: Bench, constrainable: bool) -> list[Group]:
-    """The bench's dynamics, branch by branch where it has several and none carries payloads.
+    """Return the bench's dynamics, by branch if it has several and carries no payload.
 
-    The friction constraint's coefficients are among them, whether the law needs them or not: XLA leaves out what is not
-    used, and one bench is specialised once. An MJCF whose flags leave no such constraint has none.
+    They include the friction constraint's coefficients even if the model does not need them: XLA drops unused ones, and
+    each bench is specialised only once. An MJCF whose flags disable this constraint has none.
     """
     numbers = np.array(bench.branches)
     if bench.payload is not None or not numbers.any():
@@ -130,15 +129,15 @@ def groups_of(bench: Bench, constrainable: bool) -> list[Group]:
 
 
 _known: dict[str, tuple[Callable[[Values, Array], ModelInputs], Specialised, Specialised]] = {}
-"""What was specialised in this process: a job simulates its bench with several laws."""
+"""Functions specialised in this process; a job simulates its bench with several models."""
 
 
 def _specialised(
     bench: Bench, differ: Sequence[int], constrainable: bool, fields: Sequence[tuple[str, int]]
 ) -> tuple[Callable[[Values, Array], ModelInputs], Specialised, Specialised]:
-    """The functions of a `Group`, of this bench and those that differ from it in these fields and numbers of links."""
-    # Two benches that write the same MJCF with the same values differ in initial values and bounds only, and those
-    # reach MJX's model by its inputs.
+    """Return the functions of a `Group`, for this bench and those that differ in these fields and link properties."""
+    # Benches with the same MJCF at the same values differ only in initial values and bounds, which enter MJX's model as
+    # inputs.
     ones = dict.fromkeys(bench.params, np.ones(bench.nv))
     key = f"{type(bench.actuator).__qualname__} {bench.payload} {differ} {fields} {bench.mjcf(ones)}"
     if key not in _known:
@@ -154,7 +153,7 @@ def _specialised(
 
 
 def _specialise_rigid(bench: Bench, differ: Sequence[int]) -> Specialised:
-    """What the links ask for, with its slopes along displacement and velocity where these are not too many."""
+    """Specialise the links' inertia and bias torque, for few joints with slopes in displacement and velocity."""
     model = bench.compile(constraint=False)
     falls = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
     gravity = model.opt.gravity if falls else np.zeros(3)
@@ -178,7 +177,7 @@ def _links(model: mujoco.MjModel) -> list[tree.Link]:
 
 
 def _with_inertial(model: mujoco.MjModel, body: int, inertial: Float[Array, "11"]) -> Any:
-    """What `links_of` asks of a model, with traced numbers of the body of this index: first entries of a load."""
+    """Return the model fields that `links_of` needs, with one body's values traced: first entries of a load."""
     fields = {name: getattr(model, name) for name in tree.FIELDS}
     mass, place, turn, inertia = jnp.split(inertial, [1, 4, 8])
     moved = {"body_mass": mass[0], "body_ipos": place, "body_iquat": turn, "body_inertia": inertia}

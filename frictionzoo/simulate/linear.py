@@ -1,6 +1,6 @@
 """Linear algebra of a few joints, written out entry by entry so that it runs over any batch without LAPACK.
 
-Of many joints it would be too many operations to compile; these go through LAPACK.
+Many joints would need too many operations to compile; they use LAPACK.
 """
 
 from collections.abc import Sequence
@@ -12,25 +12,25 @@ from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
 FEW_JOINTS = 7
-"""Up to so many, equations are written out and slopes folded; of more it takes minutes to compile them."""
+"""Largest number of joints for which equations are written out and slopes folded; more take minutes to compile."""
 
 Rows = tuple[tuple[Any, ...], ...]
-"""A symmetric matrix by its lower triangle, row by row: single numbers, which are not put together in memory."""
+"""Lower triangle of a symmetric matrix, row by row, as single numbers that are not joined in memory."""
 
 
 def solve_spd(matrix: Float[Array, "nv nv"], right: Float[Array, "nv"]) -> Float[Array, "nv"]:
-    """Solution of a symmetric positive definite system, by Cholesky's L D L' without square roots."""
+    """Solve a symmetric positive definite system by Cholesky's L D L' without square roots."""
     return solve_rows(rows_of(matrix), right)
 
 
 def rows_of(matrix: Float[Array, "nv nv"]) -> Rows:
-    """A symmetric matrix by its rows."""
+    """Return a symmetric matrix as rows."""
     return tuple(tuple(matrix[i, j] for j in range(i + 1)) for i in range(len(matrix)))
 
 
 @jax.custom_jvp
 def solve_rows(rows: Rows, right: Float[Array, "nv"]) -> Float[Array, "nv"]:
-    """The same of a matrix by its rows. The derivative has the same factors: dx = A^-1 (db - dA x)."""
+    """Solve the system of a matrix given by rows. The derivative uses the same factors: dx = A^-1 (db - dA x)."""
     return _substitute(_factorise(rows), right)
 
 
@@ -43,12 +43,12 @@ def _solve_tangent(given: tuple, tangents: tuple) -> tuple[Array, Array]:
 
 
 def add_diagonal(rows: Rows, diagonal: Float[Array, "nv"]) -> Rows:
-    """The matrix with this on its diagonal too."""
+    """Add a vector to the diagonal."""
     return tuple((*row[:-1], row[-1] + more) for row, more in zip(rows, diagonal, strict=True))
 
 
 def multiply(rows: Rows, vector: Float[Array, "nv"]) -> Float[Array, "nv"]:
-    """A symmetric matrix times a vector."""
+    """Multiply a symmetric matrix by a vector."""
     if len(rows) > FEW_JOINTS:
         return jnp.matmul(_matrix(rows), vector, precision="highest")
     size = range(len(rows))
@@ -63,7 +63,7 @@ class _Few(NamedTuple):
 
 
 class _Many(NamedTuple):
-    """A large matrix and its inverse."""
+    """Large matrix and its inverse."""
 
     matrix: Float[Array, "nv nv"]
     inverse: Float[Array, "nv nv"]
@@ -89,7 +89,7 @@ def _factorise(rows: Rows) -> _Few | _Many:
 def _substitute(factors: _Few | _Many, right: Float[Array, "nv"]) -> Float[Array, "nv"]:
     if isinstance(factors, _Many):
         near = jnp.matmul(factors.inverse, right, precision="highest")
-        # Once more with what is left: a product with the inverse alone rounds more than substitution does.
+        # Refine with the residual: a product with the inverse alone rounds more than substitution.
         left = right - jnp.matmul(factors.matrix, near, precision="highest")
         return near + jnp.matmul(factors.inverse, left, precision="highest")
     found: list[Array] = []

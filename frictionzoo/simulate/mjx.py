@@ -1,4 +1,4 @@
-"""The reference engine: MuJoCo's own step in JAX (MJX), with a friction law inside."""
+"""Reference engine: MuJoCo's step in JAX (MJX) with a friction model inside."""
 
 import contextlib
 import io
@@ -17,30 +17,30 @@ from frictionzoo.simulate.base import FORWARD, UNFUSED, Engine, Friction, Values
 from frictionzoo.simulate.dry_friction import rigid_step
 from frictionzoo.simulate.linear import rows_of, solve_spd
 
-with contextlib.redirect_stdout(io.StringIO()):  # it prints that its optional backend is not installed
+with contextlib.redirect_stdout(io.StringIO()):  # mujoco.mjx prints that its optional backend is missing
     from mujoco import mjx
     from mujoco.mjx._src import derivative
 
-_FUSED_JOINTS = 4  # up to which fusion was measured to gain time
+_FUSED_JOINTS = 4  # largest number of joints for which fusion was measured to save time
 _TOLERANCE = 1e-12
-"""Of MJX's solver: at MuJoCo's 1e-8 it stops where MuJoCo C, whose line search is exact, is already done."""
+"""Tolerance of MJX's solver: at 1e-8 it stops short of the minimum that MuJoCo C's exact line search reaches."""
 _SLIDES_ONLY = 2
-"""MuJoCo's body_simple of a body that only slides along its own axes: its dof_invweight0 leaves the armature out."""
+"""MuJoCo's body_simple of a body that only slides along its axes: its dof_invweight0 leaves the armature out."""
 
 
 class ModelInputs(NamedTuple):
-    """What a bench's values change in the model.
+    """Fields of the MuJoCo model that depend on a bench's values.
 
     Attributes:
         armature: `dof_armature` [kg m^2 or kg].
         invweight0: `dof_invweight0`, inverse joint-space inertia at the reference position [1/(kg m^2) or 1/kg].
-        body_invweight0: The same of each body, in translation and rotation; empty where nothing could push a body.
-        tendon_invweight0: The same of each tendon; empty without.
+        body_invweight0: The same of each body, in translation and rotation; empty if no constraint acts on bodies.
+        tendon_invweight0: The same of each tendon; empty without tendons.
         actuator: `gainprm[0]` and `biasprm[:3]` of each actuator, of shape (nv, 4).
         inertial: `body_mass`, `body_ipos`, `body_iquat` and `body_inertia` of the body that carries payloads, of shape
             (11,); empty without.
-        reference: `qpos0` [rad or m]; empty where the bench has no `position_offset`.
-        links: Numbers of links by which branches that are alike differ, as `Alike` lists them; empty for one branch.
+        reference: `qpos0` [rad or m]; empty if the bench has no `position_offset`.
+        links: Link properties that differ between similar branches, as in `Alike`; empty for one branch.
     """
 
     armature: Any
@@ -54,14 +54,14 @@ class ModelInputs(NamedTuple):
 
 
 class Acting(NamedTuple):
-    """What acts on the joints in one state, but for friction and what the links' masses ask for.
+    """Torques and coefficients in one state, without friction and the links' inertia.
 
     Attributes:
-        armature: [kg m^2 or kg].
-        displacement: Of the joints from their reference position [rad or m].
-        motor_torque: Of the actuators [N m or N].
-        passive_torque: Of springs, dampers and whatever else the MJCF has [N m or N].
-        implicit: What the integrator adds to the inertia without the friction law's damping, of shape (nv, nv).
+        armature: Armature [kg m^2 or kg].
+        displacement: Displacement of the joints from their reference position [rad or m].
+        motor_torque: Torque of the actuators [N m or N].
+        passive_torque: Torque of springs, dampers and everything else in the MJCF [N m or N].
+        implicit: The integrator's addition to the inertia, without the friction model's damping, of shape (nv, nv).
         constraint_inertia: `efc_D` of the friction constraint's rows [kg m^2 or kg]; empty without constraint.
         constraint_reference: `efc_aref` of these rows [rad/s^2 or m/s^2].
     """
@@ -76,18 +76,18 @@ class Acting(NamedTuple):
 
 
 class MjxEngine(Engine):
-    """Advances one bench by MJX's own functions.
+    """Engine that steps a bench with MJX's functions.
 
-    The step is `mjx.step` taken apart where a friction law needs to look in: after positions, velocities and actuators
-    are known and before accelerations are. Friction enters as MuJoCo's joint damping, as the limit of MuJoCo's
-    friction constraint, and as a generalised force.
+    The step is `mjx.step`, split where a friction model needs access: after positions, velocities and actuators, before
+    accelerations. Friction enters as MuJoCo's joint damping, as the limit of its friction constraint, and as a
+    generalised force.
 
     Args:
-        bench: What is simulated.
-        friction: The friction law's formula over `jax.numpy`.
-        constraint: Whether the law answers with a `frictionloss`, or for which joints; it is 0 for the others.
-        fields: Which numbers of links come with the load, before the joint-space inertia: those by which branches that
-            are alike differ.
+        bench: The bench to simulate.
+        friction: The friction model's formula over `jax.numpy`.
+        constraint: Whether the model returns a `frictionloss`, or for which joints; it is 0 for the others.
+        fields: Link properties that differ between similar branches: field and place of each. The load holds their
+            values in front of the joint-space inertia.
     """
 
     name = "mjx"
@@ -101,8 +101,8 @@ class MjxEngine(Engine):
         fields: Sequence[tuple[str, int]] = (),
     ) -> None:
         model = bench.compile(constraint)
-        # For one joint a single Newton iteration is exact, and only then does MJX avoid a while loop, which reverse
-        # mode cannot pass.
+        # For one joint a single Newton iteration is exact. Only then does MJX avoid a while loop, which has no reverse
+        # mode.
         model.opt.iterations = 1 if bench.nv == 1 else model.opt.iterations
         model.opt.tolerance = min(model.opt.tolerance, _TOLERANCE)
         fused = bench.nv <= _FUSED_JOINTS
@@ -120,7 +120,7 @@ class MjxEngine(Engine):
         self._data = mjx.make_data(self._model)
         rows = self._data._impl.efc_J.shape[0]
         self._constraint = rows > 0
-        # Whether joints' dry friction is all that is constrained.
+        # Whether the joints' dry friction is the only constraint.
         self._rubs_alone = self._constraint and rows == np.count_nonzero(model.dof_frictionloss)
         self.reverse: bool = not self._constraint or model.opt.iterations == 1
 
@@ -161,18 +161,18 @@ class MjxEngine(Engine):
         return _drive_state(self._drive(self.model_inputs(values, load), qpos, qvel, ctrl)[1], signals)
 
     def model_inputs(self, values: Values, load: Float[Array, "load"]) -> ModelInputs:
-        """What these values and this load change in the model."""
+        """Return the model fields that depend on these values and this load."""
         armature = jnp.asarray(values["bench"]["armature"], jnp.result_type(float))
         affine = self.bench.actuator.affine(values["bench"])
-        # MuJoCo computes dof_invweight0 when it compiles, and the friction constraint's softness depends on it: it has
-        # to follow the armature, else the exported model would have another friction.
+        # MuJoCo computes dof_invweight0 at compilation, and the friction constraint's softness depends on it. It has to
+        # follow the armature, else the exported model would have different friction.
         own = len(self._fields) or INERTIAL
         inertial, rigid = load[:own], load[own:].reshape(2 * [self.bench.nv] if len(load) else (0, 0))
         rigid = rigid if len(load) else jnp.asarray(self._rigid_inertia, armature.dtype)
         inverse = jnp.stack([solve_spd(rigid + jnp.diag(armature), unit) for unit in jnp.eye(len(rigid))])
         fixed = jnp.asarray(self._model.dof_invweight0, armature.dtype)
         ignored = jnp.asarray(self._ignores_armature)
-        if self.bench.payload is not None:  # with a payload the body's centre lies elsewhere, and it is simple no more
+        if self.bench.payload is not None:  # a payload moves the body's centre, so the body is no longer simple
             mass = jnp.asarray(self._model.body_mass[self.bench.payload], inertial.dtype)
             ignored = ignored & (inertial[0] == mass)
         invweight0 = jnp.where(ignored, fixed, jnp.diag(inverse))
@@ -180,7 +180,7 @@ class MjxEngine(Engine):
             jnp.einsum("...in,nm,...im->...", jacobian, inverse, jacobian) / jacobian.shape[-2]
             for jacobian in (jnp.asarray(j, armature.dtype) for j in (self._body_jacobian, self._tendon_jacobian))
         )
-        bodies = jnp.where(bodies < mujoco.mjMINVAL, bodies[:, ::-1], bodies)  # as MuJoCo's compiler has it
+        bodies = jnp.where(bodies < mujoco.mjMINVAL, bodies[:, ::-1], bodies)  # as MuJoCo's compiler does
         reference = -jnp.asarray(values["bench"].get("position_offset", np.zeros(0)), armature.dtype)
         actuator = jnp.stack(list(affine), axis=-1)
         inertial, links = (inertial[:0], inertial) if self._fields else (inertial, inertial[:0])
@@ -189,7 +189,7 @@ class MjxEngine(Engine):
     def acting(
         self, inputs: ModelInputs, qpos: Float[Array, "nv"], qvel: Float[Array, "nv"], ctrl: Float[Array, "nu"]
     ) -> Acting:
-        """What a step needs to know of this state besides the links; arguments as in `step`, but ctrl is MuJoCo's."""
+        """Return everything except the links that a step needs; arguments as in `step`, but ctrl is MuJoCo's."""
         model, data = self._drive(inputs, qpos, qvel, ctrl)
         implicit = self._implicit(model, data)
         passive = data.qfrc_passive + data.qfrc_applied
@@ -197,7 +197,7 @@ class MjxEngine(Engine):
         return Acting(model.dof_armature, qpos - model.qpos0, data.qfrc_actuator, passive, implicit, *constraint)
 
     def _implicit(self, model: mjx.Model, data: mjx.Data) -> Float[Array, "nv nv"]:
-        """What the integrator adds to the joint-space inertia [kg m^2 or kg]."""
+        """Return the integrator's addition to the joint-space inertia [kg m^2 or kg]."""
         if model.opt.integrator != mujoco.mjtIntegrator.mjINT_EULER:
             slope = derivative.deriv_smooth_vel(model, data)
             return jnp.zeros((model.nv, model.nv)) if slope is None else -model.opt.timestep * slope
@@ -206,7 +206,7 @@ class MjxEngine(Engine):
         return jnp.diag(model.opt.timestep * model.dof_damping)
 
     def _drive(self, inputs: ModelInputs, qpos: Array, qvel: Array, ctrl: Array) -> tuple[mjx.Model, mjx.Data]:
-        """Everything up to the actuator forces, without friction."""
+        """Compute everything up to the actuator forces, without friction."""
         model = self._model.replace(
             dof_armature=inputs.armature,
             dof_invweight0=inputs.invweight0,
@@ -253,10 +253,10 @@ class MjxEngine(Engine):
 
 
 def _jacobians(model: mujoco.MjModel) -> tuple[Float[np.ndarray, "bodies 2 3 nv"], Float[np.ndarray, "tendons 1 nv"]]:
-    """How bodies' centres of mass and tendons move with the joints at the reference position.
+    """Return the Jacobians of bodies' centres of mass and of tendons at the reference position.
 
-    Of bodies in translation and rotation, and none where no constraint acts on bodies: their inverse inertia, with
-    which the softness of contacts and equalities goes, is not asked for then.
+    Bodies have translation and rotation. There are none if no constraint acts on bodies: their inverse inertia, which
+    sets the softness of contacts and equalities, is then not needed.
     """
     data = mujoco.MjData(model)
     data.qpos[:] = model.qpos0

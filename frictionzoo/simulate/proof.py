@@ -1,4 +1,4 @@
-"""The proof that a simulation is MuJoCo's: steps of an engine against steps of MuJoCo C, of this bench and this law."""
+"""Verification: steps of an engine against steps of MuJoCo C, for a given bench and friction model."""
 
 import copy
 from collections.abc import Mapping, Sequence
@@ -22,24 +22,24 @@ from frictionzoo.simulate.choose import naming_what_mjx_lacks
 from frictionzoo.simulate.drive import Drive
 
 TOLERANCE = 1e-9
-"""Largest difference of a position or velocity, relative where they are above 1, that counts as rounding."""
+"""Largest difference of a position or velocity that counts as rounding, relative for values above 1."""
 _CASES, _STEPS = 16, 8
-_BEYOND = 0.5  # share of the recorded range by which states lie beyond it, to each side
-_MOVED = 0.05  # share of the bounds' distance by which values lie from the initial ones
+_BEYOND = 0.5  # distance of states beyond the recorded range, on each side, as a share of it
+_MOVED = 0.05  # distance of values from the initial ones, as a share of the distance between the bounds
 _OVERFLOW = 1e6  # of a position or velocity
-_TRIALS = 40  # of leaving something out
+_TRIALS = 40  # reduced MJCFs to try
 _ONCE = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
-"""More for XLA, of functions that run once."""
+"""XLA options for functions that run once."""
 
 
 class Recorded(NamedTuple):
-    """What a bench was recorded doing, one row a sample.
+    """Recorded samples of a bench, one row each.
 
     Attributes:
-        qpos: [rad or m].
-        qvel: [rad/s or m/s].
-        signals: What drove it, each of shape (samples, nv).
-        load: What the payload changes in the model, as `Bench.load` gives it.
+        qpos: Position [rad or m].
+        qvel: Velocity [rad/s or m/s].
+        signals: Driving signals, each of shape (samples, nv).
+        load: Effect of the payload on the bench's MuJoCo model, from `Bench.load`.
     """
 
     qpos: Float[np.ndarray, "samples nv"]
@@ -49,7 +49,7 @@ class Recorded(NamedTuple):
 
     @classmethod
     def of(cls, logs: Sequence[Log]) -> "Recorded":
-        """All samples of logs that a bench accepted."""
+        """Collect all samples of logs that a bench accepted."""
         rows = [cls(log.qpos, log.qvel, log.signals, np.tile(log.load, (log.samples, 1))) for log in logs]
         return jax.tree.map(lambda *of_logs: np.concatenate(of_logs), *rows)
 
@@ -65,13 +65,13 @@ class Cases(NamedTuple):
 
 @dataclass(frozen=True)
 class Proof:
-    """How far an engine is from MuJoCo C.
+    """Differences between an engine and MuJoCo C.
 
     Attributes:
-        step: Largest difference of a position or velocity after one step, relative where they are above 1.
+        step: Largest difference of a position or velocity after one step, relative for values above 1.
         rollout: The same after all steps.
-        cases: Rollouts that were compared.
-        steps: In each.
+        cases: Number of rollouts compared.
+        steps: Steps in each.
     """
 
     step: float
@@ -81,22 +81,22 @@ class Proof:
 
 
 def initial_values(bench: Bench, model: FrictionModel) -> Values:
-    """The values with which an identification begins, by owner and name, as numpy arrays."""
+    """Return the initial values of an identification, by owner and name, as numpy arrays."""
     friction = {name: value.detach().double().numpy() for name, value in model.state_dict().items()}
     return {"bench": bench.initial_values(), "friction": friction}
 
 
 def prove(bench: Bench, model: FrictionModel, engine: str, values: Values, recorded: Recorded) -> Proof:
-    """See that steps and short rollouts of a drive are those of MuJoCo C with the MJCF that would be exported.
+    """Verify that steps and short rollouts of a drive match MuJoCo C with the MJCF that would be exported.
 
-    Half of the rollouts begin where the drive was recorded, the others anywhere in the range of the log and beyond;
-    each is simulated with the given values and with others near them, in float64. MuJoCo C knows nothing of the engine:
-    the law's terms are computed in torch from what `mujoco` gives, and enter as joint damping, as the limit of the
-    friction constraint, and as an applied force.
+    Half of the rollouts begin at recorded states, the others anywhere in the log's range and beyond. Each runs in
+    float64 with the given values and with others near them. MuJoCo C is independent of the engine: torch computes the
+    model's terms from `mujoco`'s state, and they enter as joint damping, as the limit of the friction constraint, and
+    as an applied force.
 
     Raises:
-        BenchError: They differ by more than `TOLERANCE`; the message names the element of the MJCF that is at fault if
-            leaving out a single one mends it.
+        BenchError: They differ by more than `TOLERANCE`; the message names the MJCF element whose removal alone
+            resolves it, if there is one.
     """
     cases = _draw(recorded)
     compared = [values, _moved(bench, model, values)]
@@ -130,7 +130,7 @@ def _draw(recorded: Recorded) -> Cases:
 
 
 def _moved(bench: Bench, model: FrictionModel, values: Values) -> Values:
-    """Values near these, so that what a value does in the exported model is compared, too; weights stay."""
+    """Return values near these, to compare their effect in the exported model too; weights stay."""
     rng = np.random.default_rng(1)
     moved = {owner: dict(known) for owner, known in values.items()}
     for owner, params in (("bench", bench.params), ("friction", model.params)):
@@ -150,9 +150,9 @@ def _moved(bench: Bench, model: FrictionModel, values: Values) -> Values:
 def _compare(
     bench: Bench, model: FrictionModel, engine: str, values: Sequence[Values], cases: Cases
 ) -> tuple[float, float]:
-    """Largest difference after the first step, and after any; infinite where ours is not finite.
+    """Return the largest difference after the first step and after any; infinite if the engine's value is not finite.
 
-    What overflows in MuJoCo C, which begins anew then, is no simulation to compare with from there on.
+    After an overflow MuJoCo C restarts, so later steps are not compared.
     """
     ours = _in_engine(bench, model, engine, values, cases)
     theirs = np.stack([simulate_in_c(bench, model, each, cases)[:2] for each in values])
@@ -176,17 +176,17 @@ def _in_engine(
 def simulate_in_c(
     bench: Bench, model: FrictionModel, values: Values, cases: Cases
 ) -> Float[np.ndarray, "3 cases steps nv"]:
-    """Rollouts in MuJoCo C, which knows nothing of the engines: the law's terms are computed in torch.
+    """Simulate rollouts in MuJoCo C without the engines; the friction terms are computed in torch.
 
     Args:
         bench: The test stand.
-        model: The friction law.
-        values: Values of both; commands act in the step of which they are, whatever the delay.
-        cases: Initial states, and what drives each simulation step.
+        model: The friction model.
+        values: Values of both; commands act in their own step, without delay.
+        cases: Initial states, and signals of each simulation step.
 
     Returns:
         Position [rad or m] and velocity [rad/s or m/s] after each step, and the actuators' torque [N m or N] in it; NaN
-        from where one overflows.
+        after an overflow.
     """
     values = _without_delay(values)
     text = bench.mjcf(values["bench"], np.array(model.constrained, float) if model.constraint else None)
@@ -208,12 +208,12 @@ def simulate_in_c(
 
 
 def _without_delay(values: Values) -> dict[str, Mapping[str, Any]]:
-    """Rollouts are late by themselves: their commands are compared elsewhere, and here act at once."""
+    """Remove the delay: commands act at once here, and delays are verified elsewhere."""
     return {**values, "bench": {name: value for name, value in values["bench"].items() if name != "delay"}}
 
 
 class _Law:
-    """A friction law in torch with the memory that it has of each case."""
+    """Friction model in torch with the memory of each case."""
 
     def __init__(self, model: FrictionModel, values: Mapping[str, Any], timestep: float) -> None:
         self._model = model
@@ -222,7 +222,7 @@ class _Law:
         self._timestep = timestep
 
     def __call__(self, state: DriveState) -> tuple[np.ndarray | None, ...]:
-        """The terms in each case's state, of shape (cases, nv)."""
+        """Return the terms for each case's state, of shape (cases, nv)."""
         seen = state.map(lambda signal: torch.tensor(signal, dtype=torch.float64))
         with torch.no_grad():
             if self._memory is None:
@@ -242,7 +242,7 @@ class _World:
         self.data.qpos[:], self.data.qvel[:] = qpos, qvel
 
     def drive(self, control: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The actuators' torque in this state, and everything but actuators and friction."""
+        """Return the actuators' torque in this state, and the torque of everything except actuators and friction."""
         model, data = self.model, self.data
         data.ctrl[:], model.dof_damping[:], data.qfrc_applied[:] = control, damping, 0.0
         if not np.isfinite(data.qpos).all():
@@ -252,7 +252,7 @@ class _World:
         return data.qfrc_actuator.copy(), data.qfrc_passive - data.qfrc_bias
 
     def step(self, own: np.ndarray, torque: Any, frictionloss: Any, damping: Any) -> None:
-        """One step with these friction terms; NaN for good where it overflows."""
+        """Take one step with these friction terms; after an overflow the state stays NaN."""
         if not np.isfinite(self.data.qpos).all():
             return
         if torque is not None:
@@ -262,7 +262,7 @@ class _World:
         if damping is not None:
             self.model.dof_damping[:] = own + damping
         mujoco.mj_forward(self.model, self.data)
-        # MuJoCo's own step would write a warning into a file, and begin anew.
+        # mj_step would write a warning into a file and restart.
         if np.abs(self.data.qacc).max() < _OVERFLOW / self.model.opt.timestep:
             mujoco.mj_step(self.model, self.data)
         else:
@@ -270,7 +270,7 @@ class _World:
 
 
 def _find_fault(bench: Bench, model: FrictionModel, engine: str, values: Sequence[Values], cases: Cases) -> str | None:
-    """What, left out, makes the engine agree with MuJoCo C; in words."""
+    """Return, in words, the MJCF part whose removal makes the engine agree with MuJoCo C; None if there is none."""
     as_it_is, trials = simulate_in_c(bench, model, values[0], cases), []
     for what, other in bench.simpler():
         try:
@@ -278,7 +278,7 @@ def _find_fault(bench: Bench, model: FrictionModel, engine: str, values: Sequenc
         except (FrictionzooError, ValueError):
             continue
         trials.append((not changes, what, other))
-    # First what MuJoCo C heeds.
+    # Parts that change MuJoCo C's result come first.
     for _, what, other in sorted(trials, key=lambda trial: trial[0])[:_TRIALS]:
         try:
             agrees = _compare(other, model, engine, values, cases)[1] <= TOLERANCE

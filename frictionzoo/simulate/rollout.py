@@ -1,4 +1,4 @@
-"""Segments to predicted states: many open-loop rollouts at once."""
+"""Many open-loop rollouts at once: predicted states of segments."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -16,26 +16,26 @@ from frictionzoo.simulate import Engine, Values
 from frictionzoo.simulate.second_order import SecondOrder
 
 State = tuple[Array, Array, Array, Array]
-"""Position, velocity, the friction law's memory, and in second order the velocity a step before; one row a segment."""
+"""Position, velocity, the friction model's memory, and in second order the previous velocity; one row a segment."""
 
 
 @dataclass(frozen=True)
 class Rollout:
     """Many open-loop rollouts at once: initial states and commands to predicted states.
 
-    Call it, or `compiled` where nothing else around it is compiled, with the values, initial qpos and qvel of shape
-    (batch, nv), signals of shape (batch, samples, nv) as `Segments` has them and, for a bench with payloads, loads of
-    shape (batch, load). The answer is qpos and qvel after each sample interval, of shape (batch, time, nv). A rollout
-    that diverges contains non-finite values.
+    Call it, or `compiled` outside compiled code, with the values, initial qpos and qvel of shape (batch, nv), signals
+    of shape (batch, samples, nv) as in `Segments` and, for a bench with payloads, loads of shape (batch, load). It
+    returns qpos and qvel after each sample interval, of shape (batch, time, nv). A diverging rollout contains
+    non-finite values.
 
     Attributes:
         function: The rollout, not compiled.
-        compiler_options: For `jax.jit` of whatever it is part of, as the engine's.
-        forward_options: Likewise.
-        forward_limit: Tangents up to which forward mode is faster than a reverse sweep.
-        reverse: Whether there is a reverse mode.
-        branches: Number of the branch of each joint, from 0: joints of different ones do not move each other.
-        keeps_slopes: As the engine's.
+        compiler_options: Options for `jax.jit` of code that contains it, as in `Engine`.
+        forward_options: The same without a reverse sweep.
+        forward_limit: Largest number of tangents for which forward mode is faster than a reverse sweep.
+        reverse: Whether it has a reverse mode.
+        branches: Number of each joint's branch, from 0; joints of different branches do not move each other.
+        keeps_slopes: As in `Engine`.
     """
 
     function: Callable[..., tuple[Any, Any]]
@@ -47,33 +47,33 @@ class Rollout:
     keeps_slopes: bool
 
     def __call__(self, values: Values, qpos: Any, qvel: Any, signals: Signals, load: Any = None) -> tuple[Any, Any]:
-        """The predicted states."""
+        """Return the predicted states."""
         return self.function(values, qpos, qvel, signals, load)
 
     @cached_property
     def compiled(self) -> Callable[..., tuple[Any, Any]]:
-        """The same, compiled."""
+        """The compiled rollout."""
         return self.compile(self.function, forward=True)
 
     def compile(self, function: Callable[..., Any], forward: bool = False) -> Any:
-        """`jax.jit` of a function that calls this rollout.
+        """Apply `jax.jit` to a function that calls this rollout.
 
         Args:
-            function: What is compiled.
-            forward: Whether there is no reverse sweep in it.
+            function: The function to compile.
+            forward: Whether it has no reverse sweep.
         """
         return jax.jit(function, compiler_options=dict(self.forward_options if forward else self.compiler_options))
 
 
 def make_rollout(engine: Engine, sampling: Sampling | None = None) -> Rollout:
-    """The rollouts of an engine.
+    """Make the rollouts of an engine.
 
-    Only position, velocity and the friction law's memory are carried from step to step, so that reverse mode stores
-    little. The memory begins as if each segment's first state had lasted.
+    Steps carry only position, velocity and the friction model's memory, so reverse mode stores little. The memory
+    begins as if each segment's first state had lasted.
 
     Args:
-        engine: The simulated drive.
-        sampling: From samples to simulation steps; None for one step a sample, and commands that act at once.
+        engine: The engine of the drive.
+        sampling: Relation of samples to simulation steps; None: one step a sample, and no delay.
     """
     sampling = Sampling(0.0, 1, 0) if sampling is None else sampling
     second = SecondOrder(engine.bench, engine.friction) if sampling.second_order else None
@@ -119,11 +119,11 @@ def make_rollout(engine: Engine, sampling: Sampling | None = None) -> Rollout:
 
 
 def make_observer(engine: Engine, sampling: Sampling) -> Callable[..., DriveState]:
-    """A function, not compiled, that tells what a friction law sees at measured states.
+    """Make a function, not compiled, that returns a friction model's input at measured states.
 
     Returns:
-        From values, qpos and qvel of shape (batch, time, nv), signals as in `Segments` and loads of shape (batch, load)
-        to a state of shape (batch, time, nv).
+        Function of values, qpos and qvel of shape (batch, time, nv), signals as in `Segments` and loads of shape
+        (batch, load), which returns a state of shape (batch, time, nv).
     """
     over_time = jax.vmap(engine.drive_state, in_axes=(None, 0, 0, 0, None))
     over_batch = jax.vmap(over_time, in_axes=(None, 0, 0, 0, 0))
@@ -136,18 +136,18 @@ def make_observer(engine: Engine, sampling: Sampling) -> Callable[..., DriveStat
 
 
 def applied(values: Values, signals: Signals, sampling: Sampling) -> Signals:
-    """What acts in each simulation step: all commands, late by the bench's delay, and the other inputs.
+    """Return the signals that act in each simulation step: commands with the bench's delay, and the other inputs.
 
-    A command is held until the next one. Within the step in which a late command takes over, the mean of both acts, so
-    that the rollout depends continuously on the delay, by fractions of a sample and of a step.
+    A command is held until the next one. In the step in which a delayed command changes, their mean over the step acts,
+    so the rollout depends continuously on the delay, also within a sample or a step.
 
     Args:
-        values: With `bench.delay` [s], of shape (nv,), where commands act late.
-        signals: Samples of shape (batch, samples, nv), as `Segments` has them.
-        sampling: From samples to simulation steps.
+        values: Values, with `bench.delay` [s], of shape (nv,), if commands are delayed.
+        signals: Samples of shape (batch, samples, nv), as in `Segments`.
+        sampling: Relation of samples to simulation steps.
 
     Returns:
-        Each of shape (batch, time, substeps, nv).
+        Signals, each of shape (batch, time, substeps, nv).
     """
     interval, substeps, history, commands, _ = sampling
 
@@ -159,7 +159,7 @@ def applied(values: Values, signals: Signals, sampling: Sampling) -> Signals:
     delay = values["bench"].get("delay")
     if delay is None:
         return held
-    # A late step begins at a share `later` between two of the steps in which commands are held.
+    # A delayed step begins at a share `later` between two of the steps in which commands are held.
     early = -delay * substeps / interval
     whole = jax.lax.stop_gradient(jnp.floor(early))
     later = early - whole
@@ -169,7 +169,7 @@ def applied(values: Values, signals: Signals, sampling: Sampling) -> Signals:
 
     def act(command: Float[Array, "batch samples nv"]) -> Float[Array, "batch time substeps nv"]:
         late = (1 - later) * command[:, sample + step // substeps, joint]
-        known = jnp.concatenate([command, command[:, -1:]], axis=1)  # without delay, no part in a later step
+        known = jnp.concatenate([command, command[:, -1:]], axis=1)  # padding for no delay, of weight 0
         return late + later * known[:, sample + (step + 1) // substeps, joint]
 
     late = {name: act(signals.inputs[name]) for name in commands}

@@ -1,4 +1,4 @@
-"""Rollouts of second order in the time step, made of MuJoCo's steps, which are of first order."""
+"""Rollouts of second order in the time step, from MuJoCo's first-order steps."""
 
 from typing import Any
 
@@ -11,26 +11,26 @@ from frictionzoo.bench import Bench
 from frictionzoo.core.state import DriveState, FrictionTerms, Signals
 from frictionzoo.simulate.base import Friction, Values, control
 
-_MOST = 0.5  # largest share of an armature that is taken away: it stays positive
+_MOST = 0.5  # largest reduction of an armature, as a share of it: it stays positive
 
 
 class SecondOrder:
-    """A correction that makes position Verlet with a velocity midpoint of MuJoCo's Euler or implicitfast steps.
+    """Correction that turns MuJoCo's Euler or implicitfast steps into position Verlet with a velocity midpoint.
 
     A step is a kick at q, then a drift over the whole step. With q = Q + h/2 v it is position Verlet in Q: half a
-    drift, a kick, half a drift. So a rollout begins at Q + h/2 v, and Q = q - h/2 v is read. A torque -d v belongs at
-    the mean of the velocities before and after the kick. Where the integrator takes it before the kick, an armature
-    that is h/2 d larger has this effect; where it takes it after the kick, one that is h/2 d smaller.
+    drift, a kick, half a drift. A rollout therefore begins at Q + h/2 v and reads Q = q - h/2 v. A torque -d v belongs
+    at the mean of the velocities before and after the kick. If the integrator takes it before the kick, an armature
+    larger by h/2 d has this effect; if after the kick, one smaller by h/2 d.
 
     Source: E. Hairer, C. Lubich, G. Wanner, "Geometric numerical integration illustrated by the Stoermer-Verlet
     method", Acta Numerica 12, 2003, section 1.
 
     Attributes:
-        rigid: Whether dry friction that is as stiff as MuJoCo's steps allow stands for friction that does not creep.
+        rigid: Whether dry friction at MuJoCo's stiffness limit stands for friction that does not creep.
 
     Args:
         bench: The simulated bench.
-        friction: The friction law. Its memory is not differentiated.
+        friction: The friction model. Its memory is not differentiated.
     """
 
     def __init__(self, bench: Bench, friction: Friction) -> None:
@@ -71,12 +71,12 @@ class SecondOrder:
         return jnp.median(jax.vmap(of_one)(qpos, qvel, signals), axis=0)
 
     def _slope(self, values: Values, qpos: Array, qvel: Array, signals: Signals, memory: Array) -> Float[Array, "nv"]:
-        """The slope by which torques fall with the velocity [N m s/rad]; implicit torques count with the other sign."""
+        """Return the damping, the fall of torque over velocity [N m s/rad]; implicit torques count negatively."""
         known, ones = values["bench"], jnp.ones_like(qvel)
         affine = self._bench.actuator.affine(known)
 
         def brake(velocity: Array) -> tuple[Array, Array]:
-            """Torques against the motion without the affine actuator's, and MuJoCo's damping."""
+            """Return the torques against the motion without the affine actuator's, and MuJoCo's damping."""
             ctrl = control(self._bench, values, qpos, velocity, signals)
             motor = affine.gain * ctrl + affine.bias0 + affine.bias1 * qpos + affine.bias2 * velocity
             state = DriveState(qpos, velocity, signals.ctrl, motor, jnp.zeros_like(qpos), **signals.observed)

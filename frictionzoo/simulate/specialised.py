@@ -1,4 +1,4 @@
-"""The fast engine: one small bench as a flat function, and MuJoCo's friction constraint solved."""
+"""Fast engine: one small bench as a flat function, with a solver for MuJoCo's friction constraint."""
 
 import operator
 from collections.abc import Mapping, Sequence
@@ -21,24 +21,26 @@ from frictionzoo.simulate.groups import Dynamics, groups_of
 from frictionzoo.simulate.linear import FEW_JOINTS, add_diagonal, solve_rows
 
 _FUSED_FORWARD, _FUSED_REVERSE = 6, 4
-"""Joints of a branch up to which fusion was measured to gain time: rollouts and their tangents run two to five times as
-fast with it, reverse sweeps up to twice."""
+"""Largest number of joints in a branch for which fusion was measured to save time.
+
+Rollouts and their tangents run two to five times as fast with it, reverse sweeps up to twice.
+"""
 
 
 class SpecialisedEngine(Engine):
-    """Advances one bench by what its dynamics come down to for this very model.
+    """Engine that steps a bench with its dynamics specialised for this very MJCF.
 
-    The links' dynamics in their own frames, and MJX's actuators, passive torques and coefficients of the friction
-    constraint are partially evaluated once by `specialise`. What remains is written here: MuJoCo's semi-implicit Euler
-    and implicitfast integrators, and its friction constraint. Branches that do not move each other are simulated side
-    by side, those of the same build by one function of the numbers in which they differ.
+    The links' dynamics in link frames, and MJX's actuators, passive torques and coefficients of the friction constraint
+    are partially evaluated once by `specialise`. The rest is written here: MuJoCo's semi-implicit Euler and
+    implicitfast integrators, and its friction constraint. Branches that do not move each other are simulated in
+    parallel, similar ones by one function of the properties that differ.
 
     Source: MuJoCo documentation, "Computation": "Numerical integration" and "Constraint model".
 
     Args:
-        bench: What is simulated: hinges or slides, without contacts, limits, tendons and equalities.
-        friction: The friction law's formula over `jax.numpy`.
-        constraint: Whether the law answers with a `frictionloss`, or for which joints; it is 0 for the others.
+        bench: The bench to simulate: hinges or slides, without contacts, limits, tendons and equalities.
+        friction: The friction model's formula over `jax.numpy`.
+        constraint: Whether the model returns a `frictionloss`, or for which joints; it is 0 for the others.
 
     Raises:
         CannotSpecialiseError: The bench has something else.
@@ -66,7 +68,7 @@ class SpecialisedEngine(Engine):
         most = max(group.joints.shape[1] for group in self._groups)
         self.compiler_options: Mapping[str, Any] = {} if most <= _FUSED_REVERSE else UNFUSED
         self.forward_options: Mapping[str, Any] = FORWARD if most <= _FUSED_FORWARD else UNFUSED
-        self.keeps_slopes: bool = bench.nv > 1 and most <= FEW_JOINTS  # of one joint, one program is compiled sooner
+        self.keeps_slopes: bool = bench.nv > 1 and most <= FEW_JOINTS  # for one joint, a single program compiles faster
 
     def step(
         self,
@@ -98,7 +100,7 @@ class SpecialisedEngine(Engine):
         return self._drive_state(qpos, qvel, signals, self._at(values, qpos, qvel, signals, load))
 
     def _accelerate(self, rigid: bool, here: Dynamics, qvel: Array, terms: FrictionTerms) -> tuple[Array, Array]:
-        """The accelerations of one branch that carry its velocities over the step, and what its places gain besides."""
+        """Return one branch's accelerations for the velocity update, and its additional displacements."""
         force = here.motor_torque + here.external_torque
         implicit = here.implicit
         if terms.torque is not None:
@@ -118,7 +120,7 @@ class SpecialisedEngine(Engine):
     def _at(
         self, values: Values, qpos: Array, qvel: Array, signals: Signals, load: Array, midway: Array | None = None
     ) -> list[Dynamics]:
-        """The dynamics of each group of branches, with a first dimension of its branches."""
+        """Return the dynamics of each group, with a first dimension of branches."""
         ctrl = control(self.bench, values, qpos, qvel, signals)
         midway = qvel if midway is None else midway
         return [group.dynamics(values, load, qpos, qvel, midway, ctrl) for group in self._groups]
@@ -128,7 +130,7 @@ class SpecialisedEngine(Engine):
         return DriveState(qpos, qvel, signals.ctrl, *torques, **signals.observed)
 
     def _join(self, parts: Sequence[Float[Array, "_ _"]]) -> Float[Array, "nv"]:
-        """What groups say of their joints, in the order of the bench's."""
+        """Join values by group into the order of the bench's joints."""
         whole = jnp.concatenate([part.ravel() for part in parts]) if len(parts) > 1 else parts[0].ravel()
         return whole if len(parts[0]) == len(parts) == 1 else whole[self._order]
 

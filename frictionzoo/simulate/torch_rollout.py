@@ -1,4 +1,4 @@
-"""Rollouts with a friction law that exists only in torch: a loop in torch around the engine's compiled step."""
+"""Rollouts with a torch-only friction model: a torch loop around the engine's compiled step."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -20,18 +20,18 @@ from frictionzoo.simulate.bridge import as_torch_function, to_arrays, to_tensors
 from frictionzoo.simulate.rollout import Rollout, applied
 
 AS_GIVEN: Friction = without_memory(lambda values, state: FrictionTerms(**values))
-"""Friction for an engine whose law is evaluated elsewhere: its values are the friction terms of the step."""
+"""Friction for an engine whose model is evaluated outside: the values are the step's friction terms."""
 
 
 @dataclass(frozen=True)
 class TorchRollout(Rollout):
-    """Many open-loop rollouts with a law that exists only in torch.
+    """Many open-loop rollouts with a torch-only friction model.
 
-    Called, it takes and gives arrays as every `Rollout` does, yet JAX can neither compile nor differentiate it.
+    It takes and returns arrays like every `Rollout`, but JAX can neither compile nor differentiate it.
 
     Attributes:
         in_torch: The same over torch tensors, with torch's gradient.
-        law: The law's name, for messages.
+        law: The friction model's name, for messages.
     """
 
     in_torch: Callable[..., tuple[torch.Tensor, torch.Tensor]]
@@ -39,21 +39,21 @@ class TorchRollout(Rollout):
 
     @property
     def compiled(self) -> Callable[..., tuple[Any, Any]]:
-        """Itself: only its steps are compiled."""
+        """The rollout itself: only its steps are compiled."""
         return self.function
 
 
 def make_torch_rollout(engine: Engine, model: TorchFriction, sampling: Sampling | None = None) -> TorchRollout:
-    """The rollouts of an engine with a law in torch.
+    """Make the rollouts of an engine with a friction model in torch.
 
-    A step of all segments is compiled once. What the law sees, its terms and the next state cross between JAX and torch
-    through DLPack; the gradient goes the same way back, through the vector-Jacobian product of the engine's step.
+    A step of all segments is compiled once. The model's input, its terms and the next state cross between JAX and torch
+    through DLPack. The gradient returns the same way, by the vector-Jacobian product of the engine's step.
 
     Raises:
         ConfigError: Rollouts are to be of second order.
-        ModelError: The law has a memory.
+        ModelError: The model has a memory.
     """
-    label = getattr(model, "name", type(model).__name__)  # a law of a notebook need not be registered
+    label = getattr(model, "name", type(model).__name__)  # a model in a notebook need not be registered
     if model.memory:
         raise ModelError(
             f"{label}: a memory of {model.memory} in a law that exists only in torch, expected 0; derive it from "
@@ -76,7 +76,7 @@ def make_torch_rollout(engine: Engine, model: TorchFriction, sampling: Sampling 
     ) -> tuple[torch.Tensor, torch.Tensor]:
         known = values["bench"]
         load = qpos.new_zeros((len(qpos), 0)) if load is None else load
-        acting = acting_of(known, signals).map(torch.unbind)  # one node for autograd, not one a step
+        acting = acting_of(known, signals).map(torch.unbind)  # one autograd node, not one a step
         steps = [acting.map(itemgetter(number)) for number in range(len(acting.ctrl))]
         torques = observe(known, qpos, qvel, steps[0], load)
         states = []
@@ -97,7 +97,7 @@ def make_torch_rollout(engine: Engine, model: TorchFriction, sampling: Sampling 
 
 
 def _acting(sampling: Sampling, bench: Mapping[str, Any], signals: Signals) -> Signals:
-    """What acts in each step of the simulation, each of shape (steps, batch, nv)."""
+    """Return the signals that act in each simulation step, each of shape (steps, batch, nv)."""
     acting = applied({"bench": bench}, signals, sampling)
     return acting.map(lambda signal: jnp.moveaxis(signal.reshape(len(signal), -1, signal.shape[3]), 0, 1))
 
@@ -105,7 +105,7 @@ def _acting(sampling: Sampling, bench: Mapping[str, Any], signals: Signals) -> S
 def _observe(
     engine: Engine, bench: Mapping[str, Any], qpos: Array, qvel: Array, signals: Signals, load: Array
 ) -> tuple[Float[Array, "nv"], Float[Array, "nv"]]:
-    """Those signals that the law sees and torch does not have yet."""
+    """Return the torques in the model's input, which torch does not have yet."""
     state = engine.drive_state({"bench": bench}, qpos, qvel, signals, load)
     return state.motor_torque, state.external_torque
 
@@ -120,9 +120,9 @@ def _step(
     following: Signals,
     load: Float[Array, "load"],
 ) -> tuple[Float[Array, "nv"], ...]:
-    """The state after a step with these friction terms, and the torques that the law sees there.
+    """Return the state after a step with these friction terms, and the torques that the model reads there.
 
-    One operation for both, because what crosses between JAX and torch costs more than a small bench's physics.
+    One operation, because crossing between JAX and torch costs more than a small bench's physics.
     """
     memory = jnp.zeros((*qvel.shape, 0), qvel.dtype)
     qpos, qvel, _ = engine.step({"bench": bench, "friction": terms}, qpos, qvel, now, load, memory)
@@ -130,7 +130,7 @@ def _step(
 
 
 def _whole(label: str, terms: Any, qvel: torch.Tensor) -> dict[str, torch.Tensor]:
-    """The terms that the law answers with, one row a segment; ModelError where they are none."""
+    """Return the model's terms, one row a segment; ModelError if they are not friction terms."""
     if not isinstance(terms, FrictionTerms):
         expected = "expected FrictionTerms, as in FrictionTerms(torque=torque)"
         raise ModelError(f"{label}: its answer is a {type(terms).__name__}, {expected}")

@@ -1,8 +1,8 @@
-"""Dynamics of a tree of hinges and slides, each link in a frame of its own, where constants stay constants.
+"""Dynamics of a tree of hinges and slides in link frames, where constants stay constant.
 
-MJX computes in the world's frame, in which next to nothing is fixed. In the links' frames most of a robot's geometry
-folds away: a leg's dynamics take a quarter of the operations, an arm's a third. Only what a joint can feel is kept of a
-link: what the joint's own turning does not change is given to the link before.
+MJX computes in the world frame, in which almost nothing is constant. In link frames most geometry folds away: a leg's
+dynamics take a quarter of the operations, an arm's a third. Each link keeps only the mass properties that its joint can
+feel; those that the joint's rotation does not change move to the parent link.
 
 Source: R. Featherstone, "Rigid Body Dynamics Algorithms", 2008 (recursive Newton-Euler, composite rigid bodies);
 W. Khalil, J.-F. Kleinfinger, "Minimum operations and minimum parameters of the dynamic models of tree structure
@@ -21,26 +21,26 @@ from jaxtyping import Array, Float
 from frictionzoo.simulate.linear import Rows
 
 _TRIANGLE = np.tril_indices(3)
-_NOTHING = 1e-15  # share of an array's largest entry that is rounding: products of quaternions are exact to no more
+_NOTHING = 1e-15  # rounding, as a share of an array's largest entry: the accuracy of quaternion products
 
 
 FIELDS = ("nbody", "body_parentid", "body_pos", "body_quat", "body_jntadr", "body_jntnum", "jnt_pos", "jnt_type")
 FIELDS += ("jnt_axis", "body_mass", "body_ipos", "body_iquat", "body_inertia")
-"""What `links_of` asks of a model."""
+"""Fields of a MuJoCo model that `links_of` needs."""
 
 
 class Link(NamedTuple):
-    """What one joint carries, in a frame whose origin lies on the joint's axis and that moves with it.
+    """Link of one joint, in a frame that moves with it and has its origin on the joint's axis.
 
     Attributes:
-        parent: Index of the link before; -1 where that stands still.
+        parent: Index of the parent link; -1 for the fixed world.
         slides: Whether the joint is a slide.
-        axis: Of the joint, a unit vector.
+        axis: Joint axis, a unit vector.
         turn: Rotation from this frame to the parent's at the reference position, of shape (3, 3).
-        place: Of the origin in the parent's frame at the reference position [m].
-        mass: [kg].
+        place: Origin in the parent's frame at the reference position [m].
+        mass: Mass [kg].
         moment: First moment of mass [kg m].
-        inertia: About the origin [kg m^2], of shape (3, 3).
+        inertia: Inertia about the origin [kg m^2], of shape (3, 3).
     """
 
     parent: int
@@ -54,21 +54,21 @@ class Link(NamedTuple):
 
 
 class Pose(NamedTuple):
-    """Where a link is in its parent's frame: its rotation, of shape (3, 3), and its origin [m]."""
+    """Pose of a link in its parent's frame: rotation, of shape (3, 3), and origin [m]."""
 
     turn: Any
     place: Any
 
 
 def links_of(xp: ModuleType, model: Any) -> list[Link]:
-    """The links of a model of hinges and slides, one a joint, in the joints' order.
+    """Return the links of a model of hinges and slides, one a joint, in the joints' order.
 
     Args:
-        xp: `numpy`, or `jax.numpy` where bodies' inertias are traced.
-        model: MuJoCo's compiled model, or what has its fields.
+        xp: `numpy`, or `jax.numpy` if bodies' inertias are traced.
+        model: MuJoCo's compiled model, or an object with its fields.
     """
     links: list[Link] = []
-    frames: list[tuple[int, Pose]] = []  # of each body: the link that carries it, and where it is there
+    frames: list[tuple[int, Pose]] = []  # of each body: the link that carries it, and its pose in that link
     for body in range(model.nbody):
         carrier, own = frames[model.body_parentid[body]] if body else (-1, Pose(np.eye(3), np.zeros(3)))
         own = Pose(own.turn @ _rotation(np, model.body_quat[body]), own.place + own.turn @ model.body_pos[body])
@@ -88,10 +88,10 @@ def links_of(xp: ModuleType, model: Any) -> list[Link]:
 
 
 def regroup(xp: ModuleType, links: Sequence[Link]) -> list[Link]:
-    """The same dynamics with fewer numbers.
+    """Return links with the same dynamics and fewer numbers.
 
-    Mass, moments along a hinge's axis, and a thin rod's inertia on that axis do not change where they are when the
-    hinge turns: they are the link's before. Mass becomes 0, and the inertia is less by that rod.
+    A hinge's rotation does not move mass, moments along its axis, or a thin rod's inertia on the axis. These go to the
+    parent link: the mass becomes 0, and the inertia loses that rod.
     """
     links = list(links)
     for index in reversed(range(len(links))):
@@ -111,7 +111,7 @@ def regroup(xp: ModuleType, links: Sequence[Link]) -> list[Link]:
 
 
 def without_rounding(links: Sequence[Link]) -> list[Link]:
-    """The same links of numbers, without what is only rounding."""
+    """Set entries that are only rounding to 0."""
 
     def clean(name: str, value: Any) -> Any:
         if name in ("parent", "slides"):
@@ -123,12 +123,12 @@ def without_rounding(links: Sequence[Link]) -> list[Link]:
 
 
 def flatten(links: Sequence[Link]) -> Float[np.ndarray, "numbers"]:
-    """All numbers of links, one after the other; of a symmetric inertia those of a triangle."""
+    """Return all numbers of links in one array; symmetric inertias by their lower triangle."""
     return np.concatenate([np.ravel(part) for link in links for part in (*link[2:-1], link.inertia[_TRIANGLE])])
 
 
 def unflatten(links: Sequence[Link], changes: Mapping[int, Any]) -> list[Link]:
-    """The links with other numbers in some places of `flatten`, traced ones too; the other places stay constants."""
+    """Replace some numbers of `flatten`, perhaps by traced ones; the rest stay constants."""
     entries: list[Any] = list(flatten(links))
     for place, number in changes.items():
         entries[place] = number
@@ -142,13 +142,13 @@ def unflatten(links: Sequence[Link], changes: Mapping[int, Any]) -> list[Link]:
 
 
 def _array(entries: Sequence[Any]) -> Any:
-    """Of numbers, numpy's; of traced ones, JAX's."""
+    """Make an array: numpy's for numbers, JAX's if any is traced."""
     known = all(isinstance(entry, float) for entry in entries)
     return np.array(entries) if known else jnp.stack([jnp.asarray(entry) for entry in entries])
 
 
 def poses(links: Sequence[Link], displacement: Float[Array, "nv"]) -> list[Pose]:
-    """Where the links are, from the joints' displacement from their reference [rad or m]."""
+    """Return the links' poses for joint displacements from the reference [rad or m]."""
     return [
         Pose(link.turn, link.place + link.turn @ (link.axis * moved))
         if link.slides
@@ -160,8 +160,8 @@ def poses(links: Sequence[Link], displacement: Float[Array, "nv"]) -> list[Pose]
 def bias_torque(
     links: Sequence[Link], at: Sequence[Pose], qvel: Float[Array, "nv"], gravity: Float[np.ndarray, "3"]
 ) -> Float[Array, "nv"]:
-    """MuJoCo's `qfrc_bias`: what gravity and the velocities ask of the joints without acceleration [N m or N]."""
-    motions: list[tuple[Any, Any, Any]] = []  # velocity of turning, its derivative, acceleration of the origin
+    """Return MuJoCo's `qfrc_bias`: torque of gravity and velocities at zero acceleration [N m or N]."""
+    motions: list[tuple[Any, Any, Any]] = []  # angular velocity, its derivative, acceleration of the origin
     wrenches: list[tuple[Any, Any]] = []
     for link, pose, speed in zip(links, at, qvel, strict=True):
         spin, turning, rising = motions[link.parent] if link.parent >= 0 else (np.zeros(3), np.zeros(3), -gravity)
@@ -188,7 +188,7 @@ def bias_torque(
 
 
 def joint_inertia(links: Sequence[Link], at: Sequence[Pose]) -> Rows:
-    """Joint-space inertia without the armature [kg m^2 or kg]."""
+    """Return the joint-space inertia without the armature [kg m^2 or kg]."""
     bodies = list(links)
     entries: dict[tuple[int, int], Any] = {}
     for joint in reversed(range(len(links))):
@@ -217,7 +217,7 @@ def _added(link: Link, mass: Any, moment: Any, inertia: Any) -> Link:
 
 
 def _carried(xp: ModuleType, pose: Pose, mass: Any, moment: Any, inertia: Any) -> tuple[Any, Any, Any]:
-    """Mass, moment and inertia of a link at the parent's origin, along the parent's axes."""
+    """Move mass, moment and inertia of a link to the parent's origin and axes."""
     turned = pose.turn @ moment
     mixed = _spread(xp, pose.place, turned)
     about = pose.turn @ inertia @ pose.turn.T + mixed + mixed.T + mass * _spread(xp, pose.place, pose.place)
@@ -225,25 +225,25 @@ def _carried(xp: ModuleType, pose: Pose, mass: Any, moment: Any, inertia: Any) -
 
 
 def _carry(pose: Pose, force: Any, torque: Any) -> tuple[Any, Any]:
-    """A force and a torque at a link's origin, at the parent's."""
+    """Move a force and a torque from a link's origin to the parent's."""
     force = pose.turn @ force
     return force, pose.turn @ torque + jnp.cross(pose.place, force)
 
 
 def _spread(xp: ModuleType, one: Any, other: Any) -> Any:
-    """What a shift adds to an inertia: one . other 1 - other one', of shape (3, 3)."""
+    """Return the change of inertia by a shift: one . other 1 - other one', of shape (3, 3)."""
     return (one @ other) * np.eye(3) - xp.outer(other, one)
 
 
 def _about(axis: Any, angle: Array) -> Float[Array, "3 3"]:
-    """Rotation about an axis by an angle, after Rodrigues."""
+    """Return the rotation about an axis by an angle, by Rodrigues' formula."""
     x, y, z = axis
     outer, cross = jnp.outer(axis, axis), _square(jnp, [0.0, -z, y, z, 0.0, -x, -y, x, 0.0])
     return outer + jnp.cos(angle) * (np.eye(3) - outer) + jnp.sin(angle) * cross
 
 
 def _rotation(xp: ModuleType, quaternion: Any) -> Any:
-    """Rotation of a unit quaternion, of shape (3, 3)."""
+    """Return the rotation of a unit quaternion, of shape (3, 3)."""
     w, x, y, z = quaternion
     first = [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]
     second = [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]

@@ -1,1 +1,1 @@
-"""Runs and sweeps while they run, from the files that they leave: `python -m frictionzoo.watch FOLDER`."""
+"""Progress of runs and sweeps, read from their files: `python -m frictionzoo.watch FOLDER`."""

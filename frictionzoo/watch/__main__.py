@@ -1,4 +1,4 @@
-"""`python -m frictionzoo.watch`, see `frictionzoo.cli.watch`."""
+"""Entry point of `python -m frictionzoo.watch`, see `frictionzoo.cli.watch`."""
 
 from frictionzoo.cli.commands import main
 

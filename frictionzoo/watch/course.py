@@ -1,4 +1,4 @@
-"""How far a fit has come: the last of what its logger wrote, without torch, JAX or the run's own process."""
+"""Progress of a fit: the last iteration that its logger wrote, read without torch, JAX or the run's process."""
 
 import contextlib
 import csv
@@ -12,11 +12,11 @@ LOSS, GRADIENT = "loss", "grad_norm"
 
 @dataclass(frozen=True)
 class Point:
-    """One iteration.
+    """State of a fit after an iteration.
 
     Attributes:
-        iterations: Made so far.
-        values: Loss, gradient norm and parameters of the last one, by the names that the logger has.
+        iterations: Number of iterations so far.
+        values: Loss, gradient norm and parameters of the last iteration, by the logger's names.
     """
 
     iterations: int = 0
@@ -24,20 +24,20 @@ class Point:
 
     @property
     def loss(self) -> float | None:
-        """Of the last iteration."""
+        """Loss of the last iteration; None if unknown."""
         return self.values.get(LOSS)
 
     @property
     def parameters(self) -> dict[str, float]:
-        """What is being identified, by `owner.name`, of several joints `owner.name/JOINT`."""
+        """Parameters by `owner.name`; with several joints, by `owner.name/JOINT`."""
         return {name: value for name, value in self.values.items() if name not in (LOSS, GRADIENT)}
 
 
 class Course:
-    """The course of one run, which is read on from where the last look ended.
+    """Progress of one run; each read continues where the last one ended.
 
     Args:
-        folder: The run's; what `logger=tensorboard` or `logger=csv` leave there is read, and of other loggers nothing.
+        folder: Folder of the run. Only the files of `logger=tensorboard` and `logger=csv` are read.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -45,30 +45,30 @@ class Course:
         self._events: dict[Path, Events] = {}
 
     def look(self) -> Point:
-        """The last iteration that is on the disk; an empty one where there is none."""
+        """Return the last iteration on disk; an empty `Point` if there is none."""
         paths = sorted(self._folder.glob("tensorboard/events.out.tfevents.*"))
-        # A run that goes on begins its record anew, under another name.
+        # A resumed run writes a new file with another name.
         self._events = {path: self._events.get(path) or Events(path) for path in paths}
         points = [events.read() for events in self._events.values()] or [read_csv(self._folder / "csv" / "metrics.csv")]
         return max(points, key=lambda point: point.iterations)
 
 
 class Events:
-    """One file of TensorBoard's events."""
+    """TensorBoard event file."""
 
     def __init__(self, path: Path) -> None:
-        # Imported here, so that finished runs do not wait for it.
+        # Imported here: finished runs do not need this slow import.
         from tensorboard.backend.event_processing.event_file_loader import RawEventFileLoader
 
         self._loader = RawEventFileLoader(str(path))
         self._point = Point()
 
     def read(self) -> Point:
-        """The last iteration in it, with what has come since the last time."""
+        """Read new events, and return the last iteration."""
         from tensorboard.compat.proto.event_pb2 import Event
 
         steps: dict[int, dict[str, float]] = {}
-        with contextlib.suppress(OSError):  # it was removed, for a record that begins anew
+        with contextlib.suppress(OSError):  # the file was removed for a new one
             for content in self._loader.Load():
                 event = Event.FromString(content)
                 for value in event.summary.value:
@@ -82,7 +82,7 @@ class Events:
 
 
 def read_csv(path: Path) -> Point:
-    """The last iteration in Lightning's table; an empty one where there is none."""
+    """Return the last iteration in Lightning's CSV file; an empty `Point` if there is none."""
     try:
         with open(path, newline="", encoding="utf-8") as file:
             rows = [row for row in csv.DictReader(file) if row.get(LOSS)]
@@ -90,10 +90,10 @@ def read_csv(path: Path) -> Point:
         return Point(
             int(rows[-1]["step"]) + 1, {name: value for name, value in values.items() if not math.isnan(value)}
         )
-    except (OSError, ValueError, TypeError, KeyError, IndexError):  # it is not there yet, or being written
+    except (OSError, ValueError, TypeError, KeyError, IndexError):  # not there yet, or being written
         return Point()
 
 
 def _is_course(name: str) -> bool:
-    """Whether it is of each iteration, and not of the end, as `MAE/test_position` is."""
+    """Return whether a value is logged at each iteration, unlike `MAE/test_position` at the end."""
     return name in (LOSS, GRADIENT) or "." in name.partition("/")[0]

@@ -1,4 +1,4 @@
-"""Look again and again, and show what has changed."""
+"""Display of the progress of jobs, once or until they end."""
 
 import shutil
 import sys
@@ -7,23 +7,26 @@ import time
 from frictionzoo.watch.jobs import Job, Watched
 from frictionzoo.watch.terminal import draw, tell_changes
 
-PAUSE = 1.0  # s from look to look
-_ALL = (sys.maxsize, sys.maxsize)  # columns and rows of what is no terminal
+PAUSE = 1.0  # time between two reads [s]
+_ALL = (sys.maxsize, sys.maxsize)  # columns and rows without a limit
 
 
 def show(watched: Watched) -> None:
-    """Print how all jobs stand, whatever room that takes."""
+    """Print the state of all jobs, without a limit on size."""
     print("\n".join(draw(watched.look(), *_ALL)))
 
 
 def follow(watched: Watched) -> list[Job]:
-    """Print how jobs stand until all have ended: in place on a terminal, else what has changed; how they ended."""
+    """Print the state of jobs until all have ended, and return the final states.
+
+    A terminal is refreshed in place; otherwise only changes are printed.
+    """
     in_place, jobs, shown = sys.stdout.isatty(), None, []
     while True:
         before, jobs = jobs, watched.look()
         over = watched.is_over(jobs)
         if in_place:
-            # At the end, all of it stays there to be read.
+            # The final output is complete and stays on the terminal.
             lines = draw(jobs, *(_ALL if over else shutil.get_terminal_size()))
             up = f"\x1b[{len(shown)}A\r\x1b[J" if shown else ""
             if lines != shown:

@@ -1,4 +1,4 @@
-"""How the jobs in a folder stand."""
+"""State of the jobs in a folder."""
 
 import contextlib
 import time
@@ -15,22 +15,22 @@ from frictionzoo.core.output import FAILURE, RESULT, RUNNING, is_lock
 from frictionzoo.watch.course import Course, Point
 
 AT_WORK = ("starting", "running")
-QUIET = 10.0  # s without a change of its files, after which a run is asked whether its process is still there
-ABANDONED = 60.0  # s without a change, after which a sweep of which nothing runs is over, compared or not
+QUIET = 10.0  # time without a file change after which the run's lock is checked [s]
+ABANDONED = 60.0  # time without a file change after which a sweep without active jobs is over, compared or not [s]
 
 
 @dataclass(frozen=True)
 class Job:
-    """A job at one moment.
+    """State of a job.
 
     Attributes:
-        name: Of its folder, as seen from the folder that is watched.
-        model: Its law; empty where that is not known.
-        state: `starting`, `running`, `finished`, `failed` or `stopped`, which left neither a result nor a reason.
-        total: Iterations that it makes at most; None where its options do not say.
-        point: How far it has come; of a finished one, empty.
-        reason: Why it failed, or how it can go on.
-        result: What its `result.json` holds; empty before that.
+        name: Folder of the job, relative to the watched folder.
+        model: Name of the model; empty if unknown.
+        state: `starting`, `running`, `finished`, `failed`, or `stopped`: ended without a result or a reason.
+        total: Largest number of iterations; None if the options do not set it.
+        point: Progress of the fit; empty for a finished job.
+        reason: Why it failed, or how to resume it.
+        result: Content of its `result.json`; empty before it exists.
     """
 
     name: str
@@ -43,10 +43,10 @@ class Job:
 
 
 class Watched:
-    """A folder that is looked at again and again.
+    """Watched folder, read repeatedly.
 
     Args:
-        folder: Of a run, of a sweep, or one in which runs lie.
+        folder: Folder of a run or of a sweep, or a folder that contains runs.
 
     Raises:
         RunError: There is no such folder.
@@ -61,14 +61,14 @@ class Watched:
         self._ended: dict[Path, Job] = {}
 
     def look(self) -> list[Job]:
-        """All jobs as they stand now, in their order; none where no run has begun."""
+        """Return the current state of all jobs, in order; an empty list if no run has begun."""
         try:
             return [self._see(run) for run in find_runs(self.folder)]
         except RunError:
             return []
 
     def is_over(self, jobs: Sequence[Job]) -> bool:
-        """Whether nothing runs, and of a sweep nothing is to come: it has compared its jobs, or rests for long."""
+        """Return whether no job runs, and every sweep has compared its jobs or has been inactive for long."""
         if not jobs or any(job.state in AT_WORK for job in jobs):
             return False
         sweeps = [path.parent for path in self.folder.rglob("multirun.yaml")]
@@ -76,7 +76,7 @@ class Watched:
 
     def _see(self, run: Path) -> Job:
         if job := self._ended.get(run):
-            if job.state != "finished" or (run / RESULT).exists():  # else it is made again
+            if job.state != "finished" or (run / RESULT).exists():  # otherwise it runs again
                 return job
             del self._ended[run]
         job = self._read(run)
@@ -120,32 +120,32 @@ def _finished(name: str, result: Mapping[str, Any]) -> Job:
 
 
 def _is_alive(run: Path) -> bool:
-    """Whether a process works in it: its files change, or it holds the lock of the folder."""
+    """Return whether a process works in the run's folder: its files change, or it holds the lock."""
     if _rests(run) < QUIET:
         return True
     if not is_lock(run / RUNNING):
         return False
-    # Only of a run whose files have been quiet: for an instant, nobody else could begin in it.
+    # Only after a quiet period: holding the lock keeps other processes from starting here for an instant.
     try:
         with FileLock(run / RUNNING, timeout=0):
             return False
     except Timeout:
         return True
-    except OSError:  # a folder that one may only read
+    except OSError:  # a read-only folder
         return True
 
 
 def _has_ended(sweep: Path) -> bool:
-    """Whether a sweep has compared what its jobs left, after the last of them, or nothing happens in it any more."""
+    """Return whether a sweep's comparison is newer than all its results, or the sweep is abandoned."""
     compared = sweep / "comparison" / "comparison.json"
     ended = compared.stat().st_mtime if compared.exists() else 0.0
     return all(path.stat().st_mtime <= ended for path in sweep.rglob(RESULT)) or _rests(sweep) > ABANDONED
 
 
 def _rests(folder: Path) -> float:
-    """For how long nothing has changed in a folder, down to the files of its folders' folders [s]."""
+    """Return the time since the last change in a folder, down to the contents of its subfolders [s]."""
     latest = 0.0
     for path in (folder, *folder.glob("*"), *folder.glob("*/*")):
-        with contextlib.suppress(OSError):  # it is gone
+        with contextlib.suppress(OSError):  # the file was removed
             latest = max(latest, path.stat().st_mtime)
     return time.time() - latest

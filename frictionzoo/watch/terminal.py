@@ -1,4 +1,4 @@
-"""How jobs are shown: a block each, refreshed in place on a terminal, or a line for each change."""
+"""Text display of jobs: one block per job on a terminal, or one line per change."""
 
 from collections.abc import Iterator, Sequence
 from itertools import groupby
@@ -12,14 +12,14 @@ _NOTHING = "no run in it yet"
 
 
 def draw(jobs: Sequence[Job], columns: int, rows: int) -> list[str]:
-    """What a terminal of this size shows: how many jobs there are, and each with its parameters.
+    """Return the lines for a terminal of this size: number of jobs, and each job with its parameters.
 
-    Where it is too small for all of them, those that ended are left out first.
+    If the terminal is too small, ended jobs are omitted first.
     """
     head = _count(jobs)
     blocks = [[say(job), *(f"  {line}" for line in list_parameters(job))] for job in jobs]
     left = 0
-    # What is being done matters most; then what came last.
+    # Active jobs matter most, then the most recent ones.
     for index in sorted(range(len(jobs)), key=lambda i: (jobs[i].state in AT_WORK, i)):
         if 1 + sum(map(len, blocks)) + 1 < rows:
             break
@@ -40,7 +40,7 @@ def _count(jobs: Sequence[Job]) -> str:
 
 
 def say(job: Job) -> str:
-    """A job on one line, without its parameters."""
+    """Return a job on one line, without its parameters."""
     if job.result:
         fit, test = job.result["fit"], job.result["metrics"]["test"]
         without = job.result["metrics"]["baseline"]["position_mae"]
@@ -57,7 +57,7 @@ def say(job: Job) -> str:
 
 
 def list_parameters(job: Job) -> list[str]:
-    """What is being identified, with its present value; once it is, with interval and unit."""
+    """Return parameters with current values; for a finished job also with interval and unit."""
     if not job.result:
         values = "  ".join(f"{name} {value:.4g}" for name, value in job.point.parameters.items())
         return [values] if values else []
@@ -78,7 +78,7 @@ def _list_results(job: Job) -> Iterator[str]:
 
 
 def tell_changes(before: Sequence[Job] | None, now: Sequence[Job]) -> list[str]:
-    """A line for each job that is not as it was, with its parameters; None before the first look."""
+    """Return one line with parameters for each changed job; `before` is None at the first call."""
     if before is None and not now:
         return [_NOTHING]
     known = {job.name: job for job in before or ()}

@@ -72,7 +72,7 @@ def read_damping(source: Source, joints: Sequence[int]) -> Float[np.ndarray, "nv
     bent += [j for j in joints if model.actuator_dampingpoly[_list_at(model, j)].any()]
     if bent:
         names = listed([model.joint(joint).name for joint in bent])
-        source.notes.append(f"damping that is no straight line: of joint {names} only the coefficient of qvel is kept")
+        source.notes.append(f"nonlinear damping of joint {names}: only the coefficient of qvel is kept")
     own = [model.dof_damping[source.dof(j)] + _reflected(model, j, model.actuator_damping) for j in joints]
     return np.array(own) + [sum(map(partial(read_back_emf, model), _list_windings(model, joint))) for joint in joints]
 
@@ -136,14 +136,14 @@ def _why_not(model: mujoco.MjModel, index: int) -> str | None:
     if is_dc_motor(model, index):
         return why_not_linear(model, index)
     if dynamics != mujoco.mjtDyn.mjDYN_NONE and dynamics not in _FILTERS:
-        return f"its activation ({_said(mujoco.mjtDyn(dynamics))}) is none that commands give at once"
+        return f"its activation ({_said(mujoco.mjtDyn(dynamics))}) is not an instantaneous response to commands"
     gain, bias = mujoco.mjtGain(model.actuator_gaintype[index]), mujoco.mjtBias(model.actuator_biastype[index])
     if gain == mujoco.mjtGain.mjGAIN_PID:
         of_position = int(model.actuator_ctrlspec[index]) & mujoco.mjtCtrlInput.mjINPUT_POS
-        return None if of_position else "its commands have no position, which is then held at 0"
+        return None if of_position else "its commands have no position; it is held at 0"
     affine = gain == mujoco.mjtGain.mjGAIN_AFFINE and not model.actuator_gainprm[index, 1:3].any()
     if gain != mujoco.mjtGain.mjGAIN_FIXED and not affine:
-        return f"its gain ({_said(gain)}) is no constant"
+        return f"its gain ({_said(gain)}) is not constant"
     if bias not in (mujoco.mjtBias.mjBIAS_NONE, mujoco.mjtBias.mjBIAS_AFFINE):
         return f"its bias ({_said(bias)}) is not affine"
     return None

@@ -26,7 +26,7 @@ def choose_joints(source: Source, joint: str | int | Sequence[str | int] | None)
     names = {source.model.joint(index).name: index for index, kind in kinds.items() if kind in ("hinge", "slide")}
     if joint is None:
         if "" in names:
-            source.fail("it has joints without a name, expected names of all; name those that are meant in bench.joint")
+            source.fail("it has joints without a name, expected a name for each; list the joints in bench.joint")
         wanted = [".*"]
     else:
         # A name such as 0 comes as a number.
@@ -75,9 +75,9 @@ def say_fixed(source: Source, joints: Sequence[int], base: str, others: str) -> 
         bodies = listed([source.name(int(model.jnt_bodyid[index])) for index in bases])
         if base == "as_is":
             source.fail(
-                f"bench.base=as_is: body {bodies} floats, and nothing holds it in a rollout; set bench.base=fixed"
+                f"bench.base=as_is: body {bodies} floats, and nothing holds it in rollouts; set bench.base=fixed"
             )
-        source.notes.append(f"floating base: body {bodies} is held where the file puts it, and as it is turned there")
+        source.notes.append(f"floating base: body {bodies} is fixed in its position and orientation from the file")
     if rest:
         named = listed([model.joint(index).name or f"number {index}" for index in rest])
         if others == "as_is":

@@ -79,8 +79,8 @@ def without_others(
         actuator = read[place]
         assert actuator is not None
         source.notes.append(
-            f"actuator {actuator.name} of joint {model.joint(joints[place]).name} is left out: in MuJoCo its torque is "
-            "another than its coefficients say"
+            f"actuator {actuator.name} of joint {model.joint(joints[place]).name} is left out: its torque in MuJoCo "
+            "differs from its coefficients"
         )
         kept[place] = None
     return tuple(kept)

@@ -59,7 +59,7 @@ def _integrator(source: Source) -> str:
     chosen = euler if is_fluid(source) else chosen
     name = _INTEGRATOR(option.integrator).name.removeprefix("mjINT_")
     if name.lower() != chosen.lower():
-        source.notes.append(f"integrator {name}: {chosen} instead, for the engines have no other here")
+        source.notes.append(f"integrator {name}: {chosen} instead, the only one of the engines here")
     return chosen
 
 
@@ -76,9 +76,9 @@ def _say_contact_options(option: mujoco.MjOption, contacts: bool) -> Iterator[st
     default = mujoco.MjOption()
     other = [name for name in ("cone", "impratio") if getattr(option, name) != getattr(default, name)]
     if other and not contacts:
-        yield f"options left out, for they concern contacts: {', '.join(other)}"
+        yield f"contact options left out: {', '.join(other)}"
     if (option.wind != 0).any() and not (option.density > 0 or option.viscosity > 0):
-        yield "option wind left out: there is no medium that could blow"
+        yield "option wind left out: there is no medium"
     flags = [flag.name.removeprefix("mjENBL_").lower() for flag in _enabled(option)]
     if flags:
         yield f"flags left out: {', '.join(flags)}"
@@ -101,6 +101,6 @@ def _flags(source: Source, contacts: bool) -> list[str]:
     source.notes += [f"flag {flag}=disable left out: {told[flag]}" for flag in off if flag in told]
     switched = [flag for flag in off if flag in _ASKED]
     if switched:
-        source.notes.append(f"flags {', '.join(switched)}=disable: what they switch off is not in the bench")
+        source.notes.append(f"flags {', '.join(switched)}=disable: the bench does not contain these effects")
     assert not set(off) - _KEPT_FLAGS - _CONTACT_FLAGS - _ASKED - _IDLE - set(told) - {"clampctrl"}, off
     return [flag for flag in off if flag in kept]

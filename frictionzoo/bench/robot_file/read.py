@@ -152,14 +152,12 @@ def _values(file: Source, joints: Sequence[int]) -> dict[str, Float[np.ndarray, 
     model, dofs = file.model, [file.dof(joint) for joint in joints]
     bent = [model.joint(joint).name for joint in joints if model.jnt_stiffnesspoly[joint].any()]
     if bent:
-        file.notes.append(
-            f"springs that are no straight line: of joint {listed(bent)} only the coefficient of qpos is kept"
-        )
+        file.notes.append(f"nonlinear springs of joint {listed(bent)}: only the coefficient of qpos is kept")
     soft = [model.joint(joint).name for joint in joints if tuple(model.dof_solref[file.dof(joint)]) != _DEFAULT_SOLREF]
     if soft:
         said = " ".join(f"{number:g}" for number in model.dof_solref[file.dof(joints[0])])
         file.notes.append(
-            f"solreffriction of joint {listed(soft)} ({said}) left out: bench.solreffriction says it for all"
+            f"solreffriction of joint {listed(soft)} ({said}) left out: bench.solreffriction sets it for all joints"
         )
     frictionloss = model.dof_frictionloss[dofs].copy()
     said = {
@@ -209,13 +207,13 @@ def _say_left_out(file: Source, joints: Sequence[int], contacts: bool, limits: b
     limited = [joint for joint in joints if file.model.jnt_limited[joint]]
     if contacts:
         yield (
-            "contacts are left out: right for a robot that was recorded in the air and touched nothing, not itself "
-            "either; bench.contacts=keep has them"
+            "contacts are left out: correct if the robot touched nothing, including itself; "
+            "bench.contacts=keep keeps them"
         )
     if limits and limited and acting(file, "limit"):
         yield (
-            f"limits of {len(limited)} joints are left out: right where the recorded motion is within them, for they "
-            "push only beyond; bench.limits=keep has them"
+            f"limits of {len(limited)} joints are left out: correct if the recorded motion is within them; "
+            "bench.limits=keep keeps them"
         )
 
 

@@ -150,7 +150,9 @@ def _in_one_line(path: str) -> Iterator[None]:
     try:
         yield
     except (ValueError, RuntimeError) as error:  # MuJoCo has both for files that it does not take
-        raise BenchError(f"{path}: MuJoCo does not take it ({' '.join(str(error).split())}); mend the file") from None
+        raise BenchError(
+            f"{path}: MuJoCo does not take it ({' '.join(str(error).split())}); correct the file"
+        ) from None
 
 
 def _parse(path: str, content: bytes | None, notes: list[str]) -> tuple[mujoco.MjSpec, bool]:
@@ -191,9 +193,9 @@ def _leave_out(spec: mujoco.MjSpec) -> Iterator[str]:
             spec.delete(element)
     counts = [f"{len(elements)} {kind}" for kind, elements in left.items() if elements]
     if counts:
-        yield f"left out, for they move no joint: {', '.join(counts)}"
+        yield f"left out, because they move no joint: {', '.join(counts)}"
     if spec.flexes:
-        yield f"left out: {len(spec.flexes)} flexible bodies (flex), and what pulls at them"
+        yield f"left out: {len(spec.flexes)} flexible bodies (flex) and forces on them"
         for flex in list(spec.flexes):
             spec.delete(flex)
         flexible = {mujoco.mjtEq.mjEQ_FLEX, mujoco.mjtEq.mjEQ_FLEXVERT, mujoco.mjtEq.mjEQ_FLEXSTRAIN}

@@ -84,7 +84,7 @@ class Tree:
         if without:
             yield (
                 f"{len(without)} moving links have no mass or no inertia ({listed(without)}): they get {LEAST:g} kg "
-                "and kg m^2, because MuJoCo wants some"
+                "and kg m^2, which MuJoCo requires"
             )
 
     def _bodies(self) -> list[int]:
@@ -135,7 +135,7 @@ class Tree:
             if changed:
                 had = ", ".join(f"{moment:.3g}" for moment in np.linalg.eigvalsh(link.inertia))
                 self._source.notes.append(
-                    f"the inertia of link {link.name} is that of no body of matter (principal moments {had} kg m^2), "
+                    f"the inertia of link {link.name} is not physical (principal moments {had} kg m^2), "
                     f"which MuJoCo refuses: taken as {', '.join(f'{moment:.3g}' for moment in np.sort(principal))}"
                 )
         inertial = {"pos": centre, "quat": quaternion, "mass": mass, "diaginertia": principal}

@@ -30,16 +30,16 @@ def clean(path: str, root: ET.Element) -> Iterator[str]:
     if unread:
         counts = Counter(element.tag for element in unread)
         listed = ", ".join(f"{number} <{tag}>" for tag, number in counts.items())
-        yield f"left out, for MuJoCo does not read them in a URDF: {listed}"
+        yield f"left out, because MuJoCo does not read them in a URDF: {listed}"
     for element in unread:
         root.remove(element)
     joints = root.findall("joint")
     speeds = [joint for joint in joints for limit in joint.findall("limit") if limit.get("velocity")]
     if speeds:
-        yield f"velocity limits of {len(speeds)} joints: MuJoCo has none; the recorded motion is what it was"
+        yield f"velocity limits of {len(speeds)} joints: MuJoCo has none"
     others = Counter(child.tag for joint in joints for child in joint if child.tag in _UNREAD_OF_JOINTS)
     for tag, number in others.items():
-        yield f"left out, for MuJoCo does not read them in a URDF: {number} <{tag}> of joints"
+        yield f"left out, because MuJoCo does not read them in a URDF: {number} <{tag}> of joints"
 
 
 def _take_first(root: ET.Element) -> Iterator[str]:

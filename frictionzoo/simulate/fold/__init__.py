@@ -1,8 +1,8 @@
-"""Partial evaluation: a JAX function of a few numbers to the flat list of scalar operations that it comes down to.
+"""Partial evaluation: from a JAX function of a few numbers to an equivalent flat list of scalar operations.
 
-MJX computes with arrays over bodies, joints and coordinates, and most of their entries are fixed by the model. Here the
-function is traced once, and its operations are carried out on arrays of expressions instead of numbers: what the model
-fixes becomes a constant, equal expressions become one, and what is left runs elementwise over any batch.
+MJX computes with arrays over bodies, joints and coordinates, and the model fixes most of their entries. The function is
+traced once, and its operations are applied to arrays of expressions instead of numbers. Fixed entries become constants,
+equal expressions become one, and the remaining operations run elementwise over any batch.
 """
 
 from frictionzoo.simulate.fold.expression import CannotSpecialiseError

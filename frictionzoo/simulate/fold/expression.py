@@ -1,4 +1,4 @@
-"""Entries of the arrays that are folded: numbers where the model fixes them, expressions of the inputs elsewhere."""
+"""Entries of folded arrays: numbers where the model fixes them, expressions of the inputs elsewhere."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -8,7 +8,7 @@ from jax import lax
 
 
 class CannotSpecialiseError(Exception):
-    """The function uses an operation that has no rule here; the message names it."""
+    """Function with an operation that has no rule here; the message names it."""
 
 
 class Expression:
@@ -16,9 +16,9 @@ class Expression:
 
     Attributes:
         operation: A key of `OPERATIONS`, `input`, or `polynomial`.
-        arguments: Expressions and constants; for `input` which argument and entry; for `polynomial` its terms.
-        serial: Position in the order in which expressions were made. It orders arguments, and not their place in
-            memory, because another order rounds otherwise and runs could not be repeated bit by bit.
+        arguments: Expressions and constants; for `input` the argument and entry; for `polynomial` its terms.
+        serial: Order of creation. Arguments are sorted by it and not by memory address, which would change rounding
+            from run to run.
     """
 
     __slots__ = ("arguments", "operation", "serial")
@@ -66,26 +66,26 @@ OPERATIONS: Mapping[str, tuple[Callable[..., Any], Callable[..., Any]]] = {
     "logistic": (lax.logistic, lambda x: 1 / (1 + np.exp(-x))),
     "is_finite": (lax.is_finite, np.isfinite),
 }
-"""What each operation of an expression becomes, and the same on numbers."""
+"""JAX operation and numpy operation for each operation of an expression."""
 
 
 def rank(entry: Any) -> tuple[Any, ...]:
-    """A key that tells entries apart and orders them, constants first."""
+    """Return a key that distinguishes and sorts entries, constants first."""
     return (1, entry.serial, "") if isinstance(entry, Expression) else (0, entry, type(entry).__name__)
 
 
 def is_number(entry: Any, number: float) -> bool:
-    """Whether an entry is this number."""
+    """Return whether an entry is this number."""
     return not isinstance(entry, Expression) and entry == number
 
 
 def is_result_of(entry: Any, operation: str) -> bool:
-    """Whether an entry is an expression of this operation."""
+    """Return whether an entry is an expression of this operation."""
     return isinstance(entry, Expression) and entry.operation == operation
 
 
 def as_entries(array: Any) -> np.ndarray:
-    """An array of any entries, in place of one of numbers."""
+    """Convert an array to one that can hold any entries."""
     found = np.empty(np.shape(array), object)
     found[...] = array
     return found

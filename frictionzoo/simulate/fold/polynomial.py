@@ -1,4 +1,4 @@
-"""Sums of products multiplied out, so that what cancels does, and written back with few operations."""
+"""Expansion of sums of products, so that terms cancel, and their return to few operations."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -13,18 +13,18 @@ _MOST_TERMS = 64
 _ROUNDING = 1e-14
 
 Monomial = tuple[tuple[Expression, int], ...]
-"""Factors with their powers, in the order of their serials."""
+"""Factors with their powers, sorted by serial."""
 
 
 class Expander(Simplifier):
-    """Multiplies sums out: rotations are polynomials in sines and cosines of half angles.
+    """Simplifier that multiplies sums out: rotations are polynomials in sines and cosines of half angles.
 
     cos^2 becomes 1 - sin^2, which makes the polynomials canonical. A product with too many terms stays a product.
     """
 
     def __init__(self) -> None:
         super().__init__()
-        self._plain = Simplifier()  # a new one keeps the products apart from those that were multiplied out
+        self._plain = Simplifier()  # separate, so that its products stay apart from the expanded ones
         self._lowered: dict[int, Any] = {}
 
     def make(self, name: str, *entries: Any) -> Any:
@@ -70,7 +70,7 @@ class Expander(Simplifier):
         return self._lowered[entry.serial]
 
     def _nest(self, terms: Mapping[Monomial, float]) -> Any:
-        """A polynomial by Horner's rule: the factor of most terms is taken out of them, and so on."""
+        """Write a polynomial by Horner's rule: factor out the most frequent factor, recursively."""
         uses = Counter(factor.serial for monomial in terms for factor, _ in monomial)
         if not uses:
             return terms.get((), 0.0)
@@ -98,7 +98,7 @@ class Expander(Simplifier):
         ]
 
     def _reduce(self, powers: Mapping[Expression, int]) -> list[tuple[float, Monomial]]:
-        """A monomial without squares of cosines, as terms."""
+        """Return a monomial without squares of cosines, as terms."""
         for factor, power in powers.items():
             if factor.operation == "cos" and power >= 2:
                 sine = self.keep("sin", factor.arguments)
@@ -108,7 +108,7 @@ class Expander(Simplifier):
         return [(1.0, tuple(sorted(powers.items(), key=lambda item: item[0].serial)))]
 
     def _gather(self, terms: Sequence[tuple[float, Monomial]]) -> Any:
-        """The sum of terms as the simplest entry; what is left of a cancellation but for rounding is nothing."""
+        """Return the sum of terms as the simplest entry; rounding left after a cancellation counts as 0."""
         total: dict[Monomial, float] = {}
         size: dict[Monomial, float] = {}
         for coefficient, monomial in terms:

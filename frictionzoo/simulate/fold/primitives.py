@@ -1,4 +1,4 @@
-"""JAX's operations on whole arrays, carried out on arrays of entries."""
+"""JAX's array operations, applied to arrays of entries."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -12,12 +12,12 @@ from frictionzoo.simulate.fold.simplify import Simplifier
 
 
 def _common(arrays: Sequence[np.ndarray]) -> Sequence[np.ndarray]:
-    """The same arrays, all of objects if one of them is."""
+    """Return the arrays, all of objects if one of them is."""
     return [as_entries(array) for array in arrays] if any(array.dtype == object for array in arrays) else arrays
 
 
 def _spread(array: np.ndarray, rank: int, dimensions: Sequence[Any]) -> np.ndarray:
-    """The array with its dimensions among `rank` ones."""
+    """Reshape an array to `rank` dimensions, its own at these places."""
     shape = np.ones(rank, int)
     shape[list(dimensions)] = array.shape
     return array.reshape(shape)
@@ -51,7 +51,7 @@ def _contract(simplifier: Simplifier, left: np.ndarray, right: np.ndarray, dimen
     (left_sum, right_sum), (left_batch, right_batch) = dimension_numbers
 
     def arrange(array: np.ndarray, batch: Sequence[Any], summed: Sequence[Any]) -> tuple[np.ndarray, list[int]]:
-        """Batch, free and summed dimensions as one each, and the free sizes."""
+        """Merge batch, free and summed dimensions to one each, and return the free sizes too."""
         free = [axis for axis in range(array.ndim) if axis not in (*batch, *summed)]
         sizes = [math.prod(array.shape[axis] for axis in axes) for axes in (batch, free, summed)]
         return array.transpose(*batch, *free, *summed).reshape(sizes), [array.shape[axis] for axis in free]
@@ -105,9 +105,9 @@ def _update_slice(array: np.ndarray, update: np.ndarray, *starts: np.ndarray) ->
 def _windows(
     shape: Sequence[Any], indices: np.ndarray, sizes: Sequence[Any], numbers: lax.GatherDimensionNumbers, clip: bool
 ) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
-    """For XLA's gather and scatter: the operand's index of each entry of the windows, one array a dimension.
+    """Return the operand's index of each window entry for XLA's gather and scatter, one array a dimension.
 
-    Besides, whether that entry's window lies inside the operand.
+    The second output is whether the entry's window lies inside the operand.
     """
     if indices.dtype == object:
         raise CannotSpecialiseError("an index that depends on the state")
@@ -159,7 +159,7 @@ def _scatter(simplifier: Simplifier, inputs: Sequence[np.ndarray], params: Mappi
     places, inside = _windows(array.shape, indices, sizes, alike, clip=False)
     array, updates = _common([array, updates])
     written = array.copy()
-    for entry in np.argwhere(inside):  # XLA drops what lies outside
+    for entry in np.argwhere(inside):  # XLA drops entries outside
         entry = tuple(entry)
         place = tuple(int(index[entry]) for index in places)
         written[place] = simplifier.make("add", written[place], updates[entry]) if add else updates[entry]
@@ -200,4 +200,4 @@ PRIMITIVES: Mapping[str, Callable[[Simplifier, list[np.ndarray], Mapping[str, An
     "reduce_or": lambda simplifier, x, p: _reduce(simplifier, "or", x[0], p["axes"], False),
     "cumsum": lambda simplifier, x, p: _cumulate(simplifier, "add", x[0], p["axis"], p["reverse"]),
 }
-"""What a primitive does with arrays of entries: (simplifier, inputs, params) to the output."""
+"""Function of each primitive on arrays of entries: (simplifier, inputs, params) to the output."""

@@ -1,4 +1,4 @@
-"""Scalar operations on entries: each comes down to a number, to an entry that is there already, or to a new one."""
+"""Scalar operations on entries: each becomes a number, an existing entry, or a new one."""
 
 import itertools
 from collections.abc import Callable, Mapping
@@ -12,44 +12,44 @@ _COMMUTATIVE = {"add", "mul", "max", "min", "eq", "ne", "and", "or"}
 
 
 class Simplifier:
-    """Makes expressions, and makes equal ones once."""
+    """Maker of expressions that makes equal ones only once."""
 
     def __init__(self) -> None:
         self._known: dict[tuple[Any, ...], Expression] = {}
         self._made = itertools.count()
 
     def inputs(self, leaf: int, shape: tuple[int, ...]) -> np.ndarray:
-        """Expressions for the entries of one argument."""
+        """Make expressions for the entries of one argument."""
         array = np.empty(shape, object)
         for index in np.ndindex(shape):
             array[index] = self.input((leaf, index))
         return array
 
     def input(self, place: tuple[Any, ...]) -> Expression:
-        """An expression for one entry of one argument."""
+        """Make an expression for one entry of one argument."""
         return Expression("input", place, next(self._made))
 
     def finish(self, output: np.ndarray) -> np.ndarray:
-        """An output's entries in the operations of `OPERATIONS`."""
+        """Return an output's entries in the operations of `OPERATIONS`."""
         return np.asarray(output, object)
 
     @property
     def plain(self) -> "Simplifier":
-        """What makes more expressions of those that are finished."""
+        """Simplifier for new expressions of finished ones."""
         return self
 
     def elementwise(self, name: str, *operands: Any) -> np.ndarray:
-        """An operation on arrays of numbers or entries."""
+        """Apply an operation to arrays of numbers or entries."""
         inputs = [np.asarray(operand) for operand in operands]
         if all(array.dtype != object for array in inputs):
-            with np.errstate(all="ignore"):  # branches that a mask leaves out may divide by 0
+            with np.errstate(all="ignore"):  # branches that a mask discards may divide by 0
                 if name == "div" and np.issubdtype(np.result_type(*inputs), np.integer):
                     return np.asarray(np.trunc(np.divide(*inputs)).astype(inputs[0].dtype))
                 return np.asarray(OPERATIONS[name][1](*inputs))
         return as_entries(np.frompyfunc(lambda *entries: self.make(name, *entries), len(inputs), 1)(*inputs))
 
     def make(self, name: str, *entries: Any) -> Any:
-        """The simplest entry that this operation on entries comes down to."""
+        """Return the simplest entry for this operation on entries."""
         entries = tuple(entry if isinstance(entry, Expression) else np.asarray(entry).item() for entry in entries)
         if not any(isinstance(entry, Expression) for entry in entries):
             with np.errstate(all="ignore"):
@@ -58,7 +58,7 @@ class Simplifier:
         return self.keep(name, entries) if found is None else found
 
     def choose(self, which: Any, *entries: Any) -> Any:
-        """The entry that `which` counts out; of two, for False and True, where it is not known."""
+        """Return the entry with index `which`; if that is unknown, select one of two, for False and True."""
         if not isinstance(which, Expression):
             return entries[int(which)]
         if entries[0] is entries[1] or rank(entries[0]) == rank(entries[1]):
@@ -66,7 +66,7 @@ class Simplifier:
         return self.keep("select", (which, entries[1], entries[0]))
 
     def keep(self, name: str, entries: tuple[Any, ...]) -> Expression:
-        """The expression of this operation as it stands."""
+        """Return the expression of this operation without simplification."""
         if name in _COMMUTATIVE:
             entries = tuple(sorted(entries, key=rank))
         return self._once((name, *map(rank, entries)), name, entries)
@@ -77,7 +77,7 @@ class Simplifier:
         return self._known[key]
 
 
-# What an operation comes down to besides its own expression: None where that is nothing simpler.
+# Simpler form of each operation; None if there is none.
 
 
 def _add(simplifier: Simplifier, a: Any, b: Any) -> Any:
@@ -125,7 +125,7 @@ def _mul(simplifier: Simplifier, a: Any, b: Any) -> Any:
 
 
 def _is_scaled(entry: Any) -> bool:
-    """Whether it is a number times something; the number stands first."""
+    """Return whether it is a number times an expression; the number stands first."""
     return is_result_of(entry, "mul") and not isinstance(entry.arguments[0], Expression)
 
 

@@ -1,4 +1,4 @@
-"""Derivatives of what was folded, entry by entry: where an input does not act, there is none."""
+"""Derivatives of folded expressions, entry by entry, without those that are 0."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -7,19 +7,19 @@ from frictionzoo.simulate.fold.expression import CannotSpecialiseError, Expressi
 from frictionzoo.simulate.fold.simplify import Simplifier
 
 Slopes = dict[tuple[Any, ...], Any]
-"""Derivative of an entry with respect to entries of arguments, by argument and index; those that are 0 are left out."""
+"""Derivative of an entry with respect to entries of arguments, by argument and index, without those that are 0."""
 
 
 def slopes_of(simplifier: Simplifier, order: Sequence[Expression], moving: Sequence[int]) -> dict[int, Slopes]:
-    """Slopes of every expression, by its identity, with respect to the entries of some arguments.
+    """Return the slopes of every expression, by its identity, with respect to the entries of some arguments.
 
     Args:
-        simplifier: What made the expressions.
-        order: Them, each after what it needs itself.
+        simplifier: Simplifier that made the expressions.
+        order: Expressions, each after its arguments.
         moving: Numbers of the arguments.
 
     Raises:
-        CannotSpecialiseError: An operation that depends on these has no rule here.
+        CannotSpecialiseError: An operation that depends on these arguments has no rule here.
     """
     found: dict[int, Slopes] = {}
     for expression in order:

@@ -1,4 +1,4 @@
-"""A function traced, its operations folded one after the other, and what is left as a function again."""
+"""Specialisation: trace a function, fold its operations one by one, and make a function of the rest."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -17,15 +17,15 @@ from frictionzoo.simulate.fold.simplify import Simplifier
 from frictionzoo.simulate.fold.slopes import Slopes, slopes_of
 
 _WORTH_EXPANDING = 700
-"""Operations up to which it is tried whether multiplying out leaves fewer: one joint or two."""
+"""Largest number of operations for which multiplying out is tried: one or two joints."""
 _WRAPPERS = {"jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call", "remat", "checkpoint"}
 
 
 class Specialised:
-    """A function that was specialised; call it with arrays of the shapes of the examples, of any floating-point type.
+    """Specialised function, called with arrays in the shapes of the examples, of any floating-point type.
 
     Attributes:
-        operations: Number of scalar operations that are left.
+        operations: Number of remaining scalar operations.
     """
 
     def __init__(self, outputs: list[np.ndarray], structure: Any, slopes: Mapping[int, Slopes] | None = None) -> None:
@@ -42,7 +42,7 @@ class Specialised:
             self._smooth.defjvp(self._value_and_tangent)
 
     def __call__(self, *arguments: Any) -> Any:
-        """The function's value, with the structure that it returned when it was traced."""
+        """Return the function's value, in the structure of the traced function."""
         leaves = [jnp.asarray(leaf) for leaf in jax.tree.leaves(arguments)]
         return self._value(*leaves) if self._slopes is None else self._smooth(*leaves)
 
@@ -50,7 +50,7 @@ class Specialised:
         return self._assemble(self._reader(leaves, self._order))
 
     def _value_and_tangent(self, leaves: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Any, Any]:
-        """Slopes are computed once for all tangents."""
+        """Return value and tangent; slopes are computed once for all tangents."""
         read, made = self._reader(leaves, self._with_slopes), {}
 
         def tangent(entry: Any) -> Any:
@@ -63,7 +63,7 @@ class Specialised:
         return self._assemble(read), self._assemble(tangent)
 
     def _reader(self, leaves: Sequence[Array], order: Sequence[Expression]) -> Callable[[Any], Any]:
-        """From an entry to its value."""
+        """Return a function from an entry to its value."""
         dtype = jnp.result_type(*leaves) if leaves else jnp.result_type(float)
         value: dict[int, Any] = {}
 
@@ -92,10 +92,10 @@ def specialise(function: Callable[..., Any], *examples: Any, moving: Sequence[in
     """Trace a function and fold everything that does not depend on its arguments.
 
     Args:
-        function: What is specialised.
+        function: The function to specialise.
         examples: Its arguments, trees of arrays.
-        moving: Numbers of arguments, arrays, with respect to which its slopes are folded too, so that they are computed
-            once for many tangents. It then has no other derivatives: the other arguments count as constants.
+        moving: Numbers of array arguments for which slopes are folded too, so that they are computed once for many
+            tangents. There are then no other derivatives: the other arguments count as constants.
 
     Raises:
         CannotSpecialiseError: The function uses an operation without a rule (a loop, a sort, random numbers).
@@ -123,7 +123,7 @@ def specialise(function: Callable[..., Any], *examples: Any, moving: Sequence[in
 
 
 def _sorted_by_dependence(entries: Sequence[Any]) -> list[Expression]:
-    """Every expression that these need, each after what it needs itself."""
+    """Return every expression that these entries need, each after its arguments."""
     order: list[Expression] = []
     seen: set[int] = set()
     for root in entries:
@@ -143,7 +143,7 @@ def _sorted_by_dependence(entries: Sequence[Any]) -> list[Expression]:
 
 
 def _evaluate(simplifier: Simplifier, jaxpr: Any, consts: Sequence[Any], arguments: Sequence[Any]) -> list[np.ndarray]:
-    """A jaxpr's outputs over arrays of numbers where all is known, of entries (dtype object) elsewhere."""
+    """Evaluate a jaxpr over arrays, of numbers if all are known, else of entries (dtype object)."""
     values: dict[Any, np.ndarray] = dict(zip(jaxpr.constvars, consts, strict=True))
     values |= dict(zip(jaxpr.invars, arguments, strict=True))
 
@@ -177,7 +177,7 @@ def _apply(simplifier: Simplifier, equation: Any, inputs: list[np.ndarray]) -> l
 
 
 def _numbers_if_known(array: np.ndarray, dtype: Any) -> np.ndarray:
-    """An array of numbers instead of objects where no entry is an expression."""
+    """Convert an array of objects to numbers if no entry is an expression."""
     array = np.asarray(array)
     if array.dtype != object or any(isinstance(entry, Expression) for entry in array.ravel()):
         return array
